@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 # What a new set-up or a new build depends on; Python sources, launch files and yaml are used in place.
-MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt tools/setup.sh \
+MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-webcam.txt tools/setup.sh \
   $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
 IN_WORKSPACE := source devel/setup.bash &&
@@ -15,17 +15,22 @@ RECORDING ?=
 OFFSET ?=
 RECORD ?=
 SCENARIO ?=
+TUTORIAL ?= 0
+TRACKER ?=
 REPORT ?=
 ARGS ?=
+# Hours of `make soak`, minutes of `make fuzz`.
+HOURS ?= 2
+MINUTES ?= 60
 # Arguments of the benchmarks.
 ONLY ?=
 JSON ?=
 
-.PHONY: help setup demo test test-fast bench lint docs docs-pictures cad clean distclean
+.PHONY: help setup demo test test-fast bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
-	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated person picks a cup up) or assisted_grasp (the person corrects a grasp that the network proposes),\n  ARGS="name:=value ..." for the launch file.\n\n  make bench takes ONLY="part ..." (see bench/README.md) and JSON=file; `python -m bench.compare OLD NEW` compares two such files.\n'
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated person picks a cup up) assisted_grasp (the person corrects a grasp that the network proposes), wall (the hand steers against a wall of objects),\n  clutch or two_hands (relative engagement: the clutch is a service, or the fist of the second hand),\n  TRACKER=webcam (your own hand before the camera moves the arm; ARGS="camera_device:=1" is another camera) or headset (by the browser of a headset),\n  TUTORIAL=1 (leads a visitor step by step; with HEADLESS=1 the simulated person plays it),\n  ARGS="name:=value ..." for the launch file.\n\n  make bench takes ONLY="part ..." (see bench/README.md) and JSON=file; `python -m bench.compare OLD NEW` compares two such files.\n\n  make campaign takes ONLY=1,8 (or 1-8, or dangerous) and JSON=file,\n  make networks ONLY=arm:loss_5 (or arm, or loss_5) and JSON=file.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
@@ -37,7 +42,7 @@ $(READY): $(MANIFESTS)
 demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
 	@$(IN_WORKSPACE) devel/lib/leap_rig/demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
 	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") \
-	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) -- $(ARGS)
+	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) $(if $(TRACKER),--tracker $(TRACKER)) $(if $(filter 1 true yes,$(TUTORIAL)),--tutorial) -- $(ARGS)
 
 test: $(READY) ## all tests
 	@$(IN_WORKSPACE) tools/test.sh
@@ -47,6 +52,22 @@ test-fast: $(READY) ## the tests that need no ROS, in seconds
 
 bench: $(READY) ## measures speed on this machine and prints a table
 	@$(IN_WORKSPACE) python bench/run.py $(foreach part,$(ONLY),--only $(part)) $(if $(JSON),--json "$(JSON)")
+
+campaign: $(READY) ## provokes the faults of the catalogue on simulated rigs and judges what the arm does
+	@$(IN_WORKSPACE) python -m campaign.run $(if $(ONLY),--only "$(ONLY)",--page) $(if $(JSON),--json "$(JSON)")
+
+networks: $(READY) ## the simulated rig on bad networks: delay, jitter, loss, freezes on each of its wires; 12 minutes
+	@$(IN_WORKSPACE) python -m campaign.network.run --page $(if $(ONLY),--only "$(ONLY)") $(if $(JSON),--json "$(JSON)")
+
+soak: $(READY) ## HOURS=2 of work with faults on the whole simulated rig: does memory, or anything else, grow?
+	@$(IN_WORKSPACE) python campaign/soak.py --hours $(HOURS)
+
+golden: $(READY) ## renews what the replay gate compares with, and draws old and new where they differ
+	@$(IN_WORKSPACE) OPENBLAS_NUM_THREADS=1 python -m golden
+
+fuzz: $(READY) ## MINUTES=60 of input that nobody meant, for every parser and border
+	@$(IN_WORKSPACE) python -m fuzz.run --minutes $(MINUTES); code=$$?; \
+	  python -m fuzz.live --minutes $$(( ($(MINUTES) + 9) / 10 )) && exit $$code
 
 lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
@@ -72,8 +93,12 @@ cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures,
 	@MUJOCO_GL=egl .venv/bin/python -m cad.pictures
 	@.venv/bin/python -m cad.tag_sheets.sheets
 
+lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerobot (8 GB from PyPI)
+	@test -x .venv-lerobot/bin/python || /usr/bin/python3 -m venv .venv-lerobot
+	@.venv-lerobot/bin/pip install -q -r requirements-lerobot.txt
+
 clean: ## removes the build
 	rm -rf build devel install logs site src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 distclean: clean ## removes the build and the Python environment
-	rm -rf .venv cad/.venv
+	rm -rf .venv .venv-lerobot cad/.venv

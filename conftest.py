@@ -19,16 +19,21 @@ SHARED = ROOT.parent / "shared"
 
 # A matrix of this project is small: more threads than one cost time.
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+# A run in the background ignores Ctrl-C; what it starts would ignore it, too, and wait to be killed.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Behind everything else: in a sourced workspace the built packages, which also hold the messages, come first.
 SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py"))]
-sys.path.extend(SOURCES)
+sys.path.extend([*SOURCES, str(ROOT)])
 
 from common.ports import free_port  # noqa: E402 - needs the path above
+from tools.fork_server import ForkServer  # noqa: E402
 
-# On a busy machine one example of a law may take long.
-hypothesis.settings.register_profile("no deadline", deadline=None)
-hypothesis.settings.load_profile("no deadline")
+# On a busy machine one example of a law may take long. Each run tries others.
+hypothesis.settings.register_profile("tests", deadline=None, max_examples=50)
+hypothesis.settings.load_profile("tests")
 
 
 def pytest_collection_modifyitems(config, items):
@@ -56,10 +61,42 @@ def shared_data():
     return folder
 
 
+@pytest.fixture
+def application():
+    """The Qt application of this process, without a screen; the test's windows go with the test.
+
+    Left to Python, a window would go whenever its reference cycle is found, in whatever thread: Qt may crash then.
+    """
+    from python_qt_binding.QtCore import QEvent
+    from python_qt_binding.QtWidgets import QApplication
+
+    running = QApplication.instance() or QApplication(sys.argv[:1])
+    yield running
+    for window in running.topLevelWidgets():
+        window.deleteLater()
+    running.sendPostedEvents(None, QEvent.DeferredDelete)
+
+
 class Process(subprocess.Popen):
     """A program that a test started; its output goes to the file `log_path`."""
 
-    log_path: Path
+    _server: ForkServer | None = None
+
+    def __init__(self, command: list[str], log_path: Path, environment: dict[str, str], fork: bool) -> None:
+        self.log_path, self._environment, self._fork = log_path, environment, fork
+        if Process._server is None:
+            Process._server = ForkServer(ENVIRONMENT)
+        with open(log_path, "wb") as log:
+            super().__init__(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
+
+    def _execute_child(self, command, *others) -> None:
+        """Forks a Python program from the process that has imported its modules; anything else starts plainly."""
+        server = Process._server
+        if not (self._fork and server.fits(command, self._environment)):
+            super()._execute_child(command, *others)
+            return
+        self.pid = server.start(command, self._environment, self.log_path)
+        self._child_created = True
 
     def wait(self, timeout: float | None = None) -> int:
         """Waits for its end and returns the exit code.
@@ -77,15 +114,11 @@ class Processes:
         self._log_folder = log_folder
         self._running: list[Process] = []
 
-    def start(self, *command: str, env: dict[str, str] | None = None) -> Process:
-        """Starts a command."""
+    def start(self, *command: str, env: dict[str, str] | None = None, fork: bool = True) -> Process:
+        """Starts a command; a program of the workspace by tools.fork_server, unless its imports are what is tested."""
         command = _without_search(command)
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
-        paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **(env or {})}
-        with open(log_path, "wb") as log:
-            process = Process(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
-        process.log_path = log_path
+        process = Process([*command], log_path, with_sources(env or {}), fork)
         self._running.append(process)
         return process
 
@@ -104,6 +137,15 @@ class Processes:
         """Ends what is still running, newest first."""
         for process in reversed(self._running):
             self.end(process)
+
+
+def with_sources(changes: dict[str, str]) -> dict[str, str]:
+    """Returns this process's environment with these changes, in which the packages are found without a build."""
+    paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **changes}
+
+
+ENVIRONMENT = with_sources({})
 
 
 def _without_search(command: tuple[str, ...]) -> tuple[str, ...]:
@@ -163,10 +205,11 @@ def ros(ros_master, processes, monkeypatch):
     processes.end_all()
     for topic in topics:
         topic.unregister()
-    for name in rospy.get_param_names():
-        if not name.startswith(("/ros", "/run_id")):
+    # Whole namespaces, as one that is left empty is still there; by the names, as values may come from rospy's cache.
+    for name in {name.split("/")[1] for name in rospy.get_param_names()}:
+        if not name.startswith(("ros", "run_id")):
             with contextlib.suppress(KeyError):
-                rospy.delete_param(name)
+                rospy.delete_param(f"/{name}")
 
 
 class Graph:
@@ -175,13 +218,14 @@ class Graph:
     def __init__(self, processes: Processes) -> None:
         self._processes = processes
 
-    def run(self, package: str, executable: str, *args: str) -> Process:
+    def run(self, package: str, executable: str, *args: str, fork: bool = True) -> Process:
         """Starts a node as `rosrun` does."""
-        return self._processes.start("rosrun", package, executable, *args)
+        return self._processes.start("rosrun", package, executable, *args, fork=fork)
 
     def launch(self, package: str, file: str, **args) -> Process:
-        """Starts a launch file as `roslaunch` does."""
-        return self._processes.start("roslaunch", "--wait", package, file, *(f"{k}:={v}" for k, v in args.items()))
+        """Starts a launch file as `roslaunch` does, all nodes at the same priority."""
+        arguments = [f"{k}:={v}" for k, v in args.items()]
+        return self._processes.start("roslaunch", "--wait", package, file, *arguments, env={"LEAP_RIG_NICENESS": "0"})
 
     def record(self, topic: str, message_type) -> list:
         """Returns a list that grows by every message on the topic, with `list.wait(count, timeout)`."""

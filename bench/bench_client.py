@@ -1,8 +1,12 @@
-"""The toolbox client against the simulated controller, a process of its own: servo goals, paced and without pause."""
+"""The toolbox client against the simulated controller, a process of its own: servo goals, paced and without pause.
+
+Called as a program, `python -m bench.bench_client LINK COUNT` measures one of BAD_LINKS, in a network of its own.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import signal
@@ -13,14 +17,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from bench import bad_link as bad_link_module
-from bench.measure import SRC, BenchError, Goal, Peer, Row, number, row
+from bench.measure import ROOT, SRC, BenchError, Goal, Peer, Row, number, row
 from bench.plain_client import PlainClient
+from campaign.network.link import Link
+from campaign.network.wire import Wire, in_own_network
 from common.poses import translation
 from kst import Feedback, KstClient, KstTiming, NoServer
 
 PROGRAM = SRC / "modules" / "rig_simulation" / "scripts" / "sunrise_controller.py"
-READY = re.compile(r"listening on 127\.0\.0\.1:(\d+)")
+READY = re.compile(r"listening on [\d.]+:(\d+)")
 TOOL = translation(0.0, 0.0, 0.106)
 PERIOD_S = 1.0 / 250.0
 SWING_RAD = 0.03
@@ -29,12 +34,11 @@ CALLS = {"servo": Feedback.DONE, "servo_joints": Feedback.JOINTS, "servo, unansw
 PATIENT = KstTiming(servo_reply=10.0, reply=10.0)
 BATCH = 16  # answers are read after so many streamed goals
 PACED_HZ = 240.0
-BAD_LINKS = {"1 % loss": (0.0, 0.0, 0.01), "20 +- 10 ms each way": (0.02, 0.01, 0.0)}
-"""Delay [s], jitter [s] and loss in each direction."""
+BAD_LINKS = {"1 % loss": Link(loss=0.01), "20 +- 10 ms each way": Link(delay=0.02, jitter=0.01)}
 
 
 def rows(quick: bool) -> list[Row]:
-    """Returns round trip, jitter and highest rate of each kind of servo goal, and the pace of goals on bad links."""
+    """Returns round trip and highest rate of each kind of servo goal, and the pace of goals on bad links."""
     paced, fast = (50, 50) if quick else (5000, 5000)
     table = []
     with simulated_controller() as port:
@@ -44,22 +48,20 @@ def rows(quick: bool) -> list[Row]:
                 table += _call_rows(client, name, feedback, paced, fast)
             for word, (feedback, peer) in peers.items():
                 table.append(_streamed_row(client, word, feedback, peer, fast))
-        for name, link in BAD_LINKS.items():
-            with bad_link(port, *link) as proxy, _in_servo(proxy, KstTiming()) as client:
-                table.append(_paced_stream_row(client, name, 50 if quick else 2500))
-    return table
+    return [*table, *(_bad_link_row(name, 50 if quick else 2500) for name in BAD_LINKS)]
 
 
 @contextlib.contextmanager
-def simulated_controller() -> Iterator[int]:
-    """Runs a simulated controller on a free port; yields the port.
+def simulated_controller(host: str = "127.0.0.1") -> Iterator[int]:
+    """Runs a simulated controller on a free port of a loopback address; yields the port.
 
     Raises:
         BenchError: it did not start.
     """
-    command = (sys.executable, str(PROGRAM), "--port", "0", "--control-port", "0")
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    command = (sys.executable, str(PROGRAM), "--host", host, "--port", "0", "--control-port", "0")
+    process = subprocess.Popen(
+        command, env=_environment(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     try:
         ready = READY.search(process.stdout.readline())
         if not ready:
@@ -75,16 +77,18 @@ def simulated_controller() -> Iterator[int]:
         process.stdout.close()
 
 
+def _environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+
+
 def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fast: int) -> list[Row]:
     def call(q: np.ndarray) -> None:
         client.servo(q, feedback)
 
     starts, ends = _paced(call, paced)
-    late = np.abs(np.diff(starts) - PERIOD_S)
     way = "call" if feedback is Feedback.NOTHING else "round trip"
     table = [
         row(f"kst {name}: {way}", 1e3 * (ends - starts), "ms", "goals at 250 Hz to the simulated controller, loopback"),
-        row(f"kst {name}: jitter", 1e3 * late, "ms", "how far a period was from 4 ms; time.sleep"),
     ]
     begin = time.perf_counter()
     for _ in range(fast - 1):
@@ -110,12 +114,12 @@ def _peers(port: int, fast: int) -> dict[str, tuple[Feedback, Peer]]:
 
 
 @contextlib.contextmanager
-def _in_servo(port: int, timing: KstTiming = PATIENT) -> Iterator[KstClient]:
+def _in_servo(port: int, timing: KstTiming = PATIENT, host: str = "127.0.0.1") -> Iterator[KstClient]:
     """Connects in servo mode; the simulated server takes a moment to start again after the client before."""
     deadline = time.monotonic() + 10.0
     while True:
         try:
-            client = KstClient.connect("127.0.0.1", port, TOOL, timeout=10.0, timing=timing)
+            client = KstClient.connect(host, port, TOOL, timeout=10.0, timing=timing)
             break
         except NoServer as error:
             if time.monotonic() > deadline:
@@ -124,19 +128,6 @@ def _in_servo(port: int, timing: KstTiming = PATIENT) -> Iterator[KstClient]:
     with client:
         client.start_joint_servo()
         yield client
-
-
-@contextlib.contextmanager
-def bad_link(port: int, delay: float, jitter: float, loss: float) -> Iterator[int]:
-    """Runs a proxy to the port in a process of its own; yields its port. Times in seconds."""
-    command = (sys.executable, str(bad_link_module.__file__), *map(str, (port, delay, jitter, loss)))
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield int(process.stdout.readline())
-    finally:
-        process.kill()
-        process.wait()
-        process.stdout.close()
 
 
 def _streamed_row(client: KstClient, word: str, feedback: Feedback, peer: Peer, fast: int) -> Row:
@@ -152,7 +143,25 @@ def _streamed_row(client: KstClient, word: str, feedback: Feedback, peer: Peer, 
     return number(f"kst {word} streamed: highest rate", rate, "1/s", f"{answered} answers to {fast} goals", peer=peer)
 
 
-def _paced_stream_row(client: KstClient, link: str, count: int) -> Row:
+def _bad_link_row(name: str, count: int) -> Row:
+    """Returns how many goals a second leave on a bad link."""
+    command = in_own_network([sys.executable, "-m", "bench.bench_client", name, str(count)])
+    done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True)
+    what, unit, goal = f"kst goals, {name}", "1/s", Goal(PACED_HZ, at_least=True)
+    if done.returncode:
+        return Row(what, None, None, unit, "this machine lets nobody make a network device", goal)
+    rate, missed = json.loads(done.stdout)
+    return number(what, rate, unit, f"{count} goals due at 250 Hz, {missed} answers missed", goal)
+
+
+def _measure_bad_link(name: str, count: int) -> None:
+    with Wire("arm") as wire, simulated_controller(wire.near) as port:
+        wire.set(BAD_LINKS[name])
+        with _in_servo(port, KstTiming(), wire.far) as client:
+            print(json.dumps([_rate(client, count), client.counts.missed]))
+
+
+def _rate(client: KstClient, count: int) -> float:
     """Returns how many goals a second leave of those that are due at 250 Hz; none does while an answer is missing."""
     due = begin = time.perf_counter()
     sent = 0
@@ -163,9 +172,7 @@ def _paced_stream_row(client: KstClient, link: str, count: int) -> Row:
             client.stream(_goal())
             sent += 1
         client.answers()
-    rate = sent / (time.perf_counter() - begin)
-    how = f"{count} goals due at 250 Hz, {client.counts.missed} answers missed"
-    return number(f"kst goals, {link}", rate, "1/s", how, Goal(PACED_HZ, at_least=True))
+    return sent / (time.perf_counter() - begin)
 
 
 def _paced(call: Callable[[np.ndarray], object], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -184,3 +191,7 @@ def _paced(call: Callable[[np.ndarray], object], count: int) -> tuple[np.ndarray
 def _goal() -> np.ndarray:
     """Returns a goal of a slow swing of all joints about zero, where the simulated arm stands at first."""
     return np.full(7, SWING_RAD * np.sin(np.pi * time.perf_counter()))
+
+
+if __name__ == "__main__":
+    _measure_bad_link(sys.argv[1], int(sys.argv[2]))

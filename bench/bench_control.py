@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import ruckig
 import yaml
@@ -9,13 +11,16 @@ import yaml
 from bench.measure import SRC, Goal, Peer, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
+from kuka_control.limits.motion_limits import MotionLimits
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs, Servo
 from kuka_control.loop.controller import Controller
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.rig import Rig
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
 
 CLOCK_S = 1.7e9
@@ -26,6 +31,7 @@ AT_HOME_S = 0.5
 RADIUS_M = 0.06
 SPEED_M_S = 0.15
 GOAL_US = Goal(150.0)
+GUARD_US = Goal(300.0)
 
 
 class IdealArm(Arm):
@@ -83,11 +89,31 @@ def rows(quick: bool) -> list[Row]:
     times, targets = timed(resolve, [(T,) for T in circle])
     table = [row("control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
-    limits = algorithms.motion_limits(config, rig)
-    limits.reset(rig.home.q)
-    times, _ = timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])
+    times = _steps(algorithms.motion_limits(config, rig), rig, targets)
     table.append(row("control: motion limits", times, "us", settings, peer=_plain_ruckig(config, targets)))
-    return table + _cycles(config, rig, circle, settings)
+    return table + _guard(config, rig, targets, settings) + _cycles(config, rig, circle, settings)
+
+
+def _guard(config: RealTimeConfig, rig: Rig, targets: list, settings: str) -> list[Row]:
+    """Returns what the collision guard adds to a step of the motion limits, without and with a wall in the way."""
+    x, y, z = rig.home.centre
+    middle = (x, y + 0.15, z)
+    wall = ConvexBody("wall", 0, ConvexShape("box", (0.3, 0.02, 0.3)), read_only(pose(p=middle)))
+    table = []
+    for name, around in (("free", ()), ("at a wall", (wall,))):
+        taken = []
+        for guard in (None, algorithms.collision_guard(config, replace(rig, obstacles=around))):
+            if guard is not None:
+                guard.open(Opening((0.5, 0.5, 0.5), (0.1, 0.1, 0.1), 0.0))
+            taken.append(_steps(algorithms.motion_limits(config, rig, guard), rig, targets))
+        table.append(row(f"control: collision guard, {name}", taken[1] - taken[0], "us", settings, GUARD_US))
+    return table
+
+
+def _steps(limits: MotionLimits, rig: Rig, targets: list) -> np.ndarray:
+    """Returns the time of each step towards the targets [s]."""
+    limits.reset(rig.home.q)
+    return timed(lambda q: limits.step(q, limits.goal, FRAME_S), [(target.q,) for target in targets])[0]
 
 
 def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings: str) -> list[Row]:

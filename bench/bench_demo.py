@@ -36,7 +36,7 @@ GOALS = {
 }
 HAND_GOAL = Goal(45.0)
 CPU_GOALS = {"all processes": Goal(90.0), "world.py": Goal(25.0)}
-LEAST_SHARE = 2.0  # programs that take less of a processor are not listed [%]
+LEAST_SHARE = 5.0  # programs that take less of a processor are not listed [%]
 
 
 @dataclass(frozen=True)
@@ -215,6 +215,11 @@ def _last_line(log: Path) -> str:
 
 def _cpu_times(root: int) -> dict[tuple[int, str], float]:
     """Returns for a process and all below it, by id and name, the CPU time that it used so far [s]."""
+    return {(pid, _name(words)): used for pid, (words, used) in processes_below(root).items()}
+
+
+def processes_below(root: int) -> dict[int, tuple[list[bytes], float]]:
+    """Returns for a process and all below it, by id, the words of its command line and the CPU time so far [s]."""
     parents, used = {}, {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -226,12 +231,12 @@ def _cpu_times(root: int) -> dict[tuple[int, str], float]:
             continue
         pid = int(entry.name)
         parents[pid] = int(fields[1])
-        used[pid] = _name(words), (int(fields[11]) + int(fields[12])) * TICK_S
+        used[pid] = words, (int(fields[11]) + int(fields[12])) * TICK_S
     found, new = set(), {root}
     while new:
         found |= new
         new = {pid for pid, parent in parents.items() if parent in new} - found
-    return {(pid, used[pid][0]): used[pid][1] for pid in found if pid in used}
+    return {pid: used[pid] for pid in found if pid in used}
 
 
 def _name(words: list[bytes]) -> str:

@@ -130,8 +130,13 @@ def _frames(path: Path) -> list[LeapFrame]:
 
 
 def _hands(palms: np.ndarray) -> list[TrackedHand]:
+    return [sample(palm) for palm in palms]
+
+
+def sample(palm: np.ndarray) -> TrackedHand:
+    """Returns a level hand with its palm at a point, shape (3,) [m], from 0.3 m above the Leap."""
     direction, normal = map(np.array, LEVEL)
-    return [TrackedHand(1, False, palm + np.array([0.0, 0.3, 0.0]), direction, normal, 1.0) for palm in palms]
+    return TrackedHand(1, False, palm + np.array([0.0, 0.3, 0.0]), direction, normal, 1.0)
 
 
 def plot(path: Path) -> None:

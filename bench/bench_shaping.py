@@ -1,4 +1,7 @@
-"""What shaping costs and what it spares, and how far the arm is behind. Simulated time: the same on every machine."""
+"""What shaping costs and what it spares, and how far the arm is behind its goals and the hand.
+
+Simulated time: the same on every machine.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,13 @@ from functools import partial
 
 import numpy as np
 
-from bench.measure import Peer, Row, number, row
+from bench.bench_filter import reaches, sample, tremor
+from bench.measure import BenchError, Goal, Peer, Row, number, row
 from bench.simulated import CYCLES_PER_GOAL, SimulatedRig
+from common.hand_delay import HandDelay, Track, hand_delay
 from common.poses import pose
 from kuka_control.loop.servo_law import LtsGoals
+from leap_kuka.hand_average import HandAverage
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.robot import CYCLE_S, Robot
 from rig_simulation.files import read_urdf
@@ -19,6 +25,8 @@ RAMPS_RAD_S = (0.02, 0.1, 0.5)
 RADIUS_M = 0.06
 SETTLED_S = 2.0
 RATES_HZ = (74.0, 115.0)
+REACH_SCALE = 0.5  # of the reaches of 20 cm; the whole ones are faster than the arm may follow
+HAND_S = 20.0
 
 
 def rows(quick: bool) -> list[Row]:
@@ -39,7 +47,45 @@ def rows(quick: bool) -> list[Row]:
         how = "one joint behind its ramp, law lts in the controller; peer: without compensation"
         peer = Peer("none", float(np.median(without)))
         table.append(row(f"lag at {speed:g} rad/s, servo_law lts", behind, "ms", how, peer=peer))
-    return table
+    return [*table, _hand_to_arm(8.0 if quick else HAND_S)]
+
+
+def _hand_to_arm(seconds: float) -> Row:
+    shipped, before = (_delay(seconds, name, servo_law) for name, servo_law in (("kalman", "auto"), ("mean", "none")))
+    how = (
+        f"{shipped.windows} windows of 4 s, reaches with tremor at {RATES_HZ[1]:g} Hz; second number: 90th percentile; "
+        "filter, target chain, limits, servo law and simulated drives, no wires; peer: filter mean, servo_law none"
+    )
+    peer = Peer("as in 2019", 1e3 * before.median)
+    return Row("palm to tool, simulated time", 1e3 * shipped.median, 1e3 * shipped.high, "ms", how, Goal(45.0), peer)
+
+
+def _delay(seconds: float, filter: str, servo_law: str) -> HandDelay:
+    """Returns the delay of the simulated arm's tool behind the palm; BenchError where too little moved."""
+    times = np.arange(0.0, seconds + 0.1, 1.0 / RATES_HZ[1])
+    palms = REACH_SCALE * reaches(times)[0]
+    hands = iter(zip(times.tolist(), palms + tremor(times)))
+    rig = SimulatedRig(servo_law=servo_law).at_home()
+    home, average = rig.rig.kinematics.forward(rig.rig.home.q), HandAverage(10, filter)
+
+    def tool(_: float) -> np.ndarray:
+        now, palm = next(hands)
+        average.add(sample(palm), now)
+        mean = average.mean()
+        return pose(home[:3, :3], home[:3, 3] + ((palm if mean is None else mean.palm) - sample(np.zeros(3)).palm))
+
+    rig.follow(seconds, tool, RATES_HZ[1])
+    palm_track, tool_track = Track(), Track()
+    for track, at, points in (
+        (palm_track, times, palms),
+        (tool_track, rig.times, [rig.rig.kinematics.forward(q)[:3, 3] for q in rig.q]),
+    ):
+        for now, point in zip(at.tolist(), points):
+            track.add(now, point.tolist())
+    found = hand_delay(palm_track, tool_track)
+    if found is None:
+        raise BenchError("The simulated arm did not follow the hand.")
+    return found
 
 
 def _circle(rate: float, hertz: float, seconds: float) -> list[Row]:

@@ -23,7 +23,7 @@ CYCLES_PER_FRAME = 3
 DT_S = CYCLES_PER_GOAL * CYCLE_S
 GAP_S = 0.08
 AFTER_GAP, REST = 60, 5  # goals looked at after a gap, and goals that stand still at the end of a stream
-STARTING, MOST_CYCLES = 100, 20_000  # cycles before control goes on and the stream begins; cycles in all
+STARTING, MOST_CYCLES = 100, 20_000  # cycles before control is switched on and the stream begins; cycles in all
 MOVING_M_S = 1e-4
 
 
@@ -103,7 +103,7 @@ def _advance(rig: SimulatedRig, seconds: float) -> None:
 
 
 def _tool(home: np.ndarray, t: float, cause: str) -> np.ndarray:
-    """Returns the desired tool at a time after the start [s]; it jumps away where that is the cause."""
+    """Returns the desired tool at a time after the start [s]; the causes jump and infeasible move it away."""
     along = START_M + SPEED_M_S * (t - 0.25 if t > 0.5 else t * t)
     away = {"jump": (0.0, 0.0, -0.15), "infeasible": (-0.9, 0.9, 0.0)}.get(cause, (0.0, 0.0, 0.0))
     return translation(*away) @ translation(along / np.sqrt(2.0), along / np.sqrt(2.0), 0.0) @ home

@@ -90,7 +90,7 @@ class SimulatedRig:
         self, server_law: str = "lts", robot: Robot | None = None, dh: DhDeviations | None = None, **changes
     ) -> None:
         values = yaml.safe_load((SRC / "kuka_control/config/kuka_params_rt.yaml").read_text())
-        self.config = parse(RealTimeConfig, {**values, **changes}, "kuka/")
+        self.config = parse(RealTimeConfig, {**values, "collision_guard": False, **changes}, "kuka/")
         self.rig = Rig.of(self.config, dh)
         robot = robot or Robot(read_urdf(self.config.robot, self.config.flange))
         self.joints = Joints(robot, ArmSettings(servo_law=server_law))

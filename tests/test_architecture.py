@@ -27,14 +27,17 @@ LAYER = {
     "kuka_control": 3, "leap_kuka": 3, "leap_hand": 3, "vision": 3, "grasping": 3,
     "leap_rig": 4, "rig_simulation": 4,
 }  # fmt: skip
-ROS = {"rospy", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geometry_msgs", "std_msgs", "std_srvs",
-       "sensor_msgs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs", "kuka_msgs",
+ROS = {"rospy", "actionlib", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "rospkg", "geometry_msgs", "std_msgs",
+       "std_srvs", "sensor_msgs", "diagnostic_msgs", "visualization_msgs", "rosgraph_msgs", "kuka_msgs",
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "session", "client", "ptp_client", "calibration_files", "ports"}
+EDGES = {"transport", "session", "client", "ptp_client", "calibration_files", "recording_files", "ports", "server",
+         "hand_detector", "video_source", "webcam_program"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
+# Their extras: folders whose users install more.
+EXTRAS = {"leap_motion/webcam": {"cv2", "mediapipe", "python_qt_binding", "yaml"}}
 EFFECTS = {"open", "print", "input"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
@@ -51,9 +54,8 @@ NEWER_TYPES = {f"{name}[]" for name in ("dict", "frozenset", "list", "set", "tup
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
 }  # fmt: skip
-PYTHON = sorted(
-    {file for folder in ("src", "tools", "tests", "bench", "examples") for file in ROOT.glob(f"{folder}/**/*.py")}
-)
+FOLDERS = ("src", "tools", "tests", "bench", "campaign", "fuzz", "golden", "examples")
+PYTHON = sorted({file for folder in FOLDERS for file in ROOT.glob(f"{folder}/**/*.py")})
 
 FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
 MODULES = {
@@ -124,6 +126,7 @@ def test_libraries_stand_alone():
     for path in FILES:
         if package(path) in ALONE and not in_ros(path):
             allowed = {package(path), "numpy"} | ALONE[package(path)]
+            allowed |= EXTRAS.get("/".join(path.parts[-3:-1]), set())
             foreign[path] = tops(path) - set(getattr(sys, "stdlib_module_names", tops(path))) - allowed
     assert foreign and not {path: names for path, names in foreign.items() if names}
 

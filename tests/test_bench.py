@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import re
 import sys
 
 import pytest
@@ -24,7 +25,7 @@ def test_a_quick_run_gives_numbers(name):
     assert rows
     for row in rows:
         if row.median is None:
-            assert row.p99 is None and "recordings are not" in row.how
+            assert row.p99 is None and re.search("recordings are not|lets nobody", row.how)
             continue
         assert math.isfinite(row.median) and row.median >= 0.0
         assert row.p99 is None or (math.isfinite(row.p99) and row.p99 >= row.median)
@@ -43,11 +44,11 @@ def test_the_numerical_solver_finds_the_poses_it_is_compared_on(monkeypatch, kdl
 
 
 def test_the_table_fits_on_a_terminal_and_goes_to_a_file_too(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(run, "NAMES", ("shaping",))
+    monkeypatch.setattr(run, "NAMES", ("stopping",))
     path = tmp_path / "new.json"
     assert run.main(["--quick", "--json", str(path)]) == 0
     table = capsys.readouterr().out.splitlines()
-    assert "lag at 0.1 rad/s, servo_law lts" in table[-2] and max(map(len, table[1:])) <= 100
+    assert "stop by gap of 80 ms: jerk" in table[-1] and max(map(len, table[1:])) <= 100
     assert compare.main([str(path), str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert all(" 1.00 " in line for line in lines[3:])
@@ -79,4 +80,3 @@ def test_measures_of_one_file_alone_are_listed_too(tmp_path, capsys):
 def test_the_closed_form_solves_every_pose():
     rows = bench_kinematics.rows(quick=True)
     assert [row.median for row in rows if row.what.endswith("random poses solved")] == [100.0, 100.0]
-    assert max(row.median for row in rows if row.what.endswith("error")) < 1e6, "1e-9 m"

@@ -17,8 +17,9 @@ TOLD = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
 def project(tmp_path):
     """A folder with the script, the lists, and programs that write down how they were called."""
     (tmp_path / "tools").mkdir()
-    for name in ("tools/setup.sh", "apt-packages.txt", "apt-packages-noetic.txt", "requirements.txt"):
+    for name in ("apt-packages.txt", "apt-packages-noetic.txt", "requirements.txt", "requirements-webcam.txt"):
         shutil.copy(ROOT / name, tmp_path / name)
+    shutil.copy(ROOT / "tools" / "setup.sh", tmp_path / "tools")
     (tmp_path / "requirements-dev.txt").write_text("pytest\n")
     program(tmp_path / "bin" / "dpkg-query", "echo installed")
     program(tmp_path / "bin" / "catkin_make")
@@ -34,13 +35,18 @@ def program(file: Path, says: str = "") -> None:
 
 def set_up(project: Path, noetic: Path) -> list[str]:
     """Runs the script; returns how programs were called."""
+    return set_up_and_said(project, noetic)[0]
+
+
+def set_up_and_said(project: Path, noetic: Path) -> tuple[list[str], str]:
+    """Runs the script; returns how programs were called, and what it printed."""
     calls = project / "calls"
     environment = {"PATH": f"{project}/bin:{os.defpath}", "CALLS": str(calls), "LEAP_RIG_NOETIC": str(noetic)}
     done = subprocess.run(
         [project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, timeout=60.0
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    return calls.read_text().splitlines()
+    return calls.read_text().splitlines(), done.stdout
 
 
 def asked_for(calls: list[str]) -> set[str]:
@@ -67,3 +73,15 @@ def test_with_noetic_its_packages_are_taken_and_the_build_is_on_top_of_it(projec
     assert asked_for(calls) == names("apt-packages-noetic.txt")
     assert any(call.startswith("python -m pip install -q pip==") for call in calls)
     assert calls[-1].startswith("catkin_make") and calls[-1].endswith("ROS_DISTRO=noetic")
+
+
+def test_mediapipe_brings_no_packages_of_its_own(project):
+    (call,) = (call for call in set_up(project, project / "nowhere") if "requirements-webcam.txt" in call)
+    assert "--no-deps" in call.split()
+
+
+def test_without_mediapipe_the_set_up_goes_on_and_says_so(project):
+    program(project / ".venv" / "bin" / "python", 'case "$*" in *webcam*) exit 1 ;; esac')
+    calls, said = set_up_and_said(project, project / "nowhere")
+    assert "webcam tracker is not available" in said
+    assert calls[-1].startswith("catkin_make")

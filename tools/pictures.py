@@ -25,6 +25,7 @@ import cv2
 from PIL import Image
 
 from common.ports import free_port
+from leap_motion.registration import SHEET
 from tools.reference.sources import ROOT
 
 PICTURES = ROOT / "docs" / "pictures"
@@ -95,6 +96,77 @@ def panel() -> None:
         painter.drawPixmap(i * shown[0].width(), 0, picture)
     painter.end()
     both.save(str(PICTURES / "panel.png"))
+
+
+def tracker_sheet() -> None:
+    """The sheet for the registration of a tracker, on A4 in real size."""
+    width, height = 297.0, 210.0
+    shapes = [
+        f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
+        '<rect x="108.5" y="90" width="80" height="30" rx="4"/><path d="M148.5 128 v20 m-5 -7 l5 7 l5 -7"/>',
+        '<path d="M98.5 185 h100 m0 -3 v6 m-100 0 v-6"/>',
+    ]
+    texts = [(148.5, 107.0, "tracker"), (148.5, 156.0, "the person"), (148.5, 192.0, "100 mm")]
+    for i, (name, (x, z)) in enumerate(SHEET.items(), start=1):
+        x, y = 0.5 * width + 1e3 * x, 0.5 * height + 1e3 * z
+        shapes.append(f'<path d="M{x - 8:g} {y:g} h16 M{x:g} {y - 8:g} v16"/>')
+        shapes += [f'<circle cx="{x:g}" cy="{y:g}" r="{r}"/>' for r in (15, 20, 25, 30, 35)]
+        texts.append((x, y + (42 if z < 0.0 else -38), f"{i} {name}"))
+    written = [f'<text x="{x:g}" y="{y:g}" text-anchor="middle">{text}</text>' for x, y, text in texts]
+    (PICTURES / "tracker-sheet.svg").write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
+        f'viewBox="0 0 {width:g} {height:g}">\n<g fill="none" stroke="black" stroke-width="0.3">\n'
+        + "\n".join(shapes)
+        + '\n</g>\n<g font-family="sans-serif" font-size="5">\n'
+        + "\n".join(written)
+        + "\n</g>\n</svg>\n"
+    )
+
+
+def webcam_setups() -> None:
+    """The two set-ups of the webcam tracker, from the side; drawn at 0.5 px to a millimetre."""
+    ink, view, box = "#1f2933", "#5b8def", "#d08a1e"
+
+    def person(x: float, y: float, hand: tuple[float, float, float, float]) -> str:
+        """A head at (x, y), a body, and an arm to the hand: x, y, and the end of its fingers."""
+        shoulder, (hx, hy, fx, fy) = (x - 6, y + 55), hand
+        elbow = 0.5 * (shoulder[0] + hx) + 6, max(shoulder[1], hy) + 32
+        arm = f"{shoulder[0]},{shoulder[1]} {elbow[0]},{elbow[1]} {hx},{hy}"
+        return (
+            f'<circle cx="{x}" cy="{y}" r="26"/><path d="M{x} {y + 26} V{y + 190}"/><polyline points="{arm}"/>'
+            f'<path d="M{hx} {hy} L{fx} {fy}" stroke-width="9" stroke-linecap="round"/>'
+        )
+
+    def text(x: float, y: float, words: str, colour: str = ink, size: int = 14) -> str:
+        return f'<text x="{x}" y="{y}" fill="{colour}" stroke="none" font-size="{size}">{words}</text>'
+
+    desk = '<path d="M20 330 H360" stroke-width="4"/>'
+    front = (
+        f'{desk}<path d="M60 328 H170 M60 328 L30 190" stroke-width="5"/><circle cx="31" cy="196" r="6" fill="{view}"/>'
+        f'<path d="M31 196 L400 92 M31 196 L400 300" stroke="{view}" stroke-dasharray="6 5"/>'
+        f'<rect x="230" y="146" width="100" height="100" stroke="{box}" stroke-dasharray="4 4"/>'
+        + person(450, 130, (282, 226, 276, 168))
+        + text(20, 40, "--setup front", size=18)
+        + text(20, 62, "camera on the lid; hold the hand as feels natural")
+        + text(100, 130, "500 mm", view)
+        + text(190, 314, "box, 200 mm wide", box)
+    )
+    above = (
+        f'{desk}<path d="M60 328 V110 H200 V120" stroke-width="4"/>'
+        f'<rect x="190" y="120" width="20" height="12" fill="{view}"/>'
+        f'<path d="M200 132 L85 328 M200 132 L315 328" stroke="{view}" stroke-dasharray="6 5"/>'
+        f'<rect x="150" y="226" width="100" height="100" stroke="{box}" stroke-dasharray="4 4"/>'
+        + person(440, 130, (228, 276, 172, 276))
+        + text(20, 40, "--setup above", size=18)
+        + text(20, 62, "camera looks down, its image's top away from you; hold the hand level")
+        + text(245, 165, "400 mm", view)
+    )
+    (PICTURES / "webcam-setups.svg").write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1060 350" font-family="sans-serif">\n'
+        '<rect width="1060" height="350" fill="#ffffff"/>\n'
+        f'<g fill="none" stroke="{ink}" stroke-width="3">{front}</g>\n'
+        f'<g fill="none" stroke="{ink}" stroke-width="3" transform="translate(530 0)">{above}</g>\n</svg>\n'
+    )
 
 
 def rig() -> None:
@@ -173,6 +245,8 @@ MAKERS = {
     maker.__name__: maker
     for maker in (
         workspace,
+        tracker_sheet,
+        webcam_setups,
         panel,
         rig,
         film,

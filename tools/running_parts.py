@@ -47,7 +47,7 @@ def _given(ports: dict[str, int], *names: str) -> list[str]:
 
 
 def _rig() -> list[list[str]]:
-    arguments = ["rviz:=false", "grasping:=true", *_given(_ports())]
+    arguments = ["rviz:=false", "grasping:=true", "camera_rate:=1", *_given(_ports())]  # images take a processor
     return [["roslaunch", "leap_rig", "demo.launch", *arguments], ["roslaunch", "grasping", "collect.launch"]]
 
 
@@ -115,29 +115,39 @@ def running(part: Part) -> Iterator[None]:
         SystemExit: a command ended at once; with what it printed.
     """
     port = free_port()
-    with tempfile.TemporaryDirectory() as folder, screen() as display, contextlib.ExitStack() as started:
+    with tempfile.TemporaryDirectory() as folder, screen() as display:
         os.environ.update(
             ROS_MASTER_URI=f"http://localhost:{port}", ROS_HOSTNAME="localhost", ROS_HOME=folder, DISPLAY=display
         )
-        started.enter_context(_program(["roscore", "-p", str(port)], Path(folder) / "roscore.log"))
-        while not rosgraph.is_master_online():
-            time.sleep(0.2)
-        for number, command in enumerate(part.commands()):
-            started.enter_context(_program(command, Path(folder) / f"{number}.log"))
-        yield
+        os.environ["LEAP_RIG_NICENESS"] = "0"  # nothing has to keep a rate, and what yields would start last
+        core = _start(["roscore", "-p", str(port)], Path(folder) / "roscore.log")
+        programs = {}
+        try:
+            while not rosgraph.is_master_online():
+                time.sleep(0.2)
+            for number, command in enumerate(part.commands()):
+                log = Path(folder) / f"{number}.log"
+                programs[log] = _start(command, log)
+            time.sleep(1.0)
+            for log, program in programs.items():
+                if program.poll() is not None:
+                    raise SystemExit(f"{program.args!r} ended:\n{log.read_text(errors='replace')}")
+            yield
+        finally:
+            _end(*programs.values())
+            _end(core)
 
 
-@contextlib.contextmanager
-def _program(command: list[str], log: Path) -> Iterator[None]:
+def _start(command: list[str], log: Path) -> subprocess.Popen:
     with open(log, "wb") as output:
-        program = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
-    try:
-        time.sleep(1.0)
-        if program.poll() is not None:
-            raise SystemExit(f"{' '.join(command)} ended:\n{log.read_text(errors='replace')}")
-        yield
-    finally:
+        return subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
+
+
+def _end(*programs: subprocess.Popen) -> None:
+    """Interrupts them all at once, as each takes some seconds to end, and waits."""
+    for program in programs:
         program.send_signal(signal.SIGINT)
+    for program in programs:
         with contextlib.suppress(subprocess.TimeoutExpired):
             program.wait(END_S)
         with contextlib.suppress(ProcessLookupError):

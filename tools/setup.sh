@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # Sets the workspace up: Debian packages, a Python environment, the catkin build. Does only what is missing; safe to run again.
+# Names of steps as arguments (install_packages, make_environment, build_workspace) run only these, as the Containerfile does.
 # Where ROS Noetic is installed or belongs, on Ubuntu 20.04, ROS comes from there, and from Debian's own packages elsewhere.
 # LEAP_RIG_LOG names the file that takes the full output (default build/setup.log), LEAP_RIG_NOETIC another place of Noetic.
 set -euo pipefail
@@ -86,6 +87,9 @@ make_environment() {
         pip-failed) exit 1 ;;
       esac
     done || failed "Installing the Python requirements failed."
+  progress 97 "MediaPipe, for the webcam tracker"
+  .venv/bin/python -m pip install --disable-pip-version-check --no-deps -r requirements-webcam.txt >>"$log" 2>&1 ||
+    finished "MediaPipe could not be installed (see $log): the webcam tracker is not available, everything else is."
   finished "ready in .venv"
 }
 
@@ -108,6 +112,5 @@ build_workspace() {
   finished "built"
 }
 
-install_packages
-make_environment
-build_workspace
+[ $# -gt 0 ] || set -- install_packages make_environment build_workspace
+for step; do "$step"; done

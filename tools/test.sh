@@ -1,14 +1,26 @@
 #!/usr/bin/env bash
-# All tests: those without ROS, on the processor alone; those of single nodes, many side by side, as they mostly wait;
-# those of the whole rig, one at a time, as it fills a small machine. Options of pytest may follow.
+# All tests. Those without ROS run behind the others, on what these leave of the processor: the tests of single nodes,
+# many side by side, and those of the whole rig, two at a time, as a rig takes about one core, mostly wait. Those that
+# want the processors for themselves come last. Options of pytest may follow.
 set -uo pipefail
 export PYTHONDONTWRITEBYTECODE=  # hundreds of nodes start: each would compile its modules again
+# To import the other files takes each process of pytest ten seconds.
+with_mark() { grep -rlE "mark\.($1)\b" --include='test_*.py' src tests | sort; }
+mapfile -t with_ros < <(with_mark 'ros|rig')
+mapfile -t with_rig < <(with_mark rig)
+mapfile -t with_alone < <(with_mark alone)
 
 code=0
-run() {  # run MARKERS [PYTEST'S OPTIONS]...
+run() {  # run MARKERS [PYTEST'S OPTIONS AND FILES]...
   python -m pytest -m "$@" || code=$?
 }
-run "not ros and not rig" -n 2 --dist worksteal "$@"
-run "ros and not rig" -n 4 --dist worksteal "$@"
-run rig "$@"
+log=$(mktemp)
+nice -n 10 python -m pytest -m "not ros and not rig" -n 2 --dist worksteal "$@" > "$log" 2>&1 &
+pure=$!
+trap 'kill "$pure" 2> /dev/null; rm -f "$log"' EXIT
+run "ros and not rig" -n 4 --dist worksteal "$@" "${with_ros[@]}"
+run "rig and not alone" -n 2 --dist loadgroup "$@" "${with_rig[@]}"
+wait "$pure" || code=$?
+cat "$log"
+run alone "$@" "${with_alone[@]}"
 exit "$code"

@@ -10,12 +10,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import itertools
 import re
 import signal
-import socket
-import struct
 import subprocess
 import sys
 import time
@@ -24,6 +21,7 @@ from pathlib import Path
 
 from tools.handbook.pages import BESIDE_RIG, ROOT, UNTIL_CTRL_C, Block, blocks
 from tools.handbook.terminal import ENDED, Terminal
+from tools.own_network import bring_up
 
 RIG = "make demo HEADLESS=1"
 RIG_CODES = (*ENDED, 1, 2)
@@ -32,15 +30,12 @@ RIG_CODES = (*ENDED, 1, 2)
 MAKE, MADE = re.compile("^make ", re.MULTILINE), "make --old-file=build/.ready "
 """The workspace counts as set up: where a manifest is newer, this is not the place to install packages."""
 
-GET_FLAGS, SET_FLAGS, IFF_UP = 0x8913, 0x8914, 1
-"""netdevice(7)."""
-
 
 class Walk:
     """Runs blocks in one folder.
 
     Attributes:
-        faults: what was wrong, a paragraph for each.
+        faults: what was wrong, a paragraph for each, which ends with the fault.
     """
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
@@ -92,7 +87,7 @@ class Walk:
     def _judge(self, where: str, what: str, terminal: Terminal, fault: str) -> None:
         print(f"{time.strftime('%H:%M:%S')} {'FAULT' if fault else 'good'} {where}: {what.splitlines()[0]}", flush=True)
         if fault:
-            self.faults.append(f"{where}: {what}: {fault}\n{terminal.output[-4000:]}")
+            self.faults.append(f"{terminal.output[-4000:]}\n{where}: {what}: {fault}")
 
 
 def folder_of(page: Path, folder: Path) -> Path:
@@ -124,7 +119,8 @@ def walk_beside_rig(pages: list[Path], folder: Path, environment: dict[str, str]
     rig.start("the rig", RIG)
     faults = []
     for page in pages if not rig.faults else ():
-        steps = Walk(folder_of(page, folder), environment)
+        # What yields to the arm would take minutes to start beside it on a small machine.
+        steps = Walk(folder_of(page, folder), {**environment, "LEAP_RIG_NICENESS": "0"})
         here = [block for block in blocks(page) if not block.why_not and BESIDE_RIG in block.marks]
         for _, section in itertools.groupby(here, key=lambda block: block.section):
             steps.section(section)
@@ -145,15 +141,6 @@ def screen() -> Iterator[str]:
             server.terminate()
 
 
-def bring_loopback_up() -> None:
-    """Does what a new network needs before anything can connect; where it is up already, nothing."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        answer = fcntl.ioctl(any_socket, GET_FLAGS, struct.pack("16sH14x", b"lo", 0))
-        flags = struct.unpack("16sH14x", answer)[1]
-        if not flags & IFF_UP:
-            fcntl.ioctl(any_socket, SET_FLAGS, struct.pack("16sH14x", b"lo", flags | IFF_UP))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.handbook.walk", description=__doc__.splitlines()[0])
     parser.add_argument("--beside-rig", action="store_true", help="run what is marked so, beside one demo")
@@ -162,7 +149,7 @@ def main() -> None:
     options = parser.parse_args()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # else what starts here may not hear Ctrl-C
     signal.signal(signal.SIGTERM, lambda *_: sys.exit("interrupted"))  # so that the screen ends, too
-    bring_loopback_up()
+    bring_up()
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     home = {name: str(folder) for name in ("HOME", "ROS_HOME")}

@@ -23,16 +23,20 @@ def page() -> str:
     parts = [
         markdown.generated(
             "Messages and services",
-            "the msg and srv files",
+            "the msg, srv and action files",
             "Definitions and MD5 sums (`rosmsg md5`, `rossrv md5`). Programs can communicate if the sums are equal.",
         )
     ]
     package = ""
-    for file in sorted(sources.ROOT.glob("src/**/*.[ms][sr][gv]"), key=sources.inside):
+    files = (*sources.ROOT.glob("src/**/*.[ms][sr][gv]"), *sources.ROOT.glob("src/**/*.action"))
+    for file in sorted(files, key=sources.inside):
         if sources.package(file) != package:
             package = sources.package(file)
             parts.append(f"## {package}\n")
         name = f"{package}/{file.stem}"
+        if file.suffix == ".action":
+            parts.append(f"### {name}\n\nAn action.\n\n```text\n{file.read_text().rstrip()}\n```\n")
+            continue
         load = genmsg.load_msg_by_type if file.suffix == ".msg" else genmsg.load_srv_by_type
         spec = load(context, name, search)
         genmsg.load_depends(context, spec, search)

@@ -53,20 +53,22 @@ NODES: dict[str, Node] = {
         {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
     ),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
+    "leap_rig/leap_teleop.py": Node(
+        {"driver": "leap_motion.ros.parameters:DriverConfig", "hand": "leap_hand.config:NodeConfig"}, {}
+    ),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),
+    "leap_rig/operator_view_node.py": Node({"": "leap_rig.operator_view:OperatorViewConfig"}, {}),
+    "leap_rig/tutorial.py": Node({"": "leap_rig.ros.tutorial_node:TutorialConfig"}, {}),
     "rig_simulation/camera_node.py": Node(
         {"": "rig_simulation.node_parameters:CameraConfig"},
         {"": ("rig_simulation/config/camera.yaml",), **CALIBRATIONS},
     ),
     "rig_simulation/camera_truth_node.py": Node({"": "rig_simulation.node_parameters:WorldConfig"}, {}),
-    "rig_simulation/fault_service.py": Node({"": "rig_simulation.node_parameters:FaultServiceConfig"}, {}),
-    "rig_simulation/monitor.py": Node({"": "rig_simulation.node_parameters:MonitorConfig"}, {}),
     "rig_simulation/operator_node.py": Node({"": "rig_simulation.node_parameters:OperatorConfig"}, {}),
-    "rig_simulation/world_monitor.py": Node({"": "rig_simulation.node_parameters:WorldMonitorConfig"}, {}),
-    "rig_simulation/world_view.py": Node({"": "rig_simulation.node_parameters:WorldViewConfig"}, {}),
+    "rig_simulation/simulation_node.py": Node({"": "rig_simulation.node_parameters:SimulationConfig"}, {}),
     "vision/camera_frames_node.py": Node({}, {"": ("vision/config/camera_frames.yaml",)}),
     "vision/camera_place_node.py": Node({"": "vision.calibration.record:CameraPoseConfig"}, {}),
     "vision/camera_watchdog_node.py": Node({}, {"": ("vision/config/camera_watchdog.yaml",)}),

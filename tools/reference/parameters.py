@@ -52,6 +52,10 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/wall.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/dh_parameters_example.yaml": (Part("kuka_control.model.config:DhDeviations"),),
     "leap_kuka/config/leap_params.yaml": (Part("leap_kuka.config:LeapConfig"),),
+    "leap_kuka/config/webcam.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
+    "leap_kuka/config/relative_device.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
+    "leap_kuka/config/relative_pinch.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
+    "leap_kuka/config/relative_two_hands.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "grasping/config/collection.yaml": (
         Part("grasping.lab.ros.collection_setup:CollectionConfig", above=True),
         Part("grasping.lab.dataset.frame_buffer:FrameBufferConfig", ("frames",)),
@@ -98,6 +102,7 @@ Shown = Dict[Tuple[str, ...], Tuple[str, str, str]]
 
 AS_IT_IS = {
     "apriltag_ros/config/tags.yaml",
+    "kuka_control/config/guard_obstacles_example.yaml",
     "kuka_control/config/joint_configurations.yaml",
     "reflex/config/finger_calibrate.yaml",
     "reflex/config/tactile_calibrate.yaml",
@@ -108,12 +113,14 @@ AS_IT_IS = {
     "rig_simulation/config/scenes/far.yaml",
     "rig_simulation/config/scenes/grasping.yaml",
     "rig_simulation/config/scenes/scattered.yaml",
+    "rig_simulation/config/scenes/wall.yaml",
+    "rig_simulation/config/wall_obstacles.yaml",
     "vision/config/tags.yaml",
     "vision/config/tags_single.yaml",
     "vision/config/xtion_depth.yaml",
     "vision/config/xtion_rgb.yaml",
 }
-"""Files that are only linked: lists, calibrations, third-party formats, and scenes with the keys of objects.yaml."""
+"""Files that are only linked: lists, calibrations, third-party formats, obstacles, and scenes as objects.yaml."""
 
 
 def page() -> str:

@@ -96,3 +96,41 @@ def ros_has(name):
     import rospy
 
     return rospy.has_param(name)
+
+
+def test_the_exception_of_a_callback_is_logged_once_in_a_while_and_all_else_always():
+    import logging
+
+    from common.ros.node import REPEAT_S, RepeatedExceptions
+
+    now = 100.0
+    repeated = RepeatedExceptions(lambda: now)
+
+    def passes(text):
+        return repeated.filter(logging.LogRecord("rosout", logging.ERROR, "", 0, text, (), None))
+
+    bad = "bad callback: <f>\nTraceback\nValueError: {}"
+    assert passes(bad.format("a")) and passes(bad.format("b")) and passes("a sentence") and passes("a sentence")
+    assert not passes(bad.format("a")) and not passes(bad.format("b"))
+    now += REPEAT_S
+    assert passes(bad.format("a")) and not passes(bad.format("a"))
+
+
+LOGGING = """
+import rospy
+from common.ros.node import run
+
+def main():
+    for i in range(100):
+        rospy.logerr("line %d of a log that no longer fits onto the disk", i)
+    rospy.set_param("went_on", True)
+
+run("talkative", main)
+"""
+
+
+def test_a_node_whose_log_the_full_disk_does_not_take_works_on(ros, processes, wait_until):
+    """No file may grow beyond 2 kB."""
+    process = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
+    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
+    assert process.returncode == 0 and ros_has("went_on"), process.log_path.read_text()

@@ -174,6 +174,7 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
 
 
 def write_bag(path: Path, began: float) -> None:
+    """Records two grasps, with images at 5 Hz: a busy machine would leave most of more out."""
     import rosbag
     import rospy
 
@@ -184,13 +185,13 @@ def write_bag(path: Path, began: float) -> None:
         for i, tick in enumerate(ticks([*grasp(), *grasp(touched=False)])):
             now = rospy.Time.from_sec(began + 0.05 * (i + 1))
             for topic, message in messages(now, *tick):
-                bag.write(topic, message, now)
+                if i % 4 == 0 or not topic.startswith("/camera"):
+                    bag.write(topic, message, now)
 
 
-def test_a_recording_makes_the_same_episodes_and_makes_them_once(ros, folder, tmp_path):
+def test_a_recording_makes_the_same_episodes_and_makes_them_once(ros, processes, folder, wait_until, tmp_path):
     write_bag(tmp_path / "operator.bag", 1.6e9)
     arguments = {"bag": str(tmp_path / "operator.bag"), "folder": str(folder), "object": "cup", "operator": "puppet"}
-    arguments["rate"] = "0.4"  # frames are kept as they come in, and a busy machine would leave most of them out
     process = ros.launch("grasping", "collect.launch", **arguments)
     assert process.wait(180.0) == 0
     log = process.log_path.read_text()
@@ -199,10 +200,11 @@ def test_a_recording_makes_the_same_episodes_and_makes_them_once(ros, folder, tm
     assert made[0].metadata.date == "2020-09-13T12:26:42Z"
     np.testing.assert_allclose(made[0].T_base_tool_closed, tool(GRASP_Z), atol=1e-6)
     assert len(made[0]) >= 2 and np.all(np.diff(made[0].stamp) > 0.0)
-    again = ros.launch("grasping", "collect.launch", **arguments)
-    assert again.wait(180.0) == 0
+    # Again with the parameters that are still there, but forked: it need not import its libraries once more.
+    again = ros.run("grasping", "collect.py", "__name:=grasp_collection")
+    processes.start("rosbag", "play", "--quiet", "--clock", "--pause", arguments["bag"], "__name:=collection_bag")
+    wait_until(lambda: again.log_path.read_text().count("holds that grasp already") == 2, 60.0, "both grasps")
     assert len(files(folder)) == 2
-    assert again.log_path.read_text().count("holds that grasp already") == 2
 
 
 def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(
@@ -214,8 +216,8 @@ def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(
     wait_until(lambda: status()["message"] == "0 episodes, 0 held", 60.0, "that it listens")
     rig.say("/leap_kuka/stream", stream(True))
     rig.perform(grasp())
-    wait_until(lambda: status().get("waiting") == "1", 20.0, "that it says so")
-    assert "An episode waits in memory" in status()["message"] and "File too large" in status()["message"]
+    wait_until(lambda: "An episode waits in memory" in status()["message"], 20.0, "that it says so")
+    assert "File too large" in status()["message"] and status()["waiting"] == "1"
     assert os.listdir(folder) == []
     frames = int(status()["frames_kept"])
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from table_scene import CAMERA, depth_picture, looking_at
 
 from common.config import parse
@@ -108,13 +110,13 @@ def calibrated(ros):
     broadcaster.pub_tf.unregister()
 
 
-def start(ros, **changes):
+def start(ros, fork=True, **changes):
     """Starts the node with changes to the package's parameters; a key may be section/name."""
     import rospy
 
     for key, value in changes.items():
         rospy.set_param(f"ggcnn/{key.replace('__', '/')}", value)
-    return ros.run("grasping", "ggcnn.py")
+    return ros.run("grasping", "ggcnn.py", fork=fork)
 
 
 def statuses(ros):
@@ -188,6 +190,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
     wait_until(lambda: status()["message"] == "There are grasps.", PATIENCE_S, "a good state")
     assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
+    wait_until(lambda: times, PATIENCE_S, "the time of a stage")
     assert {t.source for t in times} == {"ggcnn"}
     topics = dict(rospy.get_published_topics("/ggcnn"))
     assert {f"/ggcnn/{name}": kind for name, kind in TYPES.items()}.items() <= topics.items()
@@ -399,7 +402,7 @@ def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
     from grasp_msgs.msg import GraspList
 
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    process = start(ros)
+    process = start(ros, fork=moment != "its libraries load")
     maps = f"/proc/{process.pid}/maps"
     condition = {
         "its libraries load": lambda: "libtorch" in Path(maps).read_text(),
@@ -444,10 +447,23 @@ def test_a_wrong_mounting_ends_it_too(ros):
 
 
 def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, calibrated, tmp_path, wait_until):
+    """What it says is run here: started by it, the node would have to import its libraries, behind all other tests."""
+    import rospy
+
     from grasp_msgs.msg import GraspList
 
     changes = tmp_path / "changes.yaml"
     changes.write_text("peaks: {threshold: 0.95}\n")
+
+    def ask(*question):
+        launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
+        done = subprocess.run(["roslaunch", *question, *launch], check=True, capture_output=True, text=True)
+        return done.stdout
+
+    command = ask("--args", "/ggcnn")
+    assert "/behind.sh 10 " in command and "/ggcnn.py " in command
+    for name, value in yaml.safe_load(ask("--dump-params")).items():
+        rospy.set_param(name, value)
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    ros.launch("grasping", "grasping.launch", camera="false", image_view="false", config=changes)
+    start(ros)
     newest(lists, wait_until, lambda m: "no peak of the quality is above 0.95" in m.reason, "the launched node")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +17,12 @@ from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs
 from kuka_control.loop.controller import Controller
+from kuka_control.loop.moves import MoveGoal, MovePlanner
 from kuka_control.loop.transitions import State, transitions_among
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -33,11 +36,20 @@ def rig(schema, **changes):
     """Returns a configuration and its rig."""
     name = "rt" if schema is RealTimeConfig else "ptp"
     values = yaml.safe_load((CONFIG / f"kuka_params_{name}.yaml").read_text())
-    settings = parse(schema, {**values, **changes}, "kuka/")
+    # Without the collision guard, which costs time; its own tests switch it on.
+    settings = parse(schema, {**values, "collision_guard": False, **changes}, "kuka/")
     return settings, Rig.of(settings)
 
 
+@functools.lru_cache(maxsize=None)
+def planner(schema, **changes):
+    settings, arm = rig(schema, **changes)
+    line = algorithms.line_limits(settings, arm) if schema is RealTimeConfig else None
+    return MovePlanner(arm, {"aside": Q_ASIDE}, SLOW, FAST, line)
+
+
 HOME = rig(RealTimeConfig)[1].home
+Q_ASIDE = HOME.q + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class FakeArm(Arm):
@@ -81,6 +93,7 @@ class FakeArm(Arm):
 
     def start_servo(self):
         assert self.mode == "idle"
+        self._fail()  # as at the real arm: an answer that is missing after servo mode began is pending
         self.told.append(("start_servo",))
         self._refuse("start_servo")
         self.mode, self.goal = "servo", self.q
@@ -113,6 +126,9 @@ class FakeArm(Arm):
             raise self.fail
 
 
+FOLDED = Opening((3.1, 3.1, 3.1), (0.0, 0.0, 0.0), 0.0)  # of the hand
+
+
 class World:
     """A controller, its fake arm, a person at the switches, and a hand that publishes at 100 Hz while it is shown."""
 
@@ -121,6 +137,7 @@ class World:
         make = algorithms.real_time_loop if schema is RealTimeConfig else algorithms.ptp_loop
         self.arm = FakeArm()
         self.loop = make(settings, self.rig)
+        self.loop.open_hand(FOLDED)
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
         self._control_on = False
@@ -131,6 +148,9 @@ class World:
         self.skew = 0.0
         self.conflict = None
         self.newest = None
+        self.move = None
+        self.number = 0
+        self.planner = planner(schema, **changes)
         self.events = []
         self.modes = []
         self.steps = []
@@ -148,7 +168,7 @@ class World:
             switches = SwitchState(
                 self.control_on, self.enable_count, scale=self.scale, exit_requested=self.exit_requested
             )
-            inputs = Inputs(self.newest, CLOCK + self.now, switches)
+            inputs = Inputs(self.newest, CLOCK + self.now, switches, self.move)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]
             if not self.modes or self.modes[-1] != step.mode:
@@ -194,6 +214,20 @@ class World:
         self.arm.told.clear()
         self.modes.clear()
         return self
+
+    def ask(self, target, **goal):
+        """A program asks for a motion."""
+        self.number += 1
+        self.move = self.planner.plan(self.number, MoveGoal(target, **goal), self.arm.state.joints)
+        return self
+
+    def cancel(self):
+        if self.move is not None:
+            self.move = replace(self.move, cancelled=True)
+
+    @property
+    def progress(self):
+        return self.steps[-1].move
 
     @property
     def control_on(self):

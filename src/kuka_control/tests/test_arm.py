@@ -187,6 +187,15 @@ def test_a_silent_main_thread_is_left_alone_until_the_next_motion():
     assert set(client.asked) == {"joints"}
 
 
+def test_each_goal_is_reported_when_it_is_sent():
+    sent, q = [], np.full(7, 0.5)
+    arm = KstArm(FakeClient(), wrench_of, lambda goal, velocity: sent.append((goal.tolist(), velocity)))
+    arm.start_ptp(q, 0.25)
+    arm.start_servo()
+    arm.servo(2.0 * q)
+    assert sent == [(q.tolist(), 0.25), ((2.0 * q).tolist(), 0.0)]
+
+
 def test_readings_cannot_be_written_to():
     arm = KstArm(FakeClient(), wrench_of)
     with pytest.raises(ValueError):

@@ -397,18 +397,38 @@ def test_an_unreachable_frame_at_home_is_in_the_status_while_it_comes_and_contro
     assert world.steps[-1].reason == "The arm is at home."
 
 
-def test_a_frame_that_two_nodes_publish_is_not_followed_and_the_status_says_so():
+def test_a_frame_that_two_nodes_publish_stops_the_arm_until_control_goes_off_and_on_and_the_hand_comes_anew():
     world = World().following()
     world.conflict = "Two nodes, /a and /b, publish it."
-    world.run(0.1, shifted(0.05, 0.0, 0.0))
-    assert world.steps[-1].reason.endswith(world.conflict)
-    world.run(4.0, shifted(0.05, 0.0, 0.0))
-    assert world.mode == "home" and world.steps[-1].reason == f"The arm is at home. {world.conflict}"
+    world.run(1.0, shifted(0.05, 0.0, 0.0))
+    assert world.mode == "stopped" and world.conflict in world.steps[-1].reason
     assert world.events.count(world.conflict) == 1
-    assert world.loop.counts["refused_frames"] == 1
-    world.conflict = None
+    assert world.loop.counts["refused_frames"] == 1 and world.loop.counts["faults"] == 1
+    stood, world.conflict = world.arm.q.copy(), None
     world.run(4.0, shifted(0.05, 0.0, 0.0))
-    assert world.mode == "servo" and "/a" not in world.steps[-1].reason
+    assert world.mode == "stopped" and np.array_equal(world.arm.q, stood)
+    world.control_on = False
+    world.run(0.1, shifted(0.05, 0.0, 0.0))
+    world.control_on = True
+    world.until("home", 4.0, shifted(0.05, 0.0, 0.0)).run(1.0, shifted(0.05, 0.0, 0.0))
+    assert world.mode == "home", "the stream is still that of the conflict"
+    world.run(0.5).until("servo", 4.0, shifted(0.05, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("mode", ["home", "pick_up"])
+def test_a_stream_with_a_conflict_before_the_arm_follows_does_not_count_afterwards(mode):
+    world = World().at_home()
+    world.control_on = True
+    tool = shifted(0.0, 0.1, 0.0)
+    if mode == "pick_up":
+        world.until(mode, 1.0, tool)
+    world.conflict = "Two nodes, /a and /b, publish it."
+    world.run(0.1, tool)
+    world.conflict = None
+    world.run(4.0, tool)
+    assert world.mode == {"home": "home", "pick_up": "stopped"}[mode] and "Two nodes" in world.steps[-1].reason
+    if mode == "home":
+        world.run(0.5).until("servo", 4.0, tool)
 
 
 def test_a_frame_outside_is_clipped_and_the_bound_is_named():

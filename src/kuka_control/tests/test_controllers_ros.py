@@ -9,14 +9,17 @@ import socket
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from loop_world import rig
 
 from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
+from kuka_control.model.config import RealTimeConfig
 
 pytestmark = pytest.mark.ros
 
@@ -25,6 +28,14 @@ EXAMPLE = str(CONFIG / "dh_parameters_example.yaml")
 REAL_TIME, PTP = "real_time_controller.py", "ptp_controller.py"
 MOVE_S = 60.0
 """Longest wait for a motion; the machine may be busy."""
+QUICK = {
+    REAL_TIME: {"velocity_ptp_slow": 0.8, "velocity_ptp_fast": 0.8, "rate_servo": 100.0},
+    PTP: {"velocity_ptp": 0.8},
+}
+"""Quicker motions and fewer goals than in the yaml files, whose values one test has: the others need half the time."""
+RATES = {"rate_joints": 25.0, "rate_state": 10.0}
+SLOW = {"velocity_ptp_slow": 0.15}
+"""For what must happen while the arm moves."""
 
 
 class Robot:
@@ -83,6 +94,10 @@ class Node:
         self._wait_until(lambda: self.process.poll() is not None, timeout, "the end of the node")
         return self.process.returncode
 
+    def moved_through(self):
+        """Returns the modes so far, without that of a controller that is still judging its first motion."""
+        return [message.data for message in self.modes if message.data != "starting"]
+
     @property
     def log(self):
         return self.process.log_path.read_text()
@@ -93,8 +108,9 @@ def start(ros, robot, wait_until):
     """Starts a controller on the simulated robot with the parameters of its file and `changes`."""
     from std_msgs.msg import String
 
-    def start_controller(executable=REAL_TIME, **changes):
-        set_params(executable, **{"ip": "127.0.0.1", "port": robot.port, **changes})
+    def start_controller(executable=REAL_TIME, quick=True, **changes):
+        others = {**QUICK[executable], **RATES} if quick else {}
+        set_params(executable, **{"ip": "127.0.0.1", "port": robot.port, "tool_mass": 0.0, **others, **changes})
         node = Node(None, wait_until)
         node.modes = ros.record("kuka/mode", String)
         node.process = ros.run("kuka_control", executable)
@@ -252,7 +268,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
     heard = {name: ros.record(name, kind) for name, kind in topics.items()}
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
-    node = start(time_out=2.0)  # a busy machine lets the hand's frames come late
+    node = start(quick=False, time_out=2.0)  # a busy machine lets the hand's frames come late
 
     node.wait_for_mode("home")
     np.testing.assert_allclose(robot.joints, rospy.get_param("kuka/joints_home"), atol=1e-3)
@@ -309,12 +325,14 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
     assert node.wait_for_end() == 0
     np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
     modes = ["homing", "home", "pick_up", "servo", "returning", "home", "zero", "stopped"]
-    assert [m.data for m in node.modes] == modes
+    assert node.moved_through() == modes
     del listener
 
 
-def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot, start, hand, wait_until):
-    node = start(time_out=2.0)  # a busy machine lets the hand's frames come late
+def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released_and_the_emergency_exit_ends_at_once(
+    robot, start, hand, wait_until
+):
+    node = start(time_out=2.0)
     node.wait_for_mode("home")
     assert node.control(True).success
     T_home = home_tool()
@@ -340,6 +358,9 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released(robot,
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 1
+    assert node.call("exit_app_emergency", "exitAppEmergency").success
+    assert node.wait_for_end(10.0) == 2
+    assert "connection to the robot is closed" not in node.log, "it leaves the connection alone"
 
 
 def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_to_its_end_when_it_is_released(
@@ -348,7 +369,7 @@ def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_to_its_end_when_i
     from rosgraph_msgs.msg import Log
 
     said = ros.record("/rosout", Log)
-    node = start()
+    node = start(**SLOW)
     node.wait_for_mode("homing")
     robot.ask("set_external_torque", value=[0, 30, 0, 0, 0, 0, 0])
     wait_until(lambda: any("does not continue" in m.msg for m in said), 20.0, "the sentence")
@@ -369,14 +390,10 @@ def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controll
     node = start()
     node.wait_for_mode("home")
     check_tool_poses(node, robot)
-    for name, value, answer in (
-        ("kuka/scaling_factor", "1.0", "The scaling factor is 1."),
-        ("kuka/scaling_factor", "0.05", "success: False"),
-        ("kuka/kuka_control", "true", "success: True"),
-    ):
-        process = processes.start("rosservice", "call", name, value)
-        assert process.wait(30.0) == 0
-        assert answer in process.log_path.read_text()
+    process = processes.start("rosservice", "call", "kuka/scaling_factor", "1.0")
+    assert process.wait(30.0) == 0 and "The scaling factor is 1." in process.log_path.read_text()
+    assert not node.call("scaling_factor", "setScalingFactor", 0.05).success
+    assert node.control(True).success
     at_home = robot.joints
     shown = hand(shifted(home_tool(), float("nan"), 0.0, 0.0))
     wait_until(lambda: any("not finite" in m.msg for m in said), 10.0, "the refusal of NaN")
@@ -425,7 +442,7 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
     assert node.modes[-1].data == "servo"
 
 
-def test_in_servo_mode_joint_positions_come_with_the_goals_and_a_jump_is_picked_up_anew(
+def test_in_servo_mode_joints_come_with_the_goals_a_jump_is_picked_up_anew_and_an_interrupt_leaves_and_disconnects(
     ros, robot, start, hand, wait_until
 ):
     from sensor_msgs.msg import JointState
@@ -443,11 +460,16 @@ def test_in_servo_mode_joint_positions_come_with_the_goals_and_a_jump_is_picked_
     states.clear(), positions.clear()
     states.wait(8)
     assert len(positions) > 3 * len(states)
+    node.modes.clear()
     shown.T = shifted(T_home, 0.0, 0.1, 0.0)
-    node.wait_for_mode("pick_up")
-    node.wait_for_mode("servo")
+    wait_until(lambda: node.moved_through() == ["pick_up", "servo"], MOVE_S, "the hand to be picked up")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 0
+    node.process.send_signal(signal.SIGINT)
+    assert node.wait_for_end(15.0) == 0
+    wait_until(lambda: not robot.ask()["connected"], 5.0, "the end of the connection")
+    assert robot.ask()["mode"] != "servo"
+    assert "Traceback" not in node.log
 
 
 ANOTHER = """
@@ -464,7 +486,7 @@ while not rospy.is_shutdown():
 """
 
 
-def test_a_frame_that_two_nodes_publish_is_refused_until_one_ends(ros, processes, robot, start, hand, wait_until):
+def test_a_frame_that_two_nodes_publish_stops_the_arm_and_names_both(ros, processes, robot, start, hand, wait_until):
     from rig_msgs.msg import KukaStatus
 
     node = start(time_out=1.0)
@@ -475,32 +497,17 @@ def test_a_frame_that_two_nodes_publish_is_refused_until_one_ends(ros, processes
     hand(T, parent_chain=True)
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
-    another = processes.start(sys.executable, "-c", ANOTHER)
+    processes.start(sys.executable, "-c", ANOTHER)
     said = (
         r"The desired tool frame is refused: /another and /test_\S+ both publish leap_motion/virtual_frame; end one of"
     )
     wait_until(lambda: re.search(said, states[-1].reason), 30.0, "the status that names both")
-    node.wait_for_mode("home")
-    wait_until(lambda: re.search(said, states[-1].reason) and states[-1].mode == "home", 20.0, "the status at home")
-    assert len(re.findall(said, node.log)) == 1 and robot.ask()["stops"] == 0
-    processes.end(another)
-    node.wait_for_mode("servo")
-    wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
-
-
-def test_the_emergency_exit_ends_at_once_and_leaves_the_connection_alone(robot, start, hand, wait_until):
-    node = start()
-    node.wait_for_mode("home")
-    node.control(True)
-    hand(home_tool())
-    node.wait_for_mode("servo")
-    assert node.call("exit_app_emergency", "exitAppEmergency").success
-    assert node.wait_for_end(10.0) == 2
-    assert "connection to the robot is closed" not in node.log
+    node.wait_for_mode("stopped")
+    assert robot.ask()["stops"] == 0
 
 
 def test_the_emergency_exit_works_while_the_robot_hangs(robot, start, suspend):
-    node = start()
+    node = start(**SLOW)
     node.wait_for_mode("homing")
     suspend(robot.process.pid)
     try:
@@ -510,40 +517,23 @@ def test_the_emergency_exit_works_while_the_robot_hangs(robot, start, suspend):
         robot.process.send_signal(signal.SIGCONT)
 
 
-def test_interrupted_it_leaves_servo_mode_and_disconnects(robot, start, hand, wait_until):
-    node = start()
-    node.wait_for_mode("home")
-    node.control(True)
-    hand(home_tool())
-    node.wait_for_mode("servo")
-    node.process.send_signal(signal.SIGINT)
-    assert node.wait_for_end(15.0) == 0
-    wait_until(lambda: not robot.ask()["connected"], 5.0, "the end of the connection")
-    assert robot.ask()["mode"] != "servo"
-    assert "Traceback" not in node.log
+def lose(robot, states, wait_until):
+    """Ends the robot's process, and waits until the controller says on kuka/status that it is gone."""
+    robot.process.kill()
+    wait_until(lambda: states[-1].mode == "stopped" and "out of reach" in states[-1].reason, 20.0, "the status")
 
 
-@pytest.fixture
-def lost_in_servo(ros, robot, start, hand, wait_until):
-    """A controller whose robot died while the arm followed a hand, and what it says on kuka/status."""
+def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(ros, robot, start, hand, wait_until):
     from rig_msgs.msg import KukaStatus
 
     node = start(time_out=5.0)
     node.wait_for_mode("home")
     node.control(True)
-    node.hand = hand(home_tool())
+    shown = hand(home_tool())
     node.wait_for_mode("servo")
     node.states = ros.record("kuka/status", KukaStatus)
-    robot.process.kill()
-    node.wait_for_mode("stopped")
-    wait_until(lambda: node.states and "out of reach" in node.states[-1].reason, 20.0, "the status")
-    return node
-
-
-def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(
-    ros, robot, lost_in_servo, hand, wait_until
-):
-    node = lost_in_servo
+    node.states.wait()
+    lose(robot, node.states, wait_until)
     assert not node.states[-1].control_on and "smartPad" in node.states[-1].reason
     refused = node.control(True)
     assert not refused.success and refused.message == "Control stays off: the robot is out of reach."
@@ -563,16 +553,21 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
     answer = node.control(True)
     assert answer.success and "goes home first" in answer.message
     node.wait_for_mode("home")
-    hand.again(node.hand)
+    hand.again(shown)
     node.wait_for_mode("servo")
     wait_until(lambda: at(back, home_tool()), MOVE_S, "the tool where the hand is")
-    assert node.modes[0].data == "homing"
-    assert node.call("exit_app", "exitApp").success
-    assert node.wait_for_end() == 0 and "Traceback" not in node.log
-    np.testing.assert_allclose(back.joints, np.zeros(7), atol=1e-3)
+    assert node.moved_through()[0] == "homing"
+
+    lose(back, node.states, wait_until)
+    answer = node.call("exit_app", "exitApp")
+    assert answer.success and "leaves the arm as it is: the robot is out of reach" in answer.message
+    assert node.wait_for_end(15.0) == 0
+    assert "Traceback" not in node.log
 
 
-def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, hand, wait_until, suspend):
+def test_a_frozen_robot_is_waited_for_on_the_same_connection_and_for_a_lost_one_it_waits_until_an_interrupt(
+    ros, robot, start, hand, wait_until, suspend
+):
     from diagnostic_msgs.msg import DiagnosticArray
 
     from rig_msgs.msg import KukaStatus
@@ -610,24 +605,16 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection(ros, robot, start, 
     node.wait_for_mode("home")
     hand.again(shown)
     node.wait_for_mode("servo")
-    assert [m.data for m in node.modes][:2] == ["stopped", "homing"]
+    assert node.moved_through()[:2] == ["stopped", "homing"]
 
-
-def test_a_controller_that_waits_for_its_robot_ends_when_asked(lost_in_servo):
-    answer = lost_in_servo.call("exit_app", "exitApp")
-    assert answer.success and "leaves the arm as it is: the robot is out of reach" in answer.message
-    assert lost_in_servo.wait_for_end(15.0) == 0
-    assert "Traceback" not in lost_in_servo.log
-
-
-def test_a_controller_that_waits_for_its_robot_can_be_interrupted(lost_in_servo):
-    lost_in_servo.process.send_signal(signal.SIGTERM)
-    assert lost_in_servo.wait_for_end(15.0) == 0
-    assert "Traceback" not in lost_in_servo.log
+    lose(robot, states, wait_until)
+    node.process.send_signal(signal.SIGTERM)
+    assert node.wait_for_end(15.0) == 0
+    assert "Traceback" not in node.log
 
 
 def test_a_robot_that_is_lost_on_the_way_to_the_end_ends_the_controller(robot, start):
-    node = start()
+    node = start(**SLOW)
     node.wait_for_mode("home")
     assert node.call("exit_app", "exitApp").success
     node.wait_for_mode("zero")
@@ -645,8 +632,8 @@ def test_the_ptp_controller(ros, robot, start, hand, wait_until):
     assert node.control(True).success
     T = shifted(home_tool(), 0.05, 0.0, 0.05)
     shown = hand(T)
-    node.wait_for_mode("pick_up")
     wait_until(lambda: at(robot, T), MOVE_S, "the tool where the hand is")
+    assert "pick_up" in node.moved_through()
     shown.hide()
     node.wait_for_mode("home")
     assert node.call("exit_app", "exitApp").success
@@ -654,24 +641,17 @@ def test_the_ptp_controller(ros, robot, start, hand, wait_until):
     np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
 
 
-@pytest.mark.parametrize(
-    "executable, changes, words",
-    [
-        (
-            REAL_TIME,
-            {"opening_angle": 190, "velocity_ptp_fast": "fast", "unknown": 1, "center_line": [1, 0, 0.5]},
-            ["kuka/opening_angle", "kuka/velocity_ptp_fast", "kuka/unknown", "horizontal"],
-        ),
-        (REAL_TIME, {"mounting": [180, 0, 0]}, ["joint 6", "ceiling"]),
+def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, start):
+    several = {"opening_angle": 190, "velocity_ptp_fast": "fast", "unknown": 1, "center_line": [1, 0, 0.5]}
+    for executable, changes, words in (
+        (REAL_TIME, several, ["kuka/opening_angle", "kuka/velocity_ptp_fast", "kuka/unknown", "horizontal"]),
         (PTP, {"dh_parameters": "/no/such/arm.yaml"}, ["/no/such/arm.yaml"]),
         (REAL_TIME, {"dh_parameters": EXAMPLE, "robot": "LBR14R820"}, ["LBR7R800", "LBR14R820"]),
-    ],
-)
-def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, start, executable, changes, words):
-    node = start(executable, **changes)
-    assert node.wait_for_end(30.0) == 1
-    assert all(word in node.log for word in words), node.log
-    assert "Traceback" not in node.log
+    ):
+        node = start(executable, **changes)
+        assert node.wait_for_end(30.0) == 1
+        assert all(word in node.log for word in words), node.log
+        assert "Traceback" not in node.log
     assert not robot.ask()["connected"] and not robot.joints.any()
 
 
@@ -681,18 +661,6 @@ def test_without_a_robot_it_says_so_and_ends(ros, wait_until, free_port):
     assert node.wait_for_end(60.0) == 1
     assert "Trying for" in node.log and "There is no connection to the robot" in node.log
     assert "Traceback" not in node.log
-
-
-def test_it_waits_for_its_parameters_and_says_so(ros, wait_until):
-    import rospy
-    from rosgraph_msgs.msg import Log
-
-    if rospy.has_param("kuka"):
-        rospy.delete_param("kuka")
-    said = ros.record("/rosout", Log)
-    process = ros.run("kuka_control", PTP)
-    wait_until(lambda: any("Waiting for the parameter /kuka" in m.msg for m in said), 30.0, "the sentence")
-    assert process.poll() is None
 
 
 def test_it_waits_for_the_rest_of_its_parameters_and_refuses_an_incomplete_set_in_one_sentence(ros, wait_until):
@@ -708,13 +676,16 @@ def test_it_waits_for_the_rest_of_its_parameters_and_refuses_an_incomplete_set_i
     assert "is missing; it must be" not in node.log and "Traceback" not in node.log
 
 
-def test_parameters_that_come_late_are_taken(ros, robot, wait_until):
+def test_it_waits_for_parameters_and_says_so_and_takes_what_comes_late(ros, robot, wait_until):
     import rospy
+    from rosgraph_msgs.msg import Log
     from std_msgs.msg import String
 
+    said = ros.record("/rosout", Log)
+    node = Node(ros.run("kuka_control", PTP), wait_until)
+    wait_until(lambda: any("Waiting for the parameter /kuka" in m.msg for m in said), 30.0, "the sentence")
     rospy.set_param("kuka", {"center_line": [1, 0, 0], "ws_center": [0.5, 0, 0.5]})
     modes = ros.record("kuka/mode", String)
-    node = Node(ros.run("kuka_control", PTP), wait_until)
     wait_until(lambda: re.search("Waiting for parameters under /kuka/: .*robot", node.log), 30.0, "the sentence")
     set_params(PTP, ip="127.0.0.1", port=robot.port)
     wait_until(lambda: modes, MOVE_S, "a controller that runs")
@@ -827,3 +798,18 @@ def gravity_on_the_floor(q):
     from rig_simulation.files import read_urdf
 
     return Robot(read_urdf("LBR7R800", "MF_elektrisch")).torques(q, np.zeros(7), np.zeros(7))
+
+
+def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, monkeypatch):
+    """What came between its two readings of the parameters was an unknown key, and ended it."""
+    from kuka_control.ros import controller_node
+
+    uploaded = []
+    nothing = types.SimpleNamespace(spin=lambda: None, close=lambda: None)
+    with monkeypatch.context() as patch:
+        for name in ("RobotLink", "_Node"):
+            patch.setattr(controller_node, name, lambda *_: nothing)
+        patch.setattr(controller_node, "wait_for_config", lambda *_, **__: rig(RealTimeConfig)[0])
+        patch.setattr(controller_node.rospy, "set_param", lambda key, _: uploaded.append(key))
+        controller_node._run(RealTimeConfig, lambda *_: None)
+    assert uploaded == ["kuka/joints_home", "kuka/ws_center"]

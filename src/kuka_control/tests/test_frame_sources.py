@@ -1,11 +1,16 @@
-"""Two nodes that publish one frame are told apart from one node, and from one that takes over."""
+"""Two nodes that publish one frame are told apart from one node, and from one that takes over; and a frame of the chain
+that was calibrated anew from a hand that moves.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.model.desired_frame import HANDOVER_S, FrameSources
+from common.poses import pose, translation
+from common.rotations import rotation_about
+from kuka_control.model.desired_frame import HANDOVER_S, ChainWatch, FrameSources
 
 BASE, LEAP, TOOL = "kuka/base_frame", "leap_motion/virtual_frame", "kuka/tool_frame/desired"
 
@@ -58,3 +63,33 @@ def test_frames_in_a_circle_end_the_search():
     sources.heard("a", "b", "/n", 0.0)
     sources.heard("b", "a", "/n", 0.0)
     assert sources.conflict("a", 0.1) is None
+
+
+steps = st.floats(-0.3, 0.3).filter(lambda x: abs(x) > 0.021)
+
+
+@given(st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-3.0, 3.0)), max_size=20), st.floats(0.001, 0.05))
+def test_a_tool_that_moves_and_jumps_in_frames_that_stay_is_no_jump_of_a_frame(moves, dt):
+    watch, T_base_parent = ChainWatch(), pose(rotation_about(2, 0.7), [0.5, -0.4, 0.1])
+    for i, (x, turn) in enumerate(moves):
+        T_parent_tool = pose(rotation_about(1, turn), [x, 0.1, 0.2])
+        assert watch.step(i * dt, LEAP, T_base_parent, T_base_parent @ T_parent_tool) is None
+
+
+@given(steps, st.floats(0.001, 0.1))
+def test_a_frame_that_jumps_with_the_tool_in_it_is_named(x, dt):
+    watch, T_parent_tool = ChainWatch(), pose(rotation_about(1, 0.3), [0.0, 0.1, 0.2])
+    assert watch.step(5.0, LEAP, np.eye(4), T_parent_tool) is None
+    T = translation(x, 0.0, 0.0)
+    assert LEAP in watch.step(5.0 + 0.9 * dt, LEAP, T, T @ T_parent_tool)
+    assert watch.step(5.0 + 1.8 * dt, LEAP, T, T @ T_parent_tool) is None
+
+
+@given(steps, st.floats(0.11, 10.0))
+def test_a_frame_that_turns_with_the_next_hand_or_without_moving_the_tool_has_not_jumped(x, pause):
+    T, T_tool = translation(x, 0.0, 0.0), translation(0.5, 0.0, 0.4)
+    watch = ChainWatch()
+    watch.step(0.0, LEAP, np.eye(4), T_tool)
+    assert watch.step(pause, LEAP, T, T @ T_tool) is None
+    assert watch.step(pause + 0.01, LEAP, np.eye(4), T @ T_tool) is None
+    assert watch.step(pause + 0.02, BASE, T, T @ T_tool @ T) is None

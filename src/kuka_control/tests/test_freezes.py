@@ -25,8 +25,8 @@ from kuka_control.loop.commands import Inputs
 from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
-from kuka_control.model.rig import wrench_at_tool
 from kuka_control.model.switches import SwitchState
+from kuka_control.model.tool_load import wrench_at_tool
 from rig_simulation.devices.sunrise.application import Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.robot import Robot

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import replace
 
 import pytest
 
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
-
-
-@pytest.fixture(scope="module")
-def application():
-    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-    from python_qt_binding.QtWidgets import QApplication
-
-    return QApplication.instance() or QApplication(sys.argv[:1])
 
 
 @pytest.fixture
@@ -211,3 +201,52 @@ def test_green_is_on_and_red_stops(panel, application, checked, colour):
 
     assert colour_of(panel.control) == colour
     assert colour_of(panel.emergency) == "#c62828"
+
+
+def rows(*texts):
+    from common.operator_rows import BARS, TICKS, Row, RowTone
+
+    kinds = ((TICKS, ("in the box", "flat"), (1.0, 0.0)), (BARS, ("index", "thumb"), (0.0, 1.0)))
+    return tuple(Row(f"Row {i}", text, RowTone.WARNING, *kinds[i % 2]) for i, text in enumerate(texts))
+
+
+def test_what_the_operator_sees_moves_nothing_else(panel, application):
+    sizes = panel.minimumSizeHint(), panel.emergency.geometry(), panel.answer.geometry()
+    assert "operator_view" in panel.operator.accessibleDescription()
+    for texts in (("short", "<b>x</b>"), ("word " * 100,) * 20, ()):
+        panel.show_rows(rows(*texts))
+        application.processEvents()
+        assert (panel.minimumSizeHint(), panel.emergency.geometry(), panel.answer.geometry()) == sizes
+    panel.show_rows(rows("short", "<b>x</b>"))
+    assert "in the box yes, flat no" in panel.operator.accessibleDescription()
+    assert "thumb 100 %" in panel.operator.accessibleDescription() and "&lt;b&gt;" in panel.operator.toolTip()
+
+
+def test_the_smallest_panel_has_room_for_all_controls_and_part_of_the_view(panel, application):
+    panel.show_rows(rows(*"abcdefgh"))
+    panel.resize(panel.minimumSizeHint())
+    application.processEvents()
+    assert panel.height() <= 600
+    for widget in (panel.control, panel.gripper, panel.exit, panel.emergency, panel.operator):
+        assert not widget.visibleRegion().isEmpty()
+
+
+def test_a_reason_too_long_for_a_line_gets_a_second_one(panel):
+    from common.operator_rows import Row, RowTone
+
+    heights = []
+    for words in (5, 20, 200):
+        panel.show_rows((Row("Hand", "word " * words, RowTone.NORMAL),))
+        heights.append(panel.operator.height())
+    assert heights[1:] == [2 * heights[0]] * 2
+
+
+def test_ticks_are_green_or_red_and_bars_as_long_as_their_values(panel, application):
+    from common.operator_rows import COLOURS, RowTone
+
+    panel.resize(560, 800)
+    panel.show_rows(rows("a", "b"))
+    application.processEvents()
+    picture = panel.operator.grab().toImage()
+    found = {picture.pixelColor(x, y).name() for x in range(picture.width()) for y in range(picture.height())}
+    assert {COLOURS[RowTone.GOOD], COLOURS[RowTone.FAULT], COLOURS[RowTone.WARNING]} <= found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import sys
 import threading
@@ -18,14 +17,6 @@ pytestmark = pytest.mark.ros
 FAKE = str(Path(__file__).with_name("fake_controller.py"))
 LONG_S = 20.0
 """Longest wait; the machine may be busy."""
-
-
-@pytest.fixture(scope="module")
-def application():
-    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-    from python_qt_binding.QtWidgets import QApplication
-
-    return QApplication.instance() or QApplication(sys.argv[:1])
 
 
 @pytest.fixture
@@ -126,7 +117,7 @@ def test_a_toggle_is_green_when_the_controller_says_so(panel, controller, see, n
     see(button.isChecked, "green")
     click(button)
     see(lambda: not button.isChecked(), "grey")
-    assert "is off" in panel.answer.full
+    see(lambda: "is off" in panel.answer.full, "the answer, which may come after the status")
 
 
 def test_a_call_made_elsewhere_turns_the_toggles_green(panel, controller, see):
@@ -315,3 +306,15 @@ def test_a_panel_may_go_while_a_call_runs(ros, application, failures, start, see
     gc.collect()
     see(lambda: not any(thread.is_alive() for thread in mine), "the end of the threads")
     time.sleep(0.1)
+
+
+def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more(panel, see):
+    import rospy
+
+    from rig_msgs.msg import OperatorRow, OperatorView
+
+    rows = OperatorView(rows=[OperatorRow("Hand", "waiting", "good", "ticks", ["flat"], [1.0])])
+    publisher = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
+    said = panel.operator.accessibleDescription
+    see(lambda: publisher.publish(rows) or "flat yes" in said(), "the rows")
+    see(lambda: "no news" in said(), "the silence")

@@ -103,14 +103,6 @@ class Screen:
             pytest.fail(f"{failure.msg}; it is {self.colour(name)} at {self.place(name)}")
 
 
-@pytest.fixture(scope="module")
-def application():
-    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
-    from python_qt_binding.QtWidgets import QApplication
-
-    return QApplication.instance() or QApplication(sys.argv[:1])
-
-
 @pytest.fixture
 def screen(application, processes, tmp_path, wait_until):
     size = ("-screen", "0", "800x800x24", "-fbdir", str(tmp_path))

@@ -24,8 +24,13 @@ class Loop:
 
     def __init__(self):
         self.counts, self.observations = Counter(faults=0), []
+        self.told = []
+
+    def open_hand(self, opening):
+        self.told.append(opening)
 
     def step(self, observation, now):
+        self.told.append("step")
         self.observations.append(observation)
         self.counts["ptp_motions"] += 1
         return Step(StartPtp(np.zeros(7), 0.1), "homing", "It moves.", ())
@@ -63,6 +68,12 @@ def test_nothing_moves_until_control_is_switched_on(supervisor, loops):
     assert supervisor.counts == Counter(ptp_motions=8), "counters continue"
     supervisor.step(observation(desired=OLD, enable_count=4), 161.0)
     assert len(loops) == 1, "the loop continues whatever the switch says"
+
+
+def test_the_fresh_loop_knows_the_hand_before_its_first_step(supervisor, loops):
+    supervisor.open_hand("folded")
+    supervisor.step(observation(control_on=True), 101.0)
+    assert loops[0].told == ["folded", "step"]
 
 
 def test_a_frame_from_before_never_reaches_the_new_loop(supervisor, loops):

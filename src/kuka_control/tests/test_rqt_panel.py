@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 import types
 import xml.etree.ElementTree as ElementTree
@@ -31,11 +30,9 @@ class Context:
 
 
 @pytest.fixture
-def plugin_class(monkeypatch):
+def plugin_class(monkeypatch, application):
     """The class that plugin.xml names, as rqt loads it."""
-    os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
     from python_qt_binding.QtCore import QObject
-    from python_qt_binding.QtWidgets import QApplication
 
     class Plugin(QObject):
         def __init__(self, context):
@@ -46,14 +43,12 @@ def plugin_class(monkeypatch):
     stand_in.Plugin = Plugin
     monkeypatch.setitem(sys.modules, "qt_gui", types.ModuleType("qt_gui"))
     monkeypatch.setitem(sys.modules, "qt_gui.plugin", stand_in)
-    application = QApplication.instance() or QApplication(sys.argv[:1])
     module, name = described().get("type").rsplit(".", 1)
     monkeypatch.delitem(sys.modules, module, raising=False)
     loaded = getattr(importlib.import_module(module), name)
     assert issubclass(loaded, Plugin)
     yield loaded
     monkeypatch.delitem(sys.modules, module)
-    del application
 
 
 def described():

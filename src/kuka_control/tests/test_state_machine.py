@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from loop_world import DT, HOME, World, out_of_reach_and_back, shifted
+from loop_world import DT, HOME, Q_ASIDE, World, out_of_reach_and_back, rig, shifted
 
-from common.poses import pose
+from common.poses import pose, translation
 from kst import ReplyTimeout
+from kuka_control.limits.collision import PathCheck
+from kuka_control.limits.line_plan import MoveRefused
+from kuka_control.limits.motion_limits import LimitedGoal
+from kuka_control.limits.speed_change import GuardError
 from kuka_control.loop.commands import End, Servo, StartPtp, StartServo, StopServo, Wait
+from kuka_control.loop.control_loop import BRAKES, BY_PROGRAM
+from kuka_control.loop.moves import MoveState
 from kuka_control.loop.transitions import (
     PTP_STATES,
     REAL_TIME_STATES,
@@ -103,6 +111,38 @@ def refuse(what):
     return lambda world: setattr(world.arm, "refuse", what)
 
 
+def block(world):
+    """A body is in the way of every motion from now on."""
+    world.loop._settings.guard.check = lambda *_: PathCheck(iter(["the palm is 3 mm from the post"]))
+
+
+def leave_while_blocked(world):
+    block(world)
+    leave(world)
+
+
+def block_and_disable(world):
+    block(world)
+    disable(world)
+
+
+def block_and_enable_again(world):
+    block(world)
+    enable_again(world)
+
+
+def fail(world):
+    def slowed(q, v):
+        raise GuardError("The collision guard failed: it was asked about joints.")
+
+    world.loop._settings.guard.slowed = slowed
+
+
+def fail_while_moving(world):
+    move(world)
+    fail(world)
+
+
 def nothing(world):
     pass
 
@@ -127,6 +167,41 @@ def leave_while_moving(world):
     leave(world)
 
 
+def ask_for(target, **goal):
+    def ask(world):
+        enable(world)
+        world.ask(target, **goal)
+
+    return ask
+
+
+def cancel(world):
+    world.cancel()
+
+
+def hold_then_cancel(world):
+    world.run(0.4)
+    hold(world)
+    world.run(0.316)
+    cancel(world)
+
+
+def hold_the_goals(world):
+    """The limits let no goal go on, as where a guard stops the tool."""
+    world.run(0.4)
+    world.loop._limits.step = lambda *_: LimitedGoal(world.loop.goal, np.zeros(7), "workspace")
+
+
+def after_a_while(event):
+    def later(world):
+        world.run(0.4)
+        event(world)
+
+    return later
+
+
+LINE = shifted(0.1, 0.0, 0.05)
+
 # How a state is reached: the state before, what happens there, and the desired tool frame from then on.
 PATHS = {
     State.HOMING: (State.STARTING, nothing, None),
@@ -143,6 +218,10 @@ PATHS = {
     State.RETURNING: (State.PICK_UP, disable, None),
     State.STOPPED: (State.HOMING, refuse("end"), None),
     State.ZERO: (State.HOME, leave, None),
+    State.TO_GOAL: (State.HOME, ask_for("aside"), None),
+    State.AT_GOAL: (State.TO_GOAL, nothing, None),
+    State.LINE: (State.HOME, ask_for(LINE, straight=True), None),
+    State.LINE_BRAKING: (State.LINE, after_a_while(cancel), None),
 }
 # What makes a trigger fire in a state, and the desired tool frame from then on.
 EVENTS = {
@@ -159,26 +238,60 @@ EVENTS = {
     Trigger.JUMPED: (lambda world: world.run(0.1, FAR), FARTHER),
     Trigger.JOINTS_JUMPED: (nothing, out_of_reach_and_back(turn=-1.2)),
     Trigger.LAG: (hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
+    Trigger.BLOCKED: (block_and_disable, None),
+    Trigger.EXIT_BLOCKED: (leave_while_blocked, None),
+    Trigger.GUARD_FAILED: (fail_while_moving, None),
+    Trigger.CONFLICT: (lambda world: setattr(world, "conflict", "Two nodes publish it."), FAR),
+    Trigger.MOVE: (ask_for("zero"), None),
+    Trigger.LINE: (ask_for(LINE, straight=True), None),
+    Trigger.CANCELLED: (after_a_while(cancel), None),
+    Trigger.NO_PROGRESS: (hold_the_goals, None),
 }
 # Where they differ.
 NEAR_HOME = shifted(0.003, 0.0, 0.0)
+
+
+def aside(x):
+    """The tool frame of the position "aside", shifted along the base's x axis."""
+    return translation(x, 0.0, 0.0) @ rig(RealTimeConfig)[1].kinematics.forward(Q_ASIDE)
+
+
 EVENTS_IN = {
     (State.HOMING, Trigger.ARRIVED): (leave, None),
     (State.HOME, Trigger.NEAR_TARGET): (enable, NEAR_HOME),
-    **{(state, Trigger.REFUSED): (refuse("end"), None) for state in (State.HOMING, State.PICK_UP, State.RETURNING)},
+    **{
+        (state, Trigger.REFUSED): (refuse("end"), None)
+        for state in (State.HOMING, State.PICK_UP, State.RETURNING, State.TO_GOAL)
+    },
     (State.ZERO, Trigger.REFUSED): (refuse("end"), None),
-    **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE)},
+    **{(state, Trigger.REFUSED): (refuse("read"), None) for state in (State.HOME, State.AT_POSE, State.AT_GOAL)},
     **{(state, Trigger.REFUSED): (refuse("servo"), FAR) for state in (State.IDENTIFYING, State.SERVO, State.BRAKING)},
+    **{(state, Trigger.REFUSED): (refuse("servo"), None) for state in (State.LINE, State.LINE_BRAKING)},
+    (State.AT_GOAL, Trigger.NEAR_TARGET): (enable, aside(0.003)),
+    (State.AT_GOAL, Trigger.FAR_TARGET): (enable, aside(0.1)),
+    (State.LINE, Trigger.LAG): (after_a_while(hold), None),
+    (State.LINE_BRAKING, Trigger.LAG): (nothing, None),
+    (State.LINE, Trigger.GUARD_FAILED): (after_a_while(fail), None),
     (State.SERVO, Trigger.MOVED_ON): (nothing, shifted(0.0, 0.0, 0.15)),
+    (State.STOPPED, Trigger.BLOCKED): (block_and_enable_again, None),
 }
-PATH_FOR = {(State.BRAKING, Trigger.AT_REST): (State.SERVO, leave_while_moving, None)}
+PATH_FOR = {
+    (State.BRAKING, Trigger.AT_REST): (State.SERVO, leave_while_moving, None),
+    (State.LINE_BRAKING, Trigger.LAG): (State.LINE, hold_then_cancel, None),
+    (State.BRAKING, Trigger.AT_REST_TO_STOP): (State.SERVO, fail_while_moving, None),
+}
 """How a state is reached for one trigger."""
 BEFORE = {
     **{(s, Trigger.REFUSED): "stop_servo" for s in (State.IDENTIFIED, State.SERVO_LEFT, State.RETURN_PENDING)},
     (State.RELEASING, Trigger.REFUSED): "hold",
 }
 """What the arm refuses on the way into a state."""
-CHANGES = {Trigger.WRONG_LAW: {"servo_law": "lts"}, Trigger.MOVED_ON: {"shaping": "none"}}
+GUARDED = {"collision_guard": True}
+CHANGES = {
+    Trigger.WRONG_LAW: {"servo_law": "lts"},
+    Trigger.MOVED_ON: {"shaping": "none"},
+    **dict.fromkeys((Trigger.BLOCKED, Trigger.EXIT_BLOCKED, Trigger.GUARD_FAILED, Trigger.AT_REST_TO_STOP), GUARDED),
+}
 """Parameters that a trigger needs."""
 
 
@@ -232,6 +345,7 @@ class AnyOrder(RuleBasedStateMachine):
         self.world = World(schema)
         self.stopped_under = None
         self.last_goal = None
+        self.barred = set()  # the streams of frames that ran while a program moved the arm
         self.tool = None if begin is State.STARTING else FAR
         reach(self.world, begin if begin in STATES[schema] else State.AT_POSE)
         self.world.arm.speed = speed
@@ -275,6 +389,25 @@ class AnyOrder(RuleBasedStateMachine):
         self.world.arm.fail = None
         self.live(DT)
 
+    @rule(
+        goal=st.sampled_from([("aside", {}), ("home", {}), (LINE, {}), (LINE, {"straight": True})]),
+        hidden=st.sampled_from([True, True, False]),
+        seconds=st.sampled_from([0.1, 0.5, 3.0]),
+    )
+    def ask(self, goal, hidden, seconds):
+        """A program asks, mostly when no hand is there, and not while its motion runs."""
+        if hidden:
+            self.tool = None
+            self.live(0.4)
+        if self.world.steps and (self.world.progress is None or self.world.progress.state is not MoveState.RUNNING):
+            with contextlib.suppress(MoveRefused):
+                self.world.ask(goal[0], **goal[1])
+        self.live(seconds)
+
+    @rule()
+    def cancel(self):
+        self.world.cancel()
+
     @rule()
     def leave(self):
         leave(self.world)
@@ -296,7 +429,16 @@ class AnyOrder(RuleBasedStateMachine):
             assert world.control_on or away == 0.0, "with control off the arm moves to home or zero only"
         elif moves:
             why = "with control off the arm only brakes, and its servo law is identified"
-            assert world.control_on or step.mode == Mode.HOMING or world.state is State.BRAKING, why
+            assert world.control_on or step.mode == Mode.HOMING or world.state in BRAKES, why
+        if world.state in BY_PROGRAM:
+            assert step.move.state is MoveState.RUNNING
+            if world.loop._stream.runs:
+                self.barred.add(world.loop._stream.number)
+        elif world.state in (State.PICK_UP, State.SERVO):
+            assert world.loop._stream.number not in self.barred, "a hand waits for the end of a program's motion"
+        if step.move is not None:
+            assert (step.move.state is MoveState.RUNNING) == (world.state in BY_PROGRAM)
+            assert step.move.state in (MoveState.RUNNING, MoveState.DONE) or step.move.sentence
         leaving = world.exit_requested or (step.mode in (Mode.ZERO, Mode.STOPPED) and isinstance(command, StartPtp))
         if world.state is State.STOPPED:
             if self.stopped_under is None:

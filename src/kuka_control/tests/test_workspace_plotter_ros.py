@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -21,7 +22,12 @@ PNG = b"\x89PNG\r\n\x1a\n"
 @pytest.fixture
 def plotter(monkeypatch, capsys):
     """Runs the program within this process, which spares the time to start one."""
+    import rospy
+
     from kuka_control.ros import plotter_program
+
+    monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)  # this process is a node of other tests, too
+    handler = signal.getsignal(signal.SIGTERM)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["workspace_plotter.py", *map(str, arguments)])
@@ -33,7 +39,8 @@ def plotter(monkeypatch, capsys):
         said = capsys.readouterr()
         return subprocess.CompletedProcess(arguments, code, said.out, said.err)
 
-    return run
+    yield run
+    signal.signal(signal.SIGTERM, handler)
 
 
 def rosrun(*arguments):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from common.poses import translation
 from iiwa_kinematics import Kinematics, jacobian
 from iiwa_kinematics.robot_model import robot_model
-from kuka_control.model.rig import wrench_at_tool
+from kuka_control.model.tool_load import wrench_at_tool
 
 ARM = Kinematics(robot_model("LBR7R800", "MF_elektrisch"), translation(0.0, 0.0, 0.106))
 HOME = np.array([-0.785, 0.516, 0.0, -1.106, 0.0, 1.519, 0.0])

@@ -13,6 +13,7 @@ SERVICES = {
     "exitAppEmergency": EXIT,
     "setKukaControl": SWITCH,
     "setGripperControl": SWITCH,
+    "setPayload": "96fbe2a49585a736ad8b4a31afbaf099",
     "setScalingFactor": "96fbe2a49585a736ad8b4a31afbaf099",
 }
 

@@ -1,8 +1,6 @@
 """Flexion, mapping and the pure chain of the hand."""
 
 import dataclasses
-import gzip
-import json
 import math
 from pathlib import Path
 
@@ -11,6 +9,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from leap_recordings import recorded_hands
 
 from common.config import parse
 from common.errors import ConfigError
@@ -219,6 +218,58 @@ def test_in_the_rig_the_robot_hand_follows_the_hand_that_steers_the_arm_alone():
     assert states[18] == GripperState.KEEPING and states[21:] == [GripperState.OPEN] * 9
 
 
+def test_while_the_tool_is_kept_the_grip_is_too():
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    fist, opened = hand_with(20.0, 20.0, 20.0), hand_with()
+    play.teleop.steered_by((7, False), play.now, keep_grip=True)
+    play.step(fist)
+    assert all(r.command is None for r in play.steps(50)), "the hand that steers is missing"
+    play.step(fist)
+    for _ in range(5):
+        play.teleop.steered_by(None, play.now, keep_grip=True)
+        assert all((r.state, r.command) == (GripperState.KEEPING, None) for r in play.steps(100, opened))
+    play.teleop.steered_by(None, play.now, keep_grip=False)
+    assert play.step(opened).state == GripperState.OPEN
+    play.teleop.steered_by(None, play.now, keep_grip=True)
+    assert play.step(opened).state == GripperState.OPEN, "what is open is not a grip"
+
+
+@given(*[st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)] * 2, st.booleans(), st.booleans())
+def test_each_finger_keeps_its_grip_after_the_clutch_until_the_operators_comes_near(held, after, clutched, off):
+    """From any grip to any other: within 15 % of its range it follows, and then for good."""
+
+    def bent(*shares):
+        return hand_with(*(85.0 - 45.0 * np.array(shares)), delta=25.0)
+
+    play, scale = Player(hand_only=False), CONFIG.robot[:3, 1]
+    play.teleop.switch(True)
+    play.teleop.steered_by((7, False), play.now, keep_grip=clutched)
+    play.step(bent(*held))
+    play.teleop.steered_by(None, play.now, keep_grip=clutched)
+    play.steps(5, bent(*after))
+    if off:
+        play.teleop.switch(False)
+        play.teleop.switch(True)
+    play.teleop.steered_by((7, False), play.now, keep_grip=clutched)
+    for _ in range(2):
+        command = play.step(bent(*after)).command[:3] / scale
+        for h, a, c in zip(held, after, command):
+            if abs(abs(h - a) - 0.15) > 1e-6:
+                assert c == pytest.approx(h if clutched and not off and abs(h - a) > 0.15 else a, abs=1e-6)
+    play.step(bent(*held))
+    np.testing.assert_allclose(play.step(bent(*after)).command[:3] / scale, after, atol=1e-6)
+
+
+def test_a_silent_leap_kuka_keeps_no_grip():
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    play.teleop.steered_by((7, False), play.now, keep_grip=True)
+    play.step(hand_with(20.0, 20.0, 20.0))
+    assert play.steps(140)[-1].state == GripperState.KEEPING
+    assert play.steps(20)[-1].state == GripperState.OPEN
+
+
 def test_the_hand_alone_ignores_what_the_arm_does():
     play = Player(hand_only=True)
     play.teleop.steered_by(None, play.now)
@@ -309,23 +360,6 @@ def test_a_recorded_grab_closes_the_fingers_and_opens_them_again(shared_data):
         assert commands[closed, finger] > math.radians(90.0)
         assert commands[:closed, finger].min() < math.radians(30.0)
         assert commands[closed:, finger].min() < math.radians(30.0)
-
-
-def recorded_hands(path):
-    """Yields the hands of each frame of a recording; thumb 0, index 1, middle 2."""
-    with gzip.open(path, "rt") as file:
-        for line in file:
-            frame = json.loads(line)
-            hands = []
-            for hand in frame["hands"]:
-                fingers = {p["type"]: p for p in frame["pointables"] if p["handId"] == hand["id"]}
-                bone = {i: np.add(fingers[i]["pipPosition"], fingers[i]["dipPosition"]) / 2e3 for i in (1, 2)}
-                tip = {i: np.array(fingers[i]["tipPosition"]) / 1e3 for i in (0, 1, 2)}
-                palm = np.array(hand["palmPosition"]) / 1e3
-                points = FingerPoints(tip[1], tip[2], tip[0], bone[1], bone[2])
-                is_left, vectors = hand["type"] == "left", (palm, hand["direction"], hand["palmNormal"])
-                hands.append(TrackedHand(hand["id"], is_left, *vectors, hand["confidence"], points))
-            yield hands
 
 
 def test_when_leap_kuka_falls_silent_the_grip_is_kept_for_a_while_then_nobody_is_followed():

@@ -1,6 +1,7 @@
 """The node leap_hand_node on a master of its own, with hands made by hand and a driver that only listens."""
 
 import math
+import subprocess
 import threading
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -8,6 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+
+from rig_simulation.devices.leap.server import SimulatedLeapService
+from rig_simulation.operator.guided import GuidedOperator
+from rig_simulation.operator.motion import Script
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 pytestmark = pytest.mark.ros
 
@@ -323,6 +329,66 @@ def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker, w
     wait_until(lambda: words in process.log_path.read_text(), 40.0, "the complaint")
     wait_until(lambda: len(driver.commands) > 20, 10.0, "commands")
     assert is_near(driver, np.zeros(4))
+
+
+def test_the_wizard_stores_a_hand_that_the_launch_file_loads(ros, tracker, wait_until, tmp_path, monkeypatch):
+    import rospy
+
+    from rig_msgs.msg import KukaStatus
+
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    process = ros.run("leap_hand", "hand_wizard.py", "anna")
+
+    def hand_goes(angle, percent):
+        tracker.show(make_hand(angle))
+        wait_until(lambda: f" {percent} %" in process.log_path.read_text(), 30.0, f"{percent} %")
+
+    for angle, percent in ((80.0, 25), (30.0, 50), (80.0, 75)):
+        hand_goes(angle, percent)
+    tracker.show(make_hand(30.0))
+    assert process.wait(20.0) == 0
+    stored = yaml.safe_load((tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml").read_text())
+    assert stored["thumb_human"] == pytest.approx([77.5, 32.5], abs=0.2)
+    command = ["roslaunch", "--dump-params", "leap_hand", "leap_hand.launch"]
+    params = yaml.safe_load(subprocess.run([*command, "operator:=anna"], capture_output=True, check=True).stdout)
+    assert params["/leap_hand/thumb_human"] == stored["thumb_human"]
+    assert params["/leap_hand/thumb_robot"] == LIMITS["thumb_robot"] and params["/leap_hand_node/operator"] == "anna"
+    unknown = ros.run("leap_hand", "hand_wizard.py", "--check", "bob")
+    again = ros.run("leap_hand", "hand_wizard.py", "anna")
+    folder = tmp_path / ".config" / "leap_rig" / "operators"
+    assert unknown.wait(20.0) == 1 and again.wait(20.0) == 1
+    sentence = f"There is no file {folder}/bob.yaml for operator:=bob; known: anna."
+    assert sentence in unknown.log_path.read_text() and "--force replaces it" in again.log_path.read_text()
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1, latch=True)
+    status.publish(KukaStatus(control_on=True))
+    moving = ros.run("leap_hand", "hand_wizard.py", "anna", "--force")
+    assert moving.wait(20.0) == 1 and "The arm would follow the hand" in moving.log_path.read_text()
+
+
+def test_the_wizard_measures_the_hand_that_the_simulated_leap_tracks(ros, wait_until, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    person = GuidedOperator(ScriptedOperator(Script()))
+    service = SimulatedLeapService(Playback(person), "127.0.0.1", 0, 0)
+    thread = threading.Thread(target=service.run)
+    thread.start()
+    try:
+        ros.run("leap_motion", "leap_driver.py", f"_port:={service.port}")
+        wizard = ros.run("leap_hand", "hand_wizard.py", "anna")
+        person.show()
+        for curl, percent in ((0.0, 25), (0.6, 50), (0.0, 75)):
+            person.reach(curl=curl, seconds=0.3)
+            wait_until(lambda percent=percent: f" {percent} %" in wizard.log_path.read_text(), 30.0, f"{percent} %")
+        person.reach(curl=0.6, seconds=0.3)
+        assert wizard.wait(20.0) == 0
+    finally:
+        service.stop()
+        thread.join()
+    stored = yaml.safe_load((tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml").read_text())
+    for finger in ("index", "middle"):
+        opened, closed = stored[f"{finger}_human"]
+        assert opened - closed > 30.0
 
 
 @pytest.mark.parametrize(

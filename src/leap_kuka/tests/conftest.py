@@ -24,6 +24,10 @@ LEAP = {
     "run_tol_pitch": 25.0,
     "run_tol_roll": 25.0,
     "min_confidence": 0.05,
+    "engagement": "absolute",
+    "hold_time": 0.0,
+    "enabling": "none",
+    "clutch": "none",
 }
 ARM = {
     "center_line": np.array([1.0, -1.0, 0.0]),
@@ -50,9 +54,11 @@ def arm():
 def sample():
     """Makes a hand from its angles against the reference hand [deg]; by default level in the middle of the box."""
 
-    def make(yaw=0.0, pitch=0.0, roll=0.0, position=(0.0, BOX_HEIGHT, 0.0), id=12, is_left=False, confidence=1.0):
+    def make(
+        yaw=0.0, pitch=0.0, roll=0.0, position=(0.0, BOX_HEIGHT, 0.0), id=12, is_left=False, confidence=1.0, **more
+    ):
         R = R_LEAP_REFERENCE @ rotation_from_zyx(*np.radians([yaw, pitch, roll]))
-        return TrackedHand(id, is_left, position, R[:, 0], R[:, 2], confidence)
+        return TrackedHand(id, is_left, position, R[:, 0], R[:, 2], confidence, **more)
 
     return make
 

@@ -1,12 +1,16 @@
 """The node leap_kuka_node on a master of its own, with hands made by hand."""
 
+import os
 import threading
+import time
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+
+from leap_kuka.operator_devices import EV_KEY, EVENT, KEYS
 
 pytestmark = pytest.mark.ros
 
@@ -365,3 +369,142 @@ def test_an_interrupted_node_ends_by_itself(ros, node, processes, wait_until):
     process = node.start()
     wait_until(lambda: node.stream, 20.0, "the node")
     assert processes.end(process) == 0
+
+
+RELATIVE = {"engagement": "relative", "hold_time": 60.0, "clutch": "device", "enabling": "device"}
+
+
+@pytest.fixture
+def pedal(ros, tmp_path):
+    """Starts the node with a FIFO as its device; `write` sends events, `close` unplugs it."""
+    path = tmp_path / "event-kbd"
+    os.mkfifo(path)
+    keys = {"device": str(path), "enable_key": "KEY_F13", "clutch_key": "KEY_B"}
+    set_params({**RELATIVE, "operator_input": keys})
+
+    class Pedal:
+        file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
+
+        def write(self, *keys):
+            os.write(self.file, b"".join(EVENT.pack(0, 0, EV_KEY, KEYS[key], value) for key, value in keys))
+
+        def close(self):
+            os.close(self.file)
+            self.file = None
+
+    pedal = Pedal()
+    pedal.process = ros.run("leap_kuka", "operator_input_node.py")
+    yield pedal
+    if pedal.file is not None:
+        pedal.close()
+
+
+@pytest.fixture
+def inputs(ros):
+    """The messages on leap_kuka/operator_input."""
+    from rig_msgs.msg import OperatorInput
+
+    return ros.record("leap_kuka/operator_input", OperatorInput)
+
+
+def test_a_pedal_is_read_and_unplugged(ros, pedal, inputs, processes, wait_until):
+    import rospy
+    from std_srvs.srv import SetBool
+
+    def newest():
+        return (inputs[-1].enabled, inputs[-1].clutch, inputs[-1].source) if inputs else None
+
+    wait_until(lambda: newest() == (False, True, "pedal"), 20.0, "the clutch that was not used yet")
+    pedal.write(("KEY_B", 1), ("KEY_B", 0))
+    wait_until(lambda: newest() == (False, False, ""), 10.0, "its release")
+    pedal.write(("KEY_F13", 2), ("KEY_F13", 1))
+    wait_until(lambda: newest() == (True, False, "pedal"), 10.0, "the press")
+    pedal.write(("KEY_B", 1))
+    wait_until(lambda: newest() == (True, True, "pedal"), 10.0, "the clutch")
+    pedal.close()
+    wait_until(lambda: newest() == (False, True, "pedal"), 10.0, "the unplugged device")
+    assert rospy.ServiceProxy("leap_kuka/set_clutch", SetBool)(False).success
+    wait_until(lambda: newest() == (False, False, ""), 10.0, "the service")
+    assert len({message.header.stamp for message in inputs}) == len(inputs)
+    assert processes.end(pedal.process) == 0
+
+
+def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, tracker, hand, wait_until):
+    import rospy
+    from std_srvs.srv import SetBool
+    from tf2_msgs.msg import TFMessage
+
+    from common.poses import inverse, pose
+    from common.ros.conversions import pose_from_transform, stamped_transform
+    from rig_msgs.msg import KukaStatus, TeleopState
+
+    states = ros.record("leap_kuka/state", TeleopState)
+    T_home = pose(np.diag([-1.0, 1.0, -1.0]), (0.55, 0.1, 0.35))
+    flange = T_home @ inverse(pose(p=(0.0, 0.0, 0.106)))
+    broadcast = rospy.Publisher("/tf", TFMessage, queue_size=10)
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
+    control = {"on": False, "mode": "home"}
+
+    def arm(_):
+        now = rospy.Time.now()
+        broadcast.publish([stamped_transform(flange, "kuka/base_frame", "kuka/flange_frame/measured", now)])
+        status.publish(KukaStatus(control_on=control["on"], mode=control["mode"], scaling_factor=0.5))
+
+    def desired():
+        """The desired tool of the next message that has one, as the controller scales it."""
+        node.tf.clear()
+        wait_until(lambda: found_desired() is not None, 10.0, "a desired tool")
+        return found_desired()
+
+    def found_desired():
+        for message in reversed(node.tf[:]):
+            found = {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms}
+            if set(found) >= set(PARENTS) - {"hand/frame"}:
+                T = found["leap_motion/virtual_frame"] @ found["kuka/tool_frame/desired"]
+                T[:3, 3] = [0.5, 0.0, 0.4] + 0.5 * (T[:3, 3] - [0.5, 0.0, 0.4])
+                return T
+        return None
+
+    def state():
+        return states[-1].state if states else ""
+
+    def unmet(message):
+        return [name for name, met in zip(message.conditions, message.fulfilled) if not met]
+
+    timer = rospy.Timer(rospy.Duration(0.05), arm)
+    process = node.start()
+    clutch = rospy.ServiceProxy("leap_kuka/set_clutch", SetBool)
+    try:
+        wait_until(lambda: state() == "waiting", 20.0, "the state")
+        wait_until(lambda: status.get_num_connections() > 0, 20.0, "the node that listens to the arm")
+        known = time.monotonic() + 1.0
+        wait_until(lambda: time.monotonic() > known, 10.0, "a status with control off")
+        control["on"] = True
+        pedal.write(("KEY_B", 1), ("KEY_B", 0))
+        tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.0)))
+        wait_until(lambda: states[-1].reason.endswith("the enabling device is not pressed"), 20.0, "the reason")
+        wait_until(lambda: unmet(states[-1]) == ["enabled"], 10.0, "the enabling device as the only open condition")
+        pedal.write(("KEY_F13", 1))
+        wait_until(lambda: state() == "running", 20.0, "the stream")
+        np.testing.assert_allclose(desired(), T_home, atol=1e-6)
+        control["mode"] = "servo"
+        assert states[-1].enabled and states[-1].hand_side == "right" and states[-1].engagement == "relative"
+        assert clutch(True).success
+        wait_until(lambda: state() == "clutched", 10.0, "the clutch")
+        tracker.show(hand(pitch=40.0, position=(0.06, 0.35, 0.01)))
+        settled = time.monotonic() + 2.0
+        wait_until(lambda: time.monotonic() > settled, 10.0, "the filter of the hand to settle")
+        assert states[-1].hold_left == RELATIVE["hold_time"]
+        np.testing.assert_allclose(desired(), T_home, atol=1e-6)
+        assert clutch(False).success
+        wait_until(lambda: state() == "running", 10.0, "the stream again")
+        np.testing.assert_allclose(desired(), T_home, atol=2e-3)  # the filter of the hand still settles
+        pedal.close()
+        wait_until(lambda: state() == "clutched" and not states[-1].enabled, 10.0, "the lost device")
+        control["on"] = False
+        wait_until(lambda: state() == "waiting", 10.0, "the end with control")
+    finally:
+        timer.shutdown()
+        broadcast.unregister()
+        status.unregister()
+    assert process.poll() is None

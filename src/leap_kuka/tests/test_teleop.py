@@ -359,6 +359,20 @@ def test_a_hand_that_moved_while_the_tracker_was_slow_does_not_steer_on(play, sa
     assert results[-1].state == StreamState.WAITING and any("moved while" in r.reason for r in results)
 
 
+def test_a_hand_that_comes_after_a_slow_tracker_steers_from_where_it_is(play, sample):
+    play.steps(60, sample())
+    for _ in range(10):
+        play.step(sample(), dt=0.06)
+    assert "frames per second" in play.step(sample(), dt=0.06).obstacle
+    play.steps(60)
+    hand = sample(position=(0.06, 0.35, 0.0), id=13)
+    results = play.come_in(hand)
+    assert results[-1].state == StreamState.RUNNING and play.teleop.counts.streams == 2
+    assert not any("moved while" in result.reason for result in results)
+    tools = [tool_in_base(result)[:3, 3] for result in results if result.T_virtual_tool is not None]
+    np.testing.assert_allclose(tools, [tools[-1]] * len(tools), atol=0.03)
+
+
 def test_a_slow_tracker_starts_no_stream(play, sample):
     for _ in range(40):
         result = play.step(sample(), dt=0.055)

@@ -11,7 +11,7 @@ from common.mounting import mounting_frame
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
 from leap_kuka.teleop import ArmTeleop, StreamState
-from leap_kuka.tool_hold import FADE_S, HoldState
+from leap_kuka.tool_hold import FADE_S, HoldState, ToolHold
 from leap_motion.frames import TrackingFrame
 
 DOWN = mounting_frame((1.0, -1.0, 0.0)).R_base_tool
@@ -212,6 +212,15 @@ def test_when_nothing_can_be_held(leap, arm, player, sample):
     assert play.teleop.hold(tool(), 10.0, play.now).success
     assert "it is held already" in refusal()
     assert play.teleop.end_hold().success and play.teleop.end_hold().success
+
+
+def test_nothing_is_kept_while_control_is_off():
+    hold = ToolHold(np.array([0.0, 0.0, 1.0]))
+    hold.keep(tool(), 10.0, 0.0)
+    assert hold.T_base_tool is None and not hold.kept
+    hold.control(True)
+    hold.keep(tool(), 10.0, 0.0)
+    assert hold.kept and hold.left(4.0) == 6.0
 
 
 @pytest.mark.parametrize("name", ["confidence-74fps", "rollAndPitchWithEntry"])

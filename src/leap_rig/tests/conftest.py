@@ -12,8 +12,8 @@ sys.path.append(str(Path(__file__).parent))
 
 @pytest.fixture(scope="module")
 def whole_rig(ros_master, tmp_path_factory, pytestconfig):
-    """The rig of rig_under_test.launch, on ports of its own."""
-    from rig_under_test import RigUnderTest
+    """The rig of campaign/rig.launch, on ports of its own."""
+    from campaign.rig import RigUnderTest
 
     shared = pytestconfig.pluginmanager.get_plugin(str(pytestconfig.rootpath / "conftest.py"))
     rig = RigUnderTest(shared, tmp_path_factory.mktemp("rig"))

@@ -5,37 +5,42 @@ from __future__ import annotations
 import subprocess
 
 import pytest
-import yaml
 
 pytestmark = pytest.mark.ros
 
 
 def parameters(*arguments: str) -> dict:
     """Returns the parameters that the demo would set."""
-    command = ["roslaunch", "--dump-params", "leap_rig", "demo.launch", *arguments]
-    return yaml.safe_load(subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout)
+    from tools import launched
+
+    return launched.parameters("leap_rig", "demo.launch", *arguments)
 
 
 def nodes(*arguments: str) -> set[str]:
     """Returns the names of the nodes that the demo would start."""
-    command = ["roslaunch", "--nodes", "leap_rig", "demo.launch", *arguments]
-    return set(subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout.split())
+    from tools import launched
+
+    return launched.nodes("leap_rig", "demo.launch", *arguments)
 
 
 CAMERA = {f"/camera/{name}" for name in ("driver", "frames", "watchdog", "register_rgbd")} | {"/camera_truth"}
 NETWORK = {"/ggcnn", "/grasp_execution"}
+VIEW = {"/operator_view"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "there", "missing"),
     [
-        (["rviz:=true"], CAMERA, NETWORK),
-        (["rviz:=false"], set(), CAMERA | NETWORK),
+        (["rviz:=true"], CAMERA | VIEW, NETWORK),
+        (["rviz:=false"], set(), CAMERA | NETWORK | VIEW),
         (["rviz:=true", "camera:=false"], set(), CAMERA | NETWORK),
         (["rviz:=true", "world:=false"], set(), CAMERA | NETWORK),
         (["rviz:=false", "camera:=true"], CAMERA, NETWORK),
         (["rviz:=false", "scenario:=assisted_grasp"], CAMERA | NETWORK, set()),
         (["rviz:=true", "sim:=false"], set(), CAMERA | NETWORK),
+        (["rviz:=false", "tracker:=headset"], CAMERA | VIEW | {"/stereo_web", "/operator"}, NETWORK | {"/leapd"}),
+        (["rviz:=false", "tracker:=headset", "sim:=false"], VIEW | {"/stereo_web"}, CAMERA | {"/leapd"}),
+        (["rviz:=false", "recording:=a.jsonl"], {"/leapd"}, {"/stereo_web"}),
         (["rviz:=false", "sim:=false", "grasping:=true"], (CAMERA - {"/camera_truth"}) | NETWORK, {"/camera_truth"}),
     ],
 )
@@ -58,9 +63,17 @@ def test_the_camera_of_the_demo_takes_few_pictures_of_its_own_world():
 def test_faults_are_asked_of_the_ports_that_the_devices_listen_on():
     ports = ("robot_control_port", "leap_control_port", "hand_control_port", "camera_control_port")
     values = parameters("grasping:=true", *(f"{name}:={5000 + i}" for i, name in enumerate(ports)))
-    asked = [values[f"/simulation_faults/{device}_port"] for device in ("arm", "leap", "hand", "camera")]
+    asked = [values[f"/simulation/{device}_port"] for device in ("arm", "leap", "hand", "camera")]
     assert asked == [5000, 5001, 5002, 5003]
     assert values["/camera/driver/control_port"] == 5003
+
+
+def test_the_page_serves_the_hands_where_the_driver_looks_for_them():
+    values = parameters("tracker:=headset", "rviz:=false", "leap_port:=7000", "web_host:=0.0.0.0")
+    assert values["/stereo_web/web/hands"] is True and values["/stereo_web/web/host"] == "0.0.0.0"
+    assert values["/stereo_web/web/leap_port"] == values["/leap_driver/port"] == 7000
+    assert values["/operator/leapd_port"] == values["/simulation/leap_port"] == 0
+    assert parameters("tracker:=headset", "rviz:=false")["/stereo_web/web/host"] == "127.0.0.1"
 
 
 def test_faults_of_the_camera_reach_it_from_the_command_line():
@@ -68,4 +81,32 @@ def test_faults_of_the_camera_reach_it_from_the_command_line():
     assert values["/camera/driver/fault"] == "slow garbled:5:0.2"
     values = parameters("grasping:=true")
     assert values["/camera/driver/fault"] == ""
-    assert values["/camera/driver/control_port"] == values["/simulation_faults/camera_port"]
+    assert values["/camera/driver/control_port"] == values["/simulation/camera_port"]
+
+
+def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():
+    apart = {"/leap_driver", "/leap_kuka_node", "/leap_hand_node"}
+    assert apart <= nodes() and "/leap_teleop" not in nodes()
+    one = ("one_process:=true", "leap_port:=5001")
+    started, values = nodes(*one), parameters(*one)
+    assert "/leap_teleop" in started and not apart & started
+    assert values["/leap_teleop/driver/port"] == 5001 and values["/leap_teleop/hand/hand_only"] is False
+    there = {name for name in parameters() if name.startswith(("/leap/", "/leap_hand/"))}
+    assert there <= set(values)
+
+
+def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own():
+    values = parameters("tracker:=webcam")
+    assert values["/leap/min_confidence"] > parameters()["/leap/min_confidence"]
+    assert parameters("tracker:=webcam", "sim:=false")["/leap/min_confidence"] < values["/leap/min_confidence"]
+    assert values["/operator/leapd_port"] == 0 and "/leapd" in nodes("tracker:=webcam")
+    for arguments, wanted in (
+        (("camera_device:=/dev/video2", "gui:=false"), ("--headless", "--camera /dev/video2")),
+        (
+            ("video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7"),
+            ("--video /a b.mp4", "--setup above", "--port 7"),
+        ),
+    ):
+        command = ["roslaunch", "--args", "/leapd", "leap_rig", "demo.launch", "tracker:=webcam", *arguments]
+        line = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+        assert "webcam_leapd.py" in line and all(part in line for part in wanted)

@@ -16,13 +16,18 @@ def random_pose(rng):
     return pose(rotation_from_zyx(*rng.uniform(-1.5, 1.5, 3)), rng.uniform(-1.0, 1.0, 3))
 
 
-def raw(transforms):
+def any_message(message):
     import rospy
-    from tf2_msgs.msg import TFMessage
 
     buffer = io.BytesIO()
-    TFMessage(transforms).serialize(buffer)
+    message.serialize(buffer)
     return rospy.AnyMsg().deserialize(buffer.getvalue())
+
+
+def raw(transforms):
+    from tf2_msgs.msg import TFMessage
+
+    return any_message(TFMessage(transforms))
 
 
 @pytest.fixture
@@ -87,3 +92,32 @@ def test_old_and_incomplete_frames_are_missing(listener):
     assert listener._fresh(TOOL_DESIRED) is None
     give(BASE, rospy.Time.now())
     assert listener._fresh(TOOL_DESIRED) is not None
+
+
+def test_a_stage_time_is_read_as_genpy_reads_it(listener):
+    import rospy
+    from sensor_msgs.msg import TimeReference
+    from std_msgs.msg import Header
+
+    rng = np.random.default_rng(4)
+    for i in range(200):
+        stamp, done = (rospy.Time(*rng.integers(0, (2**32, 10**9)).tolist()) for _ in range(2))
+        source = rng.choice(["leap_motion", "leap_kuka", "kuka_control", "leap_hand"])
+        listener._stage(any_message(TimeReference(Header(i, stamp, ""), done, source)))
+        frame = round(stamp.to_sec(), 4)
+        assert listener.recorder.received[frame] == pytest.approx(stamp.to_sec(), abs=1e-6)
+        assert listener.recorder.stage_times[source][frame] == pytest.approx(done.to_sec(), abs=1e-6)
+
+
+def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listener, monkeypatch):
+    from std_msgs.msg import String
+
+    now, read = 0.0, []
+    monkeypatch.setattr("leap_rig.ros.listener.time.monotonic", lambda: now)
+    take = listener._sampled(String, lambda message: read.append(float(message.data)), 0.1)
+    for i in range(1000):
+        now = 5.0 + 0.003 * i
+        take(any_message(String(str(now))))
+    assert read[0] == 5.0 and len(read) == pytest.approx(30, abs=2)
+    spans = np.diff(read)[1:]  # two come at once after a pause, such as the one before the first
+    assert min(spans) > 0.09 and max(spans) < 0.11

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -36,10 +37,37 @@ def test_run_leapd_starts_the_simulated_leap_service(bare, wait_until):
     assert process.wait(20) == 0, log(process)
 
 
-def test_run_leapd_names_a_missing_leap_service(bare):
-    process = bare("run_leapd.sh")
-    assert process.wait(30) == 1
-    assert "The Leap service (leapd) is not installed." in log(process)
+@pytest.mark.parametrize(
+    ("installed", "running", "said", "started"),
+    [
+        (("leapd",), False, "Leap service 2.3", ["leapd --config=x"]),
+        (
+            *(("leapd", "leapctl", "Ultraleap-Tracking-WS"), False, "Today's Ultraleap software"),
+            ["systemctl start ultraleap-hand-tracking-service", "Ultraleap-Tracking-WS --config=x"],
+        ),
+        (("leapd", "leapctl", "Ultraleap-Tracking-WS"), True, "Today's", ["Ultraleap-Tracking-WS --config=x"]),
+        (("leapd", "leapctl"), True, "not its WebSocket server", []),
+        (("Ultraleap-Tracking-WS",), None, "does not start", []),
+        ((), False, "No Leap service is installed", []),
+    ],
+)
+def test_run_leapd_starts_the_service_that_is_installed_and_says_which(tmp_path, installed, running, said, started):
+    """`running`: whether the tracking service runs already, None: it does not start."""
+    active, start = (0, 0) if running else (3, 1) if running is None else (3, 0)
+    programs = {name: f'echo "{name} $*" >> "$LOG"' for name in installed}
+    programs["systemctl"] = f'[ "$1" = is-active ] && exit {active}; [ {start} = 0 ] && echo "systemctl $*" >> "$LOG"'
+    programs["sudo"] = '"$@"'
+    for name, body in programs.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\n{body}\n")
+        (tmp_path / name).chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin", "LOG": str(tmp_path / "log")}
+    (tmp_path / "log").touch()
+    done = subprocess.run(
+        [SHELL / "run_leapd.sh", "--config=x"], env=environment, capture_output=True, text=True, timeout=30
+    )
+    assert said in done.stdout + done.stderr
+    assert (tmp_path / "log").read_text().splitlines() == started
+    assert (done.returncode == 0) == bool(started)
 
 
 @pytest.mark.rig

@@ -318,7 +318,7 @@ def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, a
     ("options", "change", "sentence"),
     [
         (("--velocity", "0.9"), {}, "'0.9' is not a number in (0, 0.5]"),
-        (("--again", "/nowhere.yaml"), {}, "Cannot read /nowhere.yaml"),
+        (("--again", "/nowhere.yaml"), {}, "/nowhere.yaml cannot be read"),
         (("--yes",), {"store/camera": "unknown"}, "serial number is unknown"),
         (("--yes",), {"views/tilt": [45, 20]}, "tilt"),
         (("--yes", "--robot", "UR5"), {}, "kuka/robot is 'UR5'"),

@@ -1,6 +1,5 @@
 """camera_apriltag.launch: what it starts and with which board, and that the boards are those of the simulated world."""
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -39,11 +38,9 @@ def test_the_simulated_board_sits_where_the_drawing_says(simulated, file):
 @pytest.mark.ros
 @pytest.mark.parametrize(("board", "plate", "bundles"), [("bundle", 0.3, 1), ("single", 0.125, 0)])
 def test_parameters(board, plate, bundles):
-    out = subprocess.run(
-        ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", f"panel:={board}", "serial:=0712"],
-        capture_output=True, text=True, timeout=60.0, check=True,
-    ).stdout  # fmt: skip
-    values = yaml.safe_load(out)
+    from tools import launched
+
+    values = launched.parameters("vision", "camera_apriltag.launch", f"panel:={board}", "serial:=0712")
     assert "/kuka/mounting" not in values, "a controller may have set it"
     assert values["/camera_calibration/panel/plate"] == plate
     assert values["/camera_calibration/store/camera"] == "0712"
@@ -53,16 +50,18 @@ def test_parameters(board, plate, bundles):
 
 @pytest.mark.ros
 def test_mounting():
-    command = ["roslaunch", "--dump-params", "vision", "camera_apriltag.launch", "mounting:=180 0 0"]
-    out = subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=True).stdout
-    assert yaml.safe_load(out)["/kuka/mounting"] == [180, 0, 0]
+    from tools import launched
+
+    values = launched.parameters("vision", "camera_apriltag.launch", "mounting:=180 0 0")
+    assert values["/kuka/mounting"] == [180, 0, 0]
 
 
 @pytest.mark.ros
 def test_nodes():
+    from tools import launched
+
     def nodes(*args):
-        command = ["roslaunch", "--nodes", "vision", "camera_apriltag.launch", *args]
-        return set(subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=True).stdout.split())
+        return launched.nodes("vision", "camera_apriltag.launch", *args)
 
     assert nodes("camera:=false") == {"/apriltag_ros_continuous_node", "/camera_place"}
     assert {"/camera/driver", "/camera/frames"} <= nodes()

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import shutil
-import signal
 import ssl
 import subprocess
 import urllib.error
@@ -16,6 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from chromium import browser
 from depth_scene import RGB, load
 
 from common.frames import RGB_OPTICAL
@@ -205,8 +203,12 @@ class TestWeb:
         return said, connection.recv(timeout=30.0) if said["picture"] else None
 
     def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(self, ros, camera, wait_until):
+        import rospy
         from websockets.sync.client import connect
 
+        from rig_msgs.msg import OperatorRow, OperatorView
+
+        view = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
         _, address = start_web(ros, wait_until)
         with urllib.request.urlopen(address, timeout=30.0) as answer:
             assert answer.headers["Content-Type"].startswith("text/html")
@@ -228,6 +230,14 @@ class TestWeb:
             assert (left + right) * RGB.P[0, 0] == pytest.approx(640.0)
             assert (up + down) * RGB.P[1, 1] == pytest.approx(480.0)
             wait_until(lambda: self.ask(connection)[0] == {"picture": False}, 30.0, "silence")
+            rows = [dict(name="Hand", text="waiting", tone="good", kind="ticks", labels=["flat"], values=[1.0])]
+
+            def told():
+                view.publish(OperatorView(rows=[OperatorRow(**row) for row in rows]))
+                return self.ask(connection)[0].get("rows")
+
+            assert wait_until(told, 30.0, "what the operator sees") == rows
+            wait_until(lambda: "rows" not in self.ask(connection)[0], 30.0, "the view's silence")
         wait_until(lambda: not camera.watched(), 30.0, "the camera's rest")
 
     def test_ctrl_c_ends_it_while_a_page_looks(self, ros, camera, processes, wait_until):
@@ -332,39 +342,3 @@ EYES = """(() => {
   return found;
 })()"""
 """What the two eyes see left and right of straight ahead."""
-
-
-@contextlib.contextmanager
-def browser(address, folder, wait_until):
-    """Opens the page in a browser without a window and yields a function that evaluates JavaScript in it."""
-    from websockets.sync.client import connect
-
-    program = subprocess.Popen(
-        ["chromium", "--headless", "--no-sandbox", "--remote-debugging-port=0", f"--user-data-dir={folder}", address],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "HOME": str(folder)},
-        start_new_session=True,
-    )  # fmt: skip
-    try:
-        active = folder / "DevToolsActivePort"
-        wait_until(lambda: active.exists() and active.read_text().strip(), 60.0, "the browser")
-        port = active.read_text().split()[0]
-
-        def page():
-            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=30.0) as answer:
-                found = [p for p in json.load(answer) if p["type"] == "page" and p["url"] == address]
-            return found and found[0]["webSocketDebuggerUrl"]
-
-        with connect(wait_until(page, 30.0, "the page"), max_size=None) as connection:
-
-            def evaluate(expression):
-                request = {"expression": expression, "returnByValue": True, "awaitPromise": True}
-                connection.send(json.dumps({"id": 1, "method": "Runtime.evaluate", "params": request}))
-                answer = json.loads(connection.recv(timeout=30.0))["result"]
-                assert "exceptionDetails" not in answer, answer
-                return answer["result"].get("value")
-
-            yield evaluate
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(program.pid, signal.SIGKILL)
-        program.wait(10.0)

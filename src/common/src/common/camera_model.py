@@ -111,7 +111,7 @@ def _matrix(values: Mapping[str, Any], key: str, shape: tuple[int, int], faults:
         matrix = read_only(np.asarray(data, dtype=float).reshape(shape))
         if np.all(np.isfinite(matrix)):
             return matrix
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pass
     faults.append(f"{key} is {entry!r}, but must have {shape[0]} x {shape[1]} finite numbers as data.")
     return None

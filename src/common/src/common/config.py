@@ -21,7 +21,7 @@ a private parameter of a node, for which there is no file.
 from __future__ import annotations
 
 import dataclasses
-import math
+import sys
 from collections.abc import Iterable, Mapping
 from typing import Any, Callable, NamedTuple, TypeVar
 
@@ -30,7 +30,13 @@ import numpy as np
 from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
+LARGEST = sys.float_info.max
 REQUIRED = object()  # stands for the value of a key that must be given
+
+
+def is_number(value: Any) -> bool:
+    """Returns whether a value is a finite number that a float can hold."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def number(unit: str = "", *, doc: str = "", absent: Any = REQUIRED, **bounds: float) -> Any:
@@ -54,7 +60,7 @@ def vector(length: int, unit: str = "", *, doc: str = "", absent: Any = REQUIRED
     limits = _Range(**bounds)
 
     def read(value: Any) -> np.ndarray:
-        if isinstance(value, str) or not hasattr(value, "__len__") or len(value) != length:
+        if not isinstance(value, (list, tuple, np.ndarray)) or len(value) != length:
             raise ValueError
         array = np.array([limits.number(item) for item in value])
         array.setflags(write=False)
@@ -90,6 +96,17 @@ def path(doc: str = "", absent: Any = REQUIRED) -> Any:
         return value
 
     return _field(_Kind(read, "an absolute path, or empty", "absolute path, or empty"), doc, absent)
+
+
+def names(doc: str = "", absent: Any = REQUIRED) -> Any:
+    """A list of strings that are not empty; becomes a tuple."""
+
+    def read(value: Any) -> tuple[str, ...]:
+        if not isinstance(value, (list, tuple)) or not all(isinstance(name, str) and name.strip() for name in value):
+            raise ValueError
+        return tuple(value)
+
+    return _field(_Kind(read, "a list of names, such as [table]", "list of names"), doc, absent)
 
 
 def choice(*options: str, doc: str = "", absent: Any = REQUIRED) -> Any:
@@ -197,7 +214,7 @@ class _Range(NamedTuple):
 
     def number(self, value: Any) -> float:
         """Returns a finite number in the range, or raises a ValueError."""
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not is_number(value):
             raise ValueError
         if (
             (self.low is not None and value < self.low)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config import flag, number, vector
+from common.config import flag, number, text, vector
 
 FINGERS = ("index", "middle", "thumb", "spread")
 """Order of the angles of the human hand and of the commands of the robot hand."""
@@ -17,6 +17,7 @@ class NodeConfig:
     """The private parameters of the node."""
 
     hand_only: bool = flag(doc="run without waiting for kuka/gripper_control", absent=True)
+    operator: str = text(doc="name of the person whose hand was measured, for the log", absent="", empty=True)
     service_timeout: float = number(
         "s", above=0.0, doc="how long to wait for the services of the hand's driver", absent=60.0
     )

@@ -6,7 +6,9 @@ on reporting that. Where no leap_kuka ever reported, the lock is made here, by t
 
 The hand opens when gripper control is off. It opens when its owner is missing, lacks a finger or has invalid numbers,
 or nobody is the owner: but only `grip_hold` after the last good frame, by default as long as the arm waits
-for its hand. Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
+for its hand, or as long as leap_kuka says so: while it keeps the tool for the next relative engagement, a held object
+must not fall. At the next engagement each finger then keeps its command until the operator's finger comes near it.
+Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 
 from common.hand_tracking import FrameWatch, HandLock
 from common.poses import read_only
-from leap_hand.config import HandConfig
+from leap_hand.config import FINGERS, HandConfig
 from leap_hand.flexion import flexion, map_angles
 from leap_motion.frames import TrackedHand, TrackingFrame
 
@@ -27,6 +29,7 @@ GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
 MAX_UNREPORTED_S = 1.5  # leap_kuka reports twice a second; after so long without it nobody is the owner
+NEAR = 0.15  # of a finger's range: so near to the kept command the operator's finger takes over
 MAX_MISSING_S = 0.2  # longest time without the owner of a lock that is made here
 
 
@@ -71,14 +74,20 @@ class HandTeleop:
         self._hand_only = hand_only
         self._arm_reports, self._reported_at = False, -math.inf
         self._owner: tuple[int, bool] | None = None
+        self._keep_grip = False
         self._gripper_on: bool | None = True if hand_only else None
         self._opened_in_silence = False
         self._state = GripperState.WAITING
         self._followed_at = -math.inf
+        self._command = self.open_pose  # that was sent last
+        self._kept = np.zeros(len(self._robot), dtype=bool)  # fingers that keep it until the operator's come near
 
-    def steered_by(self, owner: tuple[int, bool] | None, now: float) -> None:
-        """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does."""
+    def steered_by(self, owner: tuple[int, bool] | None, now: float, keep_grip: bool = False) -> None:
+        """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does; with
+        `keep_grip` the grip is kept without it.
+        """
         self._arm_reports, self._owner, self._reported_at = not self._hand_only, owner, now
+        self._keep_grip = keep_grip and self._arm_reports
 
     def switch(self, gripper_on: bool) -> GripperResult | None:
         """Sets control of the gripper; returns the open pose if this switches it off, else None."""
@@ -109,8 +118,12 @@ class HandTeleop:
         except ValueError as error:
             return self._keep(f"{hand.name} has invalid numbers: {error}", now)
         self._state, self._followed_at = GripperState.FOLLOWING, now
-        command = map_angles(angles, self._human, self._robot)
-        return GripperResult(GripperState.FOLLOWING, f"{hand.name} is followed", read_only(command))
+        wanted = map_angles(angles, self._human, self._robot)
+        self._kept &= np.abs(wanted - self._command) > NEAR * np.abs(np.diff(self._robot)[:, 0])
+        self._command = read_only(np.where(self._kept, self._command, wanted))
+        kept = ", ".join(finger for finger, keeps in zip(FINGERS, self._kept) if keeps)
+        reason = f"{hand.name} is followed" + (f"; {kept} stay until the operator's come near" if kept else "")
+        return GripperResult(GripperState.FOLLOWING, reason, self._command)
 
     def silence(self, now: float) -> GripperResult | None:
         """Returns the open pose, once, when no usable frame came for MAX_SILENCE_S, else None."""
@@ -139,16 +152,20 @@ class HandTeleop:
         return hand, ""
 
     def _keep(self, reason: str, now: float) -> GripperResult:
-        """Keeps the grip for `grip_hold` after the hand was followed, then opens the hand."""
+        """Keeps the grip for `grip_hold` after the hand was followed, or as leap_kuka says, then opens the hand."""
         if self._state not in (GripperState.FOLLOWING, GripperState.KEEPING):
             return self._open(reason)
-        if now - self._followed_at >= self._grip_hold:
+        kept = self._keep_grip and now - self._reported_at <= MAX_UNREPORTED_S
+        if not kept and now - self._followed_at >= self._grip_hold:
             self.counts.grips_opened += 1
             return self._open(reason)
+        self._kept |= kept and self._owner is None
         self.counts.grips_kept += self._state is GripperState.FOLLOWING
         self._state = GripperState.KEEPING
-        return GripperResult(GripperState.KEEPING, f"{reason}; the grip is kept for {self._grip_hold:g} s", None)
+        how_long = "while the tool stays" if kept else f"for {self._grip_hold:g} s"
+        return GripperResult(GripperState.KEEPING, f"{reason}; the grip is kept {how_long}", None)
 
     def _open(self, reason: str) -> GripperResult:
-        self._state = GripperState.OPEN
+        self._state, self._command = GripperState.OPEN, self.open_pose
+        self._kept = np.zeros_like(self._kept)
         return GripperResult(GripperState.OPEN, reason, self.open_pose)

@@ -10,6 +10,11 @@ from common.config import choice, integer, number, vector
 from common.mounting import EVEN, MountingFrame, ToolConfig, mounting_field, mounting_frame
 from leap_kuka.hand_filter import FILTERS
 
+ABSOLUTE, RELATIVE = "absolute", "relative"
+NONE, DEVICE = "none", "device"
+OPERATOR_INPUT = "operator_input"  # the parameters of operator_input_node, also under leap/
+SWITCHES = (NONE, "second_hand_fist", "second_hand_pinch", DEVICE)
+
 
 @dataclass(frozen=True)
 class LeapConfig:
@@ -36,6 +41,33 @@ class LeapConfig:
     run_tol_pitch: float = number("deg", low=0.0, below=90.0, doc="pitch is clipped to this")
     run_tol_roll: float = number("deg", low=0.0, high=90.0, doc="roll is clipped to this")
     min_confidence: float = number(low=0.0, below=1.0, doc="confidence above which a stream runs")
+    engagement: str = choice(
+        ABSOLUTE,
+        RELATIVE,
+        absent=ABSOLUTE,
+        doc="the tool goes to where the hand is, as in 2019, or starts where it is and follows the hand's changes",
+    )
+    hold_time: float = number(
+        "s", low=0.0, high=120.0, absent=0.0, doc="relative: how long the tool stays for the next hand; 0: goes home"
+    )
+    enabling: str = choice(*SWITCHES, absent=NONE, doc="what must be pressed for a hand to steer")
+    clutch: str = choice(*SWITCHES, absent=NONE, doc="relative: what keeps the tool while the hand moves freely")
+
+    def faults(self) -> list[str]:
+        """Returns what is wrong with the combination of the values."""
+        faults = []
+        if self.clutch != NONE and self.engagement != RELATIVE:
+            faults.append(f"clutch is {self.clutch}, but needs the engagement relative.")
+        elif self.clutch != NONE and not self.hold_time:
+            faults.append(f"clutch is {self.clutch}, but needs a hold_time above 0 s, in which the tool stays.")
+        if self.enabling != NONE and not (self.engagement == RELATIVE and self.hold_time):
+            faults.append(
+                f"enabling is {self.enabling}, but needs the engagement relative and a hold_time above 0 s: otherwise "
+                "the arm drives home when it is released."
+            )
+        if self.enabling.startswith("second") and self.clutch.startswith("second"):
+            faults.append("enabling and clutch cannot both be the second hand: a fist pinches, too.")
+        return faults
 
 
 @dataclass(frozen=True)

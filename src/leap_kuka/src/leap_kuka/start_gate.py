@@ -7,18 +7,27 @@ Leap's.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from common.errors import ConfigError
 from common.poses import read_only
-from leap_kuka.config import ArmPlacement, LeapConfig
+from leap_kuka.config import ABSOLUTE, ArmPlacement, LeapConfig
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.virtual_leap import attitude, heading
 
 START_SPEED_M_S = 0.3  # a faster palm passes through the box and starts no stream
+BOX, PITCH, ROLL, SLOW, CONFIDENCE = "in the box", "pitch level", "roll level", "slow", "confidence"
+CAME_IN, RELEASED, ENABLED, READY, RATE, REACH = (
+    *("came in", "clutch released", "enabled", "arm ready", "tracker fast enough", "within reach"),
+)
+CONDITIONS = (BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, READY, REACH, ENABLED, RELEASED, RATE)
+"""The conditions of a start, as the operator reads them."""
+OF_A_HAND = frozenset((BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, REACH))  # unmet without one
+
 SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
 """Position of a palm relative to the box, by axis and sign, as the user sees it: -z points away from the user."""
 
@@ -51,47 +60,68 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
 
 
 class StartGate:
-    """Decides whether the stream runs, with hysteresis: its start has more conditions than its continuation."""
+    """Decides whether the stream runs, with hysteresis: its start has more conditions than its continuation.
+
+    `unmet` has the conditions of a start that are not met, none while the stream runs.
+    """
 
     def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
         self._leap, self._box = leap, box
         self.running = False
+        self.unmet = OF_A_HAND
 
     def step(
-        self, hand: MeanHand, obstacle: str | None = None, last: Callable[[], str | None] = lambda: None
+        self,
+        hand: MeanHand,
+        obstacles: Mapping[str, str] = MappingProxyType({}),
+        last: Callable[[], tuple[str, str] | None] = lambda: None,
+        resumes: bool = False,
     ) -> list[str]:
-        """Updates `running` from the averaged hand; returns the unmet conditions, none while the stream runs.
+        """Updates `running` from the averaged hand; returns sentences about the unmet conditions, none while it runs.
 
-        An `obstacle` is one more condition for a start that is not met; `last` is asked for one when all others are.
+        `obstacles` are further conditions of a start that are not met, the first of them is named; `last` is asked for
+        one when all others are met. A hand that `resumes` need not be in the box and level.
         """
-        faults = [] if self.running else self._outside(hand) + self._tilted(hand)
-        if obstacle and not self.running:
-            faults.append(obstacle)
-        if not self.running and not hand.speed < START_SPEED_M_S:
-            too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
-            faults.append(f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s")
+        faults: dict[str, str] = {}
+        if not self.running:
+            if not resumes:
+                faults = self._outside(hand) | self._tilted(hand)
+            faults |= dict([*obstacles.items()][:1])
+            if not hand.speed < START_SPEED_M_S:
+                too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
+                faults[SLOW] = f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s"
         if not hand.confidence > self._leap.min_confidence:
-            faults.append(f"the confidence is {hand.confidence:.2f} and must be above {self._leap.min_confidence:g}")
-        if not faults and not self.running and (reason := last()):
-            faults.append(reason)
+            least = self._leap.min_confidence
+            faults[CONFIDENCE] = f"the confidence is {hand.confidence:.2f} and must be above {least:g}"
+        unmet = {*faults, *obstacles}
+        if faults and self._leap.engagement == ABSOLUTE:  # a relative stream starts where the arm is
+            unmet |= {REACH}
+        elif not faults and not self.running and (found := last()):
+            faults.update([found])
+            unmet = {*faults}
         self.running = not faults
-        return faults
+        self.unmet = frozenset() if self.running else frozenset(unmet)
+        return [*faults.values()]
 
-    def _outside(self, hand: MeanHand) -> list[str]:
+    def stop(self) -> None:
+        """Ends the stream; no hand is known."""
+        self.running, self.unmet = False, OF_A_HAND
+
+    def _outside(self, hand: MeanHand) -> dict[str, str]:
         offset = hand.palm - self._box.center
         parts = [
             f"{max(1.0, 1e3 * distance):.0f} mm {sides[int(positive)]}"
             for distance, positive, sides in zip(np.abs(offset) - self._box.size / 2.0, offset > 0.0, SIDES)
             if not distance <= 0.0  # NaN is outside
         ]
-        return [f"the palm is {' and '.join(parts)} the box"] if parts else []
+        return {BOX: f"the palm is {' and '.join(parts)} the box"} if parts else {}
 
-    def _tilted(self, hand: MeanHand) -> list[str]:
+    def _tilted(self, hand: MeanHand) -> dict[str, str]:
         R_leap_hand = hand.T_leap_hand[:3, :3]
         angles = attitude(R_leap_hand, heading(R_leap_hand[:, 0]))
-        limits = {"pitch": self._leap.start_tol_pitch, "roll": self._leap.start_tol_roll}
-        return [
-            f"the {name} is {math.degrees(getattr(angles, name)):.1f} deg and must be within {limit:g} deg"
-            for name, limit in limits.items()
+        limits = {PITCH: ("pitch", self._leap.start_tol_pitch), ROLL: ("roll", self._leap.start_tol_roll)}
+        return {
+            condition: f"the {name} is {math.degrees(getattr(angles, name)):.1f} deg and must be within {limit:g} deg"
+            for condition, (name, limit) in limits.items()
             if abs(getattr(angles, name)) >= math.radians(limit)
-        ]
+        }

@@ -7,23 +7,44 @@ base frame; metres and radians.
 
 While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py): as long as
 tracking frames come in and control of the arm is on.
+
+With relative engagement (relative.py) a stream starts where the tool is. When it stops, the tool is kept, for hold_time
+from the time on when the clutch is released and enabling pressed. After the clutch or a released enabling device the
+same hand continues where it is; after any other end, a hand must come in as at the start.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Any
 
 import numpy as np
 
-from common.hand_tracking import MAX_STEP_M, FrameWatch, HandLock
+from common.hand_tracking import LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
-from leap_kuka.config import ArmPlacement, LeapConfig
+from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand
-from leap_kuka.start_gate import StartGate, interaction_box
+from leap_kuka.operator_switches import OperatorSwitches
+from leap_kuka.relative import RelativeMotion, relative_motion, unscaled
+from leap_kuka.start_gate import (
+    BOX,
+    CAME_IN,
+    ENABLED,
+    OF_A_HAND,
+    PITCH,
+    RATE,
+    REACH,
+    READY,
+    RELEASED,
+    ROLL,
+    StartGate,
+    interaction_box,
+)
 from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
 from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, tool_rotation, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
@@ -36,9 +57,19 @@ PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
 """The controller sees a new stream after a pause of 0.2 s, and goes home after `time_out`. Another engagement waits for
 both, and for the delay on the way, so that it never continues the stream of the one before."""
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
+MAX_LAG_M = 0.03  # a tool that is farther behind the desired one is kept where it is
 
+MAX_STATUS_AGE_S = 1.5  # of the controller's, for a relative start
+AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
+HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues has fulfilled
+FOLLOWS = (AT_HOME, "pick_up", SERVO)  # modes in which it follows the desired tool, or is about to
 
 CanReach = Callable[[np.ndarray, bool], "str | None"]
+
+
+def no_measured_tool() -> np.ndarray:
+    """Raises ValueError: nobody measures the tool."""
+    raise ValueError("the measured tool is unknown")
 
 
 class StreamState(Enum):
@@ -63,6 +94,18 @@ class TeleopResult:
     hold: HoldState = HoldState.NONE  # HELD while the tool is held, TAKEN while the hand that took it over steers
     owner: tuple[int, bool] | None = None  # id of the hand that steers, and whether it is a left one
     obstacle: str | None = None  # why the tool does not follow the hand although the stream runs
+    keep_grip: bool = False  # whether the robot hand keeps its grip when it does not see the hand that steers
+    hold_left: float = 0.0  # time until the hold ends [s]
+    unmet: frozenset[str] = frozenset()  # of start_gate.CONDITIONS; none while the stream runs
+    enabled: bool = True
+    clutched: bool = False
+    source: str = ""  # what enables or clutches
+    limits: tuple[str, ...] = ()  # angles of the hand that are at their limit
+
+    @property
+    def follows(self) -> bool:
+        """Whether the tool follows the hand."""
+        return self.state is StreamState.RUNNING and self.obstacle is None
 
 
 @dataclass
@@ -77,6 +120,8 @@ class TeleopCounts:
     frames_without_owner: int = 0
     slow_frames: int = 0  # in which the tool stayed because the tracker was slow
     holds: int = 0
+    kept: int = 0  # times that the tool stayed for the next relative engagement
+    clutched: int = 0  # of them, times by the clutch
 
 
 class ArmTeleop:
@@ -85,12 +130,20 @@ class ArmTeleop:
     `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
     (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
     frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_PERIOD_S while it runs.
+    `measured_tool` returns the measured T_base_tool, shape (4, 4) [m], or raises ValueError with what is wrong with it:
+    it is asked last before a relative stream starts where no tool is held.
 
     Raises:
         ConfigError: the interaction box would reach into the Leap.
     """
 
-    def __init__(self, leap: LeapConfig, arm: ArmPlacement, can_reach: CanReach = lambda T, starts: None) -> None:
+    def __init__(
+        self,
+        leap: LeapConfig,
+        arm: ArmPlacement,
+        can_reach: CanReach = lambda T, starts: None,
+        measured_tool: Callable[[], np.ndarray] = no_measured_tool,
+    ) -> None:
         self._can_reach, self._asked, self._out_of_reach = can_reach, 0.0, ""
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
@@ -117,31 +170,52 @@ class ArmTeleop:
         self._reason = "no tracking frames come in"
         self._hold = ToolHold(self._mounting.up)
         self._hand_over: HandOver | None = None
+        self._is_relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
+        self._keeps = self._is_relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
+        self._measured_tool = measured_tool
+        self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
+        self._relative: RelativeMotion | None = None
+        self._taken = False  # whether the stream took over a tool that was held on request
+        self._mode, self._scale, self._status_at = "", 1.0, -math.inf  # of the controller
+        self._control_on = False
+        self._seen_at, self._begins = 0.0, 0  # stamp of the newest sample; frames left in which the mean knows a gap
+        self.switches = OperatorSwitches(leap)
+        self._T_base_virtual: np.ndarray
         self._turn(0.0)
 
     def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> HoldAnswer:
         """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
-        inhibit_reason = "a hand is followed" if self._gate.running else self._watch.silence(now)
+        inhibit_reason = "a hand is followed" if self._lock.owner is not None else self._watch.silence(now)
         answer = self._hold.start(T_base_tool, duration, now, inhibit_reason)
         self.counts.holds += answer.success
         return answer
 
     def end_hold(self) -> HoldAnswer:
-        """Ends the hold; a hand that took the tool over continues."""
-        held = self._hold.T_base_tool is not None
-        self._hold.end("it was ended")
+        """Ends a hold on request; a hand that took the tool over continues, and so does a tool that is kept."""
+        held = self._hold.held is not None and not self._hold.kept
+        if held:
+            self._hold.end("it was ended")
         return HoldAnswer(True, "The hold has ended." if held else "The tool is not held.")
 
-    def control(self, on: bool) -> None:
-        """Sets whether control of the arm is on; switching it off ends a hold.
+    def control(self, on: bool, mode: str = AT_HOME, scale: float = 1.0, now: float = 0.0) -> None:
+        """Sets whether control of the arm is on, the controller's mode, and its scaling factor, as it says `now` [s].
 
-        Where it is on from the beginning, this program was started anew, perhaps under the operator's hand.
+        Control off ends a hold. It ends a relative stream, too, as does an arm that no longer follows. Where control is
+        on from the beginning, this program was started anew, perhaps under the operator's hand.
         """
         if on and not self._control_known:
             self._lock.end()
-            self._lose("control of the arm was on at the start; take the hand out of the box and back in")
+            self._end(
+                "control of the arm was on at the start; take the hand out of the box and back in", now, keep=False
+            )
         self._control_known = True
+        self._control_on, self._mode, self._scale, self._status_at = on, mode, scale, now
         self._hold.control(on)
+        if self._is_relative and (self._lock.owner is not None or self._hold.kept) and not (on and mode in FOLLOWS):
+            end = (
+                f"the arm does not follow, its controller is in the mode {mode}" if on else "control of the arm is off"
+            )
+            self._end(end, now, keep=False)
 
     @property
     def frame_rate(self) -> float | None:
@@ -154,10 +228,11 @@ class ArmTeleop:
         arrival = self._watch.arrived(frame.id, frame.age, now)
         end = arrival.broken
         if end:
-            self._break(end)
+            self._end(end, now, keep=False)
         if arrival.restarted:
             self._lock.forget()
-        self._hold.expire(now)
+        if not (self._hold.kept and self.switches.stop):
+            self._hold.expire(now)
         if not arrival.usable:
             self.counts.frames_refused += 1
             return self._result(False, now)
@@ -165,14 +240,17 @@ class ArmTeleop:
         rate = self._watch.rate
         self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
         self._obstacle = self._mean = None
+        if self._lock.owner is not None and not self._gate.running and self._hold.T_base_tool is None:
+            self._end("the hold has ended", now, keep=False)
         owner = self._lock.owner
         hand = self._lock.update(frame.hands, arrival.stamp)
-        if self._gate.running and self._lock.owner is None:
+        if owner is not None and self._lock.owner is None:
             end = f"{self._name} was lost"
-            self._lose(end)
+            self._end(end, now, keep=True)
         elif self._lock.changed:
             self._average.reset()
         self.counts.id_changes += self._lock.owner not in (owner, None)
+        end = self._update_switches(frame, hand, arrival.stamp, now) or end
         if hand is not None:
             self._follow(hand, arrival.stamp, now)
         elif self._gate.running:
@@ -182,6 +260,9 @@ class ArmTeleop:
             self._reason = "no hand is seen"
         if ran and end:
             self._reason = end
+        if not self._gate.running and self._mean is None:
+            resumes = self._lock.owner is not None
+            self._gate.unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
         result = self._result(True, now)
         self._tool_at = self._tool_at if result.T_virtual_tool is None else now
         return result
@@ -191,18 +272,48 @@ class ArmTeleop:
         silence = self._watch.silence(now)
         if silence is None:
             return None
-        self._break(silence)
+        self._end(silence, now, keep=False)
+        self.switches.update([], now, now, False)
+        self._gate.unmet = OF_A_HAND | {RATE} | self._obstacles(False, now).keys()
         return self._result(False, now)
 
-    def _break(self, reason: str) -> None:
-        """Ends stream and hold."""
-        self._lose(reason)
-        self._hold.end(reason)
+    def _update_switches(self, frame: TrackingFrame, hand: TrackedHand | None, stamp: float, now: float) -> str | None:
+        """Updates enabling and clutch, which are not by the hand that steers; returns why the stream ends, or None."""
+        owner, switches = self._lock.owner, self.switches
+        number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
+        others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
+        switches.update(others, stamp, now, owner is not None or self._hold.kept)
+        if self._hold.kept and switches.stop:
+            self._hold.renew(self._hold_time, now)
+        if owner is not None and switches.lost:
+            self._end(switches.lost, now, keep=True)
+            return switches.lost
+        if not self._gate.running or not switches.stop:
+            return None
+        self.counts.clutched += switches.clutched
+        self._keep(now)
+        self._gate.stop()
+        return None
+
+    def _keep(self, now: float) -> None:
+        """Keeps the tool where the relative stream wants it, or where it is, if it is far behind."""
+        assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
+        self.counts.kept += 1
+        T_base_tool = self._T_base_virtual @ self._newest
+        if self._mode == SERVO:
+            with contextlib.suppress(ValueError):
+                T_measured = unscaled(self._measured_tool(), self._ws_center, self._scale)
+                if self._scale * np.linalg.norm((T_measured - T_base_tool)[:3, 3]) > MAX_LAG_M:
+                    T_base_tool = T_measured
+        self._hold.keep(T_base_tool, self._hold_time, now)
 
     def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
         """Adds a sample of the followed hand to the mean, and updates the gate."""
         self._name = hand.name
         left_out = self._average.add(hand, stamp)
+        if not left_out:
+            self._begins = 2 if stamp - self._seen_at > LONG_GAP_S else max(self._begins - 1, 0)
+            self._seen_at = stamp
         self._mean = mean = self._average.mean()
         if left_out:
             self.counts.samples_left_out += 1
@@ -214,43 +325,105 @@ class ArmTeleop:
         else:
             self._update_gate(hand, mean, now)
         if self._average.lost or (self._gate.running and mean is None):
-            self._lose(f"{hand.name} was lost: {left_out or 'it turns too fast'}")
+            self._end(f"{hand.name} was lost: {left_out or 'it turns too fast'}", now, keep=True)
 
     def _update_gate(self, hand: TrackedHand, mean: MeanHand, now: float) -> None:
-        ran, obstacle = self._gate.running, None
-        if not self._lock.came_in:
-            obstacle = "it was in the box already, or was found there; take it out of the box and back in"
-        elif self._hold.T_base_tool is None and now - self._tool_at <= self._pause:
-            obstacle = f"the arm still waits for the hand before, {self._pause:g} s after its last frame"
-        elif self._slow:
-            obstacle = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
-        faults = self._gate.step(mean, obstacle, lambda: self._start_out_of_reach(mean))
+        ran, resumes = self._gate.running, self._lock.owner is not None
+        obstacles = {} if ran else self._obstacles(resumes, now)
+        faults = self._gate.step(mean, obstacles, lambda: self._start_fault(mean), resumes)
         self._reason = f"{hand.name}: {'; '.join(faults)}" if faults else f"{hand.name} is followed"
         if ran and faults:
+            if self._keeps:
+                self._keep(now)
             self._lock.end()
         elif self._gate.running and not ran:
             self._lock.engage()
-            self._turn(heading(mean.T_leap_hand[:3, 0]))
-            self._attitude = SteadyAttitude(mean.T_leap_hand[:3, :3], self._heading, self._limits)
-            self._take_over(mean, now)
+            self._start(mean, now, resumes)
             self._stays, self._asked, self._out_of_reach = None, now, ""
             self.counts.streams += 1
         elif self._gate.running:
-            self._attitude.follow(mean.T_leap_hand[:3, :3])
+            waits = self._is_relative and self._mode != SERVO
+            if waits or (self._is_relative and self._begins > 0 and not self._slow and self._stays is None):
+                assert self._newest is not None, (
+                    "a stream runs from the frame on in which it brought the tool somewhere"
+                )
+                self._stays, self._start_tool = None, self._T_base_virtual @ self._newest
+                self._start_relative(mean)
+                if waits:
+                    self._reason = self._obstacle = (
+                        f"{hand.name} is followed once the arm is ready; it is in {self._mode}"
+                    )
+                return
+            R_leap_hand = mean.T_leap_hand[:3, :3]
+            self._attitude.follow(R_leap_hand if self._relative is None else self._relative.change(R_leap_hand))
             self._stay_while_slow(hand, mean, now)
+
+    def _obstacles(self, resumes: bool, now: float) -> dict[str, str]:
+        """Returns the conditions of a start, apart from the hand's own, that are not met, with a sentence each."""
+        found, held, switches = {}, self._hold.T_base_tool is not None, self.switches
+        if not self._lock.came_in and not resumes:
+            found[CAME_IN] = "it was in the box already, or was found there; take it out of the box and back in"
+        if switches.clutched or switches.lost:
+            found[RELEASED] = switches.lost or switches.stop or ""
+        if not switches.enabled:
+            found[ENABLED] = "the enabling device is not pressed"
+        if not held and now - self._tool_at <= self._pause:
+            found[READY] = f"the arm still waits for the hand before, {self._pause:g} s after its last frame"
+        elif not held and self._is_relative and self._mode != AT_HOME:
+            found[READY] = f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}"
+        elif self._is_relative and not self._control_on:
+            found[READY] = "control of the arm is off"
+        elif self._is_relative and not now - self._status_at <= MAX_STATUS_AGE_S:
+            found[READY] = "the arm's controller is silent"
+        if self._slow:
+            found[RATE] = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
+        return found
 
     @property
     def _slowness(self) -> str:
         return f"the tracker delivers only {self._watch.rate or 0.0:.0f} frames per second"
 
-    def _start_out_of_reach(self, mean: MeanHand) -> str | None:
-        """Returns why the arm cannot come to where the hand would start, or None; a held tool is there already."""
-        if self._hold.T_base_tool is not None:
+    def _start_fault(self, mean: MeanHand) -> tuple[str, str] | None:
+        """Returns the condition and the sentence of what inhibits a start that is allowed otherwise, or None: the arm
+        cannot come to where the hand would start, or it is unknown where the tool is. A held tool is there already.
+        """
+        T_base_held = self._hold.T_base_tool
+        if T_base_held is not None:
+            self._start_tool = T_base_held
+            return None
+        if self._is_relative:
+            try:
+                self._start_tool = unscaled(self._measured_tool(), self._ws_center, self._scale)
+            except ValueError as error:
+                return READY, f"where the tool is cannot be said: {error}"
             return None
         R_leap_hand, psi = mean.T_leap_hand[:3, :3], heading(mean.T_leap_hand[:3, 0])
         clipped = SteadyAttitude(R_leap_hand, psi, self._limits).clipped
         T_virtual_tool = pose(tool_rotation(clipped, psi, self._mounting.tool_reversed), mean.palm)
-        return self._can_reach(self._virtual_leap(psi) @ T_virtual_tool, True)
+        reason = self._can_reach(self._virtual_leap(psi) @ T_virtual_tool, True)
+        return (REACH, reason) if reason else None
+
+    def _start(self, mean: MeanHand, now: float, resumes: bool) -> None:
+        """Starts the stream of the hand: where the tool is held or is, if it is held or the engagement relative.
+
+        A hand that resumes keeps its directions.
+        """
+        R_leap_hand = mean.T_leap_hand[:3, :3]
+        self._turn(self._heading if resumes else heading(R_leap_hand[:, 0]))
+        self._taken = self._hold.held is not None and not self._hold.kept
+        T_base_held, self._hand_over = self._hold.take(), None
+        if self._is_relative:
+            self._start_relative(mean)
+            return
+        self._attitude = SteadyAttitude(R_leap_hand, self._heading, self._limits)
+        if T_base_held is not None:
+            self._take_over(T_base_held, mean, now)
+
+    def _start_relative(self, mean: MeanHand) -> None:
+        """Lets the tool start from `_start_tool`, and the hand from where it is."""
+        self._relative = relative_motion(self._start_tool, self._T_base_virtual[:3, :3], mean.T_leap_hand)
+        self._T_base_virtual = self._relative.T_base_virtual
+        self._attitude = SteadyAttitude(self._relative.change(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
 
     def _virtual_leap(self, psi: float) -> np.ndarray:
         return virtual_leap_pose(self._mounting, self._ws_center, float(self.box.center[1]), psi)
@@ -260,11 +433,8 @@ class ArmTeleop:
         self._heading = psi
         self._T_base_virtual = read_only(self._virtual_leap(psi))
 
-    def _take_over(self, mean: MeanHand, now: float) -> None:
-        """Starts the stream of the hand at the held tool, if the tool is held."""
-        T_base_held, self._hand_over = self._hold.take(), None
-        if T_base_held is None:
-            return
+    def _take_over(self, T_base_held: np.ndarray, mean: MeanHand, now: float) -> None:
+        """Shifts the stream of the hand such that it starts at the held tool."""
         T_virtual_tool = self._tool(mean, now)
         R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._mounting.tool_reversed)
         self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
@@ -279,18 +449,24 @@ class ArmTeleop:
         elif self._stays is not None:
             step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
             if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
-                self._lose(f"{hand.name} moved while the tracker was slow")
+                self._end(f"{hand.name} moved while the tracker was slow", now, keep=True)
 
-    def _lose(self, reason: str) -> None:
-        """Ends the stream, if it runs."""
+    def _end(self, reason: str, now: float, *, keep: bool) -> None:
+        """Ends the stream, if it runs; with `keep` its tool is kept from `now` [s] on, and a hold continues."""
+        if not keep:
+            self._hold.end(reason)
+        elif self._gate.running and self._keeps:
+            self._keep(now)
         if self._lock.owner is not None:
             self._lock.end()
         self._average.reset()
-        self._gate.running = False
+        self._gate.stop()
         self._mean, self._reason = None, reason
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
+        if self._relative is not None:
+            return pose(self._relative.rotation(self._attitude.clipped), mean.palm)
         T_virtual_tool = pose(
             tool_rotation(self._attitude.clipped, self._heading, self._mounting.tool_reversed), mean.palm
         )
@@ -301,14 +477,29 @@ class ArmTeleop:
     def _result(self, usable: bool, now: float) -> TeleopResult:
         mean = self._mean
         T_virtual_hand = None if mean is None else mean.T_leap_hand
-        hold_end = self._hold.end_reason()
+        hold_end, switches, left = self._hold.end_reason(), self.switches, self._hold.left(now)
+        more: dict[str, Any] = {"enabled": switches.enabled, "clutched": switches.clutched, "source": switches.source}
         if not self._gate.running:
-            T_held, T_virtual_tool, hold = self._hold.T_base_tool, None, HoldState.NONE
+            T_held, T_virtual_tool, hold, reason = self._hold.T_base_tool, None, HoldState.NONE, self._reason
             if T_held is not None:
-                T_virtual_tool, hold = read_only(inverse(self._T_base_virtual) @ T_held), HoldState.HELD
-            poses = (self._T_base_virtual, T_virtual_hand, T_virtual_tool)
-            return TeleopResult(StreamState.WAITING, hold_end or self._reason, usable, *poses, hold=hold)
-        hold = HoldState.NONE if self._hand_over is None else HoldState.TAKEN
+                T_virtual_tool = read_only(inverse(self._T_base_virtual) @ T_held)
+                hold = HoldState.KEPT if self._hold.kept else HoldState.HELD
+            if hold is HoldState.KEPT:
+                reason += f"; the tool stays for {math.ceil(left)} s"
+            return TeleopResult(
+                StreamState.WAITING,
+                hold_end or reason,
+                usable,
+                self._T_base_virtual,
+                T_virtual_hand,
+                T_virtual_tool,
+                hold=hold,
+                keep_grip=hold is HoldState.KEPT,
+                hold_left=left,
+                unmet=self._gate.unmet,
+                **more,
+            )
+        hold = HoldState.TAKEN if self._taken else HoldState.NONE
         if self._newest is not None and now - self._asked >= REACH_PERIOD_S:
             self._asked = now
             self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest, False) or ""
@@ -319,7 +510,10 @@ class ArmTeleop:
             T_virtual_tool = read_only(self._tool(mean, now)) if self._stays is None else self._stays
             self._newest, measured, clipped = T_virtual_tool, self._attitude.measured, self._attitude.clipped
             limited = self._attitude.limited
+            more["limits"] = tuple(limited)
             reason += f"; {' and '.join(limited)} at the limit" if limited else ""
+        elif self._keeps:  # the arm must not go home before the hold begins
+            T_virtual_tool = self._newest
         return TeleopResult(
             state=StreamState.RUNNING,
             reason=reason,
@@ -332,4 +526,6 @@ class ArmTeleop:
             hold=hold,
             owner=self._lock.owner,
             obstacle=self._obstacle,
+            keep_grip=self._keeps,
+            **more,
         )

@@ -9,7 +9,7 @@ a tool that points down, as in any stream.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -29,6 +29,7 @@ class HoldState(Enum):
     NONE = "none"
     HELD = "held"  # for a hand
     TAKEN = "taken"  # over by the hand that steers now
+    KEPT = "kept"  # where a relative engagement stopped, for the next one
 
 
 @dataclass(frozen=True)
@@ -39,27 +40,61 @@ class HoldAnswer:
     sentence: str
 
 
+@dataclass(frozen=True)
+class Held:
+    """A hold."""
+
+    T_base_tool: np.ndarray  # shape (4, 4) [m]
+    until: float  # when it ends [s]
+    kept: bool  # where an engagement stopped, not on request
+
+
 class ToolHold:
-    """The held pose `T_base_tool`, shape (4, 4) [m], or None; `up` is the vertical in the base frame, shape (3,)."""
+    """The hold `held`, or None; `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, up: np.ndarray) -> None:
         self._up = up
         self._control_on = False
-        self._until = 0.0
         self._ended: str | None = None
-        self.T_base_tool: np.ndarray | None = None
+        self.held: Held | None = None
+
+    @property
+    def T_base_tool(self) -> np.ndarray | None:
+        """The held pose, shape (4, 4) [m], or None."""
+        return None if self.held is None else self.held.T_base_tool
+
+    @property
+    def kept(self) -> bool:
+        """Whether the tool is kept where an engagement stopped."""
+        return self.held is not None and self.held.kept
 
     def start(self, T_base_tool: np.ndarray, duration: float, now: float, inhibit_reason: str | None) -> HoldAnswer:
         """Holds a pose, shape (4, 4) [m], for at most `duration` [s], unless it is invalid or inhibited."""
         fault = hold_fault(T_base_tool, duration, self._up) or inhibit_reason
-        if fault is None and self.T_base_tool is not None:
-            fault = "it is held already; end that hold first with a duration of 0"
+        if fault is None and self.held is not None:
+            fault = "it is held already" + ("" if self.kept else "; end that hold first with a duration of 0")
         if fault is None and not self._control_on:
             fault = "control of the arm is off"
         if fault:
             return HoldAnswer(False, f"The tool is not held: {fault}.")
-        self.T_base_tool, self._until, self._ended = read_only(T_base_tool), now + duration, None
+        self.held, self._ended = Held(read_only(T_base_tool), now + duration, False), None
         return HoldAnswer(True, f"The tool is held for a hand, for {duration:g} s at most.")
+
+    def keep(self, T_base_tool: np.ndarray, duration: float, now: float) -> None:
+        """Keeps the tool where an engagement stopped, shape (4, 4) [m], for at most `duration` [s], while control is
+        on.
+        """
+        if self._control_on:
+            self.held, self._ended = Held(read_only(T_base_tool), now + duration, True), None
+
+    def renew(self, duration: float, now: float) -> None:
+        """Lets the hold last `duration` [s] from `now` on."""
+        if self.held is not None:
+            self.held = replace(self.held, until=now + duration)
+
+    def left(self, now: float) -> float:
+        """Returns the time until the hold ends [s], 0 without one."""
+        return 0.0 if self.held is None else max(self.held.until - now, 0.0)
 
     def control(self, on: bool) -> None:
         """Sets whether control of the arm is on; switching it off ends the hold."""
@@ -69,17 +104,17 @@ class ToolHold:
 
     def expire(self, now: float) -> None:
         """Ends the hold when its time is over."""
-        if now >= self._until:
+        if self.held is not None and now >= self.held.until:
             self.end("no hand took it over in time")
 
     def end(self, why: str) -> None:
         """Ends the hold if there is one."""
-        if self.T_base_tool is not None:
-            self.T_base_tool, self._ended = None, f"the tool is no longer held: {why}"
+        if self.held is not None:
+            self.held, self._ended = None, f"the tool is no longer held: {why}"
 
     def take(self) -> np.ndarray | None:
         """Ends the hold because a hand takes the tool over; returns the pose, if there was one."""
-        T_base_tool, self.T_base_tool = self.T_base_tool, None
+        T_base_tool, self.held = self.T_base_tool, None
         return T_base_tool
 
     def end_reason(self) -> str | None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from common.hand_delay import Track
 from common.rotations import rotation_angle
-from leap_rig.hand_delay import Track
 
 STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages between a received frame and the wires of arm and hand, by the names of their nodes."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from leap_rig.hand_delay import hand_delay
+from common.hand_delay import hand_delay
 from leap_rig.recorder import ObjectTrack, Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
@@ -24,12 +24,18 @@ AROUND_S = 2.0
 """What the processors did so long before and after the loss of a stream can be its cause [s]."""
 NO_FRAMES = "tracking frame"
 """Part of the reasons of a stream that ended because frames were missing or late."""
+TUTORIAL = "tutorial"  # a scenario that lifts nothing
 LEAST_LIFT_MM = {"pick_cup": 195.0}
 """The scenario lifts an object by 20 cm; the simulated operator tolerates an error of 4 mm."""
+LEAST_TRAVEL_MM, MOST_ENGAGEMENT_STEP_MM = 200.0, 5.0  # of the scenarios with a clutch, whose hand reaches 80 mm
+SCENARIO_KEYS = (
+    *("scenario", "step", "failure", "smallest_mm", "held_s", "way_back"),
+    *("clutched", "travel_mm", "engagement_step_mm"),
+)
 COUNTERS = {
     "servo_goals_sent": ("kuka_control", "goals_sent"),
     "pickups": ("kuka_control", "pickups"),
-    "returns_home": ("kuka_control", "homes"),
+    "returns_home": ("kuka_control", "returns"),
     "workspace_clips": ("kuka_control", "workspace_clips"),
     "ik_failures": ("kuka_control", "ik_failures"),
     "safety_stops": ("simulation", "stops"),
@@ -65,7 +71,8 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
         "delay_ms": _delays(recorder.received, recorder.stage_times),
         "hand_to_arm_ms": _hand_to_arm(recorder),
         "objects": {name: _object(track, since) for name, track in recorder.objects.items()},
-        "scenario": recorder.scenario and {key: recorder.scenario[key] for key in ("scenario", "step", "failure")},
+        "scenario": recorder.scenario
+        and {key: value for key, value in recorder.scenario.items() if key in SCENARIO_KEYS},
         "grasps": [_grasp(values) for values in recorder.grasps.values()],
         "real_time_factor": factor,
         "processor": _processor(recorder.loads),
@@ -112,18 +119,31 @@ def _lost_streams(recorder: Recorder, began: float) -> list[str]:
     ]
 
 
+def _clutch_faults(scenario: dict[str, str]) -> list[str]:
+    """Returns what was wrong with a scenario of relative engagements."""
+    name, travel, step = scenario["scenario"], float(scenario["travel_mm"]), float(scenario["engagement_step_mm"])
+    faults = []
+    if travel < LEAST_TRAVEL_MM:
+        faults.append(f"The scenario {name} moved the tool by only {travel:.0f} mm instead of {LEAST_TRAVEL_MM:g} mm.")
+    if step > MOST_ENGAGEMENT_STEP_MM:
+        faults.append(f"The tool moved by {step:.1f} mm at an engagement of the scenario {name}.")
+    return faults
+
+
 def _faults(summary: dict) -> list[str]:
     faults = [f"A node died: {death}." for death in summary["nodes_died"]]
-    error = summary["tracking_error"]["commanded"]
+    error, scenario = summary["tracking_error"]["commanded"], summary["scenario"]
+    held_back = scenario is not None and scenario["scenario"] == "wall"  # by the collision guard, on purpose
     if not summary["servo_goals_sent"] or summary["tool_path_m"] < ARM_FOLLOWED_M:
         faults.append("The arm never followed a hand.")
-    elif error["median_mm"] is not None and error["median_mm"] > 1e3 * FOLLOWING_ERROR_M:
+    elif not held_back and error["median_mm"] is not None and error["median_mm"] > 1e3 * FOLLOWING_ERROR_M:
         faults.append(f"The arm did not follow: its median distance was {error['median_mm']:.0f} mm.")
-    scenario = summary["scenario"]
     if scenario is not None and scenario["step"] != "done":
         why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
         faults.append(f"The scenario {scenario['scenario']} was not finished: {why}.")
-    elif scenario is not None:
+    elif scenario is not None and "clutched" in scenario:
+        faults += _clutch_faults(scenario)
+    elif scenario is not None and not held_back and scenario["scenario"] != TUTORIAL:
         lifts = [seen["lifted_mm"] for seen in summary["objects"].values() if seen["picked_and_placed"]]
         name, least = scenario["scenario"], LEAST_LIFT_MM.get(scenario["scenario"], 0.0)
         if not lifts:
@@ -134,7 +154,8 @@ def _faults(summary: dict) -> list[str]:
         seen = summary["objects"].get(grasp["object"])
         if grasp["held"] and not (seen and seen["picked_and_placed"]):
             faults.append(f"The {grasp['object']} of grasp {grasp['round']} does not stand on the table again.")
-    if not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD:
+    arm_only = scenario is not None and (held_back or "clutched" in scenario)
+    if not arm_only and (not summary["hand_commands"] or max(summary["hand_travel_rad"], default=0.0) < HAND_MOVED_RAD):
         faults.append("The robot hand never moved.")
     return faults
 
@@ -267,6 +288,14 @@ def as_text(summary: dict) -> str:
     lines.append(f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)")
     if summary["scenario"] is not None:
         lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")
+        if "way_back" in summary["scenario"]:
+            lines.append(
+                "  collision guard        smallest distance {smallest_mm} mm, held for {held_s} s, way back taken: "
+                "{way_back}".format(**summary["scenario"])
+            )
+        if "clutched" in summary["scenario"]:
+            told = "clutched {clutched} times, tool travel {travel_mm} mm, largest step at an engagement "
+            lines.append(f"{'':25}{told.format(**summary['scenario'])}{summary['scenario']['engagement_step_mm']} mm")
     if summary["grasps"]:
         lines += ["", "  grasps", *(line for grasp in summary["grasps"] for line in _grasp_lines(grasp))]
     if summary["objects"]:
@@ -286,7 +315,8 @@ def as_text(summary: dict) -> str:
     lines += ["", *(f"  WARNING: {warning}" for warning in summary["warnings"])]
     lines += [f"  FAULT: {fault}" for fault in summary["faults"]]
     if not summary["faults"]:
-        lines.append("  The arm followed, the hand moved, no node died.")
+        hand = "the hand moved, " if max(summary["hand_travel_rad"], default=0.0) >= HAND_MOVED_RAD else ""
+        lines.append(f"  The arm followed, {hand}no node died.")
     return "\n".join(lines)
 
 

@@ -163,7 +163,7 @@ def test_a_tool_that_stands_still_leaves_the_joints_where_they_are(model, seed):
 
 
 @models
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(seeds)
 def test_paths_are_followed_with_small_steps_and_the_elbow_of_the_closed_form(model, seed):
     """As a hand moves the tool; the arm of the data sheet on the same way sets the measure."""

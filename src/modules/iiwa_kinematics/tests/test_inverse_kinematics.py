@@ -217,7 +217,7 @@ def smooth(rng, steps, size, count=3):
 
 
 @arms
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.integers(0, 2**32 - 1))
 @example(60161)
 def test_smooth_paths_are_followed_without_a_flip(arm, seed):

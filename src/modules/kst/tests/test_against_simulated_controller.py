@@ -76,6 +76,17 @@ def stream(client, feedback, q_from, q_to, count=25):
     return result
 
 
+def test_a_motion_whose_final_word_is_lost_ends_by_its_joints_and_the_next_one_is_paired(rig, wait_until):
+    client = rig.connect()
+    q = client.joints()
+    rig.ask("fault", name="unfinished")
+    for goal in (q + 0.05, q):
+        client.start_ptp_joints(goal, 0.5)
+        wait_until(lambda: client.joints() is not None and client.ptp_arrived(), 10.0, "the end of the motion")
+        np.testing.assert_allclose(client.joints(), goal, atol=2e-3)
+        rig.ask("fault", name="unfinished", on=False)
+
+
 def test_getters_motion_and_close(rig, wait_until):
     client = rig.connect()
     np.testing.assert_allclose(client.joints(), np.zeros(7), atol=1e-9)

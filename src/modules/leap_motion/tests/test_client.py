@@ -2,17 +2,22 @@
 
 import contextlib
 import json
+import re
+import socket
 import threading
 import time
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import serve
+from websockets.utils import accept_key
 
 from leap_motion import client as client_module
 from leap_motion.client import LeapClient, LeapLink
 
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
+POLICIES = ['{"background":true}', '{"optimizeHMD":false}', '{"focused":true}']
+"""UltraleapTrackingWebSocket takes these texts, below 32 characters, only as they are."""
 
 
 def frame(number, **fields):
@@ -37,7 +42,7 @@ class Service:
         with contextlib.suppress(ConnectionClosed):
             talk(self, connection)
 
-    def listen(self, connection, count=2):
+    def listen(self, connection, count=3):
         """Receives the client's policy messages."""
         self.heard += [connection.recv(5.0) for _ in range(count)]
 
@@ -99,8 +104,8 @@ def test_frames_arrive_with_the_stamp_of_their_receipt(start):
 
 def test_policy_messages_are_compact_and_in_order(start, wait_until):
     service, _client = start(stream())
-    wait_until(lambda: len(service.heard) == 2, 10.0, "the policy messages")
-    assert service.heard == ['{"background":true}', '{"focused":true}']
+    wait_until(lambda: len(service.heard) == 3, 10.0, "the policy messages")
+    assert service.heard == POLICIES
 
 
 def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
@@ -111,7 +116,7 @@ def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
 
     service, client = start(ends, stream(frame(2)))
     wait_until(lambda: client.next_frame(0.2) and client.counts.connections == 2, 10.0, "the second connection")
-    assert service.heard == ['{"background":true}', '{"focused":true}'] * 2
+    assert service.heard == POLICIES * 2
 
 
 @pytest.mark.parametrize(
@@ -283,3 +288,123 @@ def test_close_with_unread_messages_is_bounded(start, wait_until):
     client.close()
     assert time.monotonic() - before < 30.0
     assert client.status.link is LeapLink.CLOSED
+
+
+@pytest.mark.parametrize(
+    ("bad", "reason"), [({"timestamp": "x"}, "not a whole number"), ({"hands": [{}]}, "id is missing")]
+)
+def test_a_stream_without_a_usable_frame_is_a_state_of_the_link_and_one_usable_frame_ends_it(
+    start, wait_until, monkeypatch, bad, reason
+):
+    monkeypatch.setattr(client_module, "UNUSABLE_S", 0.05)
+    mended = threading.Event()
+
+    def talk(service, connection):
+        greet(service, connection)
+        number = 0
+        while not service.ended.wait(0.005):
+            number += 1
+            connection.send(frame(number, **({} if mended.is_set() else bad)))
+
+    _service, client = start(talk)
+    wait_until(lambda: [client.next_frame(0.01)] and client.status.link is LeapLink.UNUSABLE, 10.0, "the state")
+    assert reason in client.status.sentence
+    mended.set()
+    wait_until(lambda: client.next_frame(0.01) and client.status.link is LeapLink.STREAMING, 10.0, "a usable frame")
+
+
+@pytest.mark.parametrize(("identity", "serial"), [("LP12345678901", "LP12345678901"), (1, ""), (None, "")])
+def test_the_serial_of_the_device_is_that_of_its_event_or_unknown(start, identity, serial):
+    state = {"attached": True, "streaming": True, "id": identity, "type": "peripheral"}
+    _service, client = start(stream(json.dumps({"event": {"type": "deviceEvent", "state": state}}), frame(1)))
+    assert client.next_frame(10.0).frame.id == 1
+    assert client.status.serial == serial
+
+
+def device(serial, attached=True, streaming=True):
+    state = {"attached": attached, "streaming": streaming, "id": serial, "type": "Peripheral"}
+    return json.dumps({"event": {"type": "deviceEvent", "state": state}})
+
+
+def test_the_serial_is_that_of_the_tracker_that_sends(start, wait_until):
+    steps = [
+        ((device("LP1"),), "LP1"),
+        ((device("LP2", streaming=False),), "LP1"),  # a second one, which is not used
+        ((device("LP1", streaming=False),), "LP1"),  # paused
+        ((device("LP2", attached=False, streaming=False),), "LP1"),
+        ((device("LP1", attached=False, streaming=False),), ""),
+        ((device("LP2"),), "LP2"),
+    ]
+    go = threading.Semaphore(0)
+
+    def talk(service, connection):
+        greet(service, connection)
+        for number, (texts, _) in enumerate(steps, start=1):
+            go.acquire(timeout=20.0)
+            for text in (*texts, frame(number)):
+                connection.send(text)
+        go.acquire(timeout=20.0)
+
+    _service, client = start(talk, stream(frame(99)))
+    assert client.status.serial == ""
+    for _, serial in steps:
+        go.release()
+        assert client.next_frame(10.0) is not None
+        assert client.status.serial == serial
+    go.release()
+    wait_until(lambda: client.counts.connections == 2, 10.0, "the second connection")
+    assert client.status.serial == ""
+
+
+@pytest.mark.parametrize(
+    "torn",
+    [
+        *(b"\x81\x05ab", b"\x83\x00", b"\xff" * 40, b"\x81\x7f" + b"\x7f" * 8, b"\x81\x02\xff\xfe"),
+        *(b"\x80\x01x", b"\x88\x01\x00", bytes(range(256)) * 8),
+    ],
+)
+def test_torn_websocket_frames_end_a_connection_and_the_next_one_is_used(wait_until, monkeypatch, torn):
+    """A server that speaks by bytes: after the header it sends what is no frame, and closes."""
+    monkeypatch.setattr(client_module, "RETRY_S", 0.02)
+    listener = socket.create_server(("127.0.0.1", 0))
+    text = lambda message: b"\x81\x7e" + len(message).to_bytes(2, "big") + message.encode()  # noqa: E731
+    connections = []
+
+    def talk():
+        for last in (torn, text(frame(2))):
+            connection, _ = listener.accept()
+            connections.append(connection)
+            key = re.search(rb"Sec-WebSocket-Key: (\S+)", connection.recv(4000))[1].decode()
+            answer = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            connection.sendall(f"{answer}Sec-WebSocket-Accept: {accept_key(key)}\r\n\r\n".encode() + text(HEADER))
+            connection.sendall(last)
+            if last is torn:
+                connection.shutdown(socket.SHUT_WR)
+
+    server = threading.Thread(target=talk, daemon=True)
+    server.start()
+    client = LeapClient(port=listener.getsockname()[1])
+    try:
+        wait_until(
+            lambda: (got := client.next_frame(0.1)) and got.frame.id == 2, 10.0, "a frame of the next connection"
+        )
+        assert len(connections) == 2
+    finally:
+        client.close()
+        server.join(5.0)
+        for connection in (*connections, listener):
+            connection.close()
+
+
+def test_an_unexpected_error_ends_one_connection_only(start, monkeypatch):
+    reads = iter([RuntimeError("a defect"), "2.3.1"])
+
+    def read(_text):
+        result = next(reads)
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    monkeypatch.setattr(client_module, "read_header", read)
+    _service, client = start(stream(frame(1)))
+    assert client.next_frame(10.0).frame.id == 1

@@ -175,9 +175,23 @@ def test_a_bone_without_length_needs_no_axes():
     assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right", "left"])
+@pytest.mark.parametrize(("width", "reason"), [(0.06, "m"), (60.0, None), (25.0, "small"), (140.0, "wide")])
+def test_the_knuckles_must_be_those_of_a_person_in_millimetres_and_in_the_order_of_the_side(side, width, reason):
+    kind = "right" if side > 0.0 else "left"
+
+    def hand(order):
+        fingers = [index_finger(kind=k, mcpPosition=[48 + order * x, 200, 0]) for k, x in ((1, 0.0), (4, width))]
+        return read(frame([right_hand(type=kind)], fingers))
+
+    assert len(hand(side).hands) == (reason is None)
+    mirrored = hand(-side)
+    assert not mirrored.hands and ("mirrored" if reason is None else "not millimetres") in mirrored.left_out[0]
+
+
 def test_fingers_are_sorted_by_type_and_attached_by_hand():
-    others = [index_finger(hand=8, kind=k) for k in (4, 0, 3, 2, 1)]
-    own = [index_finger(kind=k) for k in (1, 2, 4, 3, 0)]
+    others = [index_finger(hand=8, kind=k, mcpPosition=[48 - 20 * k, 200, 0]) for k in (4, 0, 3, 2, 1)]
+    own = [index_finger(kind=k, mcpPosition=[48 + 20 * k, 200, 0]) for k in (1, 2, 4, 3, 0)]
     got = read(frame([right_hand(), right_hand(id=8, type="left")], [*others[:2], *own, *others[2:]]))
     assert [f.id for f in got.hands[0].fingers] == [70, 71, 72, 73, 74]
     assert [f.id for f in got.hands[1].fingers] == [80, 81, 82, 83, 84]
@@ -189,6 +203,21 @@ def test_tools_and_pointables_without_joints_or_hand_are_left_out():
     bare = {"id": 9, "handId": 7, "type": 3, "tipPosition": [0, 0, 0]}
     stray = index_finger(hand=99, kind=4)
     assert [f.type for f in read(frame(pointables=[tool, bare, stray, index_finger()])).hands[0].fingers] == [INDEX]
+
+
+def test_a_finger_without_a_number_gets_the_one_that_its_service_would_give_it():
+    finger = index_finger()
+    del finger["id"]
+    got = read(frame(pointables=[finger]))
+    assert (got.hands[0].fingers[0].id, got.left_out) == (71, ())
+
+
+@pytest.mark.parametrize(
+    "broken", [7, None, [], index_finger(handId=[7]), index_finger(handId="7"), {"dipPosition": 1}]
+)
+def test_a_pointable_that_is_no_finger_costs_neither_the_hand_nor_the_frame(broken):
+    got = read(frame(pointables=[broken, index_finger()]))
+    assert [finger.id for finger in got.hands[0].fingers] == [71] and len(got.left_out) == 1
 
 
 def test_of_two_hands_of_one_side_the_older_one_counts():
@@ -272,6 +301,7 @@ def test_hands_with_bad_fingers_are_left_out_with_a_reason(reason):
         ('{"event":{"type":"deviceEvent"}}', "unexpected form"),
         ('{"event":7}', "unexpected form"),
         (b"\xff\xfe", "not JSON"),
+        ('{"id": 7,"timestamp": 8,"hands": undefined,"pointables": }', "more than two hands"),
     ],
 )
 def test_bad_texts_are_refused_with_a_reason(text, reason):

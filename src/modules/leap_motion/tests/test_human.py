@@ -36,17 +36,18 @@ def wire_frame(basis, side="right"):
         "wrist": [0, 180, 60],
         "armBasis": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     }
+    x = 20 if side == "right" else -20
     fingers = [
         {
             "id": 70 + kind,
             "handId": 7,
             "type": kind,
-            "carpPosition": [kind, 0, 70],
-            "mcpPosition": [kind, 0, 0],
-            "pipPosition": [kind, 0, -40],
-            "dipPosition": [kind, 0, -60],
-            "btipPosition": [kind, 0, -80],
-            "tipPosition": [kind, 0, -75],
+            "carpPosition": [x * kind, 0, 70],
+            "mcpPosition": [x * kind, 0, 0],
+            "pipPosition": [x * kind, 0, -40],
+            "dipPosition": [x * kind, 0, -60],
+            "btipPosition": [x * kind, 0, -80],
+            "tipPosition": [x * kind, 0, -75],
             "bases": [basis] * 4,
             "length": 55,
             "width": 18,
@@ -158,7 +159,7 @@ def test_fields():
     bones = hand.finger_list[3].bone_list
     assert [bone.type for bone in bones] == [0, 1, 2, 3]
     assert_allclose([bone.length for bone in bones], [0.07, 0.04, 0.02, 0.02])
-    assert_allclose(bones[2].center, [0.003, 0, -0.05])
+    assert_allclose(bones[2].center, [0.06, 0, -0.05])
     assert_allclose([bones[3].bone_end.position.z, bones[3].width], [-0.08, 0.018])
     assert bones[3].header.frame_id == "leap_hands"
 
@@ -251,7 +252,7 @@ def test_what_is_read_from_the_bytes_is_what_the_message_says(shared_data):
     import rospy
 
     from leap_motion.msg import Gesture
-    from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms
+    from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms, ReceivedSkeletons
 
     def drop_bone(hand):
         del hand.finger_list[1].bone_list[2]
@@ -289,11 +290,18 @@ def test_what_is_read_from_the_bytes_is_what_the_message_says(shared_data):
                 oracle, message, palms = ReceivedHuman(), ReceivedHuman(), ReceivedPalms()
                 oracle._read_any(type(human)().deserialize(data))
                 assert tracked(message.deserialize(data).frame(now)) == tracked(oracle.frame(now))
+                skeletons, all_read = ReceivedSkeletons().deserialize(data), ReceivedSkeletons()
+                all_read._read_any(type(human)().deserialize(data))
+                for hand, expected in zip(skeletons.hands, all_read.hands):
+                    np.testing.assert_array_equal(hand.joints, expected.joints)
                 without = [(*hand[:-1], None) for hand in tracked(oracle.frame(now))[2]]
                 for hand, expected in zip(palms.deserialize(data).hands, without):
                     assert (hand.id, hand.palm.tolist(), hand.confidence) == (expected[0], expected[3], expected[2])
     with pytest.raises(genpy_error()):
         ReceivedHuman().deserialize(b"torn")
+    right = got.hand("right") or got.hand("left")
+    joints = ReceivedSkeletons().deserialize(serialised(plain(got))).hands[0].joints
+    np.testing.assert_array_equal(joints, [finger.joints for finger in right.fingers])
 
 
 def genpy_error():
@@ -308,3 +316,58 @@ def test_of_the_usual_message_nothing_else_is_read(shared_data, monkeypatch):
     monkeypatch.setattr(ReceivedHuman, "_read_any", None)
     for orientation in ("compatible", "correct"):
         assert len(ReceivedHuman().deserialize(packed(frame(PITCHED), orientation, 9)).hands) == 1
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("orientation", ["compatible", "correct"])
+def test_nodes_in_the_driver_s_process_get_what_a_subscriber_reads(side, orientation, monkeypatch):
+    rospy = pytest.importorskip("rospy")
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    from leap_motion.ros.human import FrameMessage
+    from leap_motion.ros.tracking import FramesHere, ReceivedHuman
+
+    frames, got = FramesHere(), []
+    for _ in range(2):
+        frames.subscribe(lambda frame, stamp: got.append((frame, stamp)), ReceivedHuman)
+    message = FrameMessage(frame(PITCHED_AND_TURNED, side), rospy.Time.now(), orientation)
+    frames.pass_on(message)
+    read = ReceivedHuman().deserialize(serialised(message))
+    assert len(got) == 2
+    for frame_here, stamp in got:
+        assert (frame_here.id, stamp) == (read.frame_id, read.stamp)
+        assert 0.0 <= frame_here.age < 30.0
+        for here, there in zip(frame_here.hands, read.hands):
+            assert (here.id, here.is_left, here.confidence) == (there.id, there.is_left, there.confidence)
+            assert_allclose(here.palm, there.palm)
+            assert_allclose(here.fingers.index_tip, there.fingers.index_tip)
+
+
+def test_a_taker_of_frames_that_fails_starves_no_other(monkeypatch):
+    rospy = pytest.importorskip("rospy")
+    from leap_motion.ros import tracking
+    from leap_motion.ros.human import FrameMessage
+
+    order, errors, now = [], [], [100.0]
+    monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+    monkeypatch.setattr(rospy, "logerr", lambda text, *words: errors.append(text % words))
+    monkeypatch.setattr(tracking.time, "monotonic", lambda: now[0])
+
+    def taker(name, fails):
+        def take(*_):
+            order.append(name)
+            if fails:
+                raise ValueError(f"the {name} is broken")
+
+        return take
+
+    frames = tracking.FramesHere()
+    frames.subscribe(taker("hand", True), tracking.ReceivedHuman)
+    frames.subscribe(taker("camera", True), tracking.ReceivedHuman)
+    frames.subscribe(taker("arm", False), tracking.ReceivedPalms, first=True)
+    message = FrameMessage(frame(PITCHED_AND_TURNED, "right"), rospy.Time.now(), "correct")
+    for _ in range(30):
+        now[0] += 0.1
+        frames.pass_on(message)
+    assert order == ["arm", "hand", "camera"] * 30
+    for name in ("hand", "camera"):
+        assert sum(error.endswith(f"ValueError: the {name} is broken") for error in errors) == 3

@@ -16,8 +16,10 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
 from common.errors import DeviceError
+from leap_motion import codec
+from leap_motion.service import wire
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.leap.server import LeapService
+from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.motion import Script
@@ -63,7 +65,7 @@ class Client:
 
 @pytest.fixture
 def service():
-    service = LeapService(Playback(ScriptedOperator(Script(speed=600.0))), "127.0.0.1", 0, 0)
+    service = SimulatedLeapService(Playback(ScriptedOperator(Script(speed=600.0))), "127.0.0.1", 0, 0)
     thread = threading.Thread(target=service.run, daemon=True)
     thread.start()
     yield service
@@ -362,6 +364,21 @@ def test_the_bones_of_a_swapped_hand_are_those_of_the_other_side(frames):
     swapped = frames.next(1)[0][0]
     assert all(np.linalg.det(basis) < -0.9 for f in swapped["pointables"] for basis in np.array(f["bases"]))
     assert np.linalg.det(swapped["hands"][0]["armBasis"]) < -0.9
+
+
+def test_a_swapped_hand_is_one_and_a_mirrored_or_scaled_one_is_refused(frames):
+    read = codec.read_message
+    text = wire.text(frames.next(1)[0][0])
+    assert [hand.side for hand in read(text).hands] == ["right"]
+    frames.faults.switch("hand_swapped")
+    assert [hand.side for hand in read(wire.text(frames.next(1)[0][0])).hands] == ["left"]
+    frames.faults.switch("hand_swapped", on=False)
+    for name, value, reason in (("mirrored", None, "axes are mirrored"), ("scaled", 0.1, "not millimetres")):
+        frames.faults.switch(name, value=value)
+        frame = read(wire.text(frames.next(1)[0][0]))
+        assert not frame.hands and reason in frame.left_out[0]
+        frames.faults.switch(name, on=False)
+    assert read(wire.text(frames.next(1)[0][0])).hands
 
 
 def test_a_second_hand_is_whole(frames):

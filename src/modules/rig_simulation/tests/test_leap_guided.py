@@ -47,7 +47,7 @@ def test_nobody_is_there_before_a_hand_is_shown(guided):
     assert guided.hand() == {"in_view": False, "moving": False}
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(
     *(st.floats(-0.3, 0.3) for _ in range(3)),
     st.floats(0.0, 1.0),
@@ -152,3 +152,16 @@ def test_the_program_sends_the_hand_where_its_control_port_says(processes, wait_
         wait_until(arrived, 10.0, "the hand where it was sent", poll=0.0)
         with pytest.raises(DeviceError):
             control.ask("reach", height=1.0)
+
+
+def test_the_second_hand_comes_beside_the_first_and_closes(guided):
+    playback = Playback(guided)
+    guided.show()
+    guided.second(curl=0.0)
+    frames = [read_message(playback.next().text).hands for _ in range(50)]
+    assert {tuple(sorted(hand.side for hand in hands)) for hands in frames} == {("left", "right")}
+    guided.second(curl=1.0)
+    grabs = [next(h.grab for h in read_message(playback.next().text).hands if h.side == "left") for _ in range(60)]
+    assert grabs[0] < 0.5 < 0.8 < grabs[-1] and max(np.diff(grabs)) < 0.2
+    with pytest.raises(ValueError):
+        guided.second(curl=2.0)

@@ -4,19 +4,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from rig_simulation.operator.hand_model import (
-    BONE_LENGTHS_MM,
-    HandModel,
-    HandPose,
-    extended,
-    fingers_for,
-    grab_strength,
-    pinch_strength,
-)
+from common.rotations import rotation_about
+from rig_simulation.devices.leap.sensing import at_rest
+from rig_simulation.operator.hand_model import BONE_LENGTHS_MM, HandModel, HandPose, fingers_for
 
 angles = st.floats(-0.9, 0.9)
+hinges = st.floats(-1.5, 1.5)
 models = st.builds(HandModel, st.sampled_from(["right", "left"]), st.floats(0.9, 1.2), st.booleans())
 
 
@@ -102,20 +98,30 @@ def test_the_tip_lies_on_the_last_bone():
 
 
 def test_strengths_between_open_hand_and_fist():
-    model = HandModel()
-    strengths = []
-    for curl in np.linspace(0.0, 1.0, 11):
-        pose = flat(curl)
-        strengths.append((grab_strength(pose.flexion), pinch_strength(model.place(pose).tips)))
+    hands = [at_rest(1, HandModel(), flat(curl), 1.0, 0.0) for curl in np.linspace(0.0, 1.0, 11)]
+    strengths = [(hand.grab, hand.pinch) for hand in hands]
     grab = [strength[0] for strength in strengths]
     assert (grab[0], grab[-1]) == (0.0, 1.0)
     assert grab == sorted(grab)
     assert strengths[0][1] == 0.0
     assert max(strength[1] for strength in strengths) > 0.8
-    assert extended(flat(0.0).flexion) == [True] * 5
-    assert extended(flat(1.0).flexion) == [False] * 5
+    assert hands[0].extended == (True,) * 5
+    assert hands[-1].extended == (False,) * 5
 
 
 def test_only_right_and_left_hands_exist():
     with pytest.raises(ValueError):
         HandModel("middle")
+
+
+@given(arrays(float, (5, 3), elements=hinges), arrays(float, 5, elements=hinges), models)
+def test_bones_turn_hinge_by_hinge(flexion, spread, model):
+    hand = model.place(HandPose(np.zeros(3), 0.1, -0.2, 0.3, flexion, spread))
+    axes = np.array(hand.arm_basis).T
+    for finger in range(5):
+        R = rotation_about(1, -spread[finger])
+        if finger == 0:
+            R = R @ rotation_about(2, np.radians(45.0))
+        for hinge in range(3):
+            R = R @ rotation_about(0, -flexion[finger, hinge])
+            assert_allclose(hand.bases[finger, hinge + 1], (axes @ R).T, atol=1e-12)

@@ -16,7 +16,7 @@ from common.errors import DeviceError
 from leap_motion.client import LeapClient, LeapLink
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.program import main, parse
-from rig_simulation.devices.leap.server import LeapService
+from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
 
@@ -31,7 +31,7 @@ def start():
 
     def start(playing=True, **options):
         playback = Playback(ScriptedOperator(Script(speed=600.0)), playing=playing)
-        service = LeapService(playback, "127.0.0.1", 0, 0, **options)
+        service = SimulatedLeapService(playback, "127.0.0.1", 0, 0, **options)
         thread = threading.Thread(target=service.run, daemon=True)
         thread.start()
         running.append((service, thread))
@@ -127,8 +127,8 @@ def test_frames_come_only_to_those_who_asked(start, wait_until):
         assert "hands" in receive(connection)
 
 
-def test_the_lenient_service_sends_to_everybody(start):
-    with client_of(start(lenient=True), policies=()) as connection:
+def test_the_server_of_todays_service_sends_to_everybody(start):
+    with client_of(start(service="gemini"), policies=()) as connection:
         assert ["version" in receive(connection), "event" in receive(connection), "hands" in receive(connection)] == [
             True
         ] * 3
@@ -208,7 +208,7 @@ def test_our_client_follows_a_restart_on_the_same_port(start, wait_until):
         service.stop()
         wait_until(lambda: client.status.link not in (LeapLink.STREAMING, LeapLink.SILENT), 20.0, "the loss")
         playback = Playback(ScriptedOperator(Script()), playing=False)
-        again = LeapService(playback, "127.0.0.1", port, 0)
+        again = SimulatedLeapService(playback, "127.0.0.1", port, 0)
         thread = threading.Thread(target=again.run, daemon=True)
         thread.start()
         wait_until(lambda: client.next_frame(0.2) and client.counts.connections == 2, 20.0, "frames again")
@@ -241,9 +241,9 @@ def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(s
 def test_a_port_in_use_and_a_foreign_address_are_refused(start):
     service = start()
     with pytest.raises(DeviceError):
-        LeapService(Playback(ScriptedOperator(Script())), "127.0.0.1", service.port, 0)
+        SimulatedLeapService(Playback(ScriptedOperator(Script())), "127.0.0.1", service.port, 0)
     with pytest.raises(DeviceError):
-        LeapService(Playback(ScriptedOperator(Script())), "0.0.0.0", 0, 0)
+        SimulatedLeapService(Playback(ScriptedOperator(Script())), "0.0.0.0", 0, 0)
 
 
 def test_the_program_says_where_it_listens_and_ends_with_an_interrupt(processes, wait_until):

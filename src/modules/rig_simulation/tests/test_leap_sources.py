@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from leap_motion.codec import read_message
-from rig_simulation.devices.leap import wire
+from leap_motion.service import wire
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import PERIOD_S, Playback, Recording, RecordingError, ScriptedOperator
 
@@ -23,9 +23,9 @@ def played(playback, count):
 
 
 @functools.lru_cache(maxsize=None)
-def visit(fields, side):
+def visit(service, side):
     """The frames of a first visit, of the time without a hand, and of the second visit's beginning."""
-    playback = Playback(ScriptedOperator(SHORT, side, fields=fields), fields=fields)
+    playback = Playback(ScriptedOperator(SHORT, side, service=service), service=service)
     texts, ids = [], []
     while ids[-1:] != [2]:
         texts.append(playback.next().text)
@@ -60,9 +60,9 @@ def write(tmp_path):
     return write
 
 
-@pytest.mark.parametrize(("fields", "side"), zip(wire.FIELD_SETS, ("right", "left")))
-def test_our_codec_reads_every_frame_of_the_person(fields, side):
-    frames = [read_message(text) for text in visit(fields, side)]
+@pytest.mark.parametrize(("service", "side"), zip(wire.SERVICES, ("right", "left")))
+def test_our_codec_reads_every_frame_of_the_person(service, side):
+    frames = [read_message(text) for text in visit(service, side)]
     assert [frame.id for frame in frames] == list(range(1, len(frames) + 1))
     assert (np.diff([frame.timestamp_us for frame in frames]) > 8000).all()
     hands = [hand for frame in frames for hand in frame.hands]
@@ -80,10 +80,10 @@ def test_our_codec_reads_every_frame_of_the_person(fields, side):
 
 def test_fields_of_the_two_sets():
     texts = {
-        fields: Playback(ScriptedOperator(SHORT, fields=fields), fields=fields).next().text
-        for fields in wire.FIELD_SETS
+        service: Playback(ScriptedOperator(SHORT, service=service), service=service).next().text
+        for service in wire.SERVICES
     }
-    old, new = json.loads(texts["2.x"]), json.loads(texts["new"])
+    old, new = json.loads(texts["2.3"]), json.loads(texts["gemini"])
     assert {"interactionBox", "gestures", "r", "s", "t"} <= set(old)
     assert set(new) == {"id", "timestamp", "currentFrameRate", "hands", "pointables", "devices"}
     assert {"sphereCenter", "stabilizedPalmPosition"} <= set(old["hands"][0])
@@ -93,7 +93,7 @@ def test_fields_of_the_two_sets():
 
 
 def test_signs_of_entry_and_exit():
-    hands = [hand for text in visit("2.x", "right") for hand in json.loads(text)["hands"] if hand["id"] == 1]
+    hands = [hand for text in visit("2.3", "right") for hand in json.loads(text)["hands"] if hand["id"] == 1]
     assert hands[0]["palmVelocity"] == [1.19209e-07] * 3
     assert hands[0]["stabilizedPalmPosition"] == hands[0]["palmPosition"]
     assert hands[0]["timeVisible"] == 0
@@ -218,14 +218,6 @@ def test_missing_and_torn_files_are_refused(tmp_path, write):
         Recording(torn)
     with pytest.raises(RecordingError):
         Recording(write(["plain"], "plain.jsonl.gz"))
-
-
-@pytest.mark.parametrize(
-    ("path", "version"),
-    [("/v6.json", 6), ("/v1.json", 1), ("/", 1), ("", 1), ("/v7.json", None), ("/v0.json", None), ("/v6.txt", None)],
-)
-def test_versions_of_paths(path, version):
-    assert wire.version_of(path) == version
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The node that shows the truth about the simulated arm."""
+"""The node simulation: what it shows of the simulated arm, and its parameters."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_flange_the_status_and_the_key(ros, controller, wait_until):
 
     poses = ros.record("simulation/flange", PoseStamped)
     status = ros.record("simulation/status", DiagnosticStatus)
-    ros.run("rig_simulation", "monitor.py", f"_port:={controller.port}")
+    ros.run("rig_simulation", "simulation_node.py", f"_arm_port:={controller.port}", "_world_port:=0")
     poses.wait(10, 30.0)
     assert poses[-1].header.frame_id == "kuka/base_frame"
     assert abs(poses[-1].pose.position.z - 1.301) < 1e-9
@@ -60,7 +60,7 @@ def test_the_stamp_tells_when_the_arm_stood_there_by_the_arms_own_clock(ros, con
     state = {**controller.ask("state"), "time": -1e6, "age": 1000.0}
     poses = ros.record("simulation/flange", PoseStamped)
     with ControlPort({"state": lambda: state}) as port:
-        ros.run("rig_simulation", "monitor.py", f"_port:={port.port}")
+        ros.run("rig_simulation", "simulation_node.py", f"_arm_port:={port.port}", "_world_port:=0")
         poses.wait(1, 30.0)
         assert abs((rospy.Time.now() - poses[-1].header.stamp).to_sec() - 1000.0) < 30.0
 
@@ -69,15 +69,18 @@ def test_without_a_controller_it_says_so_and_waits(ros, free_port):
     from diagnostic_msgs.msg import DiagnosticStatus
 
     status = ros.record("simulation/status", DiagnosticStatus)
-    node = ros.run("rig_simulation", "monitor.py", f"_port:={free_port()}")
+    node = ros.run("rig_simulation", "simulation_node.py", f"_arm_port:={free_port()}", "_world_port:=0")
     assert status.wait(2, 30.0)[0].level == DiagnosticStatus.ERROR
     assert "does not answer" in status[0].message
     assert node.poll() is None
 
 
-@pytest.mark.parametrize(("argument", "sentence"), [("_port:=0", "~port is 0"), ("_prt:=5", "~prt")])
+@pytest.mark.parametrize(
+    ("argument", "sentence"),
+    [("_leap_port:=-1", "~leap_port is -1"), ("_prt:=5", "~prt"), ("_world_rate:=-1", "~world_rate")],
+)
 def test_bad_parameters_are_one_sentence(ros, argument, sentence):
-    node = ros.run("rig_simulation", "monitor.py", argument)
+    node = ros.run("rig_simulation", "simulation_node.py", argument)
     assert node.wait(30.0) == 1
     log = node.log_path.read_text()
     assert sentence in log

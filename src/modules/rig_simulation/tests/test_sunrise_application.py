@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
+from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO, PlanWhenAsked
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.robot import Drives, Robot
 from rig_simulation.files import read_urdf
@@ -23,10 +23,10 @@ TICK_S = 0.004
 class Wire:
     """A client of an application whose time it turns itself."""
 
-    def __init__(self, wiped_window=0.0, version=VERSIONS[-1], **arm_settings):
+    def __init__(self, wiped_window=0.0, version=VERSIONS[-1], begin_plan=PlanWhenAsked, **arm_settings):
         self.arm = SimulatedArm(ROBOT, ArmSettings(**arm_settings))
         self.panel = ControllerIO()
-        self.application = Application(self.arm, self.panel, wiped_window, version=version)
+        self.application = Application(self.arm, self.panel, wiped_window, version=version, begin_plan=begin_plan)
         self.now = 0.0
         self.came = []
 
@@ -57,6 +57,12 @@ class Wire:
     def numbers(self, line):
         (text,) = self.ask(line)
         return np.array([float(x) for x in text.rstrip("_\n").split("_")])
+
+    def last_word(self, line):
+        """Sends a motion that does not move; returns its last word and how long after the first one it came [s]."""
+        assert self.ask(line) == ["done\n"], "the first word comes at once and alone"
+        accepted = self.now
+        return self.wait_for_reply(), self.now - accepted
 
     def go_home(self):
         assert self.ask("jRelVel_0.25_") == ["done\n"]
@@ -222,21 +228,114 @@ def test_a_motion_at_a_bad_speed_is_refused_after_it_was_accepted(speed):
     wire.ask("TFtrans_0_0_100_0_0_0")
     assert wire.ask(f"jRelVel_{speed}_") == ["done\n"]
     wire.ask(HOME_LINE)
-    assert wire.ask("doPTPinJS") == ["done\n", "nak\n"]
+    assert wire.last_word("doPTPinJS")[0] == "nak\n"
     assert round(wire.numbers("Eef_pos")[2], 9) == 1301.0
+
+
+REFUSED_IMPEDANCE = "startSmartImpedneceJoints_-1_0_0_0_1_1_1"
 
 
 def test_a_goal_out_of_range_is_refused_and_nothing_moves():
     wire = Wire()
     wire.ask("jp_3.2_0_0_0_0_0_0_")
-    assert wire.ask("doPTPinJS") == ["done\n", "nak\n"]
+    word, after = wire.last_word("doPTPinJS")
+    assert word == "nak\n" and 0.052 <= after < 0.06, "as the published server: 0.7 and 53 ms"
     wire.ask("jp_NaN_0_0_0_0_0_0_")
-    assert wire.ask("doPTPinJS") == ["done\n", "nak\n"]
+    assert wire.last_word("doPTPinJS")[0] == "nak\n"
     assert not wire.arm.q.any()
 
 
-def test_a_motion_to_where_the_arm_is_ends_at_once():
-    assert Wire().ask("doPTPinJS") == ["done\n", "done\n"]
+@pytest.mark.parametrize(
+    "line",
+    ["doPTPinJS", "doPTPinCSRelEEF", "doPTP!inJS", "doPTP!inJS_0_-5_5_", REFUSED_IMPEDANCE],
+)
+def test_the_words_of_a_motion_without_length_are_16_ms_apart(line):
+    """As the published server: 1.3 and 17 ms. Clients that read one word at a time hang if both come at once."""
+    wire = Wire()
+    wire.ask("jRelVel_1.0_")
+    word, after = wire.last_word(line)
+    assert word == "done\n" and 0.016 <= after < 0.024
+    assert wire.ask("Eef_pos"), "the main thread listens again"
+
+
+def test_even_the_shortest_motion_ends_16_ms_after_its_acceptance():
+    wire = Wire()
+    wire.ask("jp_1e-12_0_0_0_0_0_0_")
+    word, after = wire.last_word("doPTPinJS")
+    assert word == "done\n" and after >= 0.016 and wire.arm.q[0] == 1e-12
+
+
+class LatePlan:
+    """A plan that another thread has not finished yet."""
+
+    def __init__(self, result):
+        self.result = result
+        self.ready = False
+
+    def done(self):
+        return self.ready
+
+
+@pytest.fixture
+def late_plans():
+    plans = []
+
+    def begin(result):
+        plans.append(LatePlan(result))
+        return plans[-1]
+
+    wire = Wire(begin_plan=begin)
+    wire.ask("jRelVel_1.0_")
+    return wire, plans
+
+
+def test_while_a_motion_is_planned_the_reader_answers_and_the_main_thread_does_not(late_plans):
+    wire, plans = late_plans
+    wire.ask("cArtixanPosition_5000_0_0_0_0_0_")
+    assert wire.ask("doPTPinCS") == ["done\n"]
+    assert not plans, "the first word comes before the planning"
+    wire.wait(1.0)
+    assert wire.ask("getPin3") == ["1\n", "\n"] and wire.ask("Eef_pos") == []
+    plans[0].ready = True
+    assert wire.wait_for_reply(0.06) == "nak\n"
+    assert wire.ask("Eef_pos") and len(plans) == 1
+
+
+def test_a_new_target_does_not_change_the_motion_that_is_being_planned(late_plans):
+    wire, plans = late_plans
+    wire.ask("jp_0.1_0_0_0_0_0_0_")
+    wire.ask("doPTPinJS")
+    wire.ask("jp_0.2_0_0_0_0_0_0_", 0.0)
+    wire.wait(TICK_S)
+    plans[0].ready = True
+    assert wire.wait_for_reply() == "done\n"
+    assert wire.arm.q[0] == 0.1
+
+
+def test_an_arm_that_moved_since_its_motion_was_planned_starts_from_where_it_stands(late_plans):
+    wire, plans = late_plans
+    wire.ask("jp_0.1_0_0_0_0_0_0_")
+    wire.ask("doPTPinJS")
+    wire.wait(TICK_S)
+    wire.arm.q = np.full(7, 0.001)  # it was backed off
+    plans[0].ready = True
+    wire.wait(TICK_S)
+    assert len(plans) == 2 and not wire.arm.v.any()
+    plans[1].ready = True
+    assert wire.wait_for_reply() == "done\n" and wire.arm.q[0] == 0.1
+
+
+@pytest.mark.parametrize("ends", [lambda wire: wire.ask("end"), lambda wire: wire.application.abandon()])
+def test_a_motion_that_is_being_planned_when_its_client_goes(late_plans, ends):
+    wire, plans = late_plans
+    wire.ask("jp_0.1_0_0_0_0_0_0_")
+    wire.ask("doPTPinJS")
+    wire.wait(TICK_S)
+    ends(wire)
+    assert wire.application.in_motion == wire.application.ended, "`end` lets it finish, a lost client does not"
+    plans[0].ready = True
+    wire.wait(2.0)
+    assert wire.arm.q[0] == (0.1 if wire.application.ended else 0.0) and not wire.application.in_motion
 
 
 def test_too_few_numbers_leave_the_rest_and_more_are_ignored():
@@ -405,7 +504,8 @@ def test_impedance_servo_says_done_again_at_its_end_and_forgets_joint_1():
     wire.wait(0.5)
     assert wire.take() == ["done\n", "done\n"]
     wire.arm.set_external_torque(np.array([11.0, 0, 0, 0, 0, 0, 0]))
-    assert wire.ask("startSmartImpedneceJoints_0_0_0_0_1000_200_5_") == ["done\n", "done\n"], "the load is refused"
+    assert wire.last_word("startSmartImpedneceJoints_0_0_0_0_1000_200_5_")[0] == "done\n", "the load is refused"
+    assert wire.application.mode == "idle"
 
 
 def test_lines_along_base_and_tool_and_to_a_pose():
@@ -425,7 +525,7 @@ def test_lines_along_base_and_tool_and_to_a_pose():
     assert wire.wait_for_reply() == "done\n"
     assert_allclose(wire.numbers("Eef_pos")[:4], target[:4], atol=1e-3)
     wire.ask("cArtixanPosition_3000_0_0_0_0_0_")
-    assert wire.ask("doPTPinCS") == ["done\n", "nak\n"]
+    assert wire.last_word("doPTPinCS")[0] == "nak\n"
 
 
 def test_circle_motion():
@@ -445,8 +545,8 @@ def test_guarded_motion_breaks_at_the_torque():
     wire = Wire()
     wire.ask("jRelVel_0.1_")
     wire.ask(HOME_LINE)
-    assert wire.ask("doPTP!inJS") == ["done\n", "done\n"]
-    assert wire.ask("doPTP!inJS_7_-5_5_") == ["done\n", "nak\n"]
+    assert wire.last_word("doPTP!inJS")[0] == "done\n"
+    assert wire.last_word("doPTP!inJS_7_-5_5_")[0] == "nak\n"
     assert wire.ask("doPTP!inJS_0_-5_5_3_-5_5_") == ["done\n"]
     wire.wait(1.0)
     wire.arm.set_external_torque(np.array([0, 0, 0, 6.0, 0, 0, 0]))

@@ -17,8 +17,10 @@ import pytest
 
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.sunrise import motions
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.java_text import MAX_LINE_BYTES, JavaLineSplitter
+from rig_simulation.devices.sunrise.paths import Unreachable
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
@@ -324,4 +326,22 @@ def test_an_arm_that_lags_answers_before_it_makes_up_its_lag(monkeypatch, serve,
         client.ask("getJointsPositions")
         taken.append(len(steps) - before)
     assert sorted(taken)[5] <= 3, "the rest of the present piece, none of the 200 steps that it lags"
+    client.close()
+
+
+def test_a_line_that_takes_long_to_plan_does_not_hold_up_the_reader(monkeypatch, serve):
+    go_on = threading.Event()
+
+    def plan(*_, **__):
+        go_on.wait(10.0)
+        raise Unreachable("far away")
+
+    monkeypatch.setattr(motions, "line", plan)
+    client = Connection(serve())
+    assert client.ask("doPTPinCS") == "done\n", "the first word comes before the planning"
+    for _ in range(3):
+        assert client.ask("getJointsPositions").count("_") == 7
+    client.send("Eef_pos\n")
+    go_on.set()
+    assert client.replies.readline() == b"nak\n"
     client.close()

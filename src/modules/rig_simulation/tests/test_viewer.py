@@ -52,7 +52,8 @@ class Screen:
 
 @pytest.fixture
 def screen(processes, tmp_path, wait_until):
-    arguments = ("-screen", "0", "1280x800x24", "-fbdir", str(tmp_path), "-noreset", "-nolisten", "tcp")
+    # Small, as the processor draws it.
+    arguments = ("-screen", "0", "800x600x24", "-fbdir", str(tmp_path), "-noreset", "-nolisten", "tcp")
     server = processes.start("Xvfb", "-displayfd", "1", *arguments)
     number = wait_until(lambda: re.search(r"^(\d+)$", server.log_path.read_text(), re.M), LONG_S, "the screen")
     with open(tmp_path / "Xvfb_screen0", "rb") as file:
@@ -68,13 +69,22 @@ def world(processes, wait_until):
 
 
 @pytest.fixture
-def viewer(processes, screen, world, wait_until):
-    """The program, showing the force of the table on the cup."""
-    view = ("--view", "150", "-20", "0.6")
-    command = (sys.executable, str(SCRIPTS / "viewer.py"), "--port", str(world[1]), *view)
-    process = processes.start(*command, env={"DISPLAY": screen.display, "MUJOCO_GL": "glfw"})
-    wait_until(lambda: screen.shows(OF_OTHERS), LONG_S, "the arrow of the cup's weight")
-    return process
+def start(processes, screen, world, wait_until):
+    """Starts the program, and waits until it shows the force of the table on the cup."""
+
+    def start():
+        view = ("--view", "150", "-20", "0.6")
+        command = (sys.executable, str(SCRIPTS / "viewer.py"), "--port", str(world[1]), *view)
+        process = processes.start(*command, env={"DISPLAY": screen.display, "MUJOCO_GL": "glfw"})
+        wait_until(lambda: screen.shows(OF_OTHERS), LONG_S, "the arrow of the cup's weight")
+        return process
+
+    return start
+
+
+@pytest.fixture
+def viewer(start):
+    return start()
 
 
 def ends(process):
@@ -84,29 +94,27 @@ def ends(process):
 
 @needs_screen
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_shows_the_world_and_its_forces_until_it_is_interrupted(viewer, number):
+def test_it_shows_the_world_and_its_forces_follows_a_change_of_scene_and_ends_when_it_is_interrupted(
+    viewer, screen, world, wait_until, number
+):
+    with ControlClient("127.0.0.1", world[1], LONG_S) as control:
+        control.ask("set_scene", scene="empty")
+        wait_until(lambda: not screen.shows(OF_OTHERS), LONG_S, "the empty scene")
+        control.ask("set_scene", scene="cup")
+        wait_until(lambda: screen.shows(OF_OTHERS), LONG_S, "the cup again")
     viewer.send_signal(number)
     assert ends(viewer) == (0, "")
 
 
 @needs_screen
-def test_it_follows_a_change_of_scene_and_ends_with_the_world(viewer, screen, world, processes, wait_until):
-    process, port = world
-    with ControlClient("127.0.0.1", port, LONG_S) as control:
-        control.ask("set_scene", scene="empty")
-        wait_until(lambda: not screen.shows(OF_OTHERS), LONG_S, "the empty scene")
-        control.ask("set_scene", scene="cup")
-        wait_until(lambda: screen.shows(OF_OTHERS), LONG_S, "the cup again")
-    processes.end(process)
-    assert ends(viewer) == (0, "viewer: The world has stopped.\n")
-
-
-@needs_screen
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="the package xdotool is not installed")
-def test_it_ends_when_its_window_is_closed(viewer, screen):
+def test_it_ends_when_its_window_is_closed_and_another_one_with_the_world(viewer, start, screen, world, processes):
     quit_window = ("xdotool", "search", "--onlyvisible", "--name", "MuJoCo", "windowfocus", "--sync", "key", "ctrl+q")
     subprocess.run(quit_window, env={**os.environ, "DISPLAY": screen.display}, timeout=LONG_S, check=True)
     assert ends(viewer) == (0, "")
+    another = start()
+    processes.end(world[0])
+    assert ends(another) == (0, "viewer: The world has stopped.\n")
 
 
 def failed(display, *arguments):

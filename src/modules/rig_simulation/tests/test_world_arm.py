@@ -275,9 +275,8 @@ def test_a_cup_is_grasped_lifted_weighed_and_put_down_again(pairs):
     assert abs(down.clearance) < 1e-3, "it stands"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_an_arm_that_runs_riot_among_the_objects_always_gets_free_again(seed):
-    rng = np.random.default_rng(seed)
+def test_an_arm_that_runs_riot_among_the_objects_always_gets_free_again():
+    rng = np.random.default_rng(0)
     rig = Rig("objects")
     rig.arm.start_servo()
     upright = rig.arm.robot.flange(HOME)

@@ -1,4 +1,4 @@
-"""The node that publishes the objects of the simulated world and offers resets."""
+"""The node simulation: the objects of the simulated world, its pace, and resets."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_objects_reset_and_change_of_scene(ros, world, wait_until):
     from rig_msgs.srv import SetScene
 
     states = ros.record("simulation/object_states", ObjectStates)
-    ros.run("rig_simulation", "world_monitor.py", f"_port:={world.port}")
+    ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={world.port}")
     states.wait(3, 30.0)
     world.ask("step", count=500)
     wait_until(lambda: states[-1].objects[0].touches == ["table"], 15.0, "the cup to stand")
@@ -67,7 +67,7 @@ def test_the_pace_of_the_world_is_told(ros, world, wait_until):
         found = [s for array in arrays for s in array.status if s.name == "simulated_world" and s.values]
         return {v.key: v.value for v in found[-1].values} if found else {}
 
-    ros.run("rig_simulation", "world_monitor.py", f"_port:={world.port}")
+    ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={world.port}")
     wait_until(lambda: values().get("real_time_factor"), 30.0, "a factor")
     assert (values()["real_time_factor"], values()["speed"], values()["world_s"]) == ("0.000", "", "0.0")
     world.ask("step", count=500)
@@ -94,7 +94,7 @@ def test_a_world_that_is_behind_is_called_slow(ros, wait_until):
         return (found[-1].level, found[-1].message) if found else ()
 
     with ControlPort(state) as port:
-        ros.run("rig_simulation", "world_monitor.py", f"_port:={port.port}")
+        ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={port.port}")
         slow = "Too slow: 0.50 s of the world in a second; close other programs."
         wait_until(lambda: told() == (1, slow), 30.0, "the warning")
         speed = 1.0
@@ -106,7 +106,7 @@ def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):
     import rospy
     from std_srvs.srv import Trigger
 
-    node = ros.run("rig_simulation", "world_monitor.py", f"_port:={free_port()}")
+    node = ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={free_port()}")
     wait_until(lambda: "does not answer" in node.log_path.read_text(), 30.0, "a warning")
     reset = rospy.ServiceProxy("simulation/reset", Trigger)
     reset.wait_for_service(15.0)
@@ -114,15 +114,3 @@ def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):
     assert not answer.success
     assert "does not answer" in answer.message
     assert node.poll() is None
-
-
-@pytest.mark.parametrize(
-    ("argument", "sentence"),
-    [("_port:=0", "~port is 0"), ("_prt:=5", "~prt"), ("_rate:=-1", "~rate")],
-)
-def test_bad_parameters_are_one_sentence(ros, argument, sentence):
-    node = ros.run("rig_simulation", "world_monitor.py", argument)
-    assert node.wait(30.0) == 1
-    log = node.log_path.read_text()
-    assert sentence in log
-    assert "Traceback" not in log

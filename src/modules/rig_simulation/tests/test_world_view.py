@@ -1,4 +1,4 @@
-"""The node that shows the simulated world in RViz."""
+"""The node simulation shows the simulated world in RViz."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
 
     objects = ros.record("simulation/objects", MarkerArray)
     contacts = ros.record("simulation/contacts", MarkerArray)
-    ros.run("rig_simulation", "world_view.py", f"_port:={world_port}")
+    ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={world_port}")
     objects.wait(1, 60.0)
     table = of(objects[-1], Marker.CUBE, "table")
     assert len(table) == 1
@@ -51,21 +51,3 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
         assert label.pose.position.y > truth[1] + 0.1, "beside the cup"
         world.ask("set_scene", scene="empty")
     wait_until(lambda: not of(objects[-1], Marker.CUBE, "object/"), 30.0, "the empty scene")
-
-
-def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):
-    from visualization_msgs.msg import MarkerArray
-
-    ros.record("simulation/objects", MarkerArray)
-    node = ros.run("rig_simulation", "world_view.py", f"_port:={free_port()}")
-    wait_until(lambda: "does not answer" in node.log_path.read_text(), 30.0, "the warning")
-    assert node.poll() is None
-
-
-@pytest.mark.parametrize(("argument", "sentence"), [("_port:=0", "~port is 0"), ("_rte:=5", "~rte")])
-def test_bad_parameters_are_one_sentence(ros, argument, sentence):
-    node = ros.run("rig_simulation", "world_view.py", argument)
-    assert node.wait(30.0) == 1
-    log = node.log_path.read_text()
-    assert sentence in log
-    assert "Traceback" not in log

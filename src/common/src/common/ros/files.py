@@ -1,11 +1,48 @@
-"""Files that are written completely or not at all."""
+"""Files that are written completely or not at all, and yaml files that people edit."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import tempfile
 from pathlib import Path
+from typing import Any
+
+import yaml
+
+from common.errors import ConfigError, RigError
+
+FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*", re.ASCII)
+
+
+def user_file(kind: str, name: str) -> Path:
+    """Returns the path of NAME.yaml in ~/.config/leap_rig/KINDs; raises RigError if the name is not one of a file."""
+    if not FILE_NAME.fullmatch(name):
+        allowed = "must be letters, digits, - and _, and begin with a letter or digit"
+        raise RigError(f"The {kind}'s name is {name!r}, but {allowed}.")
+    return Path.home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
+
+
+class _Loader(yaml.SafeLoader):
+    """A key that stands twice is an error: what is under the first would be lost."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        keys = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+        twice = next((key for i, key in enumerate(keys) if key in keys[:i]), None)
+        if twice is not None:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """Returns what a yaml file holds; raises ConfigError if it cannot be read, or is not yaml."""
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+    except OSError as error:
+        raise ConfigError([f"{path} cannot be read: {error.strerror}."]) from error
+    except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45
+        raise ConfigError([f"{path} is not yaml: {' '.join(str(error).split())}."]) from error
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

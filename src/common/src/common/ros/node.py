@@ -10,18 +10,22 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import rospy
 
-from common.errors import ConfigError, RigError
+from common.errors import ConfigError, DeviceError, RigError
+from common.ros import master
 
 CLOCK_S = 10.0
+INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
+REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
 
 
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """Starts the node `name`, runs `main` and exits the process: with 0 when main returns or ROS shuts down, with 1
-    after a RigError, whose sentence goes to the log and to stderr.
+    after a RigError, whose sentence goes to the log and to stderr, and when the ROS master was started anew.
     Any other exception is a defect of the program and keeps its traceback.
 
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
@@ -32,7 +36,10 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     except rospy.exceptions.ROSInitException:
         sys.exit(1)  # interrupted before it began
     _shut_down_beside_the_main_thread(disposable)
-    code = _code_of(main)
+    logging.getLogger("rosout").addFilter(RepeatedExceptions())
+    _log_as_far_as_possible()
+    master.watch.start()
+    code = _code_of(main) or int(master.watch.fault is not None)
     if disposable:
         rospy.signal_shutdown("main has ended")
         for thread in threading.enumerate():  # one of them may shut ROS down
@@ -43,6 +50,69 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
         sys.exit(code)
 
 
+def run_program(
+    name: str, main: Callable[[], int | None], interrupted: str, errors: tuple[type[Exception], ...] = (RigError,)
+) -> None:
+    """Runs `main` of a program that a person starts, and exits the process.
+
+    The exit code is that of `main`, 0 for None; 1 after one of the `errors`, whose sentences go to stderr; 130 after
+    Ctrl-C or SIGTERM, which print `interrupted`.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.stdout.reconfigure(line_buffering=True)
+    try:
+        code = main() or 0
+    except errors as error:
+        for sentence in _sentences(error):
+            print(f"{name}: {sentence}", file=sys.stderr)
+        code = 1
+    except KeyboardInterrupt:
+        print(f"\n{interrupted}")
+        code = INTERRUPTED
+    rospy.signal_shutdown("the program exits")
+    sys.exit(code)
+
+
+class RepeatedExceptions(logging.Filter):
+    """Passes an exception of a callback once in REPEAT_S; rospy logs its traceback with each message that raises it."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._logged: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Returns whether the record is to be logged."""
+        text = str(record.msg)
+        if not text.startswith("bad callback: "):
+            return True
+        now, reason = self._clock(), text.splitlines()[-1]
+        if now - self._logged.get(reason, -REPEAT_S) < REPEAT_S:
+            return False
+        self._logged[reason] = now
+        return True
+
+
+def _log_as_far_as_possible() -> None:
+    """Lets no log end what logs: on a full disk, or where the reader is gone, rospy's handlers raise an OSError."""
+    logging.raiseExceptions = False  # else logging reports the error to the same full disk
+    for name in (None, "rosout"):
+        for handler in logging.getLogger(name).handlers:
+            handler.emit = _without_os_errors(handler.emit)  # type: ignore[method-assign]
+
+
+def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[logging.LogRecord], None]:
+    def guarded(record: logging.LogRecord) -> None:
+        with contextlib.suppress(OSError):
+            emit(record)
+
+    return guarded
+
+
+def _sentences(error: Exception) -> list[str]:
+    return error.faults if isinstance(error, ConfigError) else [str(error)]
+
+
 def _code_of(main: Callable[[], None]) -> int:
     try:
         _wait_for_clock()
@@ -51,7 +121,7 @@ def _code_of(main: Callable[[], None]) -> int:
         if not rospy.core.is_shutdown_requested():  # then the topics close while main runs
             raise
     except RigError as error:
-        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
+        for sentence in _sentences(error):
             rospy.logfatal("%s: %s", rospy.get_name(), sentence)
         rospy.signal_shutdown("fault")
         return 1
@@ -100,6 +170,30 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handle)
+
+
+def run_together(*jobs: Callable[[], None]) -> None:
+    """Runs each job in a thread of its own until all have returned; if one raises, the reason goes to the log, ROS
+    shuts down, which ends the others, and the exception is raised here.
+    """
+    with ThreadPoolExecutor(len(jobs)) as threads:
+        try:
+            for job in as_completed([threads.submit(job) for job in jobs]):
+                job.result()
+        except Exception as error:
+            if not rospy.core.is_shutdown_requested():
+                rospy.logfatal("A part of this node has failed, so all end: %s: %s", type(error).__name__, error)
+            raise
+        finally:
+            rospy.signal_shutdown("a job of the node has ended")
+
+
+def dispensable(job: Callable[[], None]) -> None:
+    """Runs a job of `run_together` that the others can do without: a DeviceError goes to the log and ends only it."""
+    try:
+        job()
+    except DeviceError as error:
+        rospy.logfatal("%s: %s The other parts of this node continue.", rospy.get_name(), error)
 
 
 @contextlib.contextmanager

@@ -96,7 +96,7 @@ def _about(codes: torch.Tensor | None) -> dict[str, Any]:
         return {}
     try:
         found = json.loads(bytes(int(code) for code in codes.tolist()))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
 

@@ -133,7 +133,7 @@ def _keras_state(data: bytes) -> dict[str, torch.Tensor]:
                 kernel = np.ascontiguousarray(arrays["kernel:0"].transpose(3, 2, 0, 1))
                 state[f"{ours}.weight"] = torch.from_numpy(kernel)
                 state[f"{ours}.bias"] = torch.from_numpy(arrays["bias:0"])
-    except (KeyError, ValueError, OSError) as error:
+    except Exception as error:  # of a damaged file, HDF5 raises KeyError, OSError, RuntimeError, ...
         raise WeightsError(f"The Keras file does not hold GG-CNN's layers: {error}.") from error
     return state
 

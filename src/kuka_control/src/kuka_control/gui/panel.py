@@ -1,4 +1,5 @@
-"""The control panel as a Qt widget: KUKA on the left, gripper and application on the right, two sentences below.
+"""The control panel as a Qt widget: KUKA on the left, gripper and application on the right, two sentences below, and
+under them what the operator needs to see.
 
 It holds no state: `show_state` sets what the widgets show, and signals carry the operator's requests.
 """
@@ -15,6 +16,7 @@ from python_qt_binding.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QPushButton,
+    QScrollArea,
     QShortcut,
     QSizePolicy,
     QSlider,
@@ -22,6 +24,8 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
+from common.operator_rows import SILENT, Row
+from kuka_control.gui.panel_rows import OperatorRows
 from kuka_control.gui.panel_state import PanelState, Tone
 from kuka_control.model.switches import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
@@ -65,6 +69,8 @@ ControlPanel QSlider::sub-page:horizontal:disabled {{ background-color: #b4bec8;
 ControlPanel QSlider::handle:horizontal:disabled {{ border-color: #b4bec8; background-color: #f1f3f5; }}
 ControlPanel QLabel:disabled {{ color: #9aa5b1; }}
 ControlPanel QLabel#end {{ color: #7b8794; font-size: 9pt; }}
+ControlPanel QScrollArea {{ background-color: #ffffff; border: none; }}
+ControlPanel OperatorRows {{ background-color: #ffffff; font-size: 10pt; }}
 ControlPanel QLabel[tone] {{
   padding: 6px 10px; background-color: #ffffff; border: 1px solid #cbd2d9; border-radius: 6px;
 }}
@@ -76,6 +82,7 @@ ControlPanel QLabel[tone="fault"] {{ background-color: #fde3e3; border-color: #d
 
 FRAME_PX = 18  # height of frame and padding above and below the text
 UNBOUNDED_PX = 10_000
+OPERATOR_PX = 40  # height of the operator's view in the smallest panel; it scrolls
 STEPS_PER_UNIT = 10  # the slider moves in tenths
 EXIT_TIP = "The arm goes to the zero position, then the controller exits."
 LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
@@ -186,6 +193,7 @@ class ControlPanel(QWidget):
         self.emergency.setToolTip(EMERGENCY_TIP)
         self.status = Sentence(lines=3)
         self.answer = Sentence(lines=3)
+        self.operator = OperatorRows()
         self._arrange()
         self._connect()
         self.emergency.setFocus()
@@ -210,6 +218,10 @@ class ControlPanel(QWidget):
         """Shows the answer to the operator's last request."""
         self.answer.show_text(text, tone)
 
+    def show_rows(self, rows: tuple[Row, ...] = SILENT) -> None:
+        """Shows the rows of the operator's view; whatever they are, the rest of the panel stays where it is."""
+        self.operator.show_rows(tuple(row for row in rows if row.name != "Arm"))  # which `status` says
+
     def _arrange(self) -> None:
         scale_ends = QHBoxLayout()
         scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
@@ -223,6 +235,14 @@ class ControlPanel(QWidget):
         grid.addWidget(_group("Application", self.exit, self.emergency), 1, 1)
         grid.addWidget(self.status, 2, 0, 1, 2)
         grid.addWidget(self.answer, 3, 0, 1, 2)
+        view = QScrollArea()
+        view.setWidgetResizable(True)
+        view.setFocusPolicy(Qt.NoFocus)
+        view.setMinimumHeight(OPERATOR_PX)
+        view.setWidget(self.operator)
+        self.show_rows()
+        grid.addWidget(_group("Operator", view), 4, 0, 1, 2)
+        grid.setRowStretch(4, 1)
         for column in (0, 1):
             grid.setColumnStretch(column, 1)
             grid.setColumnMinimumWidth(column, 240)

@@ -20,7 +20,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.limits.speed_change import GuardedRoom, JointState, ShapeLimits, SpeedChange, StoppingGuard
+from kuka_control.limits.speed_change import (
+    COLLISION_GUARD,
+    GuardedRoom,
+    JointState,
+    ShapeLimits,
+    SpeedChange,
+    StoppingGuard,
+    approach_speed,
+)
 
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
 LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
@@ -53,7 +61,7 @@ class LimitedGoal:
     v: np.ndarray
     limited_by: str | None
     """What holds the goal back: "joint speed", "tool speed", "frame rate", "joint acceleration", "joint limit", "lag of
-    the arm", "workspace" or "gap between goals"; None if it moves with the desired velocity."""
+    the arm", "workspace", "collision guard" or "gap between goals"; None if it moves with the desired velocity."""
 
 
 class MotionLimits:
@@ -136,6 +144,10 @@ class MotionLimits:
         within, slowed = self._in_ranges(allowed)
         if slowed:
             limited_by = limited_by or "joint limit"
+        if self._room.collisions is not None:
+            within, slowed = self._room.collisions.slowed(q, within)
+            if slowed:
+                limited_by = COLLISION_GUARD
         now, held = self._guard.step(self._now, within, dt)
         late = "joint acceleration" if now.duration > LATE_S else None
         return self._moved(now, gap or held or limited_by or held_by or late)
@@ -159,9 +171,8 @@ class MotionLimits:
         """Returns the velocity from which each joint can brake within its range, and whether one is slowed down."""
         within, slowed = [], False
         for rate, angle, (lower, upper, braking) in zip(velocity, self._now.q, self._ranges):
-            room = max(upper - angle if rate > 0.0 else angle - lower, 0.0)
-            linear = braking / GAIN_PER_S**2
-            most = GAIN_PER_S * room if room <= linear else math.sqrt(2.0 * braking * (room - 0.5 * linear))
+            room = upper - angle if rate > 0.0 else angle - lower
+            most = approach_speed(room, braking, GAIN_PER_S)
             if abs(rate) > most:
                 slowed = slowed or abs(rate) - most > AT_REST_RAD_S
                 rate = math.copysign(most, rate)
@@ -172,11 +183,9 @@ class MotionLimits:
         """Returns the desired velocity, and "joint acceleration" if braking before the target limits it."""
         # In units of what each joint brakes with, distances are squares of times.
         far = max([abs(e) / braking for e, braking in zip(error, self._braking)])
-        linear = 1.0 / GAIN_PER_S**2
-        if far <= linear:
-            return [v + GAIN_PER_S * e for v, e in zip(speed, error)], None
-        gain = math.sqrt(2.0 * far - linear) / far
-        return [v + gain * e for v, e in zip(speed, error)], "joint acceleration"
+        braking = far * GAIN_PER_S**2 > 1.0
+        gain = approach_speed(far, 1.0, GAIN_PER_S) / far if braking else GAIN_PER_S
+        return [v + gain * e for v, e in zip(speed, error)], "joint acceleration" if braking else None
 
     def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""

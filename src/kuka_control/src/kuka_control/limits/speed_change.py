@@ -1,19 +1,25 @@
 """Changes of the joint velocities within limits of acceleration and jerk, by Ruckig; and the guard of what comes after.
 
 The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the workspace
-and below its speed limit on the way. That stop is always the next step that is left, so the limits hold by induction.
+and below its speed limit on the way, and no bodies nearer to each other than their margin. That stop is always the next
+step that is left, so the limits hold by induction.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
+from common.errors import RigError
 from kuka_control.model.workspace import Workspace
+
+if TYPE_CHECKING:  # without a collision guard its library is not loaded
+    from kuka_control.limits.collision import CollisionGuard
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
 STOPPING = (0.0, 0.1, 0.3, 0.6, 1.0)  # fractions of the stopping time at which the position of the tool is checked
@@ -29,6 +35,11 @@ HALVINGS = 5  # bisections of the fraction of the desired velocity that can be k
 SWEEPS = 5  # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
 DAMPING = 0.05  # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses
 LEAST = 1e-6  # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
+COLLISION_GUARD = "collision guard"  # what held a velocity back
+
+
+class GuardError(RigError):
+    """The collision guard cannot say what the arm may do; the arm has to stop."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +63,17 @@ class JointState:
     def rest(cls, q: list[float]) -> JointState:
         """Returns the state at rest at joints q."""
         return cls(q, [0.0] * 7, [0.0] * 7)
+
+
+def approach_speed(distance: float, deceleration: float, gain: float) -> float:
+    """Returns the greatest speed at a distance from a bound, so that the deceleration ends there.
+
+    The last part is exponential, with `gain` [1/s], so that the deceleration does not end at once. Any unit of length.
+    """
+    linear = deceleration / gain**2
+    if distance <= linear:
+        return gain * max(distance, 0.0)
+    return math.sqrt(2.0 * deceleration * (distance - 0.5 * linear))
 
 
 class SpeedChange:
@@ -123,17 +145,23 @@ class GuardedRoom:
     """Of 7 joints [rad]: the tool point, x, y, z [m], and its distances from the 7 joint axes [m]."""
     tool_jacobian: Callable[[np.ndarray], np.ndarray] | None = None  # of the tool point, shape (6, 7), at joints (7,)
     workspace: Workspace | None = None  # of the tool point; with a Jacobian
+    collisions: CollisionGuard | None = None  # the bodies that keep a distance
 
 
 @dataclass(frozen=True)
 class _Stop:
-    """What the stop from a state leads to: the tool's greatest speed [m/s] and distance outside the workspace [m]."""
+    """What the stop from a state leads to: the tool's greatest speed [m/s] and distance outside the workspace [m], and
+    how far which pairs of bodies come within their margin [m]."""
 
     speed: float
     outside: float
+    depths: dict[int, float] = field(default_factory=dict)
 
     def within(self, other: _Stop) -> bool:
-        return self.speed <= other.speed and self.outside <= other.outside
+        return self.speed <= other.speed and self.outside <= other.outside and self.apart(other)
+
+    def apart(self, other: _Stop) -> bool:
+        return all(depth <= other.depths.get(pair, 0.0) for pair, depth in self.depths.items())
 
 
 class StoppingGuard:
@@ -142,7 +170,8 @@ class StoppingGuard:
     A step that keeps them is not changed. Otherwise the guard changes the desired velocity as little as possible. A
     joint that could not stop within its range brakes by itself. At a bound of the workspace the guard removes the part
     that carries the tool out, by a motion that changes neither the other directions nor the orientation of the tool, so
-    that the tool slides along the bound. If that is not enough, or the tool gets too fast, it scales the rest down.
+    that the tool slides along the bound. If that is not enough, the tool gets too fast, or bodies would come nearer
+    than their margin, it scales the rest down.
 
     Args:
         change: of the velocities.
@@ -168,17 +197,20 @@ class StoppingGuard:
     def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, str | None]:
         """Returns the state after dt [s], and what held the desired velocities, 7 [rad/s], back."""
         free = self._change.step(now, desired, dt)
+        beyond: list[int] = []
         if self._far_from_bounds(free):
-            return free, None
-        stop, beyond = self._stop(free)
-        if not beyond and stop.within(self._allowed):
-            return free, None
+            if not self._depths(free):
+                return free, None
+        else:
+            stop, beyond = self._stop(free)
+            if not beyond and stop.within(self._allowed):
+                return free, None
         braking = self._change.stop(now, dt)
         held = "joint limit" if beyond else None
         best, stop = self._ranged(free, braking)
         # An arm that can no longer stop within bounds may take any step that is no worse than a full stop.
         least, _ = self._stop(braking)
-        bound = _Stop(max(self._allowed.speed, least.speed), max(self._allowed.outside, least.outside))
+        bound = _Stop(max(self._allowed.speed, least.speed), max(self._allowed.outside, least.outside), least.depths)
         if stop.within(bound):
             return best, held
         kept, given_up, best = [0.0] * 7, desired, braking
@@ -190,6 +222,8 @@ class StoppingGuard:
                 kept, best = along, state
             else:
                 given_up = along
+        elif not stop.apart(bound):
+            held = COLLISION_GUARD
         for _ in range(HALVINGS):
             middle = [0.5 * (a + b) for a, b in zip(kept, given_up)]
             state, stop = self._ranged(self._change.step(now, middle, dt), braking)
@@ -222,7 +256,9 @@ class StoppingGuard:
         return left if pace <= allowed else allowed / pace * left
 
     def _far_from_bounds(self, state: JointState) -> bool:
-        """Returns True only if the stop from a state keeps all bounds, by estimates that cost less than the stop.
+        """Returns True only if the stop from a state keeps all bounds but those of the collision guard, by estimates.
+
+        They cost less than the stop.
 
         On the way the tool is no further from a joint's axis than now, plus the path length on which the joints after
         it carry the tool.
@@ -241,6 +277,20 @@ class StoppingGuard:
         if not speed <= QUICK * room.tool_speed:
             return False
         return room.workspace is None or path <= min(room.workspace.rooms(position))
+
+    def _depths(self, state: JointState) -> dict[int, float]:
+        """Returns how far which pairs of bodies come within their margin on the way to the stop from a state [m]."""
+        depths: dict[int, float] = {}
+        collisions = self._room.collisions
+        if collisions is None:
+            return depths
+        near = collisions.near(state.q, self._change.stopping_bounds(state)[1])
+        if near:
+            path = self._change.stopping(state)
+            for fraction in STOPPING:
+                for pair, depth in collisions.depths(path.at_time(fraction * path.duration)[0], near).items():
+                    depths[pair] = max(depths.get(pair, 0.0), depth)
+        return depths
 
     def _ranged(self, state: JointState, braking: JointState) -> tuple[JointState, _Stop]:
         """Returns the state with the joints that could not stop in their ranges braking instead, and its stop."""
@@ -262,7 +312,7 @@ class StoppingGuard:
             for i, (end, (lower, upper)) in enumerate(zip(ends, self._ranges))
             if (end > upper + SLACK_RAD and state.v[i] > 0.0) or (end < lower - SLACK_RAD and state.v[i] < 0.0)
         ]
-        positions = []
+        positions: list[Sequence[float]] = []
         speed = 0.0
         for i, fraction in enumerate(STOPPING):
             q, v, _ = path.at_time(fraction * path.duration)
@@ -273,9 +323,10 @@ class StoppingGuard:
             for fraction in MORE:
                 q, v, _ = path.at_time(fraction * path.duration)
                 speed = max(speed, self._speed(q, v, room.tool_point(q)[0]))
+        depths = self._depths(state)
         if room.workspace is None:
-            return _Stop(speed, -math.inf), beyond
-        return _Stop(speed, -min(min(room.workspace.rooms(position)) for position in positions)), beyond
+            return _Stop(speed, -math.inf, depths), beyond
+        return _Stop(speed, -min(min(room.workspace.rooms(position)) for position in positions), depths), beyond
 
     def _speed(self, q: list[float], v: list[float], position: Sequence[float]) -> float:
         """Returns the speed of the tool [m/s] at a position [m], the one at joints q [rad], for joint speeds v."""

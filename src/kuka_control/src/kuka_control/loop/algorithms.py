@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kuka_control.limits.motion_limits import MotionLimits, Unlimited
-from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
+from kuka_control.limits.line_plan import LineLimits
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.speed_change import GuardedRoom, GuardError, ShapeLimits
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
-from kuka_control.loop.goal_stream import TOLERANCE_RAD, GoalStream, GoalStreamSettings
+from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
+from kuka_control.loop.line_stream import LineStream
+from kuka_control.loop.moves import MovePlanner, ProgramMotion
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
 from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trigger
-from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig
 from kuka_control.model.rig import Rig
 from kuka_control.model.target import TargetChain
+
+if TYPE_CHECKING:
+    from kuka_control.limits.collision import CollisionGuard
 
 RETURNS = (
     Trigger.CONTROL_OFF,
@@ -59,6 +67,8 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                 State.BRAKING: self._braking,
                 State.SERVO_LEFT: self._at_rest,
                 State.RETURN_PENDING: self._return_pending,
+                State.LINE: self._line,
+                State.LINE_BRAKING: self._braking,
                 State.RELEASING: lambda _: Fired(Trigger.SERVO_ENDED),
             }
         )
@@ -102,13 +112,14 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def _follow(self, distance: float) -> Outcome:
         if distance <= TOLERANCE_RAD:
             return Fired(Trigger.NEAR_TARGET)
-        self.counts["pickups"] += 1
         return Fired(Trigger.FAR_TARGET)
 
     def _servo(self, cycle: Cycle) -> Outcome:
         leaves = self._leaves(cycle)
         if leaves is not None:
             return leaves
+        if self._stream.number == self._barred:
+            return Fired(Trigger.CONFLICT, self._barred_because)
         joints = cycle.observation.joints
         if self._active.data is None:
             lts = self._law is not None and self._law.lts
@@ -129,7 +140,45 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                     self.counts[COUNTED_AS[too_far]] += 1
                 return Fired(too_far)
             stamp = None if q is None else cycle.fresh.stamp
-        goal = goals.goal(joints, cycle.now)
+        try:
+            return self._sent(goals.goal(joints, cycle.now), stamp)
+        except GuardError as error:
+            return Fired(Trigger.GUARD_FAILED, str(error))
+
+    def _line(self, cycle: Cycle) -> Outcome:
+        switched = self._switched(cycle)
+        if switched is not None:
+            return switched
+        if self._cancelled:
+            return Fired(Trigger.CANCELLED)
+        joints = cycle.observation.joints
+        if self._active.data is None:
+            assert self._move is not None and self._move.line is not None, "a line was asked for"
+            lts = self._law is not None and self._law.lts
+            stream = LineStream(self._settings.goals, self._limits, lts, joints, cycle.now, self._move.line)
+            self._active = replace(self._active, data=stream)
+        goals: LineStream = self._active.data
+        lag = goals.lag(joints, cycle.now)
+        if lag is not None:
+            return Fired(Trigger.LAG, lag)
+        if goals.arrived and float(np.max(np.abs(joints - goals.q_goal))) <= SETTLED_RAD:
+            return Fired(Trigger.ARRIVED)
+        blocked = goals.blocked(cycle.now)
+        if blocked is not None:
+            return Fired(Trigger.NO_PROGRESS, blocked)
+        try:
+            return self._sent(goals.goal(joints, cycle.now))
+        except GuardError as error:
+            return Fired(Trigger.GUARD_FAILED, str(error))
+
+    def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
+        """As for all motions; that of a line counts in the way of the tool."""
+        if move.line is None:
+            return super()._progress_at(move, joints)
+        fraction = self._active.data.fraction if isinstance(self._active.data, LineStream) else 0.0
+        return fraction, (1.0 - fraction) * move.line.length
+
+    def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
         if goal.limited_by is not None:
             self.counts["limited_goals"] += 1
             self._limited_by = (goal.limited_by,)
@@ -137,10 +186,17 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         return Servo(goal.q, stamp)
 
     def _braking(self, cycle: Cycle) -> Outcome:
-        goals: GoalStream | None = self._active.data
+        goals: ServoStream | None = self._active.data
+        if goals is not None and self._active.state is State.LINE_BRAKING:
+            lag = goals.lag(cycle.observation.joints, cycle.now)
+            if lag is not None:
+                return Fired(Trigger.LAG, lag)
         goal = None if goals is None else goals.brake(cycle.observation.joints, cycle.now)
         if goal is None:
-            return Fired(Trigger.AT_REST_TO_RETURN if self._active.trigger in RETURNS else Trigger.AT_REST)
+            if self._active.trigger in (Trigger.GUARD_FAILED, Trigger.CONFLICT):
+                return Fired(Trigger.AT_REST_TO_STOP)
+            returns = self._active.state is State.BRAKING and self._active.trigger in RETURNS
+            return Fired(Trigger.AT_REST_TO_RETURN if returns else Trigger.AT_REST)
         self.counts["goals_sent"] += 1
         return Servo(goal.q)
 
@@ -171,36 +227,80 @@ TOOL_MARGIN = 0.97  # the guard checks the speed of the tool at some points only
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     """Returns the real-time control loop."""
+    lower, upper = _ranges(rig)
     goals = GoalStreamSettings(
         joint_speeds=config.joint_speed * rig.model.max_speed,
         tool_speed=config.tcp_speed,
         shaped=config.shaping != "none",
-        lower=rig.model.lower + RANGE_MARGIN_RAD,
-        upper=rig.model.upper - RANGE_MARGIN_RAD,
+        lower=lower,
+        upper=upper,
     )
     slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
-    settings = RealTimeSettings(rig.ptp_velocity, rig.home.q, config.time_out, slow, fast, config.servo_law, goals)
-    return RealTimeLoop(settings, rig.chain, motion_limits(config, rig) if goals.shaped else Unlimited())
+    guard = collision_guard(config, rig)
+    settings = RealTimeSettings(
+        rig.ptp_velocity, rig.home.q, config.time_out, slow, fast, guard, config.servo_law, goals
+    )
+    return RealTimeLoop(settings, rig.chain, motion_limits(config, rig, guard) if goals.shaped else Unlimited())
 
 
-def motion_limits(config: RealTimeConfig, rig: Rig) -> MotionLimits:
-    """Returns the limits of the stream of servo goals; faster joints change their speed more quickly in proportion."""
+def collision_guard(config: ControllerConfig, rig: Rig) -> CollisionGuard | None:
+    """Returns the collision guard, None if it is off; ValueError: its file of obstacles was not handed in."""
+    if not config.collision_guard:
+        return None
+    from kuka_control.limits.collision import CollisionGuard  # its library takes a quarter of a second to load
+
+    if config.guard_obstacles and rig.obstacles is None:
+        raise ValueError(f"what {config.guard_obstacles} says has to be read and handed in")
+    around = rig.obstacles or ()
+    return CollisionGuard(rig.kinematics, config.marker_ring, around, config.guard_margin, config.allow_contact)
+
+
+def line_limits(config: RealTimeConfig, rig: Rig) -> LineLimits | None:
+    """Returns the limits of straight lines; None where the stream of goals is not shaped."""
+    if config.shaping == "none":
+        return None
+    lower, upper = _ranges(rig)
+    speeds, tool_speed = config.joint_speed * rig.model.max_speed, TOOL_MARGIN * config.tcp_speed
+    return LineLimits(rig.kinematics, rig.workspace, lower, upper, speeds, _shape(config, rig), tool_speed)
+
+
+def move_planner(config: ControllerConfig, rig: Rig, named: Mapping[str, np.ndarray]) -> MovePlanner:
+    """Returns what checks motions for programs; `named` are joints [rad], shape (7,), by name."""
+    if isinstance(config, RealTimeConfig):
+        slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
+        return MovePlanner(rig, named, slow, max(slow, fast), line_limits(config, rig))
+    velocity = config.velocity_ptp if isinstance(config, PtpConfig) else 0.0
+    return MovePlanner(rig, named, velocity, velocity, None)
+
+
+def _ranges(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
+    return rig.model.lower + RANGE_MARGIN_RAD, rig.model.upper - RANGE_MARGIN_RAD
+
+
+def _shape(config: RealTimeConfig, rig: Rig) -> ShapeLimits:
+    """Returns the limits of acceleration and jerk; faster joints change their speed more quickly in proportion."""
     pace = rig.model.max_speed / np.min(rig.model.max_speed)
-    acceleration = config.joint_acceleration * pace
+    return ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace)
+
+
+def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None = None) -> MotionLimits:
+    """Returns the limits of the stream of servo goals."""
+    lower, upper = _ranges(rig)
     room = GuardedRoom(
-        lower=rig.model.lower + RANGE_MARGIN_RAD,
-        upper=rig.model.upper - RANGE_MARGIN_RAD,
+        lower=lower,
+        upper=upper,
         tool_speed=TOOL_MARGIN * config.tcp_speed,
         tool_point=rig.kinematics.tool_point,
         tool_jacobian=rig.kinematics.jacobian,
         workspace=rig.workspace,
+        collisions=guard,
     )
-    return MotionLimits(
-        config.joint_speed * rig.model.max_speed, ShapeLimits(acceleration, config.joint_jerk * pace), room
-    )
+    return MotionLimits(config.joint_speed * rig.model.max_speed, _shape(config, rig), room)
 
 
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
     """Returns the PTP control loop."""
     velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
-    return PtpLoop(PtpSettings(rig.ptp_velocity, rig.home.q, config.time_out, velocity, velocity, threshold), rig.chain)
+    guard = collision_guard(config, rig)
+    settings = PtpSettings(rig.ptp_velocity, rig.home.q, config.time_out, velocity, velocity, guard, threshold)
+    return PtpLoop(settings, rig.chain)

@@ -141,6 +141,7 @@ class KstArm(Arm):
     Args:
         client: connected to the server.
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
+        sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
     """
 
     SERVO_TURN = (
@@ -149,9 +150,13 @@ class KstArm(Arm):
     )
 
     def __init__(
-        self, client: KstClient, wrench: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+        self,
+        client: KstClient,
+        wrench: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+        sent: Callable[[np.ndarray, float], None] = lambda q, velocity: None,
     ) -> None:
         self._client = client
+        self._sent = sent
         self._wrench = wrench
         self._probed = False
         self._lacking: tuple[Feedback, ...] = ()
@@ -196,6 +201,7 @@ class KstArm(Arm):
                 raise
 
     def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+        self._sent(q, velocity)
         self._client.start_ptp_joints(q, velocity)
         self._at_rest = False
         self.state = replace(self.state, T_base_tool=None)
@@ -220,7 +226,9 @@ class KstArm(Arm):
         feedback = self._next(self.SERVO_TURN)
         if feedback in self._lacking:
             feedback = Feedback.JOINTS
-        if self._client.stream(q, feedback, wait=False) is not feedback:
+        asked = self._client.stream(q, feedback, wait=False)
+        self._sent(q, 0.0)
+        if asked is not feedback:
             self._turn -= 1
         self._take_answers(QUICK_S)
         if feedback is not Feedback.JOINTS and not self._client.open_goals:

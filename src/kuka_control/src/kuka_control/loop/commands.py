@@ -7,6 +7,7 @@ from typing import Union
 
 import numpy as np
 
+from kuka_control.loop.moves import MoveProgress, ProgramMotion
 from kuka_control.loop.transitions import Action, State, Trigger
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.switches import Mode, SwitchState
@@ -20,6 +21,7 @@ class Inputs:
     desired: DesiredFrame | None = None  # the newest desired tool frame
     clock: float = 0.0  # ROS time [s], the clock of the stamps
     switches: SwitchState = SwitchState()  # what the operator switched
+    move: ProgramMotion | None = None  # the motion that a program asked for last, if it has not ended
 
 
 @dataclass(frozen=True)
@@ -99,3 +101,4 @@ class Step:
     target: Target | None = None  # where the arm goes, or what it follows
     limited_by: tuple[str, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
     transitions: tuple[tuple[State, Trigger], ...] = ()  # the transitions taken in this cycle
+    move: MoveProgress | None = None  # of the last motion for a program

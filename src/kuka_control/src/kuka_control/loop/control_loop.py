@@ -15,19 +15,26 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Generic, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 
 import numpy as np
 
 from common.poses import read_only
+from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
+from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
 from kuka_control.loop.tracking import PtpSupervision
-from kuka_control.loop.transitions import Action, State, Trigger, transitions_among
+from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import Target, TargetChain
 from kuka_control.model.workspace import Infeasible
+
+if TYPE_CHECKING:
+    from kuka_control.limits.collision import CollisionGuard, PathCheck
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 EXIT_PATIENCE_S = 2.0  # on exit, wait at most this long for an arm that something holds [s]
@@ -37,14 +44,33 @@ BARRED = (
     "in again."
 )
 
+UNTIL_ANEW = (
+    "The desired tool frame does not count until it begins anew: take the hand out of the box and bring it in again."
+)
+
+BARRED_BY_MOVE = (
+    "The desired tool frame began to move while a program moved the arm and does not count: take the hand out of the "
+    "box and bring it in again."
+)
+
 COUNTED = (
     *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
-    *("pickups", "homes", "ptp_motions", "jumps", "flips", "faults"),
+    *("pickups", "returns", "ptp_motions", "moves", "jumps", "flips", "faults"),
 )
 """The names of the counters; all are there from the start."""
 
-MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.ZERO))  # the states in which a PTP motion runs
-WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED}  # the states that forget the target
+TICK_S = 0.1  # longest time between two frames in which such a refusal is still shown [s]
+HAND_S = 1.0  # at the start the collision guard waits so long for the first report of the hand [s]
+BLOCKED_S = 0.25  # a pick-up motion that the collision guard refused is checked again after this time [s]
+
+MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.TO_GOAL, State.ZERO))
+"""The states in which a PTP motion runs."""
+BY_PROGRAM = frozenset((State.TO_GOAL, State.LINE, State.LINE_BRAKING))  # the states in which a program moves the arm
+WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED, State.LINE}  # the states that forget the target
+BRAKES = (State.BRAKING, State.LINE_BRAKING)  # the states that keep the stream of goals, and why it ended
+CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
+STANDS_RAD = 5e-4  # an arm whose joints are no further off still is where the check of a path began
+LINE_START_RAD = 2e-3  # a line begins where the arm stands; no joint is further off than this
 
 
 @dataclass(frozen=True)
@@ -56,6 +82,7 @@ class LoopSettings:
     time_out: float  # go home after this time without a new desired tool frame [s]
     velocity_home: float  # fraction of the full joint speed to home at the start and when control goes off, and to zero
     velocity_return: float  # the same to home after a time-out, and to a pick-up pose
+    guard: CollisionGuard | None  # refuses motions that come too near to a body
 
 
 @dataclass(frozen=True)
@@ -102,6 +129,7 @@ class ControlLoop(ABC, Generic[Settings]):
 
     Attributes:
         counts: of what happened so far.
+        guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
     """
 
@@ -112,6 +140,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
+        self.guard_scale = 1.0
         self._settings = settings
         self._chain = chain
         self._table = transitions_among(self.STATES)
@@ -120,6 +149,7 @@ class ControlLoop(ABC, Generic[Settings]):
             State.STARTING: self._starting,
             State.HOME: self._home,
             State.AT_POSE: self._at_rest,
+            State.AT_GOAL: self._at_goal,
             State.STOPPED: self._stopped,
             State.ENDED: lambda _: End(None if self._active.trigger is Trigger.ARRIVED else self._active.because),
         }
@@ -130,25 +160,46 @@ class ControlLoop(ABC, Generic[Settings]):
         self._target_stamp = 0.0
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
+        self._blocked: tuple[str, float] | None = None  # why a pick-up motion is refused, and until when [s]
         self._enable_count = 0
-        self._barred: int | None = None  # the stream of desired tool frames that ran when control went on
+        self._barred: int | None = None  # the stream of desired tool frames that does not count
+        self._barred_because = BARRED
+        self._move: ProgramMotion | None = None  # the last motion for a program that started
+        self._q_before = Q_ZERO  # joints where it started
+        self._cancelled = False  # whether the program has cancelled it
+        self._progress: MoveProgress | None = None  # of the last one that was asked for
+        self._check: tuple[Sequence[np.ndarray], PathCheck] | None = None  # of a motion that is to begin, and its path
+        self._opening: Opening | None = None  # of the hand
+        self._started: float | None = None  # when the first cycle was [s]
         # What this cycle has brought so far.
+        self._checks = False  # whether that check continues
         self._events: list[Event] = []
         self._limited_by: tuple[str, ...] = ()
         self._taken: list[tuple[State, Trigger]] = []
 
     def step(self, observation: Observation, now: float) -> Step:
         """Returns the command of this cycle, with what there is to report; `now` is monotonic [s]."""
-        self._events, self._limited_by, self._taken = [], (), []
+        self._events, self._limited_by, self._taken, self._checks = [], (), [], False
         inputs = observation.inputs
         if inputs.switches.enable_count != self._enable_count:
             self._enable_count = inputs.switches.enable_count
-            self._barred = self._stream.number if self._stream.runs else None
+            self._barred, self._barred_because = self._stream.number if self._stream.runs else None, BARRED
+        move = inputs.move
+        self._cancelled = move is None or move.cancelled or self._move is None or move.number != self._move.number
         update = self._stream.take(inputs.desired, inputs.clock, now, self._active.state is State.SERVO)
         if update.refused:
             self.counts["refused_frames"] += 1
             self._report("warn", update.refused)
+        if update.conflict is not None:
+            self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
         command = self._command(Cycle(observation, update.fresh, now))
+        if self._active.state in BY_PROGRAM and self._stream.runs:
+            self._barred, self._barred_because = self._stream.number, BARRED_BY_MOVE
+        guard = self._settings.guard
+        self.guard_scale = 1.0 if guard is None or COLLISION_GUARD not in self._limited_by else guard.scale
+        self._note_move(observation)
+        if self._taken or not self._checks:
+            self._check = None
         active = self._active
         bounds = self._target.limited_by if self._target else ()
         return Step(
@@ -159,7 +210,16 @@ class ControlLoop(ABC, Generic[Settings]):
             self._target,
             bounds + self._limited_by,
             tuple(self._taken),
+            self._progress,
         )
+
+    def open_hand(self, opening: Opening | None) -> None:
+        """Tells the collision guard the joints of the hand; None: not known. A running check keeps the old."""
+        if opening is None and self._opening is not None:
+            self._check = None
+        self._opening = opening
+        if self._settings.guard is not None and self._check is None:
+            self._settings.guard.open(opening)
 
     def _command(self, cycle: Cycle) -> Command:
         """Returns the command of the state in which the triggers of this cycle end."""
@@ -178,6 +238,17 @@ class ControlLoop(ABC, Generic[Settings]):
         """Takes a transition; returns its command, None if the next state decides in the same cycle."""
         before = self._active
         row = self._table[before.state, fired.trigger]
+        decided, blocked = self._checked(row, fired.trigger, cycle)
+        if not decided:
+            return Wait()
+        if blocked is not None:
+            if row.target is State.PICK_UP:
+                return self._refuse_pick_up(blocked, cycle.now)
+            if row.target in BY_PROGRAM and self._progress is not None:
+                self._progress = replace(self._progress, state=MoveState.REFUSED, sentence=blocked)
+                return Wait()
+            fired = Fired(Trigger.EXIT_BLOCKED if row.target is State.ZERO else Trigger.BLOCKED, blocked)
+            row = self._table[before.state, fired.trigger]
         self._taken.append((before.state, fired.trigger))
         moved_to = before.data.name if isinstance(before.data, PtpSupervision) else ""
         because = row.because.format(because=before.because, detail=fired.detail, name=moved_to)
@@ -192,21 +263,28 @@ class ControlLoop(ABC, Generic[Settings]):
             command = Servo(cycle.observation.joints)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
+        if before.state in BY_PROGRAM and row.target not in BY_PROGRAM:
+            braked = before.state in BRAKES and fired.trigger is not Trigger.LAG
+            self._end_move(row.target, before.trigger if braked else fired.trigger, because)
         if row.target is State.STOPPED:
             enable_count, self.stopped_because = cycle.switches.enable_count, because
             self.counts["faults"] += 1
         elif fired.trigger is Trigger.ENABLED_AGAIN:
             self.stopped_because = None
-        elif row.target is State.HOME:
-            self.counts["homes"] += 1
+        elif row.target is State.HOME and before.state is State.RETURNING:
+            self.counts["returns"] += 1
+        elif fired.trigger in (Trigger.MOVE, Trigger.LINE):
+            self.counts["moves"] += 1
+        elif row.target is State.PICK_UP and State.SERVO in self.STATES:
+            self.counts["pickups"] += 1
         if row.target in WITHOUT_TARGET:
             self._target = None
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
         if reason:
             self._unreachable = None
             self._report("error" if row.target is State.STOPPED else "info", reason)
-        cause = before.trigger if before.state is State.BRAKING else fired.trigger
-        data = before.data if row.target is State.BRAKING else data
+        cause = before.trigger if before.state in BRAKES else fired.trigger
+        data = before.data if row.target in BRAKES else data
         self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data)
         return command
 
@@ -218,11 +296,60 @@ class ControlLoop(ABC, Generic[Settings]):
         if target is State.PICK_UP:
             assert self._target is not None and self._target.q is not None, "a motion needs a target that is reachable"
             return self.PICK_UP, self._target.q, settings.velocity_return
+        if target is State.TO_GOAL:
+            assert self._move is not None, "a program's motion is known"
+            return self._move.name, self._move.q, self._move.velocity
         late = Trigger.TIME_OUT in (trigger, self._active.trigger) and target is State.RETURNING
         return "home", settings.q_home, settings.velocity_return if late else settings.velocity_home
 
+    def _checked(self, row: Transition, trigger: Trigger, cycle: Cycle) -> tuple[bool, str | None]:
+        """Returns what `_guard_refusal` says about the motion of a transition, if it begins one."""
+        if row.action is Action.PTP:
+            name, q, _ = self._motion(row.target, trigger)
+            return self._guard_refusal(f"motion to {name}", (cycle.observation.joints, q), False)
+        if row.target is State.LINE:
+            assert self._move is not None and self._move.line is not None, "a line was asked for"
+            return self._guard_refusal("line", self._move.line.path, True)
+        return True, None
+
+    def _guard_refusal(self, what: str, path: Sequence[np.ndarray], softly: bool) -> tuple[bool, str | None]:
+        """Returns whether the collision guard decided on a path in a cycle before, and why it refuses it, a sentence.
+
+        Each cycle brings a part of the check; a cycle that does not ask for it drops it. `softly`: as for the guard.
+        """
+        guard, before = self._settings.guard, self._check
+        if guard is None:
+            return True, None
+        self._checks = True
+        try:
+            if before is None or not _same(before[0], path):
+                self._check = before = path, guard.check(path, softly)
+            elif before[1].done:
+                return True, None
+            before[1].go_on(CHECKED_AT_ONCE)
+        except GuardError as error:
+            self._check = None
+            return True, f"The {what} is refused. {error}"
+        if before[1].fault is None:
+            return False, None
+        self._check = None
+        keeps = f"it keeps {1e3 * guard.margin:.0f} mm"
+        return True, f"The collision guard refuses the {what}: on the way {before[1].fault}; {keeps}. Clear the way."
+
+    def _refuse_pick_up(self, blocked: str, now: float) -> Command:
+        """The arm stays where it is, and looks again a little later."""
+        if self._blocked is None or now > self._blocked[1] + BLOCKED_S:
+            self._report("warn", blocked)
+        self._blocked = blocked, now + BLOCKED_S
+        return Wait()
+
     def _starting(self, cycle: Cycle) -> Outcome:
-        return Fired(Trigger.EXIT if self._exits(cycle) else Trigger.START)
+        """The hand has a moment to report how far it is open: one that is not known may be in the way of itself."""
+        if self._exits(cycle):
+            return Fired(Trigger.EXIT)
+        self._started = cycle.now if self._started is None else self._started
+        unknown = self._settings.guard is not None and self._opening is None
+        return Wait() if unknown and cycle.now - self._started < HAND_S else Fired(Trigger.START)
 
     def _moving(self, cycle: Cycle) -> Outcome:
         """A PTP motion runs, which nothing can stop."""
@@ -252,7 +379,11 @@ class ControlLoop(ABC, Generic[Settings]):
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
         self._active = replace(self._active, enable_count=cycle.switches.enable_count)
-        return self._new_target(cycle)
+        return self._new_move(cycle) or self._new_target(cycle)
+
+    def _at_goal(self, cycle: Cycle) -> Outcome:
+        """The arm stays where a motion for a program ended; no frame is awaited, so none is late."""
+        return self._switched(cycle) or self._new_move(cycle) or self._new_target(cycle)
 
     def _at_rest(self, cycle: Cycle) -> Outcome:
         """No motion and no servo mode, where a motion or servo mode ended."""
@@ -266,10 +397,83 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.ENABLED_AGAIN) if again else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:
-        if not cycle.switches.control_on or cycle.fresh is None or self._stream.number == self._barred:
+        if not cycle.switches.control_on or not self._stream.runs or self._stream.number == self._barred:
+            return Wait()
+        if self._check is not None and self._target is not None and self._check[0][-1] is self._target.q:
+            return Fired(Trigger.FAR_TARGET)  # the way to this one is being checked
+        if cycle.fresh is None:
+            return Wait()
+        if self._blocked is not None and cycle.now < self._blocked[1]:
             return Wait()
         q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
         return Wait() if q is None else self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
+
+    def _asked(self, observation: Observation) -> ProgramMotion | None:
+        """Returns the motion that a program asks for, if it was neither started nor refused before."""
+        move, known = observation.inputs.move, self._progress
+        if move is None or known is None or move.number > known.number:
+            return move
+        checked = move.number == known.number and known.state is MoveState.RUNNING
+        return move if checked and self._active.state not in BY_PROGRAM else None
+
+    def _new_move(self, cycle: Cycle) -> Fired | None:
+        """Starts a motion that a program asks for, or refuses it."""
+        move = self._asked(cycle.observation)
+        if move is None:
+            return None
+        refused = self._refused_move(move, cycle)
+        if refused is not None:
+            self._progress = MoveProgress(move.number, MoveState.REFUSED, refused)
+            return None
+        self._move, self._progress = move, MoveProgress(move.number, MoveState.RUNNING)
+        self._q_before = cycle.observation.joints
+        return Fired(Trigger.MOVE if move.line is None else Trigger.LINE)
+
+    def _refused_move(self, move: ProgramMotion, cycle: Cycle) -> str | None:
+        """Returns why a motion cannot start where the arm rests, a sentence."""
+        if move.cancelled:
+            return "The motion was cancelled before it began."
+        if not cycle.switches.control_on:
+            return "Control is off; a program may move the arm only while the operator has switched it on."
+        if self._stream.runs:
+            return "The desired tool frame comes from a hand or a node; end that before a program moves the arm."
+        if move.line is not None:
+            if State.LINE not in self.STATES:
+                return "This controller makes no straight lines."
+            if np.max(np.abs(move.line.q_start - cycle.observation.joints)) > LINE_START_RAD:
+                return "The arm is no longer where the line begins; ask again."
+        return None
+
+    def _note_move(self, observation: Observation) -> None:
+        """Refuses a motion that came at the wrong time, and notes how far the running one is."""
+        state, move, progress = self._active.state, self._move, self._progress
+        if state in BY_PROGRAM and move is not None and progress is not None:
+            fraction, left = self._progress_at(move, observation.joints)
+            self._progress = replace(progress, fraction=fraction, left=left)
+            return
+        asked = self._asked(observation)
+        if asked is not None and not (self._checks and asked is self._move):
+            refused = wrong_time(state.mode, self._active.reason)
+            self._progress = MoveProgress(asked.number, MoveState.REFUSED, refused)
+
+    def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
+        """Returns the fraction of the running motion that is done, and what is left: [rad], of a line [m]."""
+        way, left = (float(np.max(np.abs(move.q - q))) for q in (self._q_before, joints))
+        return (1.0 - min(left / way, 1.0) if way > 0.0 else 1.0), left
+
+    def _end_move(self, target: State, cause: Trigger | None, because: str) -> None:
+        """Notes how the running motion ended, on the way to the state `target`."""
+        assert self._move is not None and self._progress is not None, "a motion runs"
+        state, sentence = MoveState.ABORTED, because
+        if target is State.AT_GOAL and cause is Trigger.ARRIVED:
+            cancelled = " It was cancelled on the way, but a point-to-point motion ends at its goal."
+            late = self._move.line is None and self._cancelled
+            state, sentence = MoveState.DONE, f"The arm is at {self._move.name}.{cancelled if late else ''}"
+        elif cause is Trigger.CANCELLED:
+            state = MoveState.CANCELLED
+        self._progress = replace(self._progress, state=state, sentence=sentence)
+        if state is MoveState.DONE:
+            self._progress = replace(self._progress, fraction=1.0, left=0.0)
 
     @abstractmethod
     def _follow(self, distance: float) -> Outcome:
@@ -278,14 +482,21 @@ class ControlLoop(ABC, Generic[Settings]):
     def _exits(self, cycle: Cycle) -> bool:
         return cycle.switches.exit_requested or self._infeasible is not None
 
-    def _leaves(self, cycle: Cycle) -> Fired | None:
-        """Returns why the arm is to go home or to zero instead of following."""
+    def _switched(self, cycle: Cycle) -> Fired | None:
+        """Returns which switch, or which infeasible position, ends what the arm does."""
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
         if not cycle.switches.control_on:
             return Fired(Trigger.CONTROL_OFF)
         if cycle.switches.enable_count != self._active.enable_count:
             return Fired(Trigger.CONTROL_WAS_OFF)
+        return None
+
+    def _leaves(self, cycle: Cycle) -> Fired | None:
+        """Returns why the arm is to go home or to zero instead of following."""
+        switched = self._switched(cycle)
+        if switched is not None:
+            return switched
         if self._stream.silence > self._settings.time_out:
             return Fired(Trigger.TIME_OUT, f"{self._settings.time_out:g}")
         return None
@@ -319,8 +530,22 @@ class ControlLoop(ABC, Generic[Settings]):
         if not observation.inputs.switches.control_on:
             return None
         unreachable = self._unreachable if self._stream.silence <= self._settings.time_out else None
-        barred = BARRED if self._stream.number == self._barred and self._stream.runs else None
-        return self._stream.refusal(now) or barred or unreachable
+        barred = self._barred_because if self._stream.number == self._barred and self._stream.runs else None
+        blocked = self._blocked[0] if self._blocked is not None and now <= self._blocked[1] + TICK_S else None
+        return self._stream.refusal(now) or barred or blocked or unreachable or self._held_back()
+
+    def _held_back(self) -> str | None:
+        """Returns what the collision guard keeps the arm away from, a sentence, if it acted in this cycle."""
+        guard = self._settings.guard
+        if guard is None or guard.nearest is None or COLLISION_GUARD not in self._limited_by:
+            return None
+        return f"The collision guard holds the arm back: {guard.nearest}."
 
     def _report(self, level: str, sentence: str) -> None:
         self._events.append(Event(level, sentence))
+
+
+def _same(before: Sequence[np.ndarray], path: Sequence[np.ndarray]) -> bool:
+    """Returns whether a path, joints of shape (7,) each [rad], is one before, from where the arm still stands."""
+    starts = float(np.max(np.abs(before[0] - path[0]))) <= STANDS_RAD
+    return starts and len(before) == len(path) and all(map(np.array_equal, before[1:], path[1:]))

@@ -28,6 +28,7 @@ from kuka_control.loop.commands import (
 )
 from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode
 
 FIRST_PAUSE_S = 0.5
@@ -74,6 +75,7 @@ class ReconnectSupervisor:
         self._make_loop = make_loop
         self._loop: ControlLoop | None = None
         self._old_frame: DesiredFrame | None = None
+        self._opening: Opening | None = None
 
     def lost(self, error: KstError, now: float) -> tuple[Event, ...]:
         """Records that the connection is lost at the time `now` [s]; returns what to log."""
@@ -85,6 +87,17 @@ class ReconnectSupervisor:
         )
         self.next_try, self._remind_at = now + FIRST_PAUSE_S, now
         return (Event("error", self._lost),)
+
+    def open_hand(self, opening: Opening | None) -> None:
+        """As `ControlLoop.open_hand`; the fresh loop begins with what is known then."""
+        self._opening = opening
+        if self._loop is not None:
+            self._loop.open_hand(opening)
+
+    @property
+    def guard_scale(self) -> float:
+        """As `ControlLoop.guard_scale`."""
+        return 1.0 if self._loop is None else self._loop.guard_scale
 
     @property
     def stopped_because(self) -> str | None:
@@ -121,6 +134,7 @@ class ReconnectSupervisor:
                 return self.waiting()
             self._loop = self._make_loop()
             self._loop.counts = self.counts
+            self._loop.open_hand(self._opening)
         if inputs.desired is self._old_frame:
             observation = replace(observation, inputs=replace(inputs, desired=None))
         return self._loop.step(observation, now)

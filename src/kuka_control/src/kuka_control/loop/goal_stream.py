@@ -218,8 +218,8 @@ class GoalStreamSettings:
     upper: np.ndarray  # greatest joint angles of a goal, shape (7,) [rad]
 
 
-class GoalStream:
-    """Makes the goals of one stay in servo mode, which starts at rest at the joints q, shape (7,) [rad].
+class ServoStream:
+    """What every stay in servo mode shares: it starts at rest at the joints q, shape (7,) [rad], and can brake.
 
     `lts`: whether goals are made for a server with the LTS law; `now` is the monotonic time of the start [s].
     """
@@ -231,25 +231,59 @@ class GoalStream:
         self._settings = settings
         self._limits = limits
         self._monitor = TrackingMonitor()
+        self._lts = LtsGoals(settings.lower, settings.upper) if lts else None
+        self._time = now
+        self._stands_at: float | None = None  # when braking goals came to rest
+        self._settled = False  # whether the arm has come there
+
+    def lag(self, measured: np.ndarray, now: float) -> str | None:
+        """Returns None while the arm follows its goals, else what is wrong, as a part of a sentence."""
+        return self._monitor.step(self._limits.goal, measured, now)
+
+    def brake(self, measured: np.ndarray, now: float) -> LimitedGoal | None:
+        """Returns the goal of this cycle on the way to the earliest stop within the limits.
+
+        None: the arm may be left as it is. Goals for the LTS law lie beyond the arm: they are sent until it has come.
+        """
+        dt, self._time = now - self._time, now
+        if self._limits.at_rest and self._stands_at is None:
+            self._stands_at = now
+            if self._lts is None:
+                return None
+        stopped = self._limits.brake(dt)
+        if self._stands_at is None:
+            return self._for_robot(stopped, measured, dt)
+        if self._settled:
+            return None
+        near = max(abs(stopped.q - measured).tolist()) < SETTLED_RAD
+        self._settled = near or now - self._stands_at > SETTLING_S
+        return stopped if self._settled else self._for_robot(stopped, measured, dt)
+
+    def _for_robot(self, limited: LimitedGoal, measured: np.ndarray, dt: float) -> LimitedGoal:
+        if self._lts is None:
+            return limited
+        return LimitedGoal(self._lts.step(limited.q, limited.v, measured, dt), limited.v, limited.limited_by)
+
+
+class GoalStream(ServoStream):
+    """Makes the goals of one stay in servo mode that follows the desired tool frame; arguments as `ServoStream`."""
+
+    def __init__(
+        self, settings: GoalStreamSettings, limits: MotionLimits | Unlimited, lts: bool, q: np.ndarray, now: float
+    ) -> None:
+        super().__init__(settings, limits, lts, q, now)
         self._motion = TargetMotion(settings.lower, settings.upper, q)
         self._frames = FrameSteps(settings.tool_speed, float(np.max(settings.joint_speeds)))
-        self._lts = LtsGoals(settings.lower, settings.upper) if lts else None
         self._rate = RateLimit()
         self._stamp: float | None = None
         self._catching_up = True
-        self._time = self._looked = now
+        self._looked = now
         self._stall = 0.0  # since the last frame [s]
-        self._stands_at: float | None = None  # when braking goals came to rest
-        self._settled = False  # whether the arm has come there
 
     @property
     def q_target(self) -> np.ndarray:
         """The joints of the last target, shape (7,) [rad]."""
         return self._motion.q
-
-    def lag(self, measured: np.ndarray, now: float) -> str | None:
-        """Returns None while the arm follows its goals, else what is wrong, as a part of a sentence."""
-        return self._monitor.step(self._limits.goal, measured, now)
 
     def take(self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float) -> Trigger | None:
         """Takes a new desired tool frame; returns why its joints are not to be servoed to, None if they are.
@@ -290,36 +324,12 @@ class GoalStream:
             limited, self._catching_up = replace(limited, limited_by="frame rate"), True
         return self._for_robot(limited, measured, dt)
 
-    def brake(self, measured: np.ndarray, now: float) -> LimitedGoal | None:
-        """Returns the goal of this cycle on the way to the earliest stop within the limits; arguments as in `goal`.
-
-        None: the arm may be left as it is. Goals for the LTS law lie beyond the arm: they are sent until it has come.
-        """
-        dt, self._time = now - self._time, now
-        if self._limits.at_rest and self._stands_at is None:
-            self._stands_at = now
-            if self._lts is None:
-                return None
-        stopped = self._limits.brake(dt)
-        if self._stands_at is None:
-            return self._for_robot(stopped, measured, dt)
-        if self._settled:
-            return None
-        near = max(abs(stopped.q - measured).tolist()) < SETTLED_RAD
-        self._settled = near or now - self._stands_at > SETTLING_S
-        return stopped if self._settled else self._for_robot(stopped, measured, dt)
-
     def _look(self, now: float) -> None:
         """Notes a stall of the control loop: a gap since it looked last."""
         gap, self._looked = now - self._looked, now
         if gap > GAP_S:
             self._stall = max(self._stall, gap)
             self._catching_up = True
-
-    def _for_robot(self, limited: LimitedGoal, measured: np.ndarray, dt: float) -> LimitedGoal:
-        if self._lts is None:
-            return limited
-        return LimitedGoal(self._lts.step(limited.q, limited.v, measured, dt), limited.v, limited.limited_by)
 
     def _too_far(self, q: np.ndarray, stamp: float, measured: np.ndarray, stall: float) -> Trigger | None:
         speeds, shaped = self._settings.joint_speeds, self._settings.shaped

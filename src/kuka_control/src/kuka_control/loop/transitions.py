@@ -32,6 +32,10 @@ class State(Enum):
     SERVO_LEFT = Mode.PICK_UP, _LEAVES
     RETURN_PENDING = Mode.RETURNING, _LEAVES
     RETURNING = Mode.RETURNING, _MOVES
+    TO_GOAL = Mode.MOVING, _MOVES
+    LINE = Mode.MOVING, "{because} The tool moves along a straight line."
+    LINE_BRAKING = Mode.MOVING, "{because} The arm brakes."
+    AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off."
     STOPPED = Mode.STOPPED, "{because} The arm stays where it is until control goes off and on again."
     ZERO = Mode.ZERO, _MOVES
     ENDED = Mode.STOPPED, "{because}"
@@ -67,6 +71,15 @@ class Trigger(Enum):
     WRONG_LAW = "servo_law is lts but the robot has another law"
     LAG = "the arm does not follow"
     REFUSED = "refused by the robot"
+    BLOCKED = "a body is in the way of the motion"
+    EXIT_BLOCKED = "exit_app, and a body is in the way to zero"
+    GUARD_FAILED = "the collision guard failed"
+    CONFLICT = "the frame has two publishers, or its chain or clock jumped"
+    AT_REST_TO_STOP = "the goals are at rest, and the arm is to stay"
+    MOVE = "a program asks for a PTP motion"
+    LINE = "a program asks for a straight line"
+    CANCELLED = "the program cancels"
+    NO_PROGRESS = "no progress for 2 s"
 
 
 class Action(Enum):
@@ -94,15 +107,18 @@ class Transition:
 
 _S, _T, _A = State, Trigger, Action
 _TO_HOME = (_S.HOMING, _S.RETURNING)
-_TO_REST = (*_TO_HOME, _S.PICK_UP)
+_TO_REST = (*_TO_HOME, _S.PICK_UP, _S.TO_GOAL)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
-_LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING)
-_OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO, _S.BRAKING, _S.RELEASING)
+_LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING, _S.AT_GOAL)
+_BLOCKED = (_S.RETURN_PENDING, _S.AT_GOAL, *_AWAY)
+_STREAMS = (_S.SERVO, _S.BRAKING, _S.RELEASING, _S.LINE, _S.LINE_BRAKING)
+_OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, *_STREAMS)
 _JOINTS_FAR = "The desired tool frame did not jump, but asks for joints far from those before."
 _MOVED_ON = "The desired tool frame moved on while the arm was on its way."
 _LAG = "The arm does not follow, perhaps because of a safety stop: {detail}."
 _HELD = "The arm cannot go to zero because its motion to {name} does not end."
 _SILENCE = "No new desired tool frame came for {detail} s."
+_PROGRAM = "A program moves the arm."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
@@ -115,8 +131,8 @@ TRANSITIONS = (
     Transition((_S.IDENTIFIED,), _T.SERVO_ENDED, _S.HOME, _A.DECIDE),
     Transition(_TO_HOME, _T.ARRIVED, _S.HOME, _A.DECIDE),
     # Following the desired tool frame.
-    Transition((_S.HOME, _S.AT_POSE, _S.SERVO_LEFT), _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}"),
-    Transition((_S.HOME, _S.SERVO_LEFT), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
+    Transition((_S.HOME, _S.AT_POSE, _S.SERVO_LEFT, _S.AT_GOAL), _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}"),
+    Transition((_S.HOME, _S.SERVO_LEFT, _S.AT_GOAL), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
     # Every end of the stream of goals, but for faults, is a stop within their limits.
@@ -129,20 +145,36 @@ TRANSITIONS = (
     Transition((_S.SERVO,), _T.EXIT, _S.BRAKING, _A.DECIDE),
     Transition((_S.BRAKING,), _T.AT_REST, _S.SERVO_LEFT, _A.STOP_SERVO, "{because}"),
     Transition((_S.BRAKING,), _T.AT_REST_TO_RETURN, _S.RETURN_PENDING, _A.STOP_SERVO, "{because}"),
+    # Motions for programs. A PTP motion ends at its goal; a straight line is a stream, which can stop.
+    Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM),
+    Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM),
+    Transition((_S.TO_GOAL,), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
+    Transition((_S.LINE,), _T.ARRIVED, _S.LINE_BRAKING, _A.DECIDE, "The line has ended."),
+    Transition((_S.LINE,), _T.CANCELLED, _S.LINE_BRAKING, _A.DECIDE, "The program cancelled the line."),
+    Transition((_S.LINE,), _T.NO_PROGRESS, _S.LINE_BRAKING, _A.DECIDE, "The line does not continue: {detail}."),
+    Transition((_S.LINE,), _T.CONTROL_OFF, _S.LINE_BRAKING, _A.DECIDE, "Control is off."),
+    Transition((_S.LINE,), _T.CONTROL_WAS_OFF, _S.LINE_BRAKING, _A.DECIDE, "Control was off."),
+    Transition((_S.LINE,), _T.EXIT, _S.LINE_BRAKING, _A.DECIDE, "The controller is to exit."),
+    Transition((_S.LINE_BRAKING,), _T.AT_REST, _S.AT_GOAL, _A.STOP_SERVO, "{because}"),
     # Back home, or to the zero position and the end.
     Transition((_S.RETURN_PENDING,), _T.SERVO_ENDED, _S.RETURNING, _A.PTP, "{because}"),
-    Transition(_AWAY, _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),
-    Transition(_AWAY, _T.CONTROL_WAS_OFF, _S.RETURNING, _A.PTP, "Control was off."),
+    Transition((*_AWAY, _S.AT_GOAL), _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),
+    Transition((*_AWAY, _S.AT_GOAL), _T.CONTROL_WAS_OFF, _S.RETURNING, _A.PTP, "Control was off."),
     Transition(_AWAY, _T.TIME_OUT, _S.RETURNING, _A.PTP, _SILENCE),
     Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}"),
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
     Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),
     # Faults.
-    Transition((_S.SERVO,), _T.LAG, _S.RELEASING, _A.HOLD, _LAG),
+    Transition((_S.SERVO, _S.LINE, _S.LINE_BRAKING), _T.LAG, _S.RELEASING, _A.HOLD, _LAG),
     Transition((_S.RELEASING,), _T.SERVO_ENDED, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
+    Transition((_S.STARTING, _S.STOPPED, *_BLOCKED), _T.BLOCKED, _S.STOPPED, _A.NONE, "{detail}"),
+    Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED, *_LEFT), _T.EXIT_BLOCKED, _S.ENDED, _A.END, "{detail}"),
+    Transition((_S.SERVO,), _T.CONFLICT, _S.BRAKING, _A.DECIDE, "{detail}"),
+    Transition((_S.SERVO, _S.LINE), _T.GUARD_FAILED, _S.BRAKING, _A.DECIDE, "{detail}"),
+    Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.RELEASING, _A.DECIDE, "{because}"),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
     Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
@@ -150,7 +182,10 @@ TRANSITIONS = (
 """All transitions of both algorithms."""
 
 PTP_STATES = frozenset(
-    (_S.STARTING, _S.HOMING, _S.HOME, _S.PICK_UP, _S.AT_POSE, _S.RETURNING, _S.STOPPED, _S.ZERO, _S.ENDED)
+    (
+        *(_S.STARTING, _S.HOMING, _S.HOME, _S.PICK_UP, _S.AT_POSE, _S.RETURNING, _S.STOPPED, _S.ZERO, _S.ENDED),
+        *(_S.TO_GOAL, _S.AT_GOAL),
+    )
 )
 REAL_TIME_STATES = frozenset(_S) - {_S.AT_POSE}
 

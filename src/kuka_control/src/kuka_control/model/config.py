@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from common.config import choice, flag, integer, number, parse, path, text, vector
+from common.config import choice, flag, integer, names, number, parse, path, text, vector
 from common.mounting import ToolConfig, mounting_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
@@ -48,6 +48,19 @@ class ControllerConfig(RobotAddress):
     time_out: float = number("s", above=0.0, doc="go home after this long without a new desired tool frame")
     home_pos: np.ndarray = vector(7, "deg", low=-180.0, high=180.0, doc="joints of a home position of one's own")
     use_home_pos: bool = flag("whether home_pos is used instead of the calculated home position")
+    named_positions: str = path(
+        doc="file of the positions that programs name for kuka/move; empty: joint_configurations.yaml", absent=""
+    )
+    tool_mass: float = number(
+        "kg",
+        low=0.0,
+        high=5.0,
+        absent=0.0,
+        doc="of what is on the flange, whose weight kuka/joint_torques_contact leaves out",
+    )
+    tool_center_of_mass: np.ndarray = vector(
+        3, "m", low=-1.0, high=1.0, absent=(0.0, 0.0, 0.0), doc="centre of that mass in the flange frame"
+    )
     elbow_preference: float = number(
         "deg",
         low=-90.0,
@@ -55,6 +68,11 @@ class ControllerConfig(RobotAddress):
         absent=0.0,
         doc="arm angle to which the elbow slowly returns while the tool moves; 0: up, positive: right",
     )
+    collision_guard: bool = flag("whether stream and PTP motions keep a distance from known bodies", absent=False)
+    guard_margin: float = number("m", low=0.005, high=0.2, absent=0.03, doc="distance that the collision guard keeps")
+    guard_obstacles: str = path(doc="file of obstacles for the collision guard; empty: table and base only", absent="")
+    allow_contact: tuple[str, ...] = names(doc="bodies that the fingers may touch", absent=("table",))
+    marker_ring: bool = flag("whether the marker board's ring is between flange and hand", absent=False)
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")
 
@@ -93,6 +111,13 @@ class RealTimeConfig(ControllerConfig):
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of the stream; at 0.8 the robot stops the arm")
     joint_acceleration: float = number("rad/s^2", low=1.0, high=16.0, doc="limit of the stream, slowest joint")
     joint_jerk: float = number("rad/s^3", low=20.0, high=2000.0, doc="limit of the stream, slowest joint")
+
+    @staticmethod
+    def faults_among(read: Mapping[str, Any]) -> list[str]:
+        faults = ControllerConfig.faults_among(read)
+        if read.get("collision_guard") and read.get("shaping") == "none":
+            faults.append("collision_guard is true, but guards no stream with shaping none; use shaping ruckig.")
+        return faults
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.poses import check_pose
+from common.poses import check_pose, inverse
+from common.rotations import rotation_angle
 
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
@@ -22,6 +23,9 @@ LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
 STALLED_S = 0.5  # stalls since the last frame count as silence where they are longer than this together [s]
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
+CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain that moves farther at once was set anew
+AT_ONCE_S = 0.1  # between two stamps that are not farther apart [s]
+UNCONNECTED_S = 0.5  # so long the transforms of a chain may come one after the other [s]
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,34 @@ class Conflict:
         return f"{' and '.join(self.nodes)} both publish {self.frame}; end one of them"
 
 
+class ChainWatch:
+    """Notices that the desired tool frame jumps with a frame that it stands in: one that was calibrated anew."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, str, np.ndarray, np.ndarray] | None = None
+
+    def step(self, stamp: float, parent: str, T_base_parent: np.ndarray, T_base_tool: np.ndarray) -> str | None:
+        """Returns what jumped, a sentence, or None. `stamp` of the desired tool frame [s], the frame `parent` that it
+        stands in, and the poses of both in the base, shape (4, 4) [m].
+        """
+        last, self._last = self._last, (stamp, parent, T_base_parent, T_base_tool)
+        if last is None or parent != last[1] or not 0.0 < stamp - last[0] <= AT_ONCE_S:
+            return None
+        if not (_far(last[2], T_base_parent) and _far(last[3], T_base_tool)):
+            return None
+        if _far(inverse(last[2]) @ last[3], inverse(T_base_parent) @ T_base_tool):
+            return None
+        step = 1e3 * float(np.linalg.norm((T_base_parent - last[2])[:3, 3]))
+        turn = math.degrees(rotation_angle(last[2][:3, :3].T @ T_base_parent[:3, :3]))
+        by = f"{step:.0f} mm and {turn:.0f} deg"
+        return f"The frame {parent}, in which the desired tool frame stands, jumped by {by}."
+
+
+def _far(T_before: np.ndarray, T_now: np.ndarray) -> bool:
+    step = float(np.linalg.norm((T_now - T_before)[:3, 3]))
+    return step > CHAIN_STEP_M or rotation_angle(T_before[:3, :3].T @ T_now[:3, :3]) > CHAIN_STEP_RAD
+
+
 class FrameSources:
     """Knows who published which frame lately, and in which other frame it stands."""
 
@@ -66,7 +98,11 @@ class FrameSources:
     def heard(self, frame: str, parent: str, node: str, now: float) -> bool:
         """Takes note of who published a frame; returns whether nobody else did lately."""
         self._parents[frame] = parent
-        times = {name: then for name, then in self._heard.get(frame, {}).items() if now - then < HANDOVER_S}
+        lately = self._heard.get(frame, {})
+        if len(lately) == 1 and node in lately:
+            lately[node] = now
+            return True
+        times = {name: then for name, then in lately.items() if now - then < HANDOVER_S}
         times[node] = now
         self._heard[frame] = times
         if len(times) > 1:
@@ -91,6 +127,7 @@ class StreamUpdate:
 
     fresh: DesiredFrame | None = None  # the frame, if it is new and accepted
     refused: str | None = None  # why it is refused, a sentence, for the first refused frame in a row
+    conflict: str | None = None  # why the whole stream must not be followed any longer, a sentence
 
 
 class DesiredStream:
@@ -136,7 +173,7 @@ class DesiredStream:
             return StreamUpdate(newest)
         reported, self._refusing = self._refusing, True
         self._refusal = (fault, now)
-        return StreamUpdate(refused=None if reported else fault)
+        return StreamUpdate(refused=None if reported else fault, conflict=newest.conflict)
 
     @property
     def runs(self) -> bool:

@@ -13,10 +13,10 @@ from common.mounting import MountingFrame, mounting_frame
 from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, ptp_velocity, robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations, neighbours
 from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
+from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.target import TargetChain
+from kuka_control.model.tool_load import ToolLoad
 from kuka_control.model.workspace import Workspace
-
-RCOND = 0.02  # singular values of the Jacobian below this fraction of the greatest say nothing about the wrench
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,16 @@ class Rig:
     workspace: Workspace  # of the tool point
     home: Home  # the home position
     chain: TargetChain  # from the desired tool frame to joints
+    load: ToolLoad  # what the tool weighs
+    obstacles: tuple[ConvexBody, ...] | None = None  # what the collision guard knows besides table and base
 
     @classmethod
-    def of(cls, config: ControllerConfig, dh: DhDeviations | None = None) -> Rig:
-        """Returns the rig that a configuration describes; `dh` is what the file holds that dh_parameters names.
+    def of(
+        cls, config: ControllerConfig, dh: DhDeviations | None = None, obstacles: tuple[ConvexBody, ...] | None = None
+    ) -> Rig:
+        """Returns the rig that a configuration describes.
+
+        `dh` and `obstacles` are what the files hold that dh_parameters and guard_obstacles name.
 
         Raises:
             ValueError: a file is named, but not handed in.
@@ -60,7 +66,8 @@ class Rig:
         else:
             home = home_pose(kinematics, workspace, mounting)
         chain = TargetChain(home.centre, workspace, kinematics)
-        return cls(model, T_flange_tool, mounting, kinematics, workspace, home, chain)
+        load = ToolLoad(kinematics, config.tool_mass, config.tool_center_of_mass, mounting.up)
+        return cls(model, T_flange_tool, mounting, kinematics, workspace, home, chain, load, obstacles)
 
     def ptp_velocity(self, start: np.ndarray, goal: np.ndarray, velocity: float) -> float:
         """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for a tool too fast.
@@ -89,14 +96,3 @@ def checked_rig(
         return config, Rig.of(config, read_dh(config))
     except HomeError as error:
         raise ConfigError([str(error)]) from error
-
-
-def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques best.
-
-    For servo mode, in which the toolbox cannot tell the moment, and before May 2019 not the force either. Least squares
-    of J^T w = torques at the joints q, shape (7,) [rad], with external joint torques, shape (7,) [Nm].
-    """
-    wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
-    R_tool_base = kinematics.forward(q)[:3, :3].T
-    return R_tool_base @ wrench[:3], R_tool_base @ wrench[3:]

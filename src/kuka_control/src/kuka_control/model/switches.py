@@ -9,6 +9,7 @@ from typing import NamedTuple
 SCALING_MIN = 0.1
 SCALING_MAX = 1.5
 SCALING_DEFAULT = 1.0
+PAYLOAD_MAX_KG = 5.0
 
 
 def check_scaling_factor(factor: float) -> float:
@@ -28,6 +29,8 @@ class Mode(str, Enum):
     SERVO = "servo"
     RETURNING = "returning"
     ZERO = "zero"
+    MOVING = "moving"
+    HOLDING = "holding"
     STOPPED = "stopped"
 
 
@@ -40,6 +43,7 @@ class SwitchState:
     gripper_on: bool = False
     scale: float = SCALING_DEFAULT
     exit_requested: bool = False
+    payload: float = 0.0  # of what the hand holds [kg]
 
 
 class SwitchReply(NamedTuple):
@@ -115,6 +119,14 @@ class Switches:
             return SwitchReply(False, f"The scaling factor stays {self.now.scale:g}: {error}.")
         self._now = replace(self.now, scale=scale)
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
+
+    def set_payload(self, mass: float) -> SwitchReply:
+        """Changes the mass of what the hand holds [kg], whose weight is taken off the torques that are shown."""
+        if not 0.0 <= mass <= PAYLOAD_MAX_KG:
+            kept = f"The payload stays {self.now.payload:g} kg"
+            return SwitchReply(False, f"{kept}: {mass:g} kg is outside 0 to {PAYLOAD_MAX_KG:g} kg.")
+        self._now = replace(self.now, payload=round(mass, 6))
+        return SwitchReply(True, f"The payload is {self.now.payload:g} kg.")
 
     def request_exit(self) -> SwitchReply:
         """Requests the motion to the zero position and the exit."""

@@ -10,6 +10,7 @@ tool keeps its position and its orientation comes after it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as wit
 
 SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
 
-FOLLOWING = (Mode.PICK_UP, Mode.SERVO)  # modes in which the arm follows the desired tool frame from where it is
+FOLLOWING = (Mode.PICK_UP, Mode.SERVO, Mode.HOLDING)  # modes in which the arm goes to a desired frame from where it is
 
 
 def scaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarray:
@@ -182,6 +183,7 @@ class ToolCheck:
     sentence: str  # why the tool cannot be brought there, or that it can
     T_base_desired: np.ndarray | None = None  # the desired tool frame for that, shape (4, 4) [m]; None if it cannot
     obstacle: str | None = None  # why an arm that yields in orientation and at bounds cannot come there either
+    q: np.ndarray | None = None  # joints of the tool pose, shape (7,) [rad]; None if it cannot
 
 
 def refused(reason: str) -> ToolCheck:
@@ -195,13 +197,19 @@ def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarra
 
 
 def check_tool_pose(
-    chain: TargetChain, T_base_tool: np.ndarray, scale: float, q_seed: np.ndarray, follows: bool = False
+    chain: TargetChain,
+    T_base_tool: np.ndarray,
+    scale: float,
+    q_seed: np.ndarray,
+    follows: bool = False,
+    collision: Callable[[np.ndarray], str | None] = lambda q: None,
 ) -> ToolCheck:
     """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame.
 
     The answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
     while it follows the desired tool frame, else those of the home position, since it always goes there first. It does
-    not check the path. In servo mode the arm `follows`: it does not fold differently.
+    not check the path. In servo mode the arm `follows`: it does not fold differently, and nearer to a body than the
+    collision guard allows it stops by itself. `collision` returns which bodies meet at joints, shape (7,) [rad].
     """
     reason = rejection_reason(T_base_tool)
     if reason is not None:
@@ -209,18 +217,22 @@ def check_tool_pose(
     target = chain.reach(T_base_tool, q_seed, follows)
     if isinstance(target, Infeasible):
         return ToolCheck(f"The tool pose is outside the workspace: {target}.", obstacle=str(target))
+    meets = None if target.q is None or target.failure is not None else collision(target.q)
+    blocked = None if follows else meets
     if target.bounds:
         moved = 1e3 * np.linalg.norm(target.T_base_tool[:3, 3] - T_base_tool[:3, 3])
         return ToolCheck(
             f"The tool pose is outside the workspace: the {' and the '.join(target.bounds)} would move it by "
             f"{moved:.0f} mm.",
-            obstacle=target.failure,
+            obstacle=target.failure or blocked,
         )
     if target.failure is not None:
         return ToolCheck(target.failure, obstacle=target.failure)
+    if meets is not None:
+        return ToolCheck(f"The collision guard refuses the tool pose: {meets}.", obstacle=blocked)
     if target.deviation:
         return ToolCheck(
             f"The tool pose is out of reach: in this position the tool would deviate from it by "
             f"{np.degrees(target.deviation):.1f} deg."
         )
-    return ToolCheck("The arm can bring the tool there.", chain.desired(T_base_tool, scale))
+    return ToolCheck("The arm can bring the tool there.", chain.desired(T_base_tool, scale), q=target.q)

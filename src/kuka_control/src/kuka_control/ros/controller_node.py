@@ -8,14 +8,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.errors import DeviceError, RigError
-from common.ros import node
+from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
+from common.ros.files import read_yaml
 from common.ros.params import wait_for_config
 from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
@@ -24,13 +26,18 @@ from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
 from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
-from kuka_control.model.rig import Rig, wrench_at_tool
+from kuka_control.model.joint_configurations import named_configurations
+from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches
+from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.ros.desired_tool import DesiredTool
-from kuka_control.ros.parameter_server import dh_deviations
+from kuka_control.ros.guard_view import GuardView, HandOpening
+from kuka_control.ros.moves import MoveServer
+from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, shipped
 from kuka_control.ros.services import Services, offer_tool_check
-from kuka_control.ros.state_publisher import Snapshot, StatePublisher, publish_workspace
+from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePublisher, publish_workspace
 
+NAMED_POSITIONS = "joint_configurations.yaml"
 PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_kuka, wait this long for the others [s]
 RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out of reach [s]
 SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
@@ -46,6 +53,7 @@ SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within 
 
 class RobotLink:
     """Holds the connection to the robot, `arm`: made at the start, made again after it was lost, closed at the end.
+    `goals`: what is sent over it.
 
     A server that is not there yet at the start, because it is started at the same time, is tried again for a while.
 
@@ -55,6 +63,7 @@ class RobotLink:
 
     def __init__(self, config: ControllerConfig, rig: Rig) -> None:
         self._config, self._rig = config, rig
+        self.goals = GoalPublisher()
         rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
         self.arm = self._first()
 
@@ -89,7 +98,7 @@ class RobotLink:
         config, rig = self._config, self._rig
         client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout)
         try:
-            return KstArm(client, partial(wrench_at_tool, rig.kinematics))
+            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent)
         except KstError:
             client.close()
             raise
@@ -118,11 +127,11 @@ def ptp_main() -> None:
 def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
-    rig = Rig.of(config, dh_deviations(config))
+    rig = Rig.of(config, dh_deviations(config), guard_obstacles(config))
     link = RobotLink(config, rig)
     try:
-        rospy.set_param("kuka/ws_center", rig.home.centre.tolist())
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
+        rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
         _Node(config, rig, link, partial(make_loop, config, rig)).spin()
     finally:
         link.close()
@@ -142,13 +151,19 @@ class _Node:
         self._switches = Switches()
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
-        self._state = StatePublisher(rig, config.rate_joints, config.rate_state)
+        self._state = StatePublisher(rig, config.rate_joints, config.rate_state, link.goals)
         self._markers = publish_workspace(rig.workspace, rig.home.centre)
         self._stages = StageTimes("kuka_control")
         self._desired = DesiredTool()
-        self._step = None
+        self._opening = HandOpening() if config.collision_guard else None
+        self._guard_view = GuardView(config, rig, self._opening, self._for_guard_view)
+        self._step: Step | None = None
+        named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
+        planner = algorithms.move_planner(config, rig, named_configurations(named, rig.model))
+        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints))
         self._services = Services(self._switches)
-        offer_tool_check(rig, self._for_tool_check)
+        master.watch.lost.append(lambda _: self._services.disengage())
+        offer_tool_check(rig, self._for_tool_check, self._guard_view.collision)
 
     def spin(self) -> None:
         """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault."""
@@ -168,6 +183,8 @@ class _Node:
             with contextlib.suppress(KstError):
                 self._brake()
             self._state.stop()
+            with contextlib.suppress(rospy.ROSException):
+                self._moves.abort("The controller has ended.")
 
     def _brake(self) -> None:
         """Brings the stream of goals to rest if ROS shuts down meanwhile: without goals the arm would stop abruptly."""
@@ -182,7 +199,10 @@ class _Node:
         while not rospy.is_shutdown():
             desired = self._desired.wait(deadline)
             started = time.monotonic()
-            step = self._controller.cycle(Inputs(desired, rospy.get_time(), self._switches.now), time.monotonic())
+            if self._opening is not None:
+                self._loop.open_hand(self._opening.at(started))
+            inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move)
+            step = self._controller.cycle(inputs, time.monotonic())
             if isinstance(step.command, Servo) and step.command.stamp is not None:
                 self._stages.done(self._desired.stamp)
             self._show(step)
@@ -201,6 +221,7 @@ class _Node:
         """
         exits = self._switches.now.exit_requested
         self._services.hold("the robot does not answer")
+        self._moves.abort("The robot does not answer; where the arm is now is not known.")
         supervisor = self._loop = ReconnectSupervisor(error, self._loop.counts, self._make_loop)
         self._controller.restart(self._link.arm, supervisor)
         if isinstance(error, ReplyTimeout):
@@ -249,12 +270,16 @@ class _Node:
         self._say(supervisor.connected())
         self._services.release()
 
+    def _for_guard_view(self) -> tuple[np.ndarray | None, float]:
+        return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0
+
     def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, float]:
         step = self._step
         return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, self._switches.now.scale
 
     def _show(self, step: Step) -> None:
         self._step = step
+        self._moves.show(step, self._link.arm.measured_joints)
         self._switches.report(step.mode, self._loop.stopped_because)
         arm, controller = self._link.arm, self._controller
         self._state.show(

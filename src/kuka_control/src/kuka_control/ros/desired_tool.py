@@ -3,50 +3,126 @@
 from __future__ import annotations
 
 import math
+import struct
 import threading
 import time
+from collections import deque
 
 import numpy as np
 import rospy
 import tf2_ros
+from tf2_msgs.msg import TFMessage
 
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform
-from kuka_control.model.desired_frame import Conflict, DesiredFrame, FrameSources
+from kuka_control.model.desired_frame import UNCONNECTED_S, ChainWatch, DesiredFrame, FrameSources
+from kuka_control.ros.tf_message import RawTfMessage, RawTransform
 
 REMIND_S = 5.0
+KEPT = 32  # transforms of a frame that does not concern the desired tool frame
 
 
-class DesiredTool(tf2_ros.TransformListener):
-    """Listens to tf and wakes the control loop when something came.
+class DesiredTool:
+    """Listens to tf and wakes the control loop when something came that concerns the desired tool frame.
 
     A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
-    it, that one counts as refused.
+    it, that one counts as refused. So it does without a way to the base, when a frame that it stands in jumps, and when
+    ROS time goes back. Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
+    newest transforms of the others are kept in case this changes.
 
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.
     """
 
     def __init__(self) -> None:
+        self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = threading.Event()
         self._newest: DesiredFrame | None = None
         self._sources = FrameSources()
-        self._conflict: Conflict | None = None
+        self._chain = ChainWatch()
+        self._conflict: object = None  # the newest one that was passed on
+        self._went_back: str | None = None  # ROS time did, and this was not passed on yet
+        self._heard = self._unconnected = 0.0  # when it came last, and that of those which had no way to the base [s]
+        self._unconnected_since: float | None = None  # [s]
         self.stamp: rospy.Time | None = None
-        super().__init__(tf2_ros.Buffer(debug=False), tcp_nodelay=True)
+        self._lock = threading.Lock()  # each publisher on /tf has a thread of its own
+        self._last_time = rospy.Time.now()
+        self._parents: dict[str, str] = {}
+        self._needed: set[str] = {TOOL_DESIRED, BASE}
+        self._others: dict[str, deque[RawTransform]] = {}
+        rospy.Subscriber("/tf_static", TFMessage, self.static_callback, tcp_nodelay=True)
+        rospy.Subscriber("/tf", RawTfMessage, self.callback, tcp_nodelay=True)
 
-    def callback(self, data) -> None:
-        """Receives tf messages; drops transforms that are not finite."""
-        self._leave_out_conflicts(data)
-        good = [t for t in data.transforms if _finite(t.transform)]
-        if len(good) < len(data.transforms):
-            bad = next(t for t in data.transforms if not _finite(t.transform))
-            rospy.logwarn_throttle(
-                REMIND_S, f"The transform {bad.header.frame_id} -> {bad.child_frame_id} is refused: it is not finite."
-            )
-            data.transforms = good
-        super().callback(data)
+    def callback(self, data: RawTfMessage) -> None:
+        """Receives tf messages."""
+        node, now = data._connection_header["callerid"], time.monotonic()
+        try:
+            transforms = list(data.raw_transforms())
+        except (struct.error, UnicodeDecodeError) as error:
+            rospy.logwarn_throttle(REMIND_S, f"A message of {node} on /tf is damaged and left out: {error}.")
+            return
+        with self._lock:
+            self._check_for_reset()
+            arrived = False
+            for transform in transforms:
+                # Also one that is left out names the frames of a conflict.
+                known = self._parents.get(transform.child) == transform.parent
+                if transform.child == TOOL_DESIRED:
+                    self._heard = now
+                if not self._sources.heard(transform.child, transform.parent, node, now):
+                    arrived = True
+                    continue
+                if not known:
+                    self._stands_in(transform.child, transform.parent)
+                if transform.child in self._needed:
+                    self._take(transform)
+                    arrived = True
+                else:
+                    self._others.setdefault(transform.child, deque(maxlen=KEPT)).append(transform)
+        if arrived:
+            self._arrived.set()
+
+    def static_callback(self, data: TFMessage) -> None:
+        """Receives static transforms, which tf2 keeps all."""
+        with self._lock:
+            self._check_for_reset()
+            for transform in data.transforms:
+                self.buffer.set_transform_static(transform, data._connection_header["callerid"])
+                self._stands_in(transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/"))
         self._arrived.set()
+
+    def _check_for_reset(self) -> None:
+        """Forgets all where ROS time went back, as tf2's listener does; where it is simulated, by a recording that is
+        played again, the desired tool frame counts as refused.
+        """
+        now = rospy.Time.now()
+        if now < self._last_time:
+            self.buffer.clear()
+            if not rospy.rostime.is_wallclock():
+                self._went_back = f"ROS time went back by {(self._last_time - now).to_sec():.3g} s."
+        self._last_time = now
+
+    def _stands_in(self, child: str, parent: str) -> None:
+        """Notes in which frame another one stands; gives tf2 what it needs from now on."""
+        self._parents[child] = parent
+        for start in (TOOL_DESIRED, BASE):  # what was needed stays so: tf2 also looks at moments before a change
+            frame, passed = self._parents.get(start), {start}
+            while frame is not None and frame not in passed:
+                passed.add(frame)
+                frame = self._parents.get(frame)
+            self._needed |= passed
+        for frame in self._needed.intersection(self._others):
+            for transform in self._others.pop(frame):
+                self._take(transform)
+
+    def _take(self, transform: RawTransform) -> None:
+        """Passes a transform to tf2; drops one that is not finite."""
+        if all(map(math.isfinite, transform.numbers)):
+            self.buffer.set_transform(transform.message, "tf")
+            return
+        rospy.logwarn_throttle(
+            REMIND_S, f"The transform {transform.parent} -> {transform.child} is refused: it is not finite."
+        )
 
     def wait(self, deadline: float) -> DesiredFrame | None:
         """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline` [s]."""
@@ -55,44 +131,64 @@ class DesiredTool(tf2_ros.TransformListener):
             self._arrived.clear()
         return self._newest
 
-    def _leave_out_conflicts(self, data) -> None:
-        node, now = data._connection_header["callerid"], time.monotonic()
-        data.transforms = [
-            t
-            for t in data.transforms
-            if self._sources.heard(_name(t.child_frame_id), _name(t.header.frame_id), node, now)
-        ]
-
     def _look(self) -> bool:
         """Looks the frame up; returns whether it is new."""
-        conflict = self._sources.conflict(TOOL_DESIRED, time.monotonic())
+        now = time.monotonic()
+        went_back, self._went_back = self._went_back, None
+        if went_back is not None:
+            return self._refuse(went_back)
+        conflict = self._sources.conflict(TOOL_DESIRED, now)
         if conflict is not None:
             if conflict is self._conflict:
                 return False
-            self._conflict, self.stamp = conflict, rospy.Time.now()
-            self._newest = DesiredFrame(
-                np.eye(4), self.stamp.to_sec(), f"The desired tool frame is refused: {conflict}."
-            )
-            return True
+            self._conflict = conflict
+            return self._refuse(f"The desired tool frame is refused: {conflict}.")
         try:
             message = self.buffer.lookup_transform(BASE, TOOL_DESIRED, rospy.Time(0))
-            if message.header.stamp == self.stamp:
+            self._unconnected_since = None
+            stamp = message.header.stamp
+            if stamp == self.stamp:
                 return False
-            self.stamp = message.header.stamp
-            self._newest = DesiredFrame(pose_from_transform(message.transform), self.stamp.to_sec())
-        except tf2_ros.TransformException:
+            T_base_tool = pose_from_transform(message.transform)
+            self.stamp = stamp
+            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), self._chain_jump(stamp, T_base_tool))
+        except tf2_ros.ExtrapolationException:
             return False
+        except tf2_ros.TransformException:
+            return self._refuse_unconnected(now)
         except ValueError as error:
             rospy.logwarn_throttle(REMIND_S, f"The desired tool frame is refused: {error}.")
             return False
         return True
 
+    def _chain_jump(self, stamp: rospy.Time, T_base_tool: np.ndarray) -> str | None:
+        """Returns which frame that the desired tool frame stands in has jumped, a sentence, or None."""
+        parent = self._parents.get(TOOL_DESIRED, BASE)
+        if parent == BASE:
+            return None
+        try:
+            T_base_parent = pose_from_transform(self.buffer.lookup_transform(BASE, parent, stamp).transform)
+        except (tf2_ros.TransformException, ValueError):
+            return None
+        return self._chain.step(stamp.to_sec(), parent, T_base_parent, T_base_tool)
 
-def _name(frame: str) -> str:
-    """Returns the tf2 name of a frame, without the leading slash of old nodes."""
-    return frame.lstrip("/")
+    def _refuse_unconnected(self, now: float) -> bool:
+        """Refuses a desired tool frame that comes, but has had no way to the base for a while."""
+        if self._heard == self._unconnected:
+            return False
+        self._unconnected = self._heard
+        self._unconnected_since = now if self._unconnected_since is None else self._unconnected_since
+        if now - self._unconnected_since < UNCONNECTED_S:
+            return False
+        frame, passed = TOOL_DESIRED, set()
+        while frame in self._parents and frame not in passed:
+            passed.add(frame)
+            frame = self._parents[frame]
+        return self._refuse(
+            f"The desired tool frame is refused: it stands in {frame}, and nobody publishes where that is in {BASE}."
+        )
 
-
-def _finite(transform) -> bool:
-    t, q = transform.translation, transform.rotation
-    return all(map(math.isfinite, (t.x, t.y, t.z, q.x, q.y, q.z, q.w)))
+    def _refuse(self, sentence: str) -> bool:
+        self.stamp = rospy.Time.now()
+        self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence)
+        return True

@@ -21,13 +21,14 @@ import rospy
 from python_qt_binding.QtCore import QObject, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication
 
+from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
 from kuka_control.ros import emergency
 from kuka_control.ros.emergency import ControllerProcess
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, OperatorView
 
 REFRESH_MS = 50
 WATCH_S = 1.0
@@ -41,7 +42,10 @@ SHUTDOWN_S = 2.0  # how long saying goodbye to the ROS master may take
 
 
 class PanelLink(QObject):
-    """Feeds the panel with kuka/status and carries the operator's requests to the services; made in Qt's thread."""
+    """Feeds the panel with kuka/status and operator_view/rows, and carries the operator's requests to the services.
+
+    Made in Qt's thread.
+    """
 
     def __init__(self, panel: ControlPanel) -> None:
         super().__init__(panel)
@@ -60,7 +64,8 @@ class PanelLink(QObject):
         panel.exit_requested.connect(lambda: self._ask(EXIT))
         panel.emergency_requested.connect(self._ask_emergency)
         self._closed = self._subscribing = False
-        self._subscriber: rospy.Subscriber | None = None
+        self._subscribers: list[rospy.Subscriber] = []
+        self._view: tuple[tuple[Row, ...], float] = SILENT, time.monotonic()
         self._wake = threading.Event()
         threading.Thread(target=self._watch, name="watch", daemon=True).start()
         self._timer = QTimer(self)
@@ -80,6 +85,8 @@ class PanelLink(QObject):
         status = self._status
         runs = None if self._process is None else emergency.runs(self._process)
         context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs)
+        rows, at = self._view
+        self._panel.show_rows(rows if time.monotonic() - at <= OLD_ROWS_S else SILENT)
         self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), context)))
 
     def _with_asked_scaling(self, state: PanelState) -> PanelState:
@@ -153,8 +160,11 @@ class PanelLink(QObject):
             if forgotten and not self._hears() and not self._subscribing:
                 self._subscribe()
             self._wake.wait(0.0 if self._closed else WATCH_S)
-        if self._subscriber is not None:
-            self._subscriber.unregister()
+        self._unsubscribe()
+
+    def _unsubscribe(self) -> None:
+        for subscriber in self._subscribers:
+            subscriber.unregister()
 
     def _master_answers(self) -> bool:
         """Asks, because rospy counts a node without topics as initialized, and waits with its first topic for ever."""
@@ -176,13 +186,18 @@ class PanelLink(QObject):
 
         def subscribe() -> None:
             try:
-                if self._subscriber is not None:
-                    self._subscriber.unregister()
-                self._subscriber = rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1)
+                self._unsubscribe()
+                self._subscribers = [
+                    rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1),
+                    rospy.Subscriber("operator_view/rows", OperatorView, self._take_view, queue_size=1),
+                ]
             finally:
                 self._subscribing = False
 
         threading.Thread(target=subscribe, name="subscribe", daemon=True).start()
+
+    def _take_view(self, message: OperatorView) -> None:
+        self._view = rows_of(message.rows), time.monotonic()
 
     def _take(self, message: KukaStatus) -> None:
         process = emergency.find(message.pid) if message.host == socket.gethostname() else None
@@ -218,7 +233,7 @@ def _show(on_top: bool) -> int:
     panel = ControlPanel()
     panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
     link = PanelLink(panel)
-    panel.resize(560, 460)
+    panel.resize(560, 780)
     panel.show()
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.

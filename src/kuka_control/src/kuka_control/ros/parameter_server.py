@@ -7,12 +7,14 @@ from pathlib import Path
 
 import rosgraph
 import rospkg
-import yaml
 
 from common.config import parse
 from common.errors import ConfigError, RigError
+from common.ros.files import read_yaml
 from common.ros.service_calls import listens
+from iiwa_kinematics import robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations
+from kuka_control.model.obstacles import ConvexBody, obstacles_from
 
 
 class NoMaster(RigError):
@@ -54,19 +56,17 @@ def living_node(name: str) -> bool:
         return False
 
 
-def read_yaml(path: Path) -> object:
-    """Returns what a yaml file holds; RigError: the file cannot be read, or is not yaml."""
-    try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RigError(f"{path} cannot be read: {error.strerror}.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RigError(f"{path} is not yaml: {' '.join(str(error).split())}.") from error
-
-
 def shipped(name: str) -> Path:
     """Returns the path of a file in this package's folder config."""
     return Path(rospkg.RosPack().get_path("kuka_control")) / "config" / name
+
+
+def guard_obstacles(config: ControllerConfig) -> tuple[ConvexBody, ...] | None:
+    """Returns what the file of the collision guard's obstacles holds; None without one; RigError: not valid."""
+    if not (config.collision_guard and config.guard_obstacles):
+        return None
+    path = Path(config.guard_obstacles)
+    return obstacles_from(read_yaml(path), robot_model(config.robot, config.flange).wrist_flange, f"{path}: ")
 
 
 def dh_deviations(config: ControllerConfig) -> DhDeviations | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +12,13 @@ from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from common.errors import ConfigError, RigError
+from common.errors import RigError
+from common.ros.files import read_yaml
+from common.ros.node import run_program
 from kuka_control.gui.plot import SIZE_INCH, WorkspacePicture, draw
 from kuka_control.model.rig import checked_rig
 from kuka_control.model.workspace_study import constrained_samples, sentences, study_reach, title, volume_samples
-from kuka_control.ros.parameter_server import NoMaster, NoParameters, dh_deviations, parameters, read_yaml, shipped
+from kuka_control.ros.parameter_server import NoMaster, NoParameters, dh_deviations, parameters, shipped
 
 NAME = "workspace_plotter"
 DEFAULT_PARAMS = "kuka_params_rt.yaml"
@@ -27,14 +28,7 @@ TOLERANCES_DEG = (25.0, 25.0, 25.0)  # where neither an option nor the parameter
 def main() -> None:
     """Runs the program and exits the process: 0, or 1 after sentences on the errors."""
     options = _parser().parse_args(rospy.myargv()[1:])
-    try:
-        _run(options)
-    except RigError as error:
-        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
-            print(f"{NAME}: {sentence}", file=sys.stderr)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        sys.exit(130)
+    run_program(NAME, lambda: _run(options), "Interrupted.")
 
 
 def _run(options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The services of a controller: five for its switches, and the check of a tool pose."""
+"""The services of a controller: six for its switches, and the check of a tool pose."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
 from kuka_control.model.target import check_tool_pose, refused, seed
-from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
+from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setPayload, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
 EMERGENCY_EXIT_CODE = 2
@@ -31,7 +31,12 @@ class Services:
         rospy.Service("kuka/exit_app", exitApp, lambda _: self._ask(switches.request_exit))
         rospy.Service("kuka/kuka_control", setKukaControl, lambda r: self._ask(switches.set_control, r.data))
         rospy.Service("kuka/gripper_control", setGripperControl, lambda r: self._ask(switches.set_gripper, r.data))
+        rospy.Service("kuka/set_payload", setPayload, lambda r: self._ask(switches.set_payload, r.data))
         rospy.Service("kuka/scaling_factor", setScalingFactor, lambda r: self._ask(switches.set_scale, r.data))
+
+    def disengage(self) -> None:
+        """Switches control off: the operator could not do it any more."""
+        self._ask(self._switches.set_control, False)
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
@@ -57,10 +62,15 @@ class Services:
         return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."
 
 
-def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None, float]]) -> None:
+def offer_tool_check(
+    rig: Rig,
+    read: Callable[[], tuple[Mode, np.ndarray | None, float]],
+    collision: Callable[[np.ndarray], str | None],
+) -> None:
     """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop.
 
-    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling factor.
+    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling factor;
+    `collision` as for `check_tool_pose`.
     """
 
     def answer(request: CheckToolPoseRequest) -> CheckToolPoseResponse:
@@ -70,8 +80,11 @@ def offer_tool_check(rig: Rig, read: Callable[[], tuple[Mode, np.ndarray | None,
             check = refused(f"{error}.")
             return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)
         mode, joints, scale = read()
+        if mode is Mode.MOVING:
+            check = refused("a program moves the arm.")
+            return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)
         q_seed = seed(mode, joints, rig.home.q)
-        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, mode is Mode.SERVO)
+        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, mode is Mode.SERVO, collision)
         response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
         response.obstacle = check.obstacle or ""
         if check.T_base_desired is not None:

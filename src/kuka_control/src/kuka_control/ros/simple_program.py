@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 import rospy
 
-from common.errors import ConfigError, DeviceError, RigError
+from common.errors import DeviceError, RigError
+from common.ros.files import read_yaml
+from common.ros.node import INTERRUPTED, run_program
 from iiwa_kinematics import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
@@ -25,13 +27,11 @@ from kuka_control.ros.parameter_server import (
     living_node,
     master_of_this_graph,
     parameters,
-    read_yaml,
     shipped,
 )
 
 NODE = "kuka_simple_node"
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)  # nodes that hold the robot's only connection
-INTERRUPTED = 130
 BAR_CHARACTERS = 30
 
 
@@ -97,19 +97,7 @@ def main() -> None:
     The exit code is 0 when the arm is there, 1 after sentences that say why it is not, 130 after an interruption.
     """
     options = _parser().parse_args(rospy.myargv()[1:])
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    sys.stdout.reconfigure(line_buffering=True)
-    try:
-        code = _run(options)
-    except (RigError, KstError) as error:
-        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
-            print(f"simple_controller: {sentence}", file=sys.stderr)
-        code = 1
-    except KeyboardInterrupt:
-        print("\nInterrupted.")
-        code = INTERRUPTED
-    rospy.signal_shutdown("the program exits")
-    sys.exit(code)
+    run_program("simple_controller", lambda: _run(options), "Interrupted.", (RigError, KstError))
 
 
 def _run(options: argparse.Namespace) -> int:

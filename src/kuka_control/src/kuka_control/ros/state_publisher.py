@@ -8,6 +8,7 @@ import os
 import socket
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,11 +29,12 @@ from kuka_control.model.rig import Rig
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.workspace import Workspace, boundary_lines
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, SentGoals
 
 JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
 LINE_WIDTH_M = 0.003
 CENTRE_DIAMETER_M = 0.02
+RATE_GOALS = 1000  # the most goals in a second
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,31 @@ class Snapshot:
     round_trip: float | None
 
 
+class GoalPublisher:
+    """Publishes what was sent to the robot, while somebody listens."""
+
+    def __init__(self) -> None:
+        self._publisher = DirectPublisher("kuka/sent_goals", SentGoals, queue_size=100)
+        self._goals: deque[tuple[rospy.Time, list[float], float]] = deque(maxlen=10 * RATE_GOALS)
+
+    def sent(self, q: np.ndarray, velocity: float) -> None:
+        """Notes a goal, shape (7,) [rad], that was sent now; `velocity` of a PTP motion, else 0. Waits for nothing."""
+        if self._publisher.get_num_connections():
+            self._goals.append((rospy.Time.now(), q.tolist(), velocity))
+
+    def publish(self) -> None:
+        """Publishes the noted goals, from another thread."""
+        goals = [self._goals.popleft() for _ in range(len(self._goals))]
+        if goals:
+            sent, joints, velocity = zip(*goals)
+            self._publisher.publish(sent, [angle for q in joints for angle in q], velocity)
+
+
 class StatePublisher:
     """Publishes kuka/joint_positions at each reading, and everything else at the configured rates."""
 
-    def __init__(self, rig: Rig, rate_joints: float, rate_state: float) -> None:
-        self._rig = rig
+    def __init__(self, rig: Rig, rate_joints: float, rate_state: float, goals: GoalPublisher) -> None:
+        self._rig, self._goals = rig, goals
         self._period = 1.0 / rate_joints
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
@@ -66,6 +88,7 @@ class StatePublisher:
         self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)
         self._joints = DirectPublisher("kuka/joint_positions", jointPositions, queue_size=10)
         self._torques_external = DirectPublisher("kuka/joint_torques_external", jointTorquesExternal, queue_size=10)
+        self._torques_contact = DirectPublisher("kuka/joint_torques_contact", jointTorquesExternal, queue_size=10)
         self._torques_measured = DirectPublisher("kuka/joint_torques_measured", jointTorquesMeasured, queue_size=10)
         self._force = DirectPublisher("kuka/flange_force", Vector3Stamped, queue_size=10)
         self._torque = DirectPublisher("kuka/flange_torque", Vector3Stamped, queue_size=10)
@@ -116,6 +139,7 @@ class StatePublisher:
             if snapshot is not None:
                 self._publish_positions(snapshot.arm.joints)
                 if now >= due:
+                    self._goals.publish()
                     self._publish_readings(snapshot)
                     if now >= next_state:
                         next_state = now + self._state_period - self._period / 2.0
@@ -153,15 +177,29 @@ class StatePublisher:
                 transforms.append(stamped_transform(target.T_base_tool, BASE, TOOL_COMMANDED, now))
             if transforms:
                 self._tf.publish(TFMessage(transforms))
+        self._publish_forces(snapshot, before, now)
+
+    def _publish_forces(self, snapshot: Snapshot, before: ArmState, now: rospy.Time) -> None:
+        """Publishes torques as the robot's controller tells them; contact torques, force and moment without the weight
+        of the tool and of what the hand holds, which that controller takes for a force from outside.
+        """
+        arm, rig = snapshot.arm, self._rig
         for publisher, kind, new, old in (
             (self._torques_external, jointTorquesExternal, arm.torques_external, before.torques_external),
+            (self._torques_contact, jointTorquesExternal, arm.torques_external, before.torques_external),
             (self._torques_measured, jointTorquesMeasured, arm.torques_measured, before.torques_measured),
         ):
             if new is not None and new is not old and publisher.get_num_connections():
+                if publisher is self._torques_contact:
+                    new = new - rig.load.torques(arm.joints, snapshot.switched.payload)
                 publisher.publish(kind(Header(0, now, BASE), *new.tolist()))
-        for publisher, new, old in ((self._force, arm.force, before.force), (self._torque, arm.moment, before.moment)):
+        for i, publisher, new, old in (
+            (0, self._force, arm.force, before.force),
+            (1, self._torque, arm.moment, before.moment),
+        ):
             if new is not None and new is not old and publisher.get_num_connections():
-                vector = self._rig.T_flange_tool[:3, :3] @ new  # the toolbox reports both in the tool's axes
+                # The toolbox reports both in the tool's axes.
+                vector = rig.T_flange_tool[:3, :3] @ (new - rig.load.wrench(arm.joints, snapshot.switched.payload)[i])
                 publisher.publish(Vector3Stamped(Header(0, now, FLANGE_MEASURED), Vector3(*vector.tolist())))
 
     def _publish_state(self, snapshot: Snapshot) -> None:

@@ -22,7 +22,7 @@ from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import LEFT, subscribe
+from leap_motion.ros.tracking import LEFT, ReceivedHuman, Subscribe, subscribe
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
@@ -49,12 +49,12 @@ class HandTeleopNode:
         self._state_received = threading.Event()
         rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
-    def run(self) -> None:
+    def run(self, subscribe: Subscribe) -> None:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
         self._state_received.wait(FIRST_STATE_S)
         rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
-        subscribe(self._on_frame)
+        subscribe(self._on_frame, ReceivedHuman)
         while not rospy.is_shutdown():
             with self._lock:
                 self._carry_out(self._teleop.silence(time.monotonic()))
@@ -66,7 +66,8 @@ class HandTeleopNode:
 
     def _on_stream(self, stream: DiagnosticStatus) -> None:
         with self._lock:
-            self._teleop.steered_by(owner(stream), time.monotonic())
+            values = {value.key: value.value for value in stream.values}
+            self._teleop.steered_by(owner(stream), time.monotonic(), values.get("keep_grip") == "true")
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
@@ -163,13 +164,15 @@ def calibrate(timeout: float) -> None:
         time.sleep(0.05)
 
 
-def _run() -> None:
-    node = private_config(NodeConfig)
+def start(node: NodeConfig, subscribe: Subscribe = subscribe) -> None:
+    """Follows the tracking frames of `subscribe` until ROS shuts down."""
     config = wait_for_config(HandConfig, "leap_hand")
+    if node.operator:
+        rospy.loginfo("The finger mapping is that of %s.", node.operator)
     calibrate(node.service_timeout)
-    HandTeleopNode(HandTeleop(config, node.hand_only), ForceLimit(config)).run()
+    HandTeleopNode(HandTeleop(config, node.hand_only), ForceLimit(config)).run(subscribe)
 
 
 def main() -> None:
     """Runs the node until ROS shuts down."""
-    run("leap_hand_node", _run)
+    run("leap_hand_node", lambda: start(private_config(NodeConfig)))

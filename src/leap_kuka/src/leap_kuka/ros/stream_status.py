@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import itertools
 import threading
 import time
@@ -25,7 +26,57 @@ TEXT_HEIGHT_M = 0.025
 HEARTBEAT_S = 0.5  # longest time without a message: leap_hand follows nobody when leap_kuka falls silent
 
 
-class StreamStatus:
+class NewestResult(abc.ABC):
+    """Publishes a result with a change at once, and the newest one again at a `flush` after `period` [s].
+
+    Classes that derive from it say what a change is (`_key`), and publish.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._lock = threading.Lock()
+        self._newest: TeleopResult | None = None
+        self._published: TeleopResult | None = None
+        self._published_at = 0.0
+
+    def update(self, result: TeleopResult) -> None:
+        """Sets the newest result; publishes it if it brings a change."""
+        with self._lock:
+            self._newest, before = result, self._published
+            if before is None or self._key(before) != self._key(result):
+                self._changed(result)
+                self._send(result)
+
+    def flush(self) -> None:
+        """Publishes the newest result if its text differs from the published one, or that one is a period old."""
+        with self._lock:
+            result, published = self._newest, self._published
+            if result is None or published is None:
+                return
+            if self._text(result) != self._text(published) or time.monotonic() - self._published_at >= self._period:
+                self._send(result)
+
+    def _send(self, result: TeleopResult) -> None:
+        self._published, self._published_at = result, time.monotonic()
+        self._publish(result)
+
+    @abc.abstractmethod
+    def _key(self, result: TeleopResult) -> tuple:
+        """Returns what is published at once."""
+
+    def _text(self, result: TeleopResult) -> str:
+        """Returns what is published at the next flush."""
+        return ""
+
+    def _changed(self, result: TeleopResult) -> None:  # noqa: B027 - who has nothing to add leaves it out
+        """Is called before a change is published."""
+
+    @abc.abstractmethod
+    def _publish(self, result: TeleopResult) -> None:
+        """Publishes a result."""
+
+
+class StreamStatus(NewestResult):
     """Publishes a change of the state or of the hold at once, and a new reason at the next `flush`.
 
     Without either it publishes every HEARTBEAT_S.
@@ -34,33 +85,20 @@ class StreamStatus:
     """
 
     def __init__(self, box: InteractionBox, frame_id: str) -> None:
+        super().__init__(HEARTBEAT_S)
         self._box, self._frame_id = box, frame_id
         self._status = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
         self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
-        self._lock = threading.Lock()
-        self._newest: TeleopResult | None = None
-        self._published: TeleopResult | None = None
-        self._published_at = 0.0
 
-    def update(self, result: TeleopResult) -> None:
-        """Sets the newest result; publishes it if the state or the hand that steers changed."""
-        with self._lock:
-            self._newest = result
-            before = self._published
-            changes = (result.state, result.hold, result.owner)
-            if before is None or (before.state, before.hold, before.owner) != changes:
-                held = ", the tool is held" if result.hold is HoldState.HELD else ""
-                rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
-                self._publish(result)
+    def _key(self, result: TeleopResult) -> tuple:
+        return result.state, result.hold, result.owner
 
-    def flush(self) -> None:
-        """Publishes the newest result if its reason differs from the published one, or that one is HEARTBEAT_S old."""
-        with self._lock:
-            result, published = self._newest, self._published
-            if result is None or published is None:
-                return
-            if result.reason != published.reason or time.monotonic() - self._published_at >= HEARTBEAT_S:
-                self._publish(result)
+    def _text(self, result: TeleopResult) -> str:
+        return result.reason
+
+    def _changed(self, result: TeleopResult) -> None:
+        held = ", the tool is held" if result.hold in (HoldState.HELD, HoldState.KEPT) else ""
+        rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
 
     @property
     def text(self) -> tuple[int, str, str]:
@@ -71,11 +109,11 @@ class StreamStatus:
         return _level(result), result.reason, result.state.value
 
     def _publish(self, result: TeleopResult) -> None:
-        self._published, self._published_at = result, time.monotonic()
         number, side = ("", "") if result.owner is None else (str(result.owner[0]), LEFT if result.owner[1] else RIGHT)
         values = [
             KeyValue("state", result.state.value),
             KeyValue("hold", result.hold.value),
+            KeyValue("keep_grip", str(result.keep_grip).lower()),
             KeyValue("hand_id", number),
             KeyValue("hand_side", side),
         ]
@@ -115,5 +153,4 @@ class StreamStatus:
 
 
 def _level(result: TeleopResult) -> int:
-    follows = result.state is StreamState.RUNNING and result.obstacle is None
-    return DiagnosticStatus.OK if follows else DiagnosticStatus.WARN
+    return DiagnosticStatus.OK if result.follows else DiagnosticStatus.WARN

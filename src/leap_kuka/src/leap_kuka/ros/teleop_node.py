@@ -22,14 +22,17 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
-from leap_kuka.config import ArmPlacement, LeapConfig
+from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
+from leap_kuka.ros.hand_to_arm import DelayMonitor
+from leap_kuka.ros.measured_tool import MeasuredTool
 from leap_kuka.ros.reach import ReachCheck
 from leap_kuka.ros.stream_status import StreamStatus
-from leap_kuka.teleop import ArmTeleop, TeleopResult
+from leap_kuka.ros.teleop_state import TeleopStatePublisher
+from leap_kuka.teleop import ArmTeleop, TeleopResult, no_measured_tool
 from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import ReceivedPalms, subscribe
-from rig_msgs.msg import KukaStatus
+from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe
+from rig_msgs.msg import KukaStatus, OperatorInput
 from rig_msgs.srv import HoldTool, HoldToolRequest
 
 WATCH_PERIOD_S = 0.1
@@ -38,14 +41,18 @@ WATCH_PERIOD_S = 0.1
 class ArmTeleopNode:
     """Runs the chain on each frame, and watches for the stream falling silent."""
 
-    def __init__(self, teleop: ArmTeleop, reach: ReachCheck) -> None:
+    def __init__(self, teleop: ArmTeleop, reach: ReachCheck, engagement: str, subscribe: Subscribe) -> None:
         self._teleop, self._reach = teleop, reach
+        self._bad_input = ""
         self._lock = threading.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka")
         self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
+        self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed)
+        self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange), False
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
+        rospy.Subscriber("leap_kuka/operator_input", OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
         Diagnostics("leap_kuka", self._diagnostics)
         subscribe(self._on_frame, ReceivedPalms)
@@ -57,7 +64,9 @@ class ArmTeleopNode:
                 silent = self._teleop.silence(time.monotonic())
                 if silent is not None:
                     self._status.update(silent)
+                    self._state.update(silent)
             self._status.flush()
+            self._state.flush()
             time.sleep(WATCH_PERIOD_S)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
@@ -67,11 +76,27 @@ class ArmTeleopNode:
                 self._tf.publish(self._transforms(result, stamp))
                 self._stage_times.done(stamp)
             self._status.update(result)
+            self._state.update(result)
+        if self._servo and result.owner is not None:
+            for hand in frame.hands:
+                if (hand.id, hand.is_left) == result.owner:
+                    self._hand_to_arm.palm.add(stamp.to_sec(), hand.palm.tolist())
 
     def _on_status(self, status: KukaStatus) -> None:
+        self._servo = status.mode == KukaStatus.SERVO
         with self._lock:
             self._reach.scale = status.scaling_factor
-            self._teleop.control(status.control_on)
+            self._teleop.control(status.control_on, status.mode, status.scaling_factor, time.monotonic())
+
+    def _on_input(self, message: OperatorInput) -> None:
+        age = (rospy.Time.now() - message.header.stamp).to_sec()
+        with self._lock:
+            device = self._teleop.switches.device
+            now, program = time.monotonic(), message._connection_header["callerid"]
+            refused = device.take(message.enabled, message.clutch, message.source, age, now, program)
+        if refused and not self._bad_input:
+            rospy.logwarn("The operator input is refused: %s.", refused)
+        self._bad_input = refused or ""
 
     def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
         answer = self._hold(request)
@@ -108,7 +133,7 @@ class ArmTeleopNode:
         level, reason, state = self._status.text
         rate = self._teleop.frame_rate
         values = {"state": state, "frame_rate": "" if rate is None else f"{rate:.1f}"}
-        return level, reason, {**values, **dataclasses.asdict(self._teleop.counts)}
+        return level, reason, {**values, **self._hand_to_arm.values(), **dataclasses.asdict(self._teleop.counts)}
 
 
 def read_arm_placement() -> ArmPlacement:
@@ -118,13 +143,15 @@ def read_arm_placement() -> ArmPlacement:
     return wait_for_config(ArmPlacement, "kuka", others=rospy.get_param("kuka"))
 
 
-def _run() -> None:
-    leap = wait_for_config(LeapConfig, "leap")
+def start(subscribe: Subscribe = subscribe) -> None:
+    """Follows the tracking frames of `subscribe` until ROS shuts down."""
+    leap = wait_for_config(LeapConfig, "leap", others=(OPERATOR_INPUT,))
     arm = read_arm_placement()
     reach = ReachCheck(arm.ws_center)
-    ArmTeleopNode(ArmTeleop(leap, arm, reach), reach).watch()
+    measured = MeasuredTool(arm.T_flange_tool) if leap.engagement == RELATIVE else no_measured_tool
+    ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe).watch()
 
 
 def main() -> None:
     """Runs the node until ROS shuts down."""
-    run("leap_kuka_node", _run)
+    run("leap_kuka_node", start)

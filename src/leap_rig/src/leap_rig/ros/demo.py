@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import rosgraph
 import roslaunch
@@ -23,17 +24,21 @@ from roslaunch.pmon import ProcessListener
 from common.errors import RigError
 from common.ros.service_calls import ServiceFailed, call
 from kuka_msgs.srv import exitApp
+from leap_hand.ros.operators import known_file
 from leap_rig.processor import ProcessorLoad
-from leap_rig.recorder import Recorder
-from leap_rig.report import as_text, summarise
-from leap_rig.ros.listener import CLEAR_LINE, COMPLAINT, LiveStatus, RigListener
+from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
+
+if TYPE_CHECKING:
+    from leap_rig.ros.listener import RigListener
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 READY_TIMEOUT_S = 90.0
+TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
 EXIT_TIMEOUT_S = 60.0
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
-SCENARIOS = ("pick_cup", "assisted_grasp")
-SCENE, YAML = "scene", ".yaml"
+SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands")
+TRACKERS = ("leap", "webcam", "headset")
+SCENE, YAML, VIDEO = "scene", ".yaml", "video"
 
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:
@@ -46,6 +51,11 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     parser.add_argument("--record", type=Path, metavar="FILE", help="film the simulated world: .mp4, or .png")
     scenarios = f"what the simulated operator does: {' or '.join(SCENARIOS)}"
     parser.add_argument("--scenario", metavar="NAME", help=scenarios)
+    parser.add_argument(
+        "--tracker", choices=TRACKERS, help="what sees the hand: the simulated Leap, your webcam, or a headset"
+    )
+    parser.add_argument("--tutorial", action="store_true", help="lead a visitor through the first minutes")
+    parser.add_argument("--language", choices=("de", "en"), help="of the tutorial; by default as LANG says")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the summary there as JSON")
     parser.add_argument("launch", nargs="*", metavar="NAME:=VALUE", help="arguments of demo.launch")
     arguments = parser.parse_args(argv)
@@ -67,16 +77,30 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     scenario, scene = given.get("scenario"), Path(given.get(SCENE, ""))
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
+    if scenario and arguments.tutorial:
+        parser.error(f"the scenario {scenario} and the tutorial exclude each other: each of them leads the person")
     if scenario and given.get("recording"):
         parser.error(f"the scenario {scenario} and a recording exclude each other: each of them moves the hand")
+    tracker = given.get("tracker", "leap")
+    if tracker not in TRACKERS:
+        parser.error(f"there is no tracker {tracker!r}; known are {' and '.join(TRACKERS)}")
+    if tracker != "leap" and (scenario or given.get("recording")):
+        parser.error(f"the tracker {tracker} sees your own hand; a scenario or recording moves the simulated one")
+    if given.get(VIDEO) and not Path(given[VIDEO]).is_file():
+        parser.error(f"the video {given[VIDEO]} is not a file")
     if scene.suffix == YAML and not scene.is_file():
         parser.error(f"the scene {scene} is not a file")
+    if given.get("operator"):
+        try:
+            known_file(given["operator"])
+        except RigError as error:
+            parser.error(str(error))
     return arguments
 
 
 def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
     """Returns the arguments of demo.launch; a scene's file has its absolute path, as nodes run in another folder."""
-    launch = [f"rviz:={str(screen).lower()}", f"gui:={str(screen).lower()}"]
+    launch = [f"rviz:={str(screen).lower()}", f"gui:={str(screen).lower()}", "one_process:=true"]
     if arguments.recording is not None:
         launch.append(f"recording:={arguments.recording.resolve()}")
     if arguments.offset is not None:
@@ -85,9 +109,16 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
         launch.append(f"record:={arguments.record.resolve()}")
     if arguments.scenario is not None:
         launch.append(f"scenario:={arguments.scenario}")
+    if arguments.tracker is not None:
+        launch.append(f"tracker:={arguments.tracker}")
+    if arguments.tutorial:
+        launch.append("tutorial:=true")
+    if arguments.language is not None:
+        launch.append(f"language:={arguments.language}")
     for item in arguments.launch:
         name, _, value = item.partition(":=")
-        launch.append(f"{SCENE}:={Path(value).resolve()}" if name == SCENE and value.endswith(YAML) else item)
+        is_file = (name == SCENE and value.endswith(YAML)) or (name == VIDEO and value)
+        launch.append(f"{name}:={Path(value).resolve()}" if is_file else item)
     return launch
 
 
@@ -190,15 +221,24 @@ def run(arguments: argparse.Namespace) -> int:
     files = [(str(launch_file), launch_arguments(arguments, screen))]
     options = {"process_listeners": [deaths], "show_summary": False, "force_log": True, "sigint_timeout": 5.0}
     parent = roslaunch.parent.ROSLaunchParent(uuid, files, **options)
-    interrupts, recorder, status = Interrupts(), Recorder(), LiveStatus()
+    interrupts, status = Interrupts(), LiveStatus()
     print("Starting the rig. Ctrl-C stops it. ROS tools work in a second terminal after `source devel/setup.bash`.")
     try:
         parent.start(auto_terminate=False)
         interrupts.heed()
         deaths.take_early(parent.pm)
+        # Imported while the nodes start, which would wait for them otherwise.
+        from leap_rig.recorder import Recorder
+        from leap_rig.report import TUTORIAL, as_text, summarise
+        from leap_rig.ros.listener import RigListener
+
         rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
+        recorder = Recorder()
+        if arguments.tutorial:  # until its node reports
+            recorder.set_scenario({"scenario": TUTORIAL, "step": "begin", "failure": ""})
         listener = RigListener(recorder)
-        ended = wait_for_end(listener, deaths, status, arguments.duration)
+        limit = TUTORIAL_S if arguments.tutorial and not screen else None
+        ended = wait_for_end(listener, deaths, status, arguments.duration or limit, arguments.tutorial and screen)
         listener.stop()
         summary_time = time.monotonic()
         if ended in ("duration", "scenario"):
@@ -210,7 +250,7 @@ def run(arguments: argparse.Namespace) -> int:
         with contextlib.suppress(OSError):  # the terminal may be closed
             status.finish()
         parent.shutdown()
-    summary = summarise(recorder, summary_time, deaths.sentences, deaths.remarks)
+    summary = summarise(listener.recorder, summary_time, deaths.sentences, deaths.remarks)
     print(as_text(summary))
     if arguments.report is not None:
         try:
@@ -220,10 +260,14 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if summary["faults"] else 0
 
 
-def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None) -> str:
-    """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". Raises
-    RigError if the arm is not at home after READY_TIMEOUT_S.
+def wait_for_end(
+    listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None, visitor: bool
+) -> str:
+    """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
+    `visitor` may stay when the tutorial is over. Raises RigError if the arm is not at home after READY_TIMEOUT_S.
     """
+    from leap_rig.report import TUTORIAL  # as late as in `run`
+
     try:
         deadline = time.monotonic() + READY_TIMEOUT_S
         while listener.mode not in AT_HOME_OR_LATER:
@@ -243,7 +287,10 @@ def wait_for_end(listener: RigListener, deaths: Deaths, status: LiveStatus, dura
                 listener.recorder.loads.append((now, load))
             if duration is not None and elapsed >= duration:
                 return "duration"
-            if duration is None and listener.recorder.scenario_over:
+            while listener.sentences:
+                status.say(listener.sentences.popleft())
+            tutorial = (listener.recorder.scenario or {}).get("scenario") == TUTORIAL
+            if listener.recorder.scenario_over and (not visitor if tutorial else duration is None):
                 return "scenario"
             status.update(listener, f"{elapsed:.0f} s")
             time.sleep(0.1)

@@ -1,17 +1,16 @@
-"""Records the rig's topics and tf, and shows its state in the terminal while the demo runs."""
+"""Records the rig's topics and tf while the demo runs."""
 
 from __future__ import annotations
 
 import struct
-import sys
 import threading
 import time
+from collections import deque
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import TimeReference
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
@@ -20,18 +19,17 @@ from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
-from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import LEFT, RIGHT, ReceivedPalms, subscribe
+from leap_motion.ros.tracking import LEFT, RIGHT, ReceivedPalms
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 
 ENCODED = {name: struct.pack("<I", len(name)) + name.encode() for name in (TOOL_DESIRED, TOOL_COMMANDED)}
+STAGE_TIME = struct.Struct("<7I")
+"""A TimeReference as `StageTimes` writes it, up to its source: seq, stamp, length of the empty frame_id, time_ref,
+length of the source."""
 FRESH_S = 0.2
 """An older frame no longer steers the arm."""
-CLEAR_LINE = "\r\033[K"
-COMPLAINT = "[${severity}] ${node}: ${message}"
-"""ROSCONSOLE_FORMAT of the nodes."""
 
 
 class RigListener:
@@ -40,25 +38,27 @@ class RigListener:
     def __init__(self, recorder: Recorder) -> None:
         self.recorder = recorder
         self.mode = ""
+        self.sentences: deque[str] = deque()  # of the tutorial, not yet shown
         self._owner: tuple[str, str] | None = None  # number and side of the hand that steers
         self._lock = threading.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
         self._frames: dict[str, bytes] = {}  # the newest tf message with each of the tool's frames
         for topic, kind, callback, queue in (
-            (STAGE_TIMES, TimeReference, self._stage, 500),
-            ("leap_kuka/stream", DiagnosticStatus, self._stream, 50),
-            ("/diagnostics", DiagnosticArray, self._diagnostics, 50),
-            ("simulation/status", DiagnosticStatus, lambda m: recorder.status("simulation", _values(m)), 10),
-            ("/tf", rospy.AnyMsg, self._transforms, 100),
-            ("simulation/flange", PoseStamped, self._flange, 1),
-            ("simulation/object_states", ObjectStates, self._objects, 10),
-            ("simulation/scenario", DiagnosticStatus, lambda m: recorder.set_scenario(_values(m)), 10),
-            ("kuka/mode", String, self._mode, 50),
-            ("reflex_takktile/hand_state", Hand, self._hand, 1),
+            (STAGE_TIMES, rospy.AnyMsg, self._locked(self._stage), 500),
+            ("leap_kuka/stream", DiagnosticStatus, self._locked(self._stream), 50),
+            ("/diagnostics", DiagnosticArray, self._locked(self._diagnostics), 50),
+            ("simulation/status", DiagnosticStatus, self._locked(self._simulation), 10),
+            ("/tf", rospy.AnyMsg, self._locked(self._transforms), 100),
+            ("simulation/flange", rospy.AnyMsg, self._sampled(PoseStamped, self._flange, 0.03), 1),
+            ("simulation/object_states", rospy.AnyMsg, self._sampled(ObjectStates, self._objects, 0.1), 1),
+            ("simulation/scenario", DiagnosticStatus, self._locked(self._scenario), 10),
+            ("leap_rig/tutorial", DiagnosticStatus, self._locked(self._tutorial), 10),
+            ("kuka/mode", String, self._locked(self._mode), 50),
+            ("reflex_takktile/hand_state", rospy.AnyMsg, self._sampled(Hand, self._hand, 0.1), 1),
+            ("leap_motion/leap_device", rospy.AnyMsg, self._sampled(ReceivedPalms, self._palm, 0.02), 1),
         ):
-            self._subscribers.append(rospy.Subscriber(topic, kind, self._locked(callback), queue_size=queue))
-        self._subscribers.append(subscribe(self._palm, ReceivedPalms))
+            self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
 
     def stop(self) -> None:
         """Stops recording."""
@@ -72,18 +72,36 @@ class RigListener:
 
         return run
 
-    def _stage(self, message: TimeReference) -> None:
-        self.recorder.stage(message.source, message.header.stamp.to_sec(), message.time_ref.to_sec())
+    def _sampled(self, kind, callback, period: float):
+        """Returns a callback of a rospy.AnyMsg subscriber that reads one message in `period` [s]: the report needs no
+        more, and to read a message costs more than to receive it.
+        """
+        due = 0.0
+
+        def run(message: rospy.AnyMsg) -> None:
+            nonlocal due
+            now = time.monotonic()
+            if now >= due:
+                due = max(due + period, now)
+                with self._lock:
+                    callback(kind().deserialize(message._buff))
+
+        return run
+
+    def _stage(self, message: rospy.AnyMsg) -> None:
+        _, stamp_s, stamp_ns, _, done_s, done_ns, length = STAGE_TIME.unpack_from(message._buff)
+        stage = message._buff[STAGE_TIME.size : STAGE_TIME.size + length].decode()
+        self.recorder.stage(stage, stamp_s + 1e-9 * stamp_ns, done_s + 1e-9 * done_ns)
 
     def _stream(self, message: DiagnosticStatus) -> None:
         values = _values(message)
         self._owner = values.get("hand_id", ""), values.get("hand_side", "")
         self.recorder.stream(values.get("state") == "running", message.message, time.monotonic())
 
-    def _palm(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
-        for hand in frame.hands:
+    def _palm(self, human: ReceivedPalms) -> None:
+        for hand in human.hands:
             if self._following and (str(hand.id), LEFT if hand.is_left else RIGHT) == self._owner:
-                self.recorder.palms.add(stamp.to_sec(), hand.palm.tolist())
+                self.recorder.palms.add(human.stamp.to_sec(), hand.palm.tolist())
 
     @property
     def _following(self) -> bool:
@@ -93,10 +111,20 @@ class RigListener:
         for status in message.status:
             self.recorder.status(status.name, _values(status))
 
+    def _simulation(self, status: DiagnosticStatus) -> None:
+        self.recorder.status("simulation", _values(status))
+
+    def _scenario(self, status: DiagnosticStatus) -> None:
+        self.recorder.set_scenario(_values(status))
+
     def _objects(self, message: ObjectStates) -> None:
         for state in message.objects:
             T_world_object = pose_from_message(state.pose)
             self.recorder.add_object(state.name, T_world_object, state.clearance, state.touches, time.monotonic())
+
+    def _tutorial(self, message: DiagnosticStatus) -> None:
+        self.recorder.set_scenario(_values(message))
+        self.sentences.append(message.message)
 
     def _mode(self, message: String) -> None:
         self.mode = message.data
@@ -139,44 +167,3 @@ class RigListener:
 
 def _values(status: DiagnosticStatus) -> dict[str, str]:
     return {v.key: v.value for v in status.values}
-
-
-class LiveStatus:
-    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stdout.isatty()
-        self._period = 0.5 if self._terminal else 5.0
-        self._next = 0.0
-        self._frames = 0
-        self._time = time.monotonic()
-
-    def update(self, listener: RigListener, phase: str) -> None:
-        """Prints the state, at most once a period."""
-        now = time.monotonic()
-        recorder = listener.recorder
-        if now < self._next:
-            return
-        self._next = now + self._period
-        rate = max(recorder.frames - self._frames, 0) / max(now - self._time, 1e-3)
-        self._frames, self._time = recorder.frames, now
-        speed = recorder.counters.get("simulation", {}).get("tcp_speed")
-        hand = "steers" if recorder.streaming else "waits"
-        text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
-        if speed is not None:
-            text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
-        if recorder.scenario is not None:
-            text += f" | {recorder.scenario['step']}"
-        self._print(text + ("" if self._terminal else "\n"))
-
-    def say(self, sentence: str) -> None:
-        """Prints a sentence on a line of its own."""
-        self._print(sentence + "\n")
-
-    def finish(self) -> None:
-        """Ends the live line."""
-        if self._terminal:
-            print()
-
-    def _print(self, text: str) -> None:
-        print(f"{CLEAR_LINE}{text}" if self._terminal else text, end="", flush=True)

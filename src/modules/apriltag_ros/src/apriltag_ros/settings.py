@@ -122,6 +122,8 @@ def targets(values: Mapping[str, Any]) -> tuple[TagTarget, ...]:
     """Returns the targets in `standalone_tags` and `tag_bundles`, either of which may be missing or empty; raises
     ConfigError with all faults.
     """
+    if not isinstance(values, Mapping):
+        raise ConfigError([f"The tags are {values!r}, but must be a mapping with the keys {' and '.join(TAG_KEYS)}."])
     faults: list[str] = []
     alone, bundles = _standalone(values, faults), _bundles(values, faults)
     found = (*alone, *bundles)

@@ -44,7 +44,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
     """Returns the pose of the flange in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
-    _, _, _, _, p, (x, y, z) = _frames(model, q)
+    _, _, _, _, p, (x, y, z) = joint_frames(model, q)
     return np.array([
         [x[0], y[0], z[0], p[0]],
         [x[1], y[1], z[1], p[1]],
@@ -55,7 +55,7 @@ def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
 
 def arm_points(model: RobotModel, q: np.ndarray) -> np.ndarray:
     """Returns base, shoulder, elbow, wrist and flange, shape (5, 3) [m], at joints q, shape (7,) [rad]."""
-    _, shoulder, elbow, wrist, flange, _ = _frames(model, q)
+    _, shoulder, elbow, wrist, flange, _ = joint_frames(model, q)
     return np.array([(0.0, 0.0, 0.0), shoulder, elbow, wrist, flange])
 
 
@@ -65,7 +65,7 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
     Rows 0 to 2: velocity of the tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s],
     at the joints q, shape (7,) [rad]. `T_flange_tool`, shape (4, 4) [m], is the flange itself if omitted.
     """
-    axes, shoulder, elbow, wrist, p, (x, y, z) = _frames(model, q)
+    axes, shoulder, elbow, wrist, p, (x, y, z) = joint_frames(model, q)
     if T_flange_tool is not None:
         tx, ty, tz = T_flange_tool[:3, 3].tolist()
         tool = combination(tx, x, ty, y, tz, z)
@@ -108,9 +108,9 @@ def tool_point(model: RobotModel, tool: Vector, q: Sequence[float]) -> tuple[Vec
     return (c * x - s * y, s * x + c * y, z + model.base_shoulder), [r1, r2, r3, r4, r5, r6, r7]
 
 
-def _frames(model: RobotModel, q: np.ndarray) -> Frames:
+def joint_frames(model: RobotModel, q: Sequence[float] | np.ndarray) -> Frames:
     """Returns the joint axes, the points shoulder, elbow, wrist and flange [m], and the axes of the flange."""
-    q1, q2, q3, q4, q5, q6, q7 = np.asarray(q, dtype=float).tolist()
+    q1, q2, q3, q4, q5, q6, q7 = map(float, q)
     x3, y3, z3 = zyz_axes(q1, q2, q3)
     c4, s4 = cos(q4), sin(q4)
     x4, z4 = combination(c4, x3, s4, z3), combination(-s4, x3, c4, z3)

@@ -32,9 +32,10 @@ from kst.errors import (
     WrongMode,
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
-from kst.session import KstSession, KstTiming, LinkCounts
+from kst.session import ARRIVED_RAD, KstSession, KstTiming, LinkCounts
 from kst.transport import KstTransport
 
+LATE_END_S = 2.0  # the final word of a motion comes sooner after the arrival than this, or not at all [s]
 OVERDUE_S = 0.002  # an answer is overdue once it takes this much longer than twice the usual time [s]
 _FEEDBACK = {**{feedback.value[0]: feedback for feedback in Feedback}, codec.JOINTS.word: Feedback.JOINTS}
 
@@ -69,6 +70,7 @@ class KstClient:
         self._mode = KstMode.IDLE
         self._goal = np.zeros(7)
         self._still_since: float | None = None  # since when a motion in doubt has stood still [s]
+        self._at_goal_since: float | None = None  # since when a motion without its final word has been at its goal [s]
 
     @property
     def mode(self) -> KstMode:
@@ -164,7 +166,12 @@ class KstClient:
         """Returns the measured joint angles, shape (7,) [rad]; in every mode."""
         timing = self._session.timing
         timeout = timing.servo_reply if self.mode is KstMode.SERVO else timing.reply
-        return self._numbers(codec.JOINTS, self._ask(codec.JOINTS, timeout))
+        joints = self._numbers(codec.JOINTS, self._ask(codec.JOINTS, timeout))
+        if np.max(np.abs(joints - self._goal)) > ARRIVED_RAD:
+            self._at_goal_since = None
+        elif self._at_goal_since is None:
+            self._at_goal_since = time.monotonic()
+        return joints
 
     def external_torques(self) -> np.ndarray:
         """Returns the external joint torques, shape (7,) [Nm]; only when idle."""
@@ -217,7 +224,7 @@ class KstClient:
         self._accept(codec.relative_velocity(velocity))
         self._ask(codec.joint_goal(goal))
         self._goal = goal
-        self._still_since = None
+        self._still_since = self._at_goal_since = None
         self._session.expect_final(True)
         self._mode = KstMode.PTP
         try:
@@ -235,6 +242,8 @@ class KstClient:
     def ptp_arrived(self) -> bool:
         """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has.
 
+        The joints that `joints` reads tell it, too: an arm that has been there for LATE_END_S has lost its final word.
+
         Raises:
             MotionRefused: the controller gave the motion up, or it never began because its start was wiped.
         """
@@ -243,7 +252,8 @@ class KstClient:
         self._session.poll()
         final = self._session.final
         if final is None:
-            return self._session.doubt and self._arrived_by_joints()
+            lost = self._at_goal_since is not None and time.monotonic() - self._at_goal_since > LATE_END_S
+            return (lost or self._session.doubt) and self._arrived_by_joints()
         self._end_motion()
         if final is ReplyKind.NAK:
             self._refused("the PTP motion (an unreachable goal, or a stop during the motion)")

@@ -12,23 +12,24 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
 from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
 from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket
 
 SILENCE_S = 0.1
+UNUSABLE_S = 0.5  # unusable frames for so long are a state of the link
 HEADER_TIMEOUT_S = 2.0
 PING_S = 2.0
 RETRY_S = 0.5
 RETRY_FACTOR = 1.6
 RETRY_MAX_S = 3.0
 MAX_REASONS = 20
-UNKNOWN_CAUSE = "is it paused, or does another program have the focus?"
+UNKNOWN_CAUSE = "is the controller plugged in, is tracking paused, or does another program have the focus?"
 
 
 class LeapLink(Enum):
@@ -38,6 +39,7 @@ class LeapLink(Enum):
     NO_SERVICE = "no service"
     REFUSED = "refused"
     STREAMING = "streaming"
+    UNUSABLE = "unusable frames"
     SILENT = "silent"
     CLOSED = "closed"
 
@@ -49,17 +51,18 @@ class LeapCounts:
     received: int = 0  # frames read from the socket
     superseded: int = 0  # frames that a newer one replaced before anybody asked for them
     dropped: Counter[str] = field(default_factory=Counter)  # unusable frames, by reason
-    hands_dropped: Counter[str] = field(default_factory=Counter)  # unusable hands of frames that were used, by reason
+    hands_dropped: Counter[str] = field(default_factory=Counter)  # left-out hands and fingers of used frames, by reason
     connections: int = 0  # headers received; all but the first are reconnects
 
 
 @dataclass(frozen=True)
 class LeapStatus:
-    """State of the link, one sentence about it, and the version of the service if known."""
+    """State of the link and one sentence about it."""
 
     link: LeapLink
     sentence: str
-    service: str = ""
+    service: str = ""  # its version, if known
+    serial: str = ""  # of the device that sends the frames, if the service gives one
 
 
 @dataclass(frozen=True)
@@ -74,15 +77,25 @@ class LeapClient:
     """Reads the Leap service until it is closed, through missing services, restarts and broken messages.
 
     `port` is its plain WebSocket port. The value of `clock` at the receipt of a message is the stamp of the frame.
+    `code`: what a service on another machine may ask for. `tap` gets each text after the header as it came, with its
+    stamp, in the thread that reads: it must not wait.
     """
 
-    def __init__(self, host: str = "127.0.0.1", port: int = 6437, clock: Callable[[], object] = time.time) -> None:
-        self._host, self._port, self._address = host, port, f"{host}:{port}"
-        self._clock = clock
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 6437,
+        clock: Callable[[], object] = time.time,
+        code: str = "",
+        tap: Callable[[str, object], None] | None = None,
+    ) -> None:
+        self._host, self._port, self._address, self._code = host, port, f"{host}:{port}", code
+        self._clock, self._tap = clock, tap
         self._closing = threading.Event()
         self._changed = threading.Condition()
         self._newest: tuple[str | bytes, object] | None = None
         self._last: tuple[int, int] | None = None
+        self._unusable: tuple[float, str] | None = None  # since when no frame was usable [s], and the first reason
         self._counts = LeapCounts()
         self._status = LeapStatus(LeapLink.CONNECTING, f"Connecting to the Leap service on {self._address}.")
         self._thread = threading.Thread(target=self._run, name="leap client", daemon=True)
@@ -92,7 +105,11 @@ class LeapClient:
     def status(self) -> LeapStatus:
         """The present state of the link."""
         with self._changed:
-            return self._status
+            status, unusable = self._status, self._unusable
+        if status.link is not LeapLink.STREAMING or unusable is None or time.monotonic() - unusable[0] <= UNUSABLE_S:
+            return status
+        sentence = f"No frame of the Leap service on {self._address} was usable for {UNUSABLE_S:g} s: {unusable[1]}"
+        return replace(status, link=LeapLink.UNUSABLE, sentence=sentence)
 
     @property
     def counts(self) -> LeapCounts:
@@ -123,9 +140,11 @@ class LeapClient:
                     raise LeapProtocolError("A frame came twice.")
             except LeapProtocolError as error:
                 self._drop(str(error))
+                self._judge(str(error))
                 continue
             for reason in frame.left_out:
                 self._drop(reason, hand=True)
+            self._judge(frame.left_out[0] if frame.left_out and not frame.hands else None)
             self._last = (frame.id, frame.timestamp_us)
             return StampedFrame(frame, stamp)
 
@@ -145,6 +164,9 @@ class LeapClient:
                 self._converse()
             except _LinkFault as fault:
                 self._set_status(fault.link, str(fault))
+            except Exception as error:  # a defect of one connection must not be the last one
+                reason = f"{type(error).__name__}: {error}"
+                self._set_status(LeapLink.REFUSED, f"The link to {self._address} failed ({reason}). Trying again.")
             if self._counts.connections > connections:
                 retry = RETRY_S
             self._closing.wait(retry)
@@ -154,10 +176,14 @@ class LeapClient:
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
         try:
-            connection = LeapSocket(self._host, self._port)
+            connection = LeapSocket(self._host, self._port, self._code)
+        except InvalidStatus as error:
+            answer = f"The program on {self._address} refuses the connection (HTTP {error.response.status_code})."
+            advice = "A Leap service serves other machines only with the code that it shows: set `code` to it."
+            raise _LinkFault(LeapLink.REFUSED, f"{answer} {advice} Trying again.") from error
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
-            advice = "start it with `sudo leapd` or `sudo systemctl start leapd`. Trying again."
-            sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice}"
+            advice = "start it: `sudo leapd` (2.3), or Ultraleap's tracking service and its WebSocket server."
+            sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice} Trying again."
             raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
         with connection:
             try:
@@ -207,6 +233,8 @@ class LeapClient:
                 cause = self._take_event(text)
             else:
                 self._take_frame(text, stamp)
+            if self._tap is not None and isinstance(text, str):
+                self._tap(text, stamp)
 
     def _take_frame(self, text: str | bytes, stamp: object) -> None:
         with self._changed:
@@ -225,7 +253,14 @@ class LeapClient:
         except LeapProtocolError as error:
             self._drop(str(error))
             return UNKNOWN_CAUSE
-        if not isinstance(event, DeviceEvent) or event.streaming:
+        if not isinstance(event, DeviceEvent):
+            return UNKNOWN_CAUSE
+        with self._changed:
+            if event.streaming:
+                self._status = replace(self._status, serial=event.serial)
+            elif not event.attached and event.serial == self._status.serial:
+                self._status = replace(self._status, serial="")
+        if event.streaming:
             return UNKNOWN_CAUSE
         return "tracking is paused." if event.attached else "the controller is not plugged in."
 
@@ -234,9 +269,16 @@ class LeapClient:
             dropped = self._counts.hands_dropped if hand else self._counts.dropped
             dropped[reason if reason in dropped or len(dropped) < MAX_REASONS else "other reasons"] += 1
 
+    def _judge(self, reason: str | None) -> None:
+        """Notes whether a frame was usable: `reason` says why not."""
+        with self._changed:
+            self._unusable = None if reason is None else self._unusable or (time.monotonic(), reason)
+
     def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:
         with self._changed:
-            self._status = LeapStatus(link, sentence, self._status.service if service is None else service)
+            known = replace(self._status, link=link, sentence=sentence)
+            self._status = known if service is None else replace(known, service=service, serial="")
+            self._unusable = None
 
 
 class _LinkFault(Exception):

@@ -11,9 +11,11 @@ services leave out have defaults:
 | btipPosition | the last bone ends at tipPosition, as it does in the early frames without this field |
 | bases | z of each bone from its two joints, x as near to the palm's x axis as that allows |
 | elbow, wrist, armBasis | no arm |
+| id of a finger | 10 * id of the hand + type |
 | velocity, sphere, widths, grab, pinch | zero |
 
-Handedness is taken from `type`: some services write right-handed bases for left hands.
+Handedness is taken from `type`: some services write right-handed bases for left hands. The knuckles must agree with it,
+and be as far apart as a person's: else the tracker's axes or units are not those of a Leap.
 """
 
 from __future__ import annotations
@@ -27,15 +29,21 @@ from typing import Any, NoReturn, Tuple, TypeVar
 
 import numpy as np
 
-from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
+from leap_motion.frames import INDEX, PINKY, LeapBone, LeapFinger, LeapFrame, LeapHand
 
 VERSIONS = range(1, 7)  # versions of the protocol that exist
-POLICY_MESSAGES = ('{"background":true}', '{"focused":true}')
-"""A client that sends these gets frames whatever window has the focus; all services take one key and no spaces."""
+POLICY_MESSAGES = ('{"background":true}', '{"optimizeHMD":false}', '{"focused":true}')
+"""A client that sends these gets frames whatever window has the focus, of a tracker that lies on the desk, not of one
+that is worn or hangs above a screen. UltraleapTrackingWebSocket takes these texts only as they are, one key each, below
+32 characters.
+"""
+THREE_HANDS = '"hands": undefined'  # UltraleapTrackingWebSocket writes this for more than two hands
 
 UNIT_TOLERANCE = 0.01  # how far the length of a unit vector, or a product of two axes, may be off
 LIMIT = 1e9  # numbers beyond this are not measurements; they would not fit into the fields of messages either
 MM = 1e-3
+KNUCKLES_M = (0.03, 0.13)  # from the index finger's knuckle to the little finger's; adults have 0.06 to 0.1
+LEAST_ACROSS = 0.3  # cosine between that line and the axis across the palm; the service's hands have 0.99
 ZERO = (0, 0, 0)
 IDENTITY = np.eye(3)
 PLAIN = {int, float}
@@ -50,7 +58,7 @@ class LeapProtocolError(ValueError):
 class DeviceEvent:
     """A change of the device: whether it is plugged in and sends frames."""
 
-    id: str
+    serial: str  # of the device; empty where the service gives a mere number instead
     attached: bool
     streaming: bool
 
@@ -98,7 +106,9 @@ def _object(text: str | bytes) -> dict:
     except (ValueError, RecursionError) as error:
         if isinstance(error, LeapProtocolError):
             raise
-        raise LeapProtocolError("The text is not JSON.") from error
+        three = isinstance(text, str) and THREE_HANDS in text
+        reason = "Ultraleap's server writes no frame with more than two hands; take one out." if three else ""
+        raise LeapProtocolError(reason or "The text is not JSON.") from error
     if not isinstance(message, dict):
         raise LeapProtocolError("The text is not a JSON object.")
     return message
@@ -117,15 +127,19 @@ def _event(event: Any) -> DeviceEvent | None:
         return DeviceEvent("", bool(state), bool(state))
     if kind != "deviceEvent":
         return None
-    return DeviceEvent(str(state.get("id", "")), state["attached"] is True, state["streaming"] is True)
+    serial = state.get("id")
+    serial = serial if isinstance(serial, str) else ""
+    return DeviceEvent(serial, state["attached"] is True, state["streaming"] is True)
 
 
 def _frame(message: dict) -> LeapFrame:
-    fingers_of: dict[int, list[dict]] = {}
-    for pointable in _field(message, "pointables"):
-        if not pointable.get("tool") and "dipPosition" in pointable:
-            fingers_of.setdefault(pointable.get("handId"), []).append(pointable)
+    fingers_of: dict[int | None, list[dict]] = {}
     hands, left_out = [], []
+    for pointable in _field(message, "pointables"):
+        try:
+            fingers_of.setdefault(_checked(_owner, pointable), []).append(pointable)
+        except LeapProtocolError as error:
+            left_out.append(str(error))
     for hand in _field(message, "hands"):
         try:
             hands.append(_checked(_hand, hand, fingers_of))
@@ -143,7 +157,13 @@ def _frame(message: dict) -> LeapFrame:
     )
 
 
-def _hand(hand: dict, fingers_of: dict[int, list[dict]]) -> LeapHand:
+def _owner(pointable: dict) -> int | None:
+    """Returns the id of the hand whose finger it is, None for a tool or a finger without joints."""
+    is_finger = not pointable.get("tool") and "dipPosition" in pointable
+    return _whole(pointable, "handId") if is_finger else None
+
+
+def _hand(hand: dict, fingers_of: dict[int | None, list[dict]]) -> LeapHand:
     pointables = sorted(fingers_of.get(_whole(hand, "id"), []), key=lambda pointable: _whole(pointable, "type"))
     if _field(hand, "type") not in ("right", "left"):
         raise LeapProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
@@ -170,6 +190,7 @@ def _hand(hand: dict, fingers_of: dict[int, list[dict]]) -> LeapHand:
     normal, direction = _unit(numbers[0], "palmNormal"), _unit(numbers[1], "direction")
     if abs(normal @ direction) > UNIT_TOLERANCE:
         raise LeapProtocolError("palmNormal and direction of a hand are not orthogonal.")
+    _check_knuckles(hand["type"], {p["type"]: joint[1] for p, joint in zip(pointables, joints)}, direction, normal)
     confidence = _number(hand, "confidence")
     if not 0.0 <= confidence <= 1.0:
         raise LeapProtocolError(f"The confidence of a hand is {confidence:g}, not between 0 and 1.")
@@ -200,6 +221,25 @@ def _hand(hand: dict, fingers_of: dict[int, list[dict]]) -> LeapHand:
     )
 
 
+def _check_knuckles(side: str, knuckles: dict[int, np.ndarray], direction: np.ndarray, normal: np.ndarray) -> None:
+    """Refuses a hand whose knuckles, shape (3,) [m] by type of the finger, show other axes or units than a Leap's."""
+    if INDEX not in knuckles or PINKY not in knuckles:
+        return
+    line = knuckles[INDEX] - knuckles[PINKY]
+    width = math.sqrt(line @ line)
+    least, most = KNUCKLES_M
+    if not least <= width <= most:
+        raise LeapProtocolError(
+            f"The knuckles of a hand are {1e3 * width:.4g} mm apart, not {1e3 * least:g} to {1e3 * most:g}: the "
+            "tracker's lengths are not millimetres."
+        )
+    across = float(_cross(direction, normal) @ line) / width
+    if (across if side == "right" else -across) < LEAST_ACROSS:
+        raise LeapProtocolError(
+            f"The fingers of a {side} hand are in the order of the other one: the tracker's axes are mirrored."
+        )
+
+
 def _fingers(
     pointables: list[dict], tips: np.ndarray, joints: np.ndarray, rotations: np.ndarray
 ) -> tuple[LeapFinger, ...]:
@@ -208,7 +248,7 @@ def _fingers(
         raise LeapProtocolError(f"The fingers of a hand have the types {types}.")
     return tuple(
         LeapFinger(
-            id=_whole(p, "id"),
+            id=_whole(p, "id") if "id" in p else 10 * p["handId"] + p["type"],
             type=p["type"],
             joints=joints[i],
             rotations=rotations[i],
@@ -232,19 +272,27 @@ def _completed(rotations: np.ndarray, wrong: np.ndarray, joints: np.ndarray, pal
     """Returns the orientations of the four bones of each finger, shape (n, 4, 3, 3), axes as columns: the service's
     where they are not `wrong`, the palm's for a bone without length, and without any of the service those that fit.
     """
-    back = joints[:, :-1] - joints[:, 1:]
-    length = np.linalg.norm(back, axis=-1)
-    no_length = length < 1e-6
     if rotations.size:
+        no_length = np.linalg.norm(joints[:, :-1] - joints[:, 1:], axis=-1) < 1e-6
         if (wrong & ~no_length).any():
             raise LeapProtocolError("The axes of a bone are not orthonormal.")
         return _read_only(np.where(wrong[..., None, None], palm_axes, rotations))
-    z = np.where(no_length[..., None], palm_axes[:, 2], back / np.maximum(length, 1e-6)[..., None])
-    x = palm_axes[:, 0] - (z @ palm_axes[:, 0])[..., None] * z
-    sideways = np.linalg.norm(x, axis=-1) < 0.1
-    x[sideways] = _cross(palm_axes[:, 1], z[sideways])
-    x /= np.linalg.norm(x, axis=-1)[..., None]
-    return _read_only(np.stack([x, _cross(z, x), z], axis=-1))
+    return _read_only(bone_axes(joints, palm_axes))
+
+
+def bone_axes(joints: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Returns axes x, y, z as columns of the four bones of n fingers, shape (n, 4, 3, 3), from their joints, shape
+    (n, 5, 3): z against the bone, x as near as that allows to the x of the axes `across`, shape (3, 3) or (n, 1, 3, 3),
+    which a bone without length has itself.
+    """
+    back = joints[:, :-1] - joints[:, 1:]
+    length = np.linalg.norm(back, axis=-1, keepdims=True)
+    z = np.where(length < 1e-6, across[..., 2], back / np.maximum(length, 1e-6))
+    x = across[..., 0] - (z * across[..., 0]).sum(axis=-1, keepdims=True) * z
+    sideways = np.linalg.norm(x, axis=-1, keepdims=True) < 0.1
+    x = np.where(sideways, _cross(np.broadcast_to(across[..., 1], z.shape), z), x)
+    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    return np.stack([x, _cross(z, x), z], axis=-1)
 
 
 def _not_orthonormal(bases: np.ndarray) -> np.ndarray:

@@ -101,7 +101,7 @@ class LeapFrame:
     rate: float  # the service's estimate of the frame rate [Hz]
     hands: tuple[LeapHand, ...]  # in the order of the service
     gestures: int = 0  # number of gestures; zero unless the client asked for them
-    left_out: tuple[str, ...] = ()  # why hands of the service's frame are missing here, a sentence each
+    left_out: tuple[str, ...] = ()  # why hands or fingers of the service's frame are missing here, a sentence each
 
     @property
     def finger_count(self) -> int:
@@ -139,6 +139,9 @@ class TrackedHand:
     normal: np.ndarray  # unit vector out of the palm, shape (3,)
     confidence: float  # 0 to 1
     fingers: FingerPoints | None = None  # only of a hand with five fingers
+    grab: float = 0.0  # 0 open to 1 fist
+    pinch: float = 0.0  # 0 open to 1 thumb on a finger
+    joints: np.ndarray | None = None  # LeapFinger.joints of five fingers, shape (5, 5, 3) [m]; only of a skeleton
 
     def __post_init__(self) -> None:
         _freeze(self, "palm", "direction", "normal")

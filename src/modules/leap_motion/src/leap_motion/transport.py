@@ -8,6 +8,7 @@ import contextlib
 import socket
 import time
 from collections import deque
+from urllib.parse import urlencode
 
 from websockets.client import ClientProtocol
 from websockets.exceptions import ConnectionClosed
@@ -23,15 +24,17 @@ READ_BYTES = 65536
 class LeapSocket(contextlib.AbstractContextManager):
     """An open connection.
 
-    Raises OSError, EOFError, UnicodeError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S.
+    Raises OSError, EOFError, UnicodeError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S. `code`:
+    what the service asks clients of other machines for.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, code: str = "") -> None:
         self.ponged = False  # whether the newest ping was answered
         self._messages: deque[str | bytes] = deque()
         self._parts: list[bytes] = []  # of a message that is not complete
         self._is_text = False
-        self._protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/v6.json"))
+        query = f"?{urlencode({'code': code})}" if code else ""
+        self._protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/v6.json{query}"))
         deadline = time.monotonic() + OPEN_TIMEOUT_S
         self._socket = socket.create_connection((host, port), OPEN_TIMEOUT_S)
         try:
@@ -51,8 +54,7 @@ class LeapSocket(contextlib.AbstractContextManager):
         """
         deadline = time.monotonic() + timeout
         while not self._messages:
-            if self._protocol.state is not State.OPEN:
-                raise self._closed()
+            self._require_open()
             try:
                 self._read(deadline)
             except TimeoutError:
@@ -62,12 +64,14 @@ class LeapSocket(contextlib.AbstractContextManager):
         return self._messages.popleft()
 
     def send(self, text: str) -> None:
-        """Sends a message."""
+        """Sends a message; raises ConnectionClosed if the service has ended the connection."""
+        self._require_open()
         self._protocol.send_text(text.encode())
         self._flush()
 
     def ping(self) -> None:
-        """Sends a ping; `ponged` says whether its answer came."""
+        """Sends a ping; `ponged` says whether its answer came. Raises as `send` does."""
+        self._require_open()
         self.ponged = False
         self._protocol.send_ping(b"")
         self._flush()
@@ -124,6 +128,10 @@ class LeapSocket(contextlib.AbstractContextManager):
             else:
                 with contextlib.suppress(OSError):
                     self._socket.shutdown(socket.SHUT_WR)
+
+    def _require_open(self) -> None:
+        if self._protocol.state is not State.OPEN:
+            raise self._closed()
 
     def _closed(self) -> ConnectionClosed:
         protocol = self._protocol

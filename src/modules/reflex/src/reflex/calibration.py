@@ -91,7 +91,7 @@ def parse_calibration(record: type[Calibration], text: str, where: str) -> Calib
     """
     try:
         values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45
         raise CalibrationFileError(f"{where} is not yaml: {' '.join(str(error).split())}.") from None
     if not isinstance(values, dict):
         raise CalibrationFileError(f"{where} is {values!r}, but must be a mapping of keys to values.")

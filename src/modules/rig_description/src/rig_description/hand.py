@@ -19,7 +19,7 @@ from math import pi
 
 import numpy as np
 
-from rig_description.rigid_body import Body, box, cylinder, joined
+from rig_description.rigid_body import Body, box, cylinder, joined, turned
 
 CONNECTOR_LENGTH = 0.026
 """From the media flange's face to the hand's mounting face."""
@@ -69,6 +69,16 @@ EXTENT = {
     "distal": ((0.0, -0.008, -0.008), (0.048, 0.008, 0.010)),
 }
 """Opposite corners of the box around each part, in its frame, by the link's name without its number."""
+_TIP_TILT_RAD = np.radians(30.0)
+TAXEL_POSITIONS = {
+    "proximal": np.array([(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)]),
+    "distal": np.array([(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)]),
+}
+_UP = (0.0, 0.0, 1.0)
+_TIP_NORMAL = (np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))
+TAXEL_NORMALS = {"proximal": np.array([_UP] * 5), "distal": np.array([_UP] * 3 + [_TIP_NORMAL])}
+"""Where each taxel is on a part, in its frame, and which way it faces, shape (n, 3): five on the proximal part from
+its base outwards, four on the distal one, the last at the finger tip."""
 _MASSES = {"base_link": 0.63, "swivel": 0.02, "proximal": 0.04, "distal": 0.05}
 _CONNECTOR_MASS = 0.18
 
@@ -83,6 +93,22 @@ def body(link: str) -> Body:
     solid = box(_MASSES[part(link)], *EXTENT[part(link)])
     connector = cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *CONNECTOR_FACES)
     return joined([solid, connector]) if link == "base_link" else solid
+
+
+def tool_body(distance: float = CONNECTOR_LENGTH) -> Body:
+    """Returns connector and hand with the joints at zero as one, in the flange's frame; `distance` is that of the
+    hand's frame from the flange [m].
+    """
+    yaws, origins = {"base_link": CONNECTOR_YAW}, {"base_link": np.array([0.0, 0.0, distance])}
+    for joint in JOINTS:
+        yaw, origin = yaws[joint.parent], origins[joint.parent]
+        yaws[joint.child], origins[joint.child] = yaw + joint.yaw, origin + _about_z(yaw) @ joint.xyz
+    parts = ((turned(body(link), _about_z(yaws[link])), origins[link]) for link in LINKS)
+    return joined([Body(part.mass, part.com + origin, part.inertia) for part, origin in parts])
+
+
+def _about_z(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
 
 
 RING_LENGTH = 0.010

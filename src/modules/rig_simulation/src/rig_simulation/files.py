@@ -8,9 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from common.errors import ConfigError
+from common.ros.files import read_yaml
 
 ROBOTS = ("LBR7R800", "LBR14R820")
 FLANGES = ("MF_elektrisch", "MF_pneumatisch", "MF_IO_pneumatisch", "MF_touch_pneumatisch")
@@ -59,10 +58,7 @@ def _read_yaml(kind: str, name: str) -> dict[str, Any]:
     folders = [folder / "config" / kind for folder in _package_folders("rig_simulation")]
     for path in [Path(name)] if name.endswith(".yaml") else [folder / f"{name}.yaml" for folder in folders]:
         if path.is_file():
-            try:
-                return yaml.safe_load(path.read_text(encoding="utf-8"))
-            except (yaml.YAMLError, UnicodeDecodeError) as error:
-                raise ConfigError([f"The file {path} is not valid yaml: {str(error).splitlines()[0]}."]) from None
+            return read_yaml(path)
     if name.endswith(".yaml"):
         raise ConfigError([f"There is no file {Path(name).absolute()}."])
     known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})

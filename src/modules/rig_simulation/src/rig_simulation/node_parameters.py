@@ -7,37 +7,15 @@ from dataclasses import dataclass
 from common.config import choice, flag, integer, number, text
 
 LOOPBACK = "127.0.0.1"
-PICK_CUP, ASSISTED_GRASP = "pick_cup", "assisted_grasp"
-
-
-@dataclass(frozen=True)
-class MonitorConfig:
-    """Of the node simulation_monitor."""
-
-    host: str = text(doc="address of the simulated controller", absent=LOOPBACK)
-    port: int = integer(low=1, high=65535, doc="its control port", absent=30011)
+PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS = "pick_cup", "assisted_grasp", "wall", "clutch", "two_hands"
 
 
 @dataclass(frozen=True)
 class WorldConfig:
-    """Of the node camera_truth, and of those below."""
+    """Of the node camera_truth."""
 
     host: str = text(doc="address of the simulated world", absent=LOOPBACK)
     port: int = integer(low=1, high=65535, doc="its control port", absent=30021)
-
-
-@dataclass(frozen=True)
-class WorldMonitorConfig(WorldConfig):
-    """Of the node world_monitor."""
-
-    rate: float = number("Hz", above=0.0, high=100.0, doc="how often the objects are published", absent=30.0)
-
-
-@dataclass(frozen=True)
-class WorldViewConfig(WorldConfig):
-    """Of the node world_view."""
-
-    rate: float = number("Hz", above=0.0, high=60.0, doc="how often the markers are published", absent=10.0)
 
 
 @dataclass(frozen=True)
@@ -98,14 +76,17 @@ class DepthConfig:
 
 
 @dataclass(frozen=True)
-class FaultServiceConfig:
-    """Of the node simulation_faults."""
+class SimulationConfig:
+    """Of the node simulation; a control port of 0 means that there is no such device."""
 
     host: str = text(doc="address of the simulated devices", absent=LOOPBACK)
-    arm_port: int = integer(low=1, high=65535, doc="control port of the arm", absent=30011)
-    leap_port: int = integer(low=1, high=65535, doc="control port of the Leap service", absent=16437)
+    arm_port: int = integer(low=0, high=65535, doc="control port of the arm; 0: no arm", absent=30011)
+    world_port: int = integer(low=0, high=65535, doc="control port of the world; 0: no world", absent=30021)
+    leap_port: int = integer(low=0, high=65535, doc="control port of the Leap service; 0: none", absent=16437)
     hand_port: int = integer(low=1, high=65535, doc="control port of the hand", absent=11433)
     camera_port: int = integer(low=1, high=65535, doc="control port of the camera", absent=30031)
+    world_rate: float = number("Hz", above=0.0, high=100.0, doc="how often the objects are published", absent=30.0)
+    view_rate: float = number("Hz", above=0.0, high=60.0, doc="how often their markers are published", absent=10.0)
 
 
 @dataclass(frozen=True)
@@ -113,10 +94,14 @@ class OperatorConfig:
     """Of the node operator."""
 
     auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand", absent=True)
-    leapd_port: int = integer(low=1, high=65535, doc="control port of the simulated Leap service", absent=16437)
+    leapd_port: int = integer(
+        low=0, high=65535, doc="control port of the simulated Leap service; 0: a person's own hand", absent=16437
+    )
     world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios", absent=30021)
     scenario: str = choice(
-        "", PICK_CUP, ASSISTED_GRASP, doc="what the hand does; empty: what the simulated Leap service plays", absent=""
+        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS),
+        doc="what the hand does; empty: what the simulated Leap service plays",
+        absent="",
     )
     rounds: int = integer(low=1, high=100, doc="of assisted_grasp: how many grasps there are to be", absent=1)
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing", absent=300.0)

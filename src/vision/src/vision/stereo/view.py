@@ -62,8 +62,12 @@ class WebConfig:
     host: str = text(doc="address to serve on")
     port: int = integer(low=0, high=65535, doc="port; 0: any free one")
     page: str = path(doc="file of the page")
-    certificate: str = path(doc="file of a certificate (PEM), for https")
+    certificate: str = path(doc="file of a certificate (PEM), for https; empty with hands: one of its own")
     key: str = path(doc="file of the certificate's key (PEM)")
+    hands: bool = flag(doc="take the hands of a headset and serve them as the Leap service does", absent=False)
+    leap_port: int = integer(low=0, high=65535, doc="with hands: port of that service", absent=6437)
+    box_ahead: float = number("m", low=0.2, high=0.8, doc="with hands: box's middle in front of the head", absent=0.4)
+    box_below: float = number("m", low=0.0, high=0.8, doc="with hands: box's middle below the head", absent=0.35)
 
     def faults(self) -> list[str]:
         """Returns contradictions between fields."""

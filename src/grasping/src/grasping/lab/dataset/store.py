@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import tokenize
 import zipfile
 import zlib
 from dataclasses import asdict, fields
@@ -118,7 +119,7 @@ def decode(data: bytes) -> Episode:
             str(named["name"]), int(named["width"]), int(named["height"]), *(arrays[f"camera_{key}"] for key in "KDRP")
         )
         fingerprint = meta["fingerprint"]
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"The file's metadata lack or distort {error}.") from None
     if metadata.fingerprint != fingerprint:
         raise DatasetError("The file is damaged: the fingerprint is not that of the rig's configuration.")
@@ -157,7 +158,7 @@ def _meta(files: dict[str, bytes]) -> dict[str, Any]:
     text = str(_array(META, files[META]))
     try:
         meta = json.loads(text, parse_constant=_refuse)
-    except ValueError:
+    except (ValueError, RecursionError):
         raise DatasetError("Not an episode: the file's metadata are not JSON.") from None
     if not isinstance(meta, dict) or "schema" not in meta:
         raise DatasetError("Not an episode: the file's metadata name no schema.")
@@ -182,7 +183,7 @@ def _arrays(files: dict[str, bytes]) -> dict[str, np.ndarray]:
 def _array(name: str, data: bytes) -> np.ndarray:
     try:
         return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)  # type: ignore[no-untyped-call]
-    except ValueError as error:
+    except (ValueError, SyntaxError, tokenize.TokenError, MemoryError) as error:  # a damaged header may say anything
         raise DatasetError(f"Not an episode: {name}: {' '.join(str(error).split())}.") from None
 
 

@@ -21,11 +21,11 @@ import cv2
 import mujoco
 import numpy as np
 import torch
-import yaml
 from tqdm import tqdm
 
 from common.config import parse
 from common.errors import RigError
+from common.ros.files import read_yaml
 from common.statistics import proportion
 from grasping.lab.evaluation import trials
 from grasping.lab.programs.make_dataset import ignore_warning
@@ -193,13 +193,13 @@ def main() -> None:
         parser.error("Either a folder for the results is needed, or --export.")
     trained = {}
     try:
-        tool = arguments.tool and parse(ToolPoseConfig, yaml.safe_load(arguments.tool.read_text(encoding="utf-8")))
+        tool = arguments.tool and parse(ToolPoseConfig, read_yaml(arguments.tool))
         for name, file in arguments.weights:
             weights.load(Path(file).read_bytes())
             trained[name] = Trained(Path(file), None)
             if tool:
                 trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
-    except (OSError, RigError, yaml.YAMLError) as error:
+    except (OSError, RigError) as error:
         parser.error(str(error))
     methods = ["oracle", *trials.HEURISTICS, *trained]
     if arguments.export is not None:

@@ -42,7 +42,7 @@ def load(folder: Path, split: str, most: int) -> tuple[dict[str, np.ndarray], li
     for shard in tqdm(shards, unit="shard", desc=split):
         content = shard.read_bytes()
         hashes.append(hashlib.sha256(content).hexdigest())
-        with np.load(io.BytesIO(content)) as arrays:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             loaded.append(dict(arrays))
     return {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}, hashes
 

@@ -3,51 +3,74 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.ros.diagnostics import Diagnostics, StageTimes
-from common.ros.node import run
+from common.ros.node import run, while_running
 from common.ros.params import private_config
 from common.ros.publishing import DirectPublisher
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
-from leap_motion.msg import Human
+from leap_motion.frames import LeapFrame
+from leap_motion.msg import Human, RawFrame
+from leap_motion.registration import registered
 from leap_motion.ros.human import FrameMessage
 from leap_motion.ros.parameters import DriverConfig
+from leap_motion.ros.registrations import TrackerRegistration, load
 
 POLL_S = 0.1
 REMIND_S = 10.0
+RAW_FRAMES = 100  # wait for a recorder that is late
 SETTLED_S = 0.3
+LEVELS = {LeapLink.STREAMING: DiagnosticStatus.OK, LeapLink.UNUSABLE: DiagnosticStatus.WARN}
 
 
 class LinkReport:
-    """Logs a state of the link that lasts, and again every 10 s while no frames come."""
+    """Logs a state of the link that lasts, and again every 10 s while no frames come; `registration`, of that `name`,
+    counts for the tracker that it was made with alone.
+    """
 
-    def __init__(self, client: LeapClient) -> None:
+    def __init__(self, client: LeapClient, registration: TrackerRegistration | None = None, name: str = "") -> None:
         self._client = client
+        self._registration, self._name = registration, name
+        self._is_sure = registration is None or bool(registration.serial)
         self._status: LeapStatus | None = None
         self._logged: LeapStatus | None = None
         self._changed_at = self._logged_at = 0.0
 
+    def frame(self, frame: LeapFrame) -> LeapFrame | None:
+        """Returns the frame in the axes of the registration; None while another tracker is plugged in."""
+        if self._registration is None:
+            return frame
+        if self._client.status.serial != self._registration.serial:
+            return None
+        return registered(frame, self._registration.T_desk_leap)
+
     def update(self) -> None:
         """Logs the state if it is due."""
-        status, now = self._client.status, time.monotonic()
+        status, now = self._checked_status(), time.monotonic()
         if status != self._status:
             self._status, self._changed_at = status, now
         streaming = status.link is LeapLink.STREAMING
         due = status != self._logged or (not streaming and now - self._logged_at > REMIND_S)
         if due and now - self._changed_at > SETTLED_S:
             self._logged, self._logged_at = status, now
-            log = rospy.loginfo if streaming or status.link is LeapLink.CONNECTING else rospy.logwarn
+            fine = (streaming and self._is_sure) or status.link is LeapLink.CONNECTING
+            log = rospy.loginfo if fine else rospy.logwarn
             log("%s", status.sentence)
 
     def diagnostics(self) -> tuple[int, str, dict[str, object]]:
         """Returns level, sentence and counts for /diagnostics."""
-        status, counts = self._client.status, self._client.counts
+        status, counts = self._checked_status(), self._client.counts
         values = {
             "state": status.link.value,
-            "service_version": status.service,
+            "service_version": status.service or "unknown",
+            "serial": status.serial or "unknown",
+            "registration": self._name or "none",
             "frames_received": counts.received,
             "frames_superseded": counts.superseded,
             "frames_dropped": sum(counts.dropped.values()),
@@ -55,34 +78,57 @@ class LinkReport:
             "hands_dropped": sum(counts.hands_dropped.values()),
             **{f"dropped: {reason}": count for reason, count in (counts.dropped + counts.hands_dropped).items()},
         }
-        level = DiagnosticStatus.OK if status.link is LeapLink.STREAMING else DiagnosticStatus.ERROR
-        return level, status.sentence, values
+        level = LEVELS.get(status.link, DiagnosticStatus.ERROR)
+        return level if self._is_sure else max(level, DiagnosticStatus.WARN), status.sentence, values
+
+    def _checked_status(self) -> LeapStatus:
+        """Returns the state of the link, which is refused while the registration is another tracker's."""
+        status = self._client.status
+        if self._registration is None or status.link is not LeapLink.STREAMING:
+            return status
+        if status.serial != self._registration.serial:
+            whose = f"The registration {self._name} is of the tracker {self._registration.serial or 'unknown'}"
+            cure = f"Plug in that one, or run rosrun leap_motion register_tracker.py {self._name}."
+            sentence = f"{whose}, but {status.serial or 'an unknown one'} is plugged in: its frames are unused. {cure}"
+            return replace(status, link=LeapLink.REFUSED, sentence=sentence)
+        if self._is_sure:
+            return status
+        check = f"make sure that it is the one of the registration {self._name}, and has not been moved."
+        return replace(status, sentence=f"{status.sentence} It does not say which tracker is plugged in: {check}")
 
 
-def start() -> None:
-    """Reads the parameters and publishes until ROS shuts down.
-
-    Raises:
-        ConfigError: a parameter is unknown or out of range.
+def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda _: None) -> None:
+    """Publishes until ROS shuts down; each message goes to `pass_on` as well. Raises RigError for a registration that
+    cannot be used.
     """
-    config = private_config(DriverConfig)
+    registration = load(config.registration, datetime.now()) if config.registration else None
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
     publisher = DirectPublisher("leap_motion/leap_device", Human, queue_size=1)
+    raw = DirectPublisher("leap_motion/raw_frames", RawFrame, queue_size=RAW_FRAMES)
     stage = StageTimes("leap_motion")
-    client = LeapClient(config.host, config.port, clock=rospy.Time.now)
-    report = LinkReport(client)
+
+    def publish_raw(text: str, received: rospy.Time) -> None:
+        if raw.get_num_connections():
+            with while_running():
+                raw.publish(received, text)
+
+    client = LeapClient(config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw)
+    report = LinkReport(client, registration, config.registration)
     Diagnostics("leap_motion", report.diagnostics)
     try:
         while not rospy.is_shutdown():
             report.update()
             received = client.next_frame(POLL_S)
-            if received is not None:
-                publisher.publish(FrameMessage(received.frame, received.stamp, config.orientation))
+            frame = None if received is None else report.frame(received.frame)
+            if frame is not None:
+                message = FrameMessage(frame, received.stamp, config.orientation)
+                publisher.publish(message)
                 stage.done(received.stamp)
+                pass_on(message)
     finally:
         client.close()
 
 
 def main() -> None:
     """Entry point of the script."""
-    run("leap_driver", start)
+    run("leap_driver", lambda: start(private_config(DriverConfig)))

@@ -14,7 +14,7 @@ Gestures, which this driver does not ask for, and the texts of hands, fingers an
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from io import BytesIO
 
 import numpy as np
@@ -60,13 +60,18 @@ class FrameMessage(Human):
 
     def serialize(self, buff: BytesIO) -> None:
         """Writes the bytes of the message."""
+        buff.write(self.data)
+
+    @cached_property
+    def data(self) -> bytes:
+        """The bytes, with the header as it is when they are first asked for."""
         frame, header = self._frame, (self.header.seq, self.header.stamp.secs, self.header.stamp.nsecs)
         counts = len(frame.hands), frame.finger_count, frame.gestures
         text = f"frame {frame.id}, device time {frame.timestamp_us} us".encode()
-        buff.write(TOP.pack(*header, len(FRAME_ID), FRAME_ID, _int32(frame.id), *counts, frame.rate, len(text)) + text)
-        for side in ("right", "left"):
-            hand = frame.hand(side)
-            buff.write(NO_HAND if hand is None else _hand_bytes(hand, header, self._compatible))
+        data = TOP.pack(*header, len(FRAME_ID), FRAME_ID, _int32(frame.id), *counts, frame.rate, len(text)) + text
+        for hand in map(frame.hand, ("right", "left")):
+            data += NO_HAND if hand is None else _hand_bytes(hand, header, self._compatible)
+        return data
 
 
 def _hand_bytes(hand: LeapHand, header: tuple[int, int, int], compatible: bool) -> bytes:

@@ -6,7 +6,11 @@ the published C++ driver's, genpy reads all fields first.
 
 from __future__ import annotations
 
+import math
 import struct
+import time
+import traceback
+import typing
 from collections.abc import Callable
 
 import numpy as np
@@ -17,9 +21,10 @@ from common.ros.conversions import array
 from common.ros.node import while_running
 from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, THUMB, FingerPoints, TrackedHand, TrackingFrame
 from leap_motion.msg import Human
-from leap_motion.ros.human import ARM, CENTER, FINGER, FRAME_ID, HAND, NO_HAND, TOP, empty_fingers
+from leap_motion.ros.human import ARM, CENTER, FINGER, FRAME_ID, HAND, NO_HAND, TOP, FrameMessage, empty_fingers
 
 RIGHT, LEFT = "right", "left"
+LOG_PERIOD_S = 1.0  # between two errors of one taker
 HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
 FIVE_BYTES = 5 * FINGER.itemsize
 COUNTS, COUNTED = (
@@ -32,6 +37,7 @@ class ReceivedHuman(Human):
     """A message of the topic as its stamp, `frame_id` of the tracker, and `hands`."""
 
     with_fingers = True
+    with_joints = False
 
     def __init__(self) -> None:
         self.stamp, self.frame_id, self.hands = rospy.Time(), 0, ()
@@ -52,7 +58,7 @@ class ReceivedHuman(Human):
             if data.startswith(NO_HAND, at):
                 at += len(NO_HAND)
             else:
-                hand, at = _hand_at(data, at, is_left, self.with_fingers)
+                hand, at = _hand_at(data, at, is_left, self.with_fingers, self.with_joints)
                 hands.append(hand)
         if top[3] != len(FRAME_ID) or at != len(data):
             raise _UnusualLayout
@@ -69,6 +75,9 @@ class ReceivedHuman(Human):
                 normal=array(hand.normal),
                 confidence=hand.confidence,
                 fingers=_fingers(hand),
+                grab=hand.grab_strength,
+                pinch=hand.pinch_strength,
+                joints=_joints(hand) if self.with_joints else None,
             )
             for hand in (human.right_hand, human.left_hand)
             if hand.is_present
@@ -85,6 +94,13 @@ class ReceivedPalms(ReceivedHuman):
     with_fingers = False
 
 
+class ReceivedSkeletons(ReceivedHuman):
+    """A message with all joints of its hands."""
+
+    with_fingers = False
+    with_joints = True
+
+
 class _UnusualLayout(Exception):
     """The bytes are not laid out as `leap_motion.ros.human` writes them with five fingers."""
 
@@ -93,6 +109,7 @@ def subscribe(
     on_frame: Callable[[TrackingFrame, rospy.Time], None], kind: type[ReceivedHuman] = ReceivedHuman
 ) -> rospy.Subscriber:
     """Calls `on_frame` with the newest tracking frame and its stamp; older ones that still wait are skipped.
+    An `on_frame` that takes its time thus sees fewer frames, and those skipped cost next to nothing.
 
     A process subscribes once: rospy gives the same kind of message to all subscribers of a topic in a process.
     """
@@ -106,7 +123,38 @@ def subscribe(
     )
 
 
-def _hand_at(data: bytes, at: int, is_left: bool, with_fingers: bool) -> tuple[TrackedHand, int]:
+Subscribe = typing.Callable[..., object]
+"""`subscribe`, or that of the frames of a driver in the same process."""
+
+
+class FramesHere:
+    """Passes a driver's messages on to the nodes of its process: each is read once and wakes no other process."""
+
+    def __init__(self) -> None:
+        self._takers: list[Callable[[TrackingFrame, rospy.Time], None]] = []
+        self._logged_at: dict[Callable, float] = {}  # of a taker that failed [s]
+
+    def subscribe(
+        self, on_frame: Callable[[TrackingFrame, rospy.Time], None], _: type[ReceivedHuman], first: bool = False
+    ) -> None:
+        """Calls `on_frame` with each tracking frame and its stamp, in the driver's thread; `first`: before others."""
+        self._takers.insert(0 if first else len(self._takers), on_frame)
+
+    def pass_on(self, message: FrameMessage) -> None:
+        """Gives the frame of a message to all; the exception of one is logged, once a second, and the others get it."""
+        human = ReceivedHuman().deserialize(message.data)
+        for on_frame in tuple(self._takers):
+            try:
+                with while_running():
+                    on_frame(human.frame(rospy.Time.now()), human.stamp)
+            except Exception:
+                if time.monotonic() - self._logged_at.get(on_frame, -math.inf) >= LOG_PERIOD_S:
+                    self._logged_at[on_frame] = time.monotonic()
+                    reason = traceback.format_exc().splitlines()[-1]
+                    rospy.logerr("%s failed with a tracking frame: %s", on_frame.__qualname__, reason)
+
+
+def _hand_at(data: bytes, at: int, is_left: bool, with_fingers: bool, with_joints: bool) -> tuple[TrackedHand, int]:
     """Returns the hand that begins at a byte, and where it ends."""
     head = HAND.unpack_from(data, at)
     at += HAND.size
@@ -117,12 +165,25 @@ def _hand_at(data: bytes, at: int, is_left: bool, with_fingers: bool) -> tuple[T
     if (arm[0], arm[4], arm[19]) != (0, 0, CENTER) or (np.frombuffer(data[at:end], np.uint8) & COUNTED != COUNTS).any():
         raise _UnusualLayout
     direction, normal, palm = read_only((head[13:16], head[16:19], head[25:28]))
-    fingers = None
+    fingers = joints = None
+    if with_joints:
+        ends = np.frombuffer(data, FINGER, 5, at)["bones"]["ends"]["position"]
+        joints = read_only(np.concatenate((ends[:, :1, 0], ends[:, :, 1]), axis=1))
     if with_fingers:
         bones = np.frombuffer(data, FINGER, 5, at)["bones"][[INDEX, MIDDLE, THUMB]]
         tips, centers = bones["ends"]["position"][:, DISTAL, 1], bones["center"][:, INTERMEDIATE]
         fingers = FingerPoints(*read_only((*tips, *centers[:2])))
-    return TrackedHand(head[5], is_left, palm, direction, normal, head[9], fingers), end + ARM.size
+    tracked = TrackedHand(head[5], is_left, palm, direction, normal, head[9], fingers, *head[19:21], joints)
+    return tracked, end + ARM.size
+
+
+def _joints(hand) -> np.ndarray | None:
+    """Returns the joints of a hand with five fingers of four bones each, shape (5, 5, 3) [m], else None."""
+    fingers = [finger.bone_list for finger in hand.finger_list]
+    if [len(bones) for bones in fingers] != [4] * 5:
+        return None
+    chains = ([bones[0].bone_start, *(bone.bone_end for bone in bones)] for bones in fingers)
+    return read_only([[array(end.position) for end in chain] for chain in chains])
 
 
 def _fingers(hand) -> FingerPoints | None:

@@ -17,6 +17,8 @@ ARM_FAULTS = (
     Fault("torn", "answers come byte by byte", FaultValue("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
     Fault("restarted", "the application stops and its port closes; it starts again when the fault ends"),
     Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is detached"),
+    Fault("unfinished", "the end of a PTP motion is not answered"),
+    Fault("emergency_stop", "the button is pressed: a safety stop, which lasts until `release` after its end"),
     Fault("frozen", "the joint angles in answers stay the same while the arm moves"),
     Fault(
         "shifted", "the joint angles in answers are wrong", FaultValue("offset of every joint [rad]", 0.1, -1.0, 1.0)

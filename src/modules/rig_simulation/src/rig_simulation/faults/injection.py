@@ -15,10 +15,11 @@ import random
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Optional, Tuple, TypeVar
 
+from common.config import is_number
 from common.errors import ConfigError
 from rig_simulation.command_line import finite, positive
 
@@ -81,7 +82,7 @@ class Faults:
         if not isinstance(on, bool):
             raise ValueError(f"The field on is {on!r}, but must be true or false.")
         number = _check_value(fault, value)
-        if duration is not None and not (_is_number(duration) and duration > 0.0):
+        if duration is not None and not (is_number(duration) and duration > 0.0):
             raise ValueError(f"The duration is {duration!r}, but must be a number of seconds above 0.")
         ends = math.inf if duration is None else self._clock() + duration
         with self._lock:
@@ -145,12 +146,13 @@ class Faults:
         return {"fault": self.switch, "faults": self.describe}
 
 
-def find(known: Iterable[Fault], name: str) -> Fault:
+def find(known: Collection[Fault], name: str) -> Fault:
     """Returns the fault of that name; raises ValueError if the device has no such fault."""
-    faults = {fault.name: fault for fault in known}
-    if name not in faults:
-        raise ValueError(f"Unknown fault {name!r}; this device has {', '.join(sorted(faults))}.")
-    return faults[name]
+    fault = next((fault for fault in known if fault.name == name), None)
+    if fault is None:
+        names = ", ".join(sorted(fault.name for fault in known))
+        raise ValueError(f"Unknown fault {name!r}; this device has {names}.")
+    return fault
 
 
 def add_option(parser: argparse.ArgumentParser, known: Sequence[Fault], flag: str = "--fault") -> None:
@@ -201,15 +203,11 @@ def _check_value(fault: Fault, value: float | None) -> float:
         return 1.0
     if value is None:
         return fault.value.default
-    inside = _is_number(value) and fault.value.low <= value <= fault.value.high
+    inside = is_number(value) and fault.value.low <= value <= fault.value.high
     if not inside or (fault.value.whole and value != int(value)):
         meaning = f"{fault.value.doc}, {fault.value.low:g} to {fault.value.high:g}"
         raise ValueError(f"The value of the fault {fault.name!r} is {value!r}, but must be: {meaning}.")
     return float(value)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 Message = TypeVar("Message")

@@ -6,7 +6,9 @@ import json
 import random
 from collections.abc import Callable
 
-from rig_simulation.devices.leap import wire
+import numpy as np
+
+from leap_motion.service import wire
 from rig_simulation.faults.injection import DelayLine, Fault, Faults, FaultValue, fraction_of, garbled
 
 RIGHT_MM = "offset to the right [mm]"
@@ -24,13 +26,17 @@ LEAP_FAULTS = (
     Fault("hand_lost", "frames contain no hand"),
     Fault("hand_swapped", "the service takes the hand for the other one, left or right, with a new id"),
     Fault("hand_moved", "the hand is detected elsewhere with a new id", FaultValue(RIGHT_MM, 100.0, -500.0, 500.0)),
+    Fault("mirrored", "the x axis of all positions and directions points the other way"),
+    Fault("scaled", "all lengths are in another unit", FaultValue("factor", 0.1, 0.001, 1000.0)),
     Fault("second_hand", "a second hand appears beside the first", FaultValue(RIGHT_MM, 250.0, -500.0, 500.0)),
     Fault(
         "outliers", "the hand jumps in one of forty frames", FaultValue("upward offset [mm]", 200.0, -1000.0, 1000.0)
     ),
     Fault("low_confidence", "the hand is poorly visible", FaultValue("confidence", 0.02, 0.0, 1.0)),
 )
-OF_HANDS = {"hand_lost", "hand_swapped", "hand_moved", "second_hand", "outliers", "low_confidence"}
+OF_HANDS = {
+    *("hand_lost", "hand_swapped", "hand_moved", "mirrored", "scaled", "second_hand", "outliers", "low_confidence"),
+}
 NEW_ID, SECOND_ID = 1000, 500  # offsets of hand ids: the service never uses an id twice
 OUTLIER_PERIOD = 40
 
@@ -88,9 +94,13 @@ class HandFaults:
         if "hand_lost" in faults:
             message = {**message, "hands": [], "pointables": []}
         if "hand_swapped" in faults:
-            message = _mirrored(message)
+            message = _swapped(message)
         if "hand_moved" in faults:
             message = wire.shifted(message, (faults["hand_moved"], 0.0, 0.0))
+        if "mirrored" in faults:
+            message = wire.reflected(message, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        if "scaled" in faults:
+            message = wire.scaled(message, faults["scaled"])
         if "low_confidence" in faults:
             message["hands"] = [{**hand, "confidence": faults["low_confidence"]} for hand in message["hands"]]
         if "outliers" in faults and self._frames % OUTLIER_PERIOD == 0:
@@ -114,19 +124,14 @@ def broken(frame: str, rng: random.Random) -> str:
     return rng.choice(ways)()
 
 
-def _mirrored(message: dict) -> dict:
-    """Returns the hands as those of the other side: bases of left hands are left-handed."""
+def _swapped(message: dict) -> dict:
+    """Returns the hands as those of the other side: their fingers change places across the palm's length."""
     other = {"left": "right", "right": "left"}
-
-    def turned(basis: list) -> list:
-        return [[-v for v in basis[0]], *basis[1:]]
-
-    hands = [{**hand, "type": other[hand["type"]]} for hand in message["hands"]]
-    for hand in hands:
-        if "armBasis" in hand:
-            hand["armBasis"] = turned(hand["armBasis"])
-    fingers = [
-        {**finger, "bases": [turned(basis) for basis in finger["bases"]]} if "bases" in finger else finger
-        for finger in message["pointables"]
-    ]
-    return {**message, "hands": hands, "pointables": fingers}
+    hands, pointables = [], list(message["pointables"])
+    for hand in message["hands"]:
+        across = np.cross(hand["direction"], hand["palmNormal"])
+        own = {"hands": [hand], "pointables": [p for p in pointables if p["handId"] == hand["id"]]}
+        mirrored = wire.reflected(own, across.tolist(), hand["palmPosition"])
+        pointables = [p for p in pointables if p["handId"] != hand["id"]] + mirrored["pointables"]
+        hands.append({**mirrored["hands"][0], "type": other[hand["type"]]})
+    return {**message, "hands": hands, "pointables": pointables}

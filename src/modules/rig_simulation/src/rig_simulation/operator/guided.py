@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rig_simulation.devices.leap import wire
+from leap_motion.service import wire
+from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
 from rig_simulation.operator import motion
-from rig_simulation.operator.hand_model import HandModel
 from rig_simulation.operator.sources import PERIOD_S, ScriptedOperator, next_interval
 
 LONGEST_REACH_S = 60.0
 FARTHEST_M = 0.5
+SECOND_AT_MM = (-220.0, -40.0, 40.0)  # from the centre, of the second hand beside a right one
+SECOND_FIST_S = 0.3  # time in which it closes
 LARGEST_ANGLE = np.radians(90.0)
 
 
@@ -66,6 +68,7 @@ class GuidedOperator:
         self._path = (np.zeros(motion.STATE_SIZE), np.zeros(motion.STATE_SIZE), 0.0)
         self._elapsed, self._shown = 0.0, 0
         self._leaves_in: float | None = None
+        self._second: float | None = None  # curl that the second hand comes to, None without one
 
     def show(self, **at: float) -> None:
         """Shows a hand at a `HandTarget`, with a new id, in place of the one before; ValueError if invalid."""
@@ -89,6 +92,14 @@ class GuidedOperator:
             if self._state is not None:
                 self._leaves_in = SETTLE_S
 
+    def second(self, curl: float) -> None:
+        """Shows the second hand beside the first one, and closes it to `curl`, 0 open to 1 fist; ValueError if
+        invalid.
+        """
+        _target({"curl": curl})
+        with self._lock:
+            self._second = curl
+
     def hand(self) -> dict:
         """Returns whether a hand is in view, whether it moves, and its right, up, back [m] and curl."""
         with self._lock:
@@ -101,8 +112,9 @@ class GuidedOperator:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, empty ones while no hand is in view."""
-        model = HandModel(self._scripted.side, self._scripted.scale, ends_at_tip=self._scripted.fields == "new")
+        model = self._scripted.hand_model
         tracker, shown, age = None, 0, 0.0
+        second = SecondHand(self._scripted, first_id + 1000, rng)
         order = rng.permutation(5).tolist()
         while True:
             interval = next_interval(rng)
@@ -116,7 +128,9 @@ class GuidedOperator:
                 age += interval
             else:
                 tracker = None
-            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._scripted.fields, order)
+            if self._second is not None:
+                hands.append(second.report(self._second, interval))
+            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._scripted.service, order)
 
     def _advance(self, dt: float) -> tuple[np.ndarray | None, float, float, int]:
         """Advances by dt [s]; returns state, speed of the palm [mm/s], time left in view [s], hands so far."""
@@ -134,6 +148,27 @@ class GuidedOperator:
             self._state = start + motion.min_jerk(fraction) * (end - start)
             speed = float(np.linalg.norm(self._state[:3] - before[:3])) / dt
             return self._state, speed, 1e3 if self._leaves_in is None else self._leaves_in, self._shown
+
+
+class SecondHand:
+    """The other hand, which stays beside the first one and closes smoothly."""
+
+    def __init__(self, scripted: ScriptedOperator, hand_id: int, rng: np.random.Generator) -> None:
+        side = "left" if scripted.side == "right" else "right"
+        self._scripted = replace(scripted, side=side)
+        self._tracker = Tracker(self._scripted.hand_model, hand_id, rng)
+        x, y, z = SECOND_AT_MM
+        self._state = np.array([x if side == "left" else -x, y, z, 0.0, 0.0, 0.0, 0.0])
+        self._age = 0.0
+
+    def report(self, curl: float, dt: float) -> ReportedHand:
+        """Returns the report of the hand `dt` [s] after the one before, on its way to `curl`."""
+        most = dt / SECOND_FIST_S
+        self._state[motion.CURL] += float(np.clip(curl - self._state[motion.CURL], -most, most))
+        self._age += dt
+        return self._tracker.report(
+            self._scripted.pose(self._state), float(self._state[motion.CURL]), 0.0, self._age, 1e3
+        )
 
 
 def _target(fields: dict) -> HandTarget:

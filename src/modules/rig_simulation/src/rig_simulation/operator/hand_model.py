@@ -13,10 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.rotations import rotation_about, unit
+from leap_motion.service.hand import (
+    ARM_LENGTH_MM,
+    ARM_WIDTH_MM,
+    FINGER_WIDTHS_MM,
+    KNUCKLES_MM,
+    PALM_WIDTH_MM,
+    TIP_ON_DISTAL,
+    WRIST_MM,
+)
 
-PALM_WIDTH_MM = 84.25
-ARM_LENGTH_MM, ARM_WIDTH_MM = 250.0, 59.0
-TIP_ON_DISTAL = 0.77  # position of the finger tip's centre on the last bone in service 2; newer ones end the bone there
 BONE_LENGTHS_MM = np.array(
     [
         [0.0, 46.22, 31.57, 21.67],
@@ -27,16 +33,10 @@ BONE_LENGTHS_MM = np.array(
     ]
 )
 """Metacarpal to distal (columns) of thumb to pinky (rows); the bones of the thumb count one joint further out."""
-FINGER_WIDTHS_MM = np.array([18.75, 17.91, 17.59, 16.738, 14.868])
 CARPS_MM = np.array(
     [[-19.34, -6.00, 53.17], [-11.87, 12.10, 43.26], [-0.88, 13.58, 40.60], [10.41, 12.60, 39.65], [21.41, 5.68, 41.81]]
 )
-KNUCKLES_MM = np.array(
-    [[-19.34, -6.00, 53.17], [-23.18, 2.00, -23.15], [-2.79, 4.00, -23.25], [17.45, 4.00, -17.28], [35.34, 0.00, -9.73]]
-)
-WRIST_MM = np.array([7.06, 4.0, 50.0])
 R_THUMB = rotation_about(2, np.radians(45.0))  # of its hinges about its bones: it bends across the palm, not down
-FLEXION_SUM_EXTENDED = np.radians(85.0)
 OPEN = np.radians([[-5, 4, 4], [2, 5, 4], [1, 5, 4], [2, 5, 4], [3, 6, 5]])
 FIST = np.radians([[25, 40, 50], [85, 85, 62], [87, 86, 62], [87, 86, 62], [86, 85, 62]])
 OPEN_SPREAD = np.radians([-40.0, -3.0, 1.0, 5.0, 12.0])
@@ -77,14 +77,21 @@ def fingers_for(curl: float) -> tuple[np.ndarray, np.ndarray]:
 
 class HandModel:
     """A hand of one side, "right" or "left", of `scale` against the template (adults have 1.03 to 1.10); `ends_at_tip`:
-
-    whether the last bone ends at the tip centre, as with newer services.
+    whether the last bone ends at the tip centre, as with newer services; `T_desk_leap`: pose of the device where the
+    poses of the hand are, shape (4, 4) [mm].
     """
 
-    def __init__(self, side: str = "right", scale: float = 1.05, ends_at_tip: bool = False) -> None:
+    def __init__(
+        self,
+        side: str = "right",
+        scale: float = 1.05,
+        ends_at_tip: bool = False,
+        T_desk_leap: np.ndarray | None = None,
+    ) -> None:
         if side not in ("right", "left"):
             raise ValueError(f"The side is {side!r}, but must be right or left.")
         self.side, self.scale, self.ends_at_tip = side, scale, ends_at_tip
+        self._T_desk_leap = T_desk_leap
         self.lengths = BONE_LENGTHS_MM * scale
         if ends_at_tip:
             self.lengths[:, 3] *= TIP_ON_DISTAL
@@ -102,11 +109,14 @@ class HandModel:
         dx, dy, dz = _unit(math.tan(pose.yaw), math.tan(pose.pitch), -1.0)
         sine, cosine = math.sin(pose.roll), math.cos(pose.roll)
         nx, ny, nz = _unit(sine, -cosine, -(dx * sine - dy * cosine) / dz)
-        direction, normal = np.array([dx, dy, dz]), np.array([nx, ny, nz])
         side = -1.0 if self.side == "left" else 1.0
         across = side * (ny * dz - nz * dy), side * (nz * dx - nx * dz), side * (nx * dy - ny * dx)
         # Columns: palm axes in Leap axes.
         axes = np.array([[across[0], -nx, -dx], [across[1], -ny, -dy], [across[2], -nz, -dz]])
+        palm = np.asarray(pose.palm, dtype=float)
+        if self._T_desk_leap is not None:
+            R_leap_desk = self._T_desk_leap[:3, :3].T
+            axes, palm = R_leap_desk @ axes, R_leap_desk @ (palm - self._T_desk_leap[:3, 3])
         orientations = self._orientations(pose)
         joints = np.empty((5, 5, 3))
         joints[:, 0], joints[:, 1] = self._carps, self._knuckles
@@ -114,12 +124,11 @@ class HandModel:
         joints[:, 2:] = self._knuckles[:, None] - bones.cumsum(axis=1)
         tip = 1.0 if self.ends_at_tip else TIP_ON_DISTAL
         tips = joints[:, 3] + tip * (joints[:, 4] - joints[:, 3])
-        palm = np.asarray(pose.palm, dtype=float)
         wrist = palm + axes @ self._wrist
         return HandGeometry(
             palm=palm,
-            direction=direction,
-            normal=normal,
+            direction=-axes[:, 2],
+            normal=-axes[:, 1],
             joints=palm + joints @ axes.T,
             bases=(axes @ orientations).swapaxes(-1, -2),
             tips=palm + tips @ axes.T,
@@ -145,24 +154,6 @@ class HandModel:
         orientations[:, 1:, :, 1] = cosine * y - sine * z
         orientations[:, 1:, :, 2] = sine * y + cosine * z
         return orientations
-
-
-def grab_strength(flexion: np.ndarray) -> float:
-    """Returns the grab strength from 0 to 1 (fist), from the flexion of the hinges, shape (5, 3) [rad]."""
-    mean = math.degrees(flexion[1:].sum(axis=1).mean())
-    return min(max((mean - 60.0) / 95.0, 0.0), 1.0)
-
-
-def pinch_strength(tips: np.ndarray) -> float:
-    """Returns the pinch strength from 0 to 1, from the finger tips, shape (5, 3) [mm]."""
-    away = tips[1:] - tips[0]
-    distance = math.sqrt((away * away).sum(axis=1).min())
-    return min(max((65.5 - distance) / 43.7, 0.0), 1.0)
-
-
-def extended(flexion: np.ndarray) -> list[bool]:
-    """Returns for each finger whether it is extended, from the flexion of the hinges, shape (5, 3) [rad]."""
-    return (flexion.sum(axis=1) < FLEXION_SUM_EXTENDED).tolist()
 
 
 def _unit(x: float, y: float, z: float) -> tuple[float, float, float]:

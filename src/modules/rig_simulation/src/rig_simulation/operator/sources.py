@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from common.errors import RigError
-from rig_simulation.devices.leap import wire
+from leap_motion.service import wire
 from rig_simulation.devices.leap.sensing import Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
@@ -35,9 +36,9 @@ class RecordingError(RigError):
         super().__init__(f"The recording {path} {problem}. Record it again, or choose another file.")
 
 
-def empty_frames(rng: np.random.Generator, fields: str) -> Iterator[tuple[float, wire.Frame]]:
+def empty_frames(rng: np.random.Generator, service: str) -> Iterator[tuple[float, wire.Frame]]:
     """Yields frames without hands and without end, at the rate of the device with its jitter."""
-    empty = wire.frame([], 1.0 / PERIOD_S, fields)
+    empty = wire.frame([], 1.0 / PERIOD_S, service)
     while True:
         yield next_interval(rng), empty
 
@@ -50,11 +51,17 @@ class ScriptedOperator:
     side: str = "right"  # of the hand, "right" or "left"
     scale: float = 1.05  # size of the hand against the template
     centre: tuple[float, float, float] = (0.0, 350.0, 0.0)  # of the workspace, in Leap axes [mm]
-    fields: str = "2.x"  # field set of the frames
+    service: str = "2.3"  # whose frames
+    T_desk_leap: np.ndarray | None = None  # pose of the device where the motions are, shape (4, 4) [mm]
+
+    @property
+    def hand_model(self) -> HandModel:
+        """The hand."""
+        return HandModel(self.side, self.scale, self.service == "gemini", self.T_desk_leap)
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields visits without end, each with its own hand id and a pause after it."""
-        model = HandModel(self.side, self.scale, ends_at_tip=self.fields == "new")
+        model = self.hand_model
         hand_id = first_id
         while True:
             visit = motion.Visit(self.script, rng)
@@ -73,7 +80,7 @@ class ScriptedOperator:
                 speed = float(np.linalg.norm(state[:3] - before[:3])) / PERIOD_S
                 pose, curl = self.pose(state), float(state[motion.CURL])
                 hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
-            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.fields, order)
+            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.service, order)
             interval = next_interval(rng)
             t += interval
 
@@ -119,7 +126,7 @@ class Recording:
                 yield interval, frame.with_ids(shift) if shift else frame
             shift += self._highest_hand + 1
             pause = 0.0
-            for interval, empty in empty_frames(rng, "2.x"):
+            for interval, empty in empty_frames(rng, "2.3"):
                 if self._loop and pause > PAUSE_S:
                     break
                 pause += interval
@@ -132,7 +139,7 @@ class Recording:
             if all(isinstance(hand["id"], int) for hand in frame["hands"]) and isinstance(frame["timestamp"], int):
                 moved = wire.shifted(frame, offset)
                 return frame["timestamp"], wire.frame_from(moved if any(offset) else frame)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             pass
         raise RecordingError(path, f"has no frame of the Leap service in line {number}")
 
@@ -142,7 +149,7 @@ def _read(path: Path) -> list[str]:
     try:
         with opener(path, "rt", encoding="utf-8") as file:
             lines = [line for line in file.read().splitlines() if line.strip()]
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
         raise RecordingError(path, f"cannot be read: {error}") from error
     if not lines:
         raise RecordingError(path, "contains no frames")
@@ -176,13 +183,13 @@ class PlayedFrame:
 class Playback:
     """The clock and counters of the service: frames of the source get rising ids and time stamps.
 
-    Playing starts the source from its beginning; paused, and before, the frames are empty, with the field set `fields`.
+    Playing starts the source from its beginning; paused, and before, the frames are empty, as those of `service`.
     The same seed of the noise and the same calls give the same frames.
     """
 
-    def __init__(self, source: Source, seed: int = 0, fields: str = "2.x", playing: bool = True) -> None:
+    def __init__(self, source: Source, seed: int = 0, service: str = "2.3", playing: bool = True) -> None:
         self._source, self._seed = source, seed
-        self._idle = empty_frames(np.random.default_rng(seed), fields)
+        self._idle = empty_frames(np.random.default_rng(seed), service)
         self._frames = self._idle
         self._time = 0.0
         self._id = 0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import cv2
 import rospy
@@ -28,6 +28,7 @@ from rig_simulation.world.model import WorldCopy
 
 RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
+IDLE_S = 1.0  # time between two looks at the world while nobody wants an image
 SMOOTHING = 0.1  # weight of the newest value in the durations of the diagnostics
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 
@@ -52,10 +53,14 @@ class CameraNode:
 
     def run(self) -> None:
         """Publishes until ROS shuts down, while the world answers; raises DeviceError if this machine cannot render."""
-        due = time.monotonic()
+        due = look = time.monotonic()
         while not rospy.is_shutdown():
+            wanted = [self._topics is not None and self._topics.wanted(name) for name in RGBD_FRAMES]
             try:
-                new = self._world.follow()
+                new = False
+                if any(wanted) or time.monotonic() >= look:
+                    new = self._world.follow()
+                    look = time.monotonic() + IDLE_S
             except DeviceError as error:
                 if self._trouble != str(error):
                     rospy.logwarn("No images: %s", error)
@@ -67,20 +72,20 @@ class CameraNode:
                     self._trouble = ""
                 if new:
                     self._camera.attach(self._world.model)
-                self._publish_next()
+                self._publish_next(wanted)
                 due += self._period
                 if due < time.monotonic():
                     self._overruns += 1
                     due = time.monotonic()
             time.sleep(max(0.0, due - time.monotonic()))
 
-    def _publish_next(self) -> None:
+    def _publish_next(self, wanted: Iterable[bool]) -> None:
         topics = self._present_topics()
         if topics is None:
             return
         stamp = rospy.Time.now()
         exposure = self._stream.next(
-            lambda: Exposure(self._camera.take(self._world.data, *map(topics.wanted, RGBD_FRAMES)), stamp),
+            lambda: Exposure(self._camera.take(self._world.data, *wanted), stamp),
             stamp,
             time.monotonic(),
         )

@@ -1,14 +1,15 @@
-"""Nodes that reach the simulated devices through their control ports: monitors of their truth, the fault service.
+"""What shows the simulated devices' truth and changes it, through their control ports: the node simulation, in one
+process because each has little to do, and the node camera_truth.
 
-The arm, node simulation_monitor: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
+The arm: `simulation/flange` (pose of the flange in kuka/base_frame), `simulation/status`
 (stops, goals, mode, speed of the tool: now, highest since the last status, highest since the start) [m/s]. Services:
 `simulation/release`, the run key after a safety stop; `simulation/back_off`, the jog keys, which move a pressing arm
 back along its path.
-The world, node world_monitor: `simulation/object_states` in kuka/base_frame; on /diagnostics the real-time factor of
+The world: `simulation/object_states` in kuka/base_frame; on /diagnostics the real-time factor of
 the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
-another scene; arm and hand keep their state.
+another scene; arm and hand keep their state. In RViz: `rig_simulation.ros.world_view`.
 The camera, node camera_truth: its true pose, the result of a perfect calibration.
-The service `simulation/fault`, node simulation_faults: switches the faults of all simulated devices.
+All devices: the service `simulation/fault` switches their faults.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import rospy
@@ -23,12 +25,14 @@ import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+from visualization_msgs.msg import MarkerArray
 
 from common.errors import DeviceError
 from common.frames import BASE, CAMERA_LINK
 from common.poses import inverse, pose
 from common.ros.conversions import message_from_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics
+from common.ros.node import run_together
 from common.ros.params import private_config
 from common.ros.publishing import DirectPublisher
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
@@ -42,7 +46,7 @@ from rig_msgs.srv import (
     SimulationFaultResponse,
 )
 from rig_simulation.control_port import ControlClient
-from rig_simulation.node_parameters import FaultServiceConfig, MonitorConfig, WorldConfig, WorldMonitorConfig
+from rig_simulation.node_parameters import SimulationConfig, WorldConfig
 from rig_simulation.world.clock import Pace
 
 RETRY_PERIOD_S = 0.5
@@ -89,8 +93,8 @@ SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", 
 class ArmMonitor:
     """Polls the control port of the simulated controller and publishes its state."""
 
-    def __init__(self, config: MonitorConfig) -> None:
-        self._client = ControlClient(config.host, config.port, 1.0)
+    def __init__(self, config: SimulationConfig) -> None:
+        self._client = ControlClient(config.host, config.arm_port, 1.0)
         self._flange = DirectPublisher("simulation/flange", PoseStamped, queue_size=10)
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
@@ -126,11 +130,6 @@ class ArmMonitor:
         self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
 
 
-def arm_monitor() -> None:
-    """Runs the node simulation_monitor with its private parameters."""
-    poll(ArmMonitor(private_config(MonitorConfig)).publish, FLANGE_PERIOD_S)
-
-
 STATE_PERIOD_S = 0.5
 SLOW = 0.95  # fraction of the desired speed below which the world counts as slow
 
@@ -138,11 +137,11 @@ SLOW = 0.95  # fraction of the desired speed below which the world counts as slo
 class WorldMonitor:
     """Polls the control port of the simulated world and publishes its state."""
 
-    def __init__(self, config: WorldMonitorConfig) -> None:
-        self._client = ControlClient(config.host, config.port, TIMEOUT_S)
+    def __init__(self, config: SimulationConfig) -> None:
+        self._client = ControlClient(config.host, config.world_port, TIMEOUT_S)
         self._pace, self._next_state = Pace(), 0.0
         self._state: dict | None = None
-        self._trouble = f"The simulated world at {config.host}:{config.port} has not answered yet."
+        self._trouble = f"The simulated world at {config.host}:{config.world_port} has not answered yet."
         self._objects = rospy.Publisher("simulation/object_states", ObjectStates, queue_size=10)
         reset = trigger(self._client, "reset", "The objects are back in their poses of the scene.")
         rospy.Service("simulation/reset", Trigger, reset)
@@ -198,12 +197,6 @@ class WorldMonitor:
         return SetSceneResponse(True, f"The scene is {request.scene}.")
 
 
-def world_monitor() -> None:
-    """Runs the node world_monitor with its private parameters."""
-    config = private_config(WorldMonitorConfig)
-    poll(WorldMonitor(config).publish, 1.0 / config.rate)
-
-
 def camera_in_base(fields: dict) -> np.ndarray:
     """Returns the pose of camera_link in the arm's base, shape (4, 4), from the world's answer to `scene`."""
     from rig_simulation.world.model import camera_link_pose  # MuJoCo, which the other monitors do without
@@ -236,9 +229,9 @@ def camera_truth() -> None:
 class FaultService:
     """Offers the service, which passes a request to the control port of the device: it knows its own faults."""
 
-    def __init__(self, config: FaultServiceConfig) -> None:
+    def __init__(self, config: SimulationConfig) -> None:
         ports = {name: getattr(config, f"{name}_port") for name in ("arm", "leap", "hand", "camera")}
-        self._devices = {name: ControlClient(config.host, port, TIMEOUT_S) for name, port in ports.items()}
+        self._devices = {name: ControlClient(config.host, port, TIMEOUT_S) for name, port in ports.items() if port}
         rospy.Service("simulation/fault", SimulationFault, self._switch)
 
     def _switch(self, request: SimulationFaultRequest) -> SimulationFaultResponse:
@@ -265,7 +258,31 @@ class FaultService:
         return f"on: {', '.join(active)}." if active else "no fault is on."
 
 
-def fault_service() -> None:
-    """Runs the node simulation_faults with its private parameters."""
-    FaultService(private_config(FaultServiceConfig))
-    rospy.spin()
+LISTENER_S = 0.5
+
+
+def show_world(config: SimulationConfig) -> None:
+    """Publishes the world's markers while somebody shows them. MuJoCo, which costs the node half of its start, is
+    imported for the first one.
+    """
+    topics = [rospy.Publisher(f"simulation/{name}", MarkerArray, queue_size=1) for name in ("objects", "contacts")]
+    while not any(topic.get_num_connections() for topic in topics):
+        if rospy.is_shutdown():
+            return
+        time.sleep(LISTENER_S)
+    from rig_simulation.ros.world_view import WorldView
+
+    poll(WorldView(ControlClient(config.host, config.world_port, TIMEOUT_S), *topics).publish, 1.0 / config.view_rate)
+
+
+def simulation() -> None:
+    """Runs the node simulation with its private parameters."""
+    config = private_config(SimulationConfig)
+    FaultService(config)
+    jobs: list[Callable[[], None]] = [rospy.spin]
+    if config.arm_port:
+        jobs.append(partial(poll, ArmMonitor(config).publish, FLANGE_PERIOD_S))
+    if config.world_port:
+        jobs.append(partial(poll, WorldMonitor(config).publish, 1.0 / config.world_rate))
+        jobs.append(partial(show_world, config))
+    run_together(*jobs)

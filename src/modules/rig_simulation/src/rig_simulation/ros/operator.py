@@ -18,8 +18,8 @@ from common.ros.service_calls import ServiceClient, ServiceFailed
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
-from rig_simulation.node_parameters import ASSISTED_GRASP, LOOPBACK, OperatorConfig
-from rig_simulation.ros.scenarios import AssistedScenario, PickScenario
+from rig_simulation.node_parameters import ASSISTED_GRASP, BY_CLUTCH, LOOPBACK, TWO_HANDS, WALL, OperatorConfig
+from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
 POLL_S = 0.1
@@ -47,11 +47,16 @@ class Operator:
         if self._config.auto_start:
             self._switch("kuka/gripper_control", setGripperControl)
             self._switch("kuka/kuka_control", setKukaControl)
-        self._wait(self._leapd_plays, "the simulated Leap service plays")
-        rospy.loginfo("A hand enters the view of the Leap.")
+        if self._config.leapd_port:
+            self._wait(self._leapd_plays, "the simulated Leap service plays")
+            rospy.loginfo("A hand enters the view of the Leap.")
         name, world = self._config.scenario, ControlClient(LOOPBACK, self._config.world_port)
         if name == ASSISTED_GRASP:
             AssistedScenario(name, self._config.rounds, self._leapd, world).run()
+        elif name == WALL:
+            WallScenario(name, self._leapd, world).run()
+        elif name in (BY_CLUTCH, TWO_HANDS):
+            ClutchScenario(name, name == TWO_HANDS, self._leapd, world).run()
         elif name:
             PickScenario(name, "cup", self._leapd, world).run()
         rospy.spin()

@@ -15,7 +15,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from common.config import parse
 from common.errors import RigError
@@ -24,9 +24,13 @@ from common.ros.conversions import array, pose_from_message
 from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_from_quaternion
 from grasp_msgs.msg import GraspList, GraspOutcome
+from rig_msgs.msg import GuardState, TeleopState
 from rig_simulation.control_port import ControlClient
 from rig_simulation.operator import assisted_grasp as assisted
+from rig_simulation.operator.clutching import Clutching
 from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, heading, turn_to
+from rig_simulation.operator.visits import Visits
+from rig_simulation.operator.wall import WallView, WallVisit
 from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
@@ -35,8 +39,7 @@ GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
 AT_HOME, FOLLOWING = "home", "servo"
 ENTRY_M, ENTRY_S = 0.25, 1.0  # the hand enters so far in front of the workspace's centre, and needs so long to it
-LOST_S, AWAY_S, MOST_VISITS = 2.0, 2.0, 3
-"""After a lost stream: delay until the operator reacts, time of the hand out of view, and most entries into view."""
+AWAY_S = 2.0  # the hand is out of view before it comes in again
 FRESH_S = 2.0  # proposals of an older image are ignored
 SERVICE_TIMEOUT_S = 10.0
 HOLD_S = 2.0
@@ -62,6 +65,7 @@ class Scenario(abc.ABC):
         self._R: np.ndarray | None = None
         self._grip: np.ndarray | None = None
         self._mode = ""
+        self._visits = Visits()
         self._published: dict[str, str] = {}
         self._publisher = rospy.Publisher("simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
         rospy.Subscriber("simulation/flange", PoseStamped, self._take_flange, queue_size=1)
@@ -86,6 +90,17 @@ class Scenario(abc.ABC):
         """Brings the hand into the interaction box, from the operator's side of it."""
         self._leapd.ask(assisted.SHOW, back=ENTRY_M)
         self._leapd.ask("reach", seconds=ENTRY_S)
+        self._visits.enter(time.monotonic())
+
+    def _starts_over(self, now: float) -> bool:
+        """Takes the hand away and starts over if the arm does not follow; returns whether that happened."""
+        if not self._visits.over(self._mode == FOLLOWING, now):
+            return False
+        rospy.logwarn("The arm does not follow: the hand leaves the view, comes in again, and starts over.")
+        self._leapd.ask(assisted.HIDE)
+        time.sleep(AWAY_S)
+        self._start()
+        return True
 
     @abc.abstractmethod
     def _start(self) -> None:
@@ -132,27 +147,90 @@ class PickScenario(Scenario):
 
     def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient) -> None:
         super().__init__(name, leapd, world)
-        self._thing, self._visits = thing, 0
+        self._thing = thing
         if thing not in self._shapes:
             raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._shapes)}.")
 
     def _start(self) -> None:
         self._show_hand()
-        self._operator, self._followed = PickAndPlace(Plan(), self._center_line), None
-        self._visits += 1
+        self._operator = PickAndPlace(Plan(), self._center_line)
 
     def _step(self, now: float) -> PickStep:
-        seen = self._objects()[self._thing]
-        view = PickView(self._grip, seen["top"], seen["clearance"], self._mode == FOLLOWING)
-        if view.following:
-            self._followed = now
-        elif self._followed is not None and now - self._followed > LOST_S and self._visits < MOST_VISITS:
-            rospy.logwarn("The arm stopped following: the hand leaves the view, comes in again, and starts over.")
-            self._leapd.ask(assisted.HIDE)
-            time.sleep(AWAY_S)
-            self._start()
+        if self._starts_over(now):
             return PickStep("wait")
+        seen = self._objects()[self._thing]
+        return self._operator.step(PickView(self._grip, seen["top"], seen["clearance"], self._mode == FOLLOWING), now)
+
+
+class WallScenario(Scenario):
+    """Steers against the objects, along them and back; `smallest_mm`, `held_s` and `way_back` tell how it went."""
+
+    def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
+        super().__init__(name, leapd, world)
+        self._guard: GuardState | None = None
+        rospy.Subscriber("kuka/guard", GuardState, self._take_guard, queue_size=1)
+
+    def _start(self) -> None:
+        self._operator = WallVisit()
+        self._show_hand()
+
+    def _step(self, now: float) -> PickStep:
+        guard = self._guard
+        if guard is None or not guard.on or self._starts_over(now):
+            return PickStep("wait")
+        view = WallView(self._grip, self._mode == FOLLOWING, guard.distance, guard.margin, guard.scale)
         return self._operator.step(view, now)
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        made = self._operator
+        if result.over:
+            more = {"smallest_mm": f"{1e3 * made.smallest:.1f}", "held_s": f"{made.held:.1f}"}
+            more["way_back"] = str(not result.failure).lower()
+        super()._publish(result, **more)
+
+    def _take_guard(self, message: GuardState) -> None:
+        self._guard = message
+
+
+class ClutchScenario(Scenario):
+    """Moves the tool by strokes with a clutch in between: a service, or the fist of a second hand (`two_hands`)."""
+
+    def __init__(self, name: str, two_hands: bool, leapd: ControlClient, world: ControlClient) -> None:
+        super().__init__(name, leapd, world)
+        self._two_hands, self._state = two_hands, ""
+        rospy.Subscriber("leap_kuka/state", TeleopState, self._take_state, queue_size=10)
+
+    def _start(self) -> None:
+        if self._visits.count:
+            self._clutch(False)
+        self._operator = Clutching()
+        self._show_hand()
+
+    def _step(self, now: float) -> PickStep:
+        if self._starts_over(now):
+            return PickStep("wait")
+        result = self._operator.step(self._grip, self._state, self._mode == FOLLOWING, now)
+        if result.clutch is not None:
+            self._clutch(result.clutch)
+        return result
+
+    def _clutch(self, pressed: bool) -> None:
+        if self._two_hands:
+            self._leapd.ask("second", curl=1.0 if pressed else 0.0)
+        else:
+            call("leap_kuka/set_clutch", SetBool, pressed, timeout=SERVICE_TIMEOUT_S, wait=SERVICE_TIMEOUT_S)
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        operator = self._operator
+        super()._publish(
+            result,
+            clutched=str(operator.clutched),
+            travel_mm=f"{1e3 * operator.travel:.0f}",
+            engagement_step_mm=f"{1e3 * operator.engagement_step:.1f}",
+        )
+
+    def _take_state(self, message: TeleopState) -> None:
+        self._state = message.state
 
 
 class AssistedScenario(Scenario):

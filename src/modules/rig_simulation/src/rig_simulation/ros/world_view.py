@@ -14,16 +14,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE
 from common.poses import inverse
-from common.ros.params import private_config
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
-from rig_simulation.node_parameters import WorldViewConfig
 from rig_simulation.recording import display
-from rig_simulation.ros.monitors import poll
 from rig_simulation.world.model import WorldCopy
 
-NAME = "world_view"
-TIMEOUT_S = 1.0
 LIFETIME_S = 1.0  # markers of a stopped world disappear after this time
 KINDS = {display.BOX: Marker.CUBE, display.BALL: Marker.SPHERE, display.CYLINDER: Marker.CYLINDER}
 SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
@@ -31,20 +26,14 @@ OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0,
 
 
 class WorldView:
-    """Follows the world and publishes its objects and contacts."""
+    """Follows the world through its control port and publishes its objects and contacts on two topics."""
 
-    def __init__(self, config: WorldViewConfig) -> None:
-        self._period = 1.0 / config.rate
-        self._client = ControlClient(config.host, config.port, TIMEOUT_S)
-        self._world = WorldCopy(self._client)
-        self._objects = rospy.Publisher("simulation/objects", MarkerArray, queue_size=1)
-        self._contacts = rospy.Publisher("simulation/contacts", MarkerArray, queue_size=1)
+    def __init__(self, world: ControlClient, objects: rospy.Publisher, contacts: rospy.Publisher) -> None:
+        self._client, self._world = world, WorldCopy(world)
+        self._objects, self._contacts = objects, contacts
 
-    def run(self) -> None:
-        """Publishes until ROS shuts down; waits while the world does not answer."""
-        poll(self._follow, self._period)
-
-    def _follow(self) -> None:
+    def publish(self) -> None:
+        """Publishes the present state if somebody listens; raises DeviceError if the world does not answer."""
         if self._objects.get_num_connections() or self._contacts.get_num_connections():
             self._world.follow()
             self._publish(self._client.ask("contacts")["contacts"])
@@ -111,8 +100,3 @@ def _array(markers: list[Marker]) -> MarkerArray:
     clear = Marker(action=Marker.DELETEALL)
     clear.header.frame_id, clear.header.stamp = BASE, now
     return MarkerArray([clear, *markers])
-
-
-def main() -> None:
-    """Runs the node with its private parameters."""
-    WorldView(private_config(WorldViewConfig)).run()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import multiprocessing
 import sys
 from collections.abc import Callable
@@ -21,6 +20,7 @@ import mujoco
 import numpy as np
 from tqdm import tqdm
 
+from common.config import is_number
 from common.errors import RigError
 from common.frames import BASE
 from common.poses import check_pose, pose
@@ -165,7 +165,7 @@ def _check(scene: dict[str, Any]) -> None:
         ET.fromstring(scene["mjcf"])
     except ET.ParseError as error:
         raise ValueError(f"the model of scene {scene['scene']} is not XML: {error}") from None
-    if not all(math.isfinite(value) for value in scene["qpos"]):
+    if not all(is_number(value) for value in scene["qpos"]):
         raise ValueError(f"the positions of scene {scene['scene']} are not finite")
     for grasp in scene["grasps"]:
         if grasp["T_world_grasp"] is not None:

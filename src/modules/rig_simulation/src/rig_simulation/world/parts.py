@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from rig_description.hand import TAXEL_NORMALS, TAXEL_POSITIONS
 from rig_simulation.devices.reflex.hand import SimulatedHand
 from rig_simulation.devices.reflex.mechanics import FINGERS, MAX_EFFORT, MAX_TORQUE_NM, TAXELS, Mechanics
 from rig_simulation.devices.sunrise.robot import JOINTS
@@ -108,14 +109,6 @@ EFFORT_PER_NM = MAX_EFFORT / MAX_TORQUE_NM
 FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5  # turns of a motor for one turn of its spool
 COUNTS_PER_N = 25.0  # in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80
 TAXEL_REACH_M = 0.005  # standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm
-_TIP_TILT_RAD = np.radians(30.0)
-_TAXEL_POSITIONS = {
-    "proximal": np.array([(x, 0.0, 0.0154) for x in (0.0189, 0.0268, 0.0347, 0.0426, 0.0506)]),
-    "distal": np.array([(0.0114, 0.0, 0.0129), (0.0193, 0.0, 0.0129), (0.0272, 0.0, 0.0129), (0.0375, 0.0, 0.0073)]),
-}
-_UP = (0.0, 0.0, 1.0)
-_TIP_NORMAL = (np.sin(_TIP_TILT_RAD), 0.0, np.cos(_TIP_TILT_RAD))
-_TAXEL_NORMALS = {"proximal": np.array([_UP] * 5), "distal": np.array([_UP] * 3 + [_TIP_NORMAL])}
 
 
 class PhysicalMechanics(Mechanics):
@@ -166,7 +159,7 @@ class PhysicalMechanics(Mechanics):
             for geom, sign in zip(geoms, (1.0, -1.0)):
                 part = pads.get(geom)
                 if part is not None:
-                    first = 0 if part == "proximal" else len(_TAXEL_POSITIONS["proximal"])
+                    first = 0 if part == "proximal" else len(TAXEL_POSITIONS["proximal"])
                     pressure = self._pressure(i, geom, part, sign)
                     counts[first : first + len(pressure)] += pressure
         return counts.tolist()
@@ -189,8 +182,8 @@ class PhysicalMechanics(Mechanics):
         R, p = self._data.xmat[body].reshape(3, 3), self._data.xpos[body]
         # The contact's normal points from the first geom to the second, away from the pad if that is the first.
         outward = R.T @ found.frame[:3] * sign
-        offset = R.T @ (found.pos - p) - _TAXEL_POSITIONS[part]
-        normals = _TAXEL_NORMALS[part]
+        offset = R.T @ (found.pos - p) - TAXEL_POSITIONS[part]
+        normals = TAXEL_NORMALS[part]
         beside = np.linalg.norm(offset - np.sum(offset * normals, axis=1, keepdims=True) * normals, axis=1)
         pressing = wrench[0] * np.maximum(0.0, normals @ outward)
         return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / TAXEL_REACH_M) ** 2)

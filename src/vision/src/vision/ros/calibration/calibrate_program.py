@@ -6,7 +6,6 @@ It asks before the arm moves and before a result is kept. The detector and the n
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -18,9 +17,10 @@ import numpy as np
 import rospy
 from std_srvs.srv import Trigger
 
-from common.errors import ConfigError, DeviceError, RigError
+from common.errors import DeviceError, RigError
 from common.mounting import rotation_of_mounting
 from common.poses import inverse
+from common.ros.node import run_program
 from common.ros.params import wait_for_config
 from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_angle
@@ -44,7 +44,6 @@ FIRST_VIEWS = 6
 FLANGE_WAIT_S = 3.0
 STILL_M = 5e-4
 FULL_SPEED_RAD_S = np.radians(98.0)
-INTERRUPTED = 130
 
 
 class CalibrationRefused(RigError):
@@ -54,24 +53,12 @@ class CalibrationRefused(RigError):
 def main() -> None:
     """Runs the program and exits the process: 0 stored, 1 refused or impossible, 130 interrupted."""
     options = _parser().parse_args(rospy.myargv()[1:])
-    sys.stdout.reconfigure(line_buffering=True)
-    try:
-        rospy.init_node(NODE, disable_signals=True)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
-        _run(options)
-        code = 0
-    except RigError as error:
-        for sentence in error.faults if isinstance(error, ConfigError) else [str(error)]:
-            print(f"{NODE}: {sentence}", file=sys.stderr)
-        code = 1
-    except KeyboardInterrupt:
-        print("\nInterrupted; nothing was stored. A motion that has begun continues to its goal.")
-        code = INTERRUPTED
-    rospy.signal_shutdown("the program exits")
-    sys.exit(code)
+    interrupted = "Interrupted; nothing was stored. A motion that has begun continues to its goal."
+    run_program(NODE, lambda: _run(options), interrupted)
 
 
 def _run(options: argparse.Namespace) -> None:
+    rospy.init_node(NODE, disable_signals=True)
     setup = read_setup(DETECTOR)
     setup.check_serial()
     listener, comparison = BoardListener(setup.target), RvizComparison()

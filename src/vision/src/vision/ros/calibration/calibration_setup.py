@@ -21,7 +21,7 @@ from common.errors import ConfigError, DeviceError
 from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
 from common.poses import inverse
 from common.ros.conversions import pose_from_transform, stamped_transform
-from common.ros.files import write_whole
+from common.ros.files import read_yaml, write_whole
 from common.ros.params import wait_for_config, wait_for_param
 from vision.calibration.acceptance import CalibrationConfig
 from vision.calibration.record import CalibrationRecord, mapping_from_record, record_from_mapping
@@ -57,7 +57,7 @@ class CalibrationStore:
         for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), reverse=True):
             try:
                 record = read(file)
-            except (ConfigError, DeviceError) as error:
+            except ConfigError as error:
                 rospy.logerr("Skipped the calibration %s: %s Delete it, or calibrate again.", file, error)
                 continue
             if (record.robot, record.camera) == (self._config.robot, self._config.camera):
@@ -78,14 +78,8 @@ class CalibrationStore:
 
 
 def read(file: Path) -> CalibrationRecord:
-    """Returns the calibration in a file; raises DeviceError if it cannot be read, ConfigError if it is damaged."""
-    try:
-        values = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DeviceError(f"Cannot read {file}: {error}.") from None
-    except yaml.YAMLError as error:
-        raise ConfigError([f"{file} is not valid yaml: {' '.join(str(error).split())}."]) from None
-    return record_from_mapping(values)
+    """Returns the calibration in a file; raises ConfigError if it cannot be read, or is damaged."""
+    return record_from_mapping(read_yaml(file))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from common.camera_model import CameraModel
 from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from common.ros.node import while_running
+from common.ros.on_demand import OnDemand
 
 BUFFER_BYTES = 2**24  # room for several images: rospy drops old images only after it has read them
 QUEUE = 5
@@ -56,22 +57,6 @@ class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
                 for queue in self.queues:
                     queue.clear()
         super().add(msg, my_queue, my_queue_index)
-
-
-class OnDemand:
-    """Called with whether images are wanted, subscribes or unsubscribes: a camera need not send what nobody wants."""
-
-    def __init__(self, subscribe: Callable[[], list]) -> None:
-        self._subscribe = subscribe
-        self.subscribers: list = []
-
-    def __call__(self, wanted: bool) -> None:
-        if wanted and not self.subscribers:
-            self.subscribers = self._subscribe()
-        elif not wanted:
-            for subscriber in self.subscribers:
-                subscriber.unregister()
-            self.subscribers = []
 
 
 class RgbdPairs:

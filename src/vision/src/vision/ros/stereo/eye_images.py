@@ -15,7 +15,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
-from vision.ros.camera.rgbd_pairs import BUFFER_BYTES, OnDemand
+from common.ros.on_demand import OnDemand
+from vision.ros.camera.rgbd_pairs import BUFFER_BYTES
 from vision.stereo.view import EyeImages, ImageAge, StereoView, StereoViewConfig, age_text
 
 THROTTLE_S = 10.0

@@ -15,13 +15,13 @@ from typing import Any
 import cv2
 import mujoco
 import numpy as np
-import yaml
 
 from common.camera_model import from_calibration
 from common.config import parse
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import CAMERA_LINK, DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import inverse, pose
+from common.ros.files import read_yaml
 from common.rotations import quaternion_from_rotation, rotation_about, unit
 from rig_simulation.command_line import failed, finite, not_negative, positive
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
@@ -128,10 +128,7 @@ def _take(options: argparse.Namespace) -> int:
 
 
 def _yaml(path: Path) -> dict:
-    try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError([f"The file {path} cannot be read: {str(error).splitlines()[0]}."]) from None
+    values = read_yaml(path)
     if not isinstance(values, dict):
         raise ConfigError([f"The file {path} is not a mapping."])
     return values

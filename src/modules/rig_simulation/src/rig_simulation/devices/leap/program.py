@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from common.errors import RigError
+from common.poses import pose
+from common.rotations import rotation_about
+from leap_motion.service import wire
 from rig_simulation.command_line import failed, finite, parse_options, port, positive, stop_on_signals
-from rig_simulation.devices.leap import wire
-from rig_simulation.devices.leap.server import LeapService
+from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
 from rig_simulation.operator import motion
@@ -25,9 +28,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = parse(arguments)
     try:
         source, requests = _source(options)
-        playback = Playback(source, options.seed, options.fields, playing=not options.paused)
+        playback = Playback(source, options.seed, options.service, playing=not options.paused)
         ports = options.host, options.port, options.control_port
-        service = LeapService(playback, *ports, options.fields, options.lenient, requests)
+        service = SimulatedLeapService(playback, *ports, options.service, requests)
     except RigError as error:
         return failed(NAME, error)
     switch_all(service.faults, options.fault)
@@ -43,11 +46,17 @@ def _source(options: argparse.Namespace) -> tuple[Source, dict[str, Callable[...
     if options.recording is not None:
         return Recording(options.recording, options.rate, options.offset, options.loop), {}
     script = motion.Script(options.figure, options.size, options.speed, options.plane, away=options.away)
-    scripted = ScriptedOperator(script, options.hand, options.scale, tuple(options.centre), options.fields)
+    T_desk_leap = None
+    if any(options.stands):
+        pitch, yaw, roll = map(math.radians, options.stands[3:])
+        R = rotation_about(1, yaw) @ rotation_about(0, pitch) @ rotation_about(2, roll)
+        T_desk_leap = pose(R, options.stands[:3])
+    centre = tuple(options.centre)
+    scripted = ScriptedOperator(script, options.hand, options.scale, centre, options.service, T_desk_leap)
     if not options.guided:
         return scripted, {}
     guided = GuidedOperator(scripted)
-    return guided, {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand")}
+    return guided, {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand", "second")}
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -58,9 +67,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--port", type=port, default=6437, help="WebSocket port; 0 takes any free port")
     add("--control-port", type=port, default=16437, help="port for tests; 0 takes any free port")
     add("--paused", action="store_true", help="send empty frames until the control port starts the source")
-    add("--lenient", action="store_true", help="serve clients that did not ask for frames")
     add("--seed", type=int, default=0, help="seed of the noise and of the operator's variations")
-    add("--fields", choices=wire.FIELD_SETS, default="2.x", help="field set of the frames")
+    add("--service", choices=wire.SERVICES, default="2.3", help="leapd, or the server of Ultraleap's current service")
     add_option(parser, LEAP_FAULTS)
     xyz = ("X", "Y", "Z")
     add = parser.add_argument_group("a recording").add_argument
@@ -69,7 +77,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--rate", type=positive, default=1.0, metavar="FACTOR", help="playback speed")
     add("--offset", type=finite, nargs=3, default=(0.0, 0.0, 0.0), metavar=xyz, help="added to positions, mm")
     add = parser.add_argument_group("a scripted operator, without a recording").add_argument
-    guided = "the hand goes where the control port sends it: show, reach, hide (metres, radians, seconds)"
+    guided = "the hand goes where the control port sends it: show, reach, hide, second (metres, radians, seconds)"
     add("--guided", action="store_true", help=guided)
     add("--figure", choices=motion.FIGURES, default="circle", help="figure that the hand draws")
     add("--size", type=positive, default=150.0, help="width of the figure, mm")
@@ -80,4 +88,7 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--scale", type=positive, default=1.05, help="size of the hand against the template; adults: 1.03 to 1.10")
     centre = "centre of the hand's workspace, mm in Leap axes"
     add("--centre", type=finite, nargs=3, default=(0.0, 350.0, 0.0), metavar=xyz, help=centre)
+    stands = "where the device stands: mm, then deg about x, y (first) and z; the other numbers are the desk's then"
+    place = (*xyz, "PITCH", "YAW", "ROLL")
+    add("--stands", type=finite, nargs=6, default=(0.0,) * 6, metavar=place, help=stands)
     return parse_options(parser, arguments)

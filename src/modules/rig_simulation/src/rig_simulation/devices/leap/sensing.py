@@ -1,4 +1,4 @@
-"""The tracking of a hand: noise, confidence, filtered velocities, ids, and the behaviour at entry and exit.
+"""The tracking of a hand: noise, confidence, and the behaviour at entry and exit.
 
 The noise levels come from recordings of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times worse
 when it moves fast or is poorly recognised. The noise is low-pass: errors of successive frames are similar.
@@ -6,11 +6,12 @@ when it moves fast or is poorly recognised. The noise is low-pass: errors of suc
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from rig_simulation.operator.hand_model import HandGeometry, HandModel, HandPose, grab_strength
+from leap_motion.service.hand import FIRST_VELOCITY_MM_S, ReportedHand, extended
+from rig_simulation.operator.hand_model import HandModel, HandPose
 
 PALM_NOISE_MM = 0.04
 ANGLE_NOISE = np.radians(0.04)
@@ -21,8 +22,6 @@ NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992  # fraction of a filter's value that r
 NOISE_SPEED_MM_S = 40.0  # at this speed of the palm the noise is twice that at rest
 FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
-FIRST_VELOCITY_MM_S = 1.19209e-07
-VELOCITY_MEMORY, STABLE_MEMORY = 0.6, 0.8
 
 
 class LowPassNoise:
@@ -41,34 +40,42 @@ class LowPassNoise:
         return self._gain * self._second
 
 
-@dataclass(frozen=True)
-class ReportedHand:
-    """A hand as the service reports it; lengths in mm, velocities in mm/s, as in the messages."""
-
-    id: int
-    model: HandModel
-    geometry: HandGeometry
-    flexion: np.ndarray
-    confidence: float
-    time_visible: float
-    velocity: np.ndarray
-    tip_velocities: np.ndarray
-    stable_palm: np.ndarray
-    stable_tips: np.ndarray
-
-    @classmethod
-    def at_rest(
-        cls, hand_id: int, model: HandModel, pose: HandPose, confidence: float, time_visible: float
-    ) -> ReportedHand:
-        """Returns the report of a hand in a pose, without velocity."""
-        geometry = model.place(pose)
-        still = np.full(3, FIRST_VELOCITY_MM_S), np.zeros((5, 3)), geometry.palm, geometry.tips
-        return cls(hand_id, model, geometry, pose.flexion, confidence, time_visible, *still)
-
-    @property
-    def grab(self) -> float:
-        """The grab strength."""
-        return grab_strength(self.flexion)
+def at_rest(
+    hand_id: int,
+    model: HandModel,
+    pose: HandPose,
+    confidence: float,
+    time_visible: float,
+    flexion: np.ndarray | None = None,
+) -> ReportedHand:
+    """Returns the report of a hand in a pose, without velocity; its grab follows from `flexion` where that is given."""
+    geometry = model.place(pose)
+    flexion = pose.flexion if flexion is None else flexion
+    return ReportedHand(
+        id=hand_id,
+        side=model.side,
+        confidence=confidence,
+        time_visible=time_visible,
+        palm=geometry.palm,
+        direction=geometry.direction,
+        normal=geometry.normal,
+        joints=geometry.joints,
+        bases=geometry.bases,
+        tips=geometry.tips,
+        wrist=geometry.wrist,
+        elbow=geometry.elbow,
+        arm_basis=geometry.arm_basis,
+        palm_width=model.palm_width,
+        arm_width=model.arm_width,
+        lengths=model.finger_lengths,
+        widths=model.finger_widths,
+        curl=float(flexion[1:].sum(axis=1).mean()),
+        extended=extended(flexion.sum(axis=1)),
+        velocity=np.full(3, FIRST_VELOCITY_MM_S),
+        tip_velocities=np.zeros((5, 3)),
+        stable_palm=geometry.palm,
+        stable_tips=geometry.tips,
+    )
 
 
 class Tracker:
@@ -88,12 +95,9 @@ class Tracker:
         """
         confidence = self._confidence(curl, age, left)
         measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
-        if self._last is None:
-            hand = replace(ReportedHand.at_rest(self._id, self._model, measured, confidence, age), flexion=pose.flexion)
-        else:
-            geometry = self._model.place(measured)
-            filtered = _filtered(geometry, self._last, age - self._last.time_visible)
-            hand = ReportedHand(self._id, self._model, geometry, pose.flexion, confidence, age, *filtered)
+        hand = at_rest(self._id, self._model, measured, confidence, age, pose.flexion)
+        if self._last is not None:
+            hand = hand.following(self._last)
         self._last = hand
         return hand
 
@@ -118,18 +122,3 @@ class Tracker:
         leaving = float(np.interp(left, [0.0, SETTLE_S], [0.1, 1.0])) if left < SETTLE_S else 1.0
         noise = 0.02 * (1.0 + 2.0 * curl) * self._confidence_noise.step()[0]
         return min(max(float(entered * leaving + noise), 0.02), 1.0)
-
-
-def _filtered(geometry: HandGeometry, last: ReportedHand, dt: float) -> tuple[np.ndarray, ...]:
-    """Returns velocities of palm and tips, and their stabilised positions, which lag behind the measured ones."""
-    before = last.geometry
-
-    def velocity(now: np.ndarray, then: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-        return VELOCITY_MEMORY * filtered + (1.0 - VELOCITY_MEMORY) * (now - then) / dt
-
-    return (
-        velocity(geometry.palm, before.palm, last.velocity),
-        velocity(geometry.tips, before.tips, last.tip_velocities),
-        STABLE_MEMORY * last.stable_palm + (1.0 - STABLE_MEMORY) * geometry.palm,
-        STABLE_MEMORY * last.stable_tips + (1.0 - STABLE_MEMORY) * geometry.tips,
-    )

@@ -9,17 +9,20 @@ Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox".
 from __future__ import annotations
 
 import dataclasses
+import math
 from functools import partial
-from typing import Callable, List, Optional
+from typing import Callable, List, Optional, Protocol
 
 import numpy as np
 
 from rig_simulation.devices.sunrise import java_text, motions
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.motions import Goals, finite, frame_from_pose, overwritten, pose_from_frame
-from rig_simulation.devices.sunrise.paths import PlannedMotion
+from rig_simulation.devices.sunrise.paths import PlannedMotion, Unreachable
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
+LAST_WORD_S = 0.016  # from the acceptance of a motion to its last word, at least; measured on the published server
+REFUSAL_S = 0.052  # from the acceptance of a motion to its refusal, likewise
 SERVO_START_S = 0.1  # from the answer to a start until the mode runs; goal: the present joints, earlier goals are lost
 IMPEDANCE_FRACTION = 0.1
 IMPEDANCE_MAX_TORQUE_NM = 10.0
@@ -32,6 +35,26 @@ VERSIONS = ("1.7", "2019-03", "2019-05")
 Command = Callable[[List[str]], str]  # takes the words of a line behind its command; returns what to answer at once
 Planner = Callable[[SimulatedArm, Goals], Optional[PlannedMotion]]
 Condition = Callable[[SimulatedArm], bool]
+
+
+class MotionPlan(Protocol):
+    """A motion that is being planned, as a Future of `concurrent.futures`."""
+
+    def done(self) -> bool:
+        """Returns whether `result` returns at once."""
+
+    def result(self) -> PlannedMotion | None:
+        """Returns the motion, None if the arm is at its target already; raises ValueError if it cannot be planned."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanWhenAsked:
+    """Plans where the result is asked for, which is at the next advance."""
+
+    result: Callable[[], PlannedMotion | None]
+
+    def done(self) -> bool:
+        return True
 
 
 @dataclasses.dataclass
@@ -54,6 +77,9 @@ class Application:
         wiped_window: float = 0.0,  # time after an answer of the main thread in which its commands are lost [s]
         encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,  # true to reported angles, shape (7,) [rad]
         version: str = VERSIONS[-1],
+        # Begins to plan a motion; the function may be called in another thread
+        begin_plan: Callable[[Callable[[], PlannedMotion | None]], MotionPlan] = PlanWhenAsked,
+        ends_tacitly: Callable[[], bool] = lambda: False,  # whether the end of a motion is not answered
     ) -> None:
         self.mode = "idle"
         self.ended = False
@@ -62,10 +88,17 @@ class Application:
         self._wiped_window = wiped_window
         self._encoders = encoders
         self._version = version
+        self._begin_plan, self._ends_tacitly = begin_plan, ends_tacitly
         self._replies: list[str] = []
         self._reader_alive = self._main_alive = True
         self._main_answered = self._now = -np.inf
         self._goals = Goals()
+        self._plan: MotionPlan | None = None
+        self._accepted: Callable[[SimulatedArm], PlannedMotion | None] | None = None  # plans the motion to start
+        self._planned_from = arm.q
+        self._refused = False  # the motion, and its last word is to come
+        self._last_word = -math.inf  # not before this time [s]
+        self._break_when: Condition | None = None
         self._arrived: Condition = lambda _: True
         self._servo_starts: float | None = None
         self._servo_stopping = False
@@ -77,6 +110,11 @@ class Application:
     def busy(self) -> bool:
         """Whether the main thread moves the arm."""
         return self.mode != "idle"
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether a planned motion is under way or about to start."""
+        return self._accepted is not None or self._arm.in_motion
 
     def receive(self, line: str, now: float) -> str:
         """Takes one line without its end at the time `now` [s]; returns the text to send."""
@@ -92,6 +130,7 @@ class Application:
 
     def abandon(self) -> None:
         """Stops motion and servo mode when the client is gone; the arm brakes."""
+        self._accepted = self._plan = None
         self._arm.break_motion()
         self._stop_servo()
 
@@ -123,9 +162,14 @@ class Application:
             self._arm.advance(self._servo_starts)
             self._begin_servo()
         self._arm.advance(now)
-        if self.mode == "ptp" and not self._arm.in_motion:
+        if self._accepted is not None:
+            self._plan_motion(self._accepted)
+        if self.mode == "ptp" and not self.in_motion and now >= self._last_word:
             self.mode = "idle"
-            self._replies.append(DONE if self._arrived(self._arm) else INTERRUPTED)
+            self._main_answered = now
+            arrived = NAK if self._refused else DONE if self._arrived(self._arm) else INTERRUPTED
+            if not self._ends_tacitly():
+                self._replies.append(arrived)
         elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
             if self.mode == "impedance_servo" and not self._servo_stopping:
                 self._replies.append(DONE)
@@ -292,14 +336,35 @@ class Application:
         return DONE
 
     def _move(self, make: Planner, break_when: Condition | None = None, arrived: Condition = lambda _: True) -> str:
-        self._replies.append(DONE)
-        motion = make(self._arm, self._goals)
-        if motion is None:
-            return DONE
-        self.mode = "ptp"
-        self._arrived = arrived
-        self._arm.start_motion(motion, break_when)
-        return ""
+        """Accepts the motion; it is planned afterwards, and starts or is refused."""
+        self.mode, self._refused = "ptp", False
+        self._last_word = self._now + LAST_WORD_S
+        self._break_when, self._arrived = break_when, arrived
+        goals = dataclasses.replace(self._goals)  # as they are now
+        self._accepted = lambda arm: make(arm, goals)
+        return DONE
+
+    def _plan_motion(self, make: Callable[[SimulatedArm], PlannedMotion | None]) -> None:
+        arm = self._arm
+        if self._plan is not None and self._plan.done() and not np.array_equal(self._planned_from, arm.q):
+            self._plan = None  # of an arm that backed off meanwhile
+        if self._plan is None:
+            self._planned_from = arm.q
+            self._plan = self._begin_plan(partial(make, arm.snapshot()))
+        if self._plan.done():
+            self._start_motion(self._plan)
+
+    def _start_motion(self, plan: MotionPlan) -> None:
+        self._accepted = self._plan = None
+        try:
+            motion = plan.result()
+        except ValueError:
+            self._arm.attach(np.eye(4))
+            self._refused = True
+            self._last_word += REFUSAL_S - LAST_WORD_S
+            return
+        if motion is not None:
+            self._arm.start_motion(motion, self._break_when)
 
     def _guarded_joint_motion(self, words: list[str]) -> str:
         target = self._goals.joints
@@ -311,14 +376,14 @@ class Application:
 
     def _guarded(self, words: list[str], make: Planner, arrived: Condition) -> str:
         ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
-        if len(ranges) == 0:
-            return DONE + DONE
-        try:
-            break_when = motions.leaves_torque_ranges(ranges)
-        except ValueError:
-            self._replies.append(DONE)
-            raise
-        return self._move(make, break_when, arrived)
+        unknown = [joint for joint in ranges[:, 0] if not 0 <= int(joint) <= 6]
+
+        def guarded(arm: SimulatedArm, goals: Goals) -> PlannedMotion | None:
+            if unknown:
+                raise Unreachable(f"there are no joints {unknown}")
+            return make(arm, goals) if len(ranges) else None
+
+        return self._move(guarded, motions.leaves_torque_ranges(ranges), arrived if len(ranges) else lambda _: True)
 
     def _start_servo(self, mode: str) -> str:
         self.mode = mode
@@ -333,7 +398,7 @@ class Application:
         mass, stiffness = numbers[0], numbers[4:7]
         refused = mass < 0.0 or np.any(stiffness < 0.0) or np.any(stiffness[:2] > MAX_STIFFNESS)
         if refused or np.max(np.abs(self._arm.external_torques)) > IMPEDANCE_MAX_TORQUE_NM:
-            return DONE + DONE
+            return self._move(lambda arm, goals: None)
         return self._start_servo("impedance_servo")
 
     def _begin_servo(self) -> None:

@@ -6,6 +6,7 @@ Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torque
 from __future__ import annotations
 
 import collections
+import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Protocol
@@ -13,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from common.poses import read_only
+from rig_description.hand import tool_body
 from rig_simulation.devices.sunrise.paths import PlannedMotion
 from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, Robot, plain_law
 
@@ -27,6 +29,7 @@ BACK_OFF_FRACTION = 0.1  # a planned motion backs off at this fraction of its sp
 FREE_FRACTION = 0.5  # the arm backs off until every external torque is below this fraction of the limit
 TRAIL_STEP_RAD = 1e-3
 TRAIL_LENGTH = 1000
+HISTORY_STEPS = 5000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +40,7 @@ class ArmSettings:
     speed_limit: float = 0.8  # safety stop above this speed of the tool point [m/s]
     servo_law: str = "lts"  # "lts" or "none"
     trajectory_time: float = MIN_TRAJECTORY_TIME_S  # minimum trajectory time of DirectServo [s]
+    tool_weight: bool = False  # whether the hand's weight counts as external, as the toolbox's tool has no mass
 
 
 class ArmEnvironment(Protocol):
@@ -61,12 +65,18 @@ class SimulatedArm:
         self.q, self.v = np.zeros(7), np.zeros(7)  # joint angles [rad] and speeds; replaced, never changed
         self._v_before, self._last_dt = self.v, CYCLE_S
         self.T_flange_tool = np.eye(4)  # the attached tool
+        self._tool = tool_body()  # what is on the flange
         self.goal, self.goal_speed, self._last_goal_speed = np.zeros(7), np.zeros(7), np.zeros(7)
         self.safety_stop: str | None = None  # cause of the active safety stop
         self.stops = 0  # safety stops so far
+        self.emergency_stop = False  # whether its button is pressed
         self.tool_speed = self.max_tool_speed = 0.0  # of the tool point, now and highest so far [m/s]
         self.acceleration = read_only(robot.max_speed / FULL_SPEED_TIME_S)
         self.motion_acceleration = read_only(MOTION_FRACTION * self.acceleration)
+        # Of the last steps: time [s], joints [rad] and their speeds [rad/s], speed of the tool point [m/s].
+        self.history: collections.deque[tuple[float, np.ndarray, np.ndarray, float]] = collections.deque(
+            maxlen=HISTORY_STEPS
+        )
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
         self._servo: tuple[Law, Drives, bool] | None = None  # with whether the goal integrates `goal_speed`
         self._motion: PlannedMotion | None = None
@@ -113,6 +123,8 @@ class SimulatedArm:
         comes_to_rest = self.resting and v_before.any()
         if self._steps % SAFETY_PERIOD_STEPS == 0 or comes_to_rest:
             self._check_safety()
+        if self.time is not None:
+            self.history.append((self.time, self.q, self.v, self.tool_speed))
 
     @property
     def resting(self) -> bool:
@@ -164,6 +176,12 @@ class SimulatedArm:
         """Stops a servo mode; the arm brakes."""
         self._servo = None
 
+    def snapshot(self) -> SimulatedArm:
+        """Returns the arm as it is now, for another thread to plan from; not to be moved."""
+        snapshot = copy.copy(self)
+        snapshot.robot = self.robot.twin()
+        return snapshot
+
     def attach(self, T_flange_tool: np.ndarray) -> None:
         """Attaches a tool without mass, shape (4, 4), in place of the last one."""
         self.T_flange_tool = read_only(T_flange_tool)
@@ -179,6 +197,11 @@ class SimulatedArm:
         self._tool_force = read_only(force)
         self._check_safety()
 
+    def press_emergency_stop(self, pressed: bool) -> None:
+        """Presses or releases the button of the emergency stop; the safety stop remains until `release`."""
+        self.emergency_stop = pressed
+        self._check_safety()
+
     def release(self) -> None:
         """Ends a safety stop, as the run key does; a planned motion resumes.
 
@@ -186,6 +209,8 @@ class SimulatedArm:
         """
         if self.safety_stop is None:
             raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
+        if self.emergency_stop:
+            raise ValueError("The emergency stop is pressed; release its button first.")
         cause = self._torque_fault()
         if cause:
             raise ValueError(f"The cause of the safety stop persists: {cause} Back off (simulation/back_off) first.")
@@ -219,7 +244,16 @@ class SimulatedArm:
 
     @property
     def external_torques(self) -> np.ndarray:
-        """External torques on the joints, shape (7,) [Nm]."""
+        """External torques on the joints as the controller estimates them, shape (7,) [Nm]."""
+        return self._contact_torques + self._weight if self.settings.tool_weight else self._contact_torques
+
+    @property
+    def _weight(self) -> np.ndarray:
+        """Torques of the hand's weight, shape (7,) [Nm]."""
+        return self.robot.weight(self.q, self._tool.mass, self._tool.com)
+
+    @property
+    def _contact_torques(self) -> np.ndarray:
         torque = self._joint_torque + self._touch_torque
         if not self._tool_force.any():
             return torque
@@ -227,16 +261,17 @@ class SimulatedArm:
 
     @property
     def measured_torques(self) -> np.ndarray:
-        """Torques of the drives: those of gravity and motion minus the external ones, shape (7,) [Nm]."""
+        """Torques of the drives: those of gravity and motion minus those of contacts, shape (7,) [Nm]."""
         a = (self.v - self._v_before) / self._last_dt
-        return self.robot.torques(self.q, self.v, a) - self.external_torques
+        return self.robot.torques(self.q, self.v, a) - self._contact_torques
 
     @property
     def _touch_wrench(self) -> np.ndarray:
-        """Force and moment on the tool point that best explain the contact torques, shape (6,)."""
-        if not self._touch_torque.any():
+        """Force and moment on the tool point that best explain the torques of touch and weight, shape (6,)."""
+        torque = self._touch_torque + self._weight if self.settings.tool_weight else self._touch_torque
+        if not torque.any():
             return np.zeros(6)
-        return self.robot.wrench(self.q, self.T_flange_tool, self._touch_torque)
+        return self.robot.wrench(self.q, self.T_flange_tool, torque)
 
     def _step_motion(self, motion: PlannedMotion, dt: float) -> None:
         if self._break_when is not None and self._break_when(self):
@@ -292,7 +327,7 @@ class SimulatedArm:
             return
         if not self._trail or max(map(abs, (self._trail[-1] - self.q).tolist())) > TRAIL_STEP_RAD:
             self._trail.append(self.q)
-        cause = self._torque_fault()
+        cause = "The emergency stop is pressed." if self.emergency_stop else self._torque_fault()
         if not cause and self.tool_speed > self.settings.speed_limit:
             cause = f"The tool moves at {self.tool_speed:.3f} m/s (limit {self.settings.speed_limit:g})."
         if cause:

@@ -56,7 +56,8 @@ def make_server(
 
     Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing.
     """
-    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, options.servo_law, options.trajectory_time)
+    laws = options.servo_law, options.trajectory_time, options.tool_weight
+    arm_settings = ArmSettings(options.safety_torque, options.safety_speed, *laws)
     lost_client = options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)
     arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
@@ -96,5 +97,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     version = "which server: before 2019-05 servo goals bring no pose, and the force as the answer to another word"
     add("--toolbox-version", choices=VERSIONS, default=VERSIONS[-1], help=version)
     add("--safety-torque", type=positive, default=25.0, help="external torque of the safety stop, Nm")
+    weight = "the hand's weight counts as external torque: the toolbox tells the controller of a tool without mass"
+    add("--tool-weight", action="store_true", help=weight)
     add("--safety-speed", type=positive, default=0.8, help="tool speed of the safety stop, m/s")
     add_option(parser, ARM_FAULTS)

@@ -9,6 +9,7 @@ acceleration limits. So it approaches a step in the goal from one side, without 
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Callable, Sequence
 
@@ -16,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from common.frames import FLANGE
-from common.poses import inverse, read_only
+from common.poses import inverse, read_only, translation
 from common.rotations import rotation_from_zyx
 
 JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
@@ -51,6 +52,12 @@ class Robot:
         self.upper = read_only(self._model.upperPositionLimit)
         self.max_speed = read_only(self._model.velocityLimit)  # shape (7,) [rad/s]
 
+    def twin(self) -> Robot:
+        """Returns the same robot for another thread: Pinocchio's working memory is its own."""
+        twin = copy.copy(self)
+        twin._data = self._model.createData()
+        return twin
+
     def within_range(self, q: np.ndarray) -> bool:
         """Returns whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
         return bool(np.all((q >= self.lower) & (q <= self.upper)))
@@ -84,6 +91,13 @@ class Robot:
     def torques(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Returns the joint torques, shape (7,) [Nm], of gravity and motion at angles, speeds and accelerations."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))
+
+    def weight(self, q: np.ndarray, mass: float, com: np.ndarray) -> np.ndarray:
+        """Returns the torques that the weight of a mass [kg] at `com` in the flange frame, shape (3,) [m], makes at the
+        joints q, shape (7,) each [rad], [Nm].
+        """
+        J = self.jacobian(q, translation(*com.tolist()))
+        return J[:3].T @ (self.flange(q)[:3, :3].T @ (mass * self._model.gravity.linear))
 
     def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
         """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None: damped least

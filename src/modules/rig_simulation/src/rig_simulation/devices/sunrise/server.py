@@ -2,34 +2,42 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dataclasses
+import itertools
 import math
 import selectors
 import socket
 import struct
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
 
+from common.config import is_number
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen, within
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
+from rig_simulation.devices.sunrise.paths import PlannedMotion, Unreachable
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
+SWITCH_INTERVAL_S = 5e-4  # the reader waits at most this long for the planner [s]
 MOVING_TICK_S = 0.004
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.005  # longest lag that the arm makes up before an answer
 PIECE_S = 0.002  # of a longer lag it makes up this much before the server looks after its client again
 LONGEST_LAG_S = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
-MOTION = "doPTP"
+GOALS_AND_QUESTIONS = ("jp", "jf", "DcSe", "velJDC", "getJ", "Torques", "Eef_")  # these come many times a second
+EVENTS = 500
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
@@ -63,7 +71,8 @@ class SunriseServer:
         clock: Callable[[], float] = time.monotonic,  # the arm's time [s]; may run faster, slower or in steps
         at_once: float = AT_ONCE_S,  # longest lag made up in one go [s]; infinite for a clock that waits for the arm
     ) -> None:
-        self._arm, self._settings, self._log = arm, settings, log
+        self._arm, self._settings, self._print = arm, settings, log
+        self._events: collections.deque[tuple[float, str]] = collections.deque(maxlen=EVENTS)
         self._clock, self._at_once = clock, at_once
         self._behind = False
         self._io = ControllerIO()
@@ -73,7 +82,9 @@ class SunriseServer:
         self._stop = threading.Event()
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
+        self._planner = ThreadPoolExecutor(1, "planner")  # the reader answers while a motion is planned
         self._deaf = False
+        self._reported_stops = 0
         self._selector = selectors.DefaultSelector()
         self._listener: socket.socket | None = listen(host, port, "the toolbox port")
         self._listener.setblocking(False)
@@ -81,6 +92,7 @@ class SunriseServer:
         self._start_application()
         requests: dict[str, Callable[..., Any]] = {
             "state": self._state,
+            "trace": self._trace,
             "release": self._release,
             "back_off": self._back_off,
             "set_external_torque": lambda value: arm.set_external_torque(_numbers(value, 7)),
@@ -103,12 +115,14 @@ class SunriseServer:
 
     def run(self) -> None:
         """Serves until `stop`; then closes everything."""
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         try:
             while not self._stop.is_set():
                 self._wait()
                 with self.lock:
                     self._follow_faults()
                     self.advance()
+                    self._report_stop()
                     self._take_turns()
         finally:
             self.close()
@@ -116,6 +130,7 @@ class SunriseServer:
     def close(self) -> None:
         """Closes everything; may be called twice."""
         self._control.close()
+        self._planner.shutdown(wait=False)
         for connection in (self._listener, self._client):
             if connection is not None:
                 connection.close()
@@ -133,10 +148,21 @@ class SunriseServer:
 
     def _start_application(self) -> None:
         assert self._listener is not None  # an application starts only while the port is open
-        settings, read = self._settings, self._encoders.read
-        self._application = Application(self._arm, self._io, settings.wiped_window, read, settings.version)
+        settings, read, plan = self._settings, self._encoders.read, self._begin_plan
+        self._application = Application(
+            self._arm, self._io, settings.wiped_window, read, settings.version, plan, self._ends_tacitly
+        )
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = time.monotonic()
+
+    def _ends_tacitly(self) -> bool:
+        return self.faults.is_on("unfinished")
+
+    def _begin_plan(self, plan: Callable[[], PlannedMotion | None]) -> Future[PlannedMotion | None]:
+        planned = self._planner.submit(_refuse if self.faults.is_on("refused") else plan)
+        if math.isinf(self._at_once):
+            wait([planned])  # a clock that waits for the arm must not move before
+        return planned
 
     def _wait(self) -> None:
         calm = self._arm.asleep and not self._application.busy
@@ -177,7 +203,9 @@ class SunriseServer:
             self._lose_client("it closed the connection without `end`")
         for line in lines:
             with self.lock:
-                self._take_line(line)
+                if not line.startswith(GOALS_AND_QUESTIONS):
+                    self._note(f"received {line}")
+                self._answers.put(self._application.receive(line, self._next_time(0.0)), time.monotonic())
                 self._send()
                 if self._application.ended:
                     self._log("the client ended the application")
@@ -185,14 +213,6 @@ class SunriseServer:
                     self._close_client()
             if self._client is None:
                 return
-
-    def _take_line(self, line: str) -> None:
-        now = time.monotonic()
-        if line.startswith(MOTION) and not self._application.busy and self.faults.is_on("refused"):
-            self._arm.attach(np.eye(4))
-            self._answers.put("done\nnak\n", now)
-        else:
-            self._answers.put(self._application.receive(line, self._next_time(0.0)), now)
 
     def _send(self) -> None:
         for piece in self._answers.take(time.monotonic()):
@@ -203,9 +223,16 @@ class SunriseServer:
             except OSError as error:
                 self._lose_client(str(error))
 
+    def _report_stop(self) -> None:
+        if self._arm.stops != self._reported_stops:
+            self._reported_stops = self._arm.stops
+            self._log(f"safety stop: {self._arm.safety_stop or 'it is released already'}")
+
     def _follow_faults(self) -> None:
         for name, value in self.faults.changes().items():
             self._log(f"the fault {name} {'ends' if value is None else 'begins'}")
+            if name == "emergency_stop":
+                self._arm.press_emergency_stop(value is not None)
         cut, restarted = self.faults.is_on("cut"), self.faults.is_on("restarted")
         if cut or restarted:
             if self._client is not None and cut:
@@ -259,9 +286,9 @@ class SunriseServer:
                 self._log(f"no client connected within {self._settings.wait_for_client:g} s")
                 self._stop.set()
         elif self._application.ended and self._settings.end_exits:
-            if not self._arm.in_motion:
+            if not self._application.in_motion:
                 self._stop.set()
-        elif not self._arm.in_motion and not self._arm.v.any():
+        elif not self._application.in_motion and not self._arm.v.any():
             self._start_application()
 
     def _state(self) -> dict[str, Any]:
@@ -282,6 +309,20 @@ class SunriseServer:
             "connected": self._client is not None,
             "outputs": dict(self._io.outputs),
         }
+
+    def _trace(self, since: float) -> dict[str, Any]:
+        """Returns the state, and the `steps` and `events` after the time `since` [s], as far as they are kept."""
+        steps = itertools.takewhile(lambda step: step[0] > since, reversed(self._arm.history))
+        kept = [[t, *q.tolist(), *v.tolist(), speed] for t, q, v, speed in steps]
+        events = [event for event in self._events if event[0] > since]
+        return {**self._state(), "steps": kept[::-1], "events": events}
+
+    def _note(self, sentence: str) -> None:
+        self._events.append((self._clock(), sentence))
+
+    def _log(self, sentence: str) -> None:
+        self._note(sentence)
+        self._print(sentence)
 
     def _release(self) -> None:
         self._arm.release()
@@ -305,11 +346,12 @@ class SunriseServer:
         self._answers.put(self._application.advance(self._next_time(PIECE_S)), time.monotonic())
 
 
+def _refuse() -> None:
+    raise Unreachable("the motion is refused")
+
+
 def _numbers(value: Any, count: int) -> np.ndarray:
     """Returns a list of finite numbers from a request as an array; raises ValueError for anything else."""
-    numbers = isinstance(value, list) and all(
-        isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in value
-    )
-    if not numbers or len(value) != count:
+    if not isinstance(value, list) or not all(map(is_number, value)) or len(value) != count:
         raise ValueError(f"The value is {value!r}, but must be {count} finite numbers.")
     return np.array(value, dtype=float)

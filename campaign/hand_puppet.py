@@ -1,0 +1,201 @@
+#!/usr/bin/env python3
+"""The simulated Leap service with a hand that does what a test tells it, frame by frame and without noise.
+
+Run as a program, with the loopback address of its service, it prints the ports on which it listens: that of the
+service, its control port, and the port on which the calls of `HandPuppet` are taken. A process of its own, because the
+frames must not wait for the tests.
+"""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+
+from leap_motion.service import wire
+from leap_motion.service.hand import ReportedHand
+from rig_simulation.control_port import ControlClient, ControlPort
+from rig_simulation.devices.leap.sensing import at_rest
+from rig_simulation.devices.leap.server import SimulatedLeapService
+from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
+from rig_simulation.operator.sources import Playback
+
+HOST = "127.0.0.1"
+
+PERIOD_S = 1.0 / 50.0
+"""Half the tracker's frame rate, to leave the processor time for other things."""
+
+ENTRY_M, ENTRY_S = 0.25, 0.8
+GONE_FRAMES = 70  # more than the node under test waits for a hand that is missing
+BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
+"""Centre of the interaction box with the parameters as shipped, in Leap axes."""
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A right hand: palm to the right, up and back from the centre of the box [m]; angles [deg]; curl 1 is a fist."""
+
+    right: float = 0.0
+    up: float = 0.0
+    back: float = 0.0
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    curl: float = 0.0
+    confidence: float = 0.9
+
+
+class HandPuppet:
+    """A source of the simulated service. Every call of `show` or `flash` brings another hand, with a new id."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._lock = threading.Lock()
+        self._model = HandModel("right")
+        self._hand: Hand | None = None
+        self._path: Iterator[Hand | None] = iter(())
+        self._id = 0
+        self._glitch: Hand | None = None
+        self._moving = False
+
+    def show(self, **at: float) -> None:
+        """Brings another hand in from the operator's side of the box, once the one before is gone and given up."""
+        hand = Hand(**at)
+        entry = replace(hand, back=hand.back + ENTRY_M)
+        gone = [] if self._hand is None else [None] * GONE_FRAMES
+        self._follow(itertools.chain(gone, [entry] * 5, _glide(entry, hand, ENTRY_S)), new=True)
+
+    def flash(self, frames: int, **at: float) -> None:
+        """Shows another hand where it is to be, for so many frames only."""
+        self._follow(iter([Hand(**at)] * frames + [None]), new=True)
+
+    def hide(self) -> None:
+        """Takes the hand away."""
+        self._follow(iter([None]))
+
+    def glide(self, seconds: float, **to: float) -> None:
+        """Moves the hand smoothly; what is not named stays as it is."""
+        self._follow(_glide(self._hand, replace(self._hand, **to), seconds))
+
+    def sway(self, seconds: float, **to: float) -> None:
+        """Moves the hand there and back again, each way in so many seconds, for ever."""
+        self._follow(_sway(self._hand, replace(self._hand, **to), seconds))
+
+    def glitch(self, **to: float) -> None:
+        """Moves the hand for a single frame."""
+        with self._lock:
+            self._glitch = replace(self._hand, **to)
+
+    def state(self) -> dict:
+        """Returns how many frames with a hand were made so far, and whether the last movement goes on."""
+        with self._lock:
+            return {"seen": self._seen, "moving": self._moving}
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
+        """Yields (interval, frame) for ever; called by the service."""
+        while True:
+            hand, number = self._next()
+            yield PERIOD_S, wire.frame([] if hand is None else [self._report(hand, number)], 1.0 / PERIOD_S)
+
+    def _follow(self, path: Iterator[Hand | None], new: bool = False) -> None:
+        with self._lock:
+            self._path, self._moving = path, True
+            self._id += new
+
+    def _next(self) -> tuple[Hand | None, int]:
+        with self._lock:
+            try:
+                self._hand = next(self._path)
+            except StopIteration:
+                self._moving = False
+            glitch, self._glitch = self._glitch, None
+            self._seen += self._hand is not None
+            return glitch or self._hand, self._id
+
+    def _report(self, hand: Hand, number: int) -> ReportedHand:
+        flexion, spread = fingers_for(hand.curl)
+        palm = BOX_CENTRE_MM + 1e3 * np.array([hand.right, hand.up, hand.back])
+        yaw, pitch, roll = np.radians([hand.yaw, hand.pitch, hand.roll])
+        pose = HandPose(palm, pitch, yaw, roll, flexion, spread)
+        return at_rest(number, self._model, pose, hand.confidence, time_visible=1.0)
+
+
+class PuppetClient:
+    """The calls of a HandPuppet that runs as a program, for the test's process."""
+
+    def __init__(self, port: int) -> None:
+        self._client = ControlClient(HOST, port)
+
+    def show(self, **at: float) -> None:
+        self._client.ask("show", at=at)
+
+    def flash(self, frames: int, **at: float) -> None:
+        self._client.ask("flash", frames=frames, at=at)
+
+    def hide(self) -> None:
+        self._client.ask("hide")
+
+    def glide(self, seconds: float, **to: float) -> None:
+        self._client.ask("glide", seconds=seconds, to=to)
+
+    def sway(self, seconds: float, **to: float) -> None:
+        self._client.ask("sway", seconds=seconds, to=to)
+
+    def glitch(self, **to: float) -> None:
+        self._client.ask("glitch", to=to)
+
+    @property
+    def seen(self) -> int:
+        """How many frames with a hand were made so far."""
+        return self._client.ask("state")["seen"]
+
+    @property
+    def still(self) -> bool:
+        """Whether the last movement is over."""
+        return not self._client.ask("state")["moving"]
+
+    def close(self) -> None:
+        self._client.close()
+
+
+def _glide(start: Hand, end: Hand, seconds: float) -> Iterator[Hand]:
+    """Yields the hands of a minimum-jerk move, one a frame."""
+    a, b = np.array(astuple(start)), np.array(astuple(end))
+    count = max(1, round(seconds / PERIOD_S))
+    for i in range(1, count + 1):
+        s = i / count
+        yield Hand(*(a + s**3 * (10.0 - 15.0 * s + 6.0 * s * s) * (b - a)).tolist())
+
+
+def _sway(start: Hand, end: Hand, seconds: float) -> Iterator[Hand]:
+    while True:
+        yield from _glide(start, end, seconds)
+        yield from _glide(end, start, seconds)
+
+
+def main() -> None:
+    puppet = HandPuppet()
+    service = SimulatedLeapService(Playback(puppet), sys.argv[1], 0, 0)
+    calls = {
+        "show": lambda at: puppet.show(**at),
+        "flash": lambda frames, at: puppet.flash(frames, **at),
+        "hide": puppet.hide,
+        "glide": lambda seconds, to: puppet.glide(seconds, **to),
+        "sway": lambda seconds, to: puppet.sway(seconds, **to),
+        "glitch": lambda to: puppet.glitch(**to),
+        "state": puppet.state,
+    }
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: service.stop())
+    with ControlPort(calls) as port:
+        print("ready", service.port, service.control_port, port.port, flush=True)
+        service.run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

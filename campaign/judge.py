@@ -1,0 +1,225 @@
+"""Judges what the arm did after a fault: the reaction, its time, speeds and accelerations, what was said, who died.
+
+Pure: the evidence comes in, the findings go out. Times are monotonic seconds, of the arm and of the messages alike.
+
+The reactions, as the arm shows them from the fault until the operator acts:
+
+- H: the arm decelerates within its limits and stays until the fault has ended.
+- D: it leaves servo mode and does not come back by itself; it stays where it is, or goes home by a planned motion.
+- S: servo mode is left by its command.
+- L: the mode is `stopped` and the arm stays, until the operator acts.
+- R: the input is refused with its reason, and moves nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+
+FULL_SPEED = np.radians([98, 98, 100, 130, 140, 180, 180])
+"""Joint speeds of the 7 R800 [rad/s]."""
+FOLLOWING = ("pick_up", "servo")
+STEP_S = 1e-3
+WINDOW_STEPS = 20  # accelerations are means over so many steps
+REST = 0.01  # below this speed of its fastest joint the arm rests [rad/s]: the law of joint servo creeps for seconds
+LAG_S = 0.25  # the simulated arm's clock may lag behind by this much on a busy machine [s]
+STAYS = 5e-3  # and it stays if no joint moves farther than this [rad]
+MOVED_BY_INPUT = 2e-3  # what a refused input may move a joint [rad]
+MAX_PAUSE_S = 0.3  # after a longer pause of the watch a time that is too long says nothing [s]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the arm may do after a fault."""
+
+    joint_speed: float = 0.95  # fraction of the full joint speeds; the drives overshoot the stream's 0.9 a little
+    joint_acceleration: float = 12.0  # of the slowest joint [rad/s^2], in proportion for the faster ones
+    tool_speed: float = 0.71  # [m/s]; the drives exceed the stream's 0.65 by 9 % at most
+
+    @classmethod
+    def of_the_drives(cls) -> Limits:
+        """Returns the limits of an arm that its own controller brakes: those of its drives."""
+        return cls(joint_acceleration=17.2)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the catalogue expects of a row."""
+
+    reactions: str  # of H, D, S, L and R
+    within: float  # from the fault to the reaction [s]
+    named_by: str = ""  # regular expression of a message that names the fault; empty: none is asked for
+    operator: bool = False  # whether only the operator brings the rig back
+    still: bool = False  # whether the arm must not move at all, as after a refused input at home
+    limits: Limits = field(default_factory=Limits)
+
+
+@dataclass
+class Evidence:
+    """What was seen.
+
+    `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's speed [m/s]; the arm
+    stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended, when the operator
+    acted, and when the watch ended. `pauses`: of the watch, as (end, duration) [s].
+    """
+
+    steps: np.ndarray
+    fault: float
+    end: float
+    mended: float | None = None
+    operator: float | None = None
+    said: list[tuple[float, str, str]] = field(default_factory=list)
+    statuses: list[tuple[float, str, bool]] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)
+    died: list[str] = field(default_factory=list)
+    pauses: list[tuple[float, float]] = field(default_factory=list)
+    checks: list[tuple[str, bool, str]] = field(default_factory=list)
+
+
+@dataclass
+class Verdict:
+    """What came of a row: "passed", "failed" or "slow" (this machine was too slow to judge a time)."""
+
+    result: str
+    faults: list[str]
+    reaction_s: float | None = None
+    joint_speed: float = 0.0  # fraction of full speed
+    joint_acceleration: float = 0.0  # of the slowest joint's, in proportion for the others [rad/s^2]
+    tool_speed: float = 0.0  # [m/s]
+    named: str = ""  # the message that named the fault
+
+
+def judge(expected: Expected, seen: Evidence) -> Verdict:
+    """Returns the verdict on a row."""
+    verdict = Verdict("passed", [])
+    after = seen.steps[seen.steps[:, 0] >= seen.fault] if len(seen.steps) else np.zeros((0, 16))
+    if len(after):
+        verdict.joint_speed = float(np.max(np.abs(after[:, 8:15]) / FULL_SPEED))
+        verdict.tool_speed = float(np.max(after[:, 15]))
+        verdict.joint_acceleration = _acceleration(seen.steps[seen.steps[:, 0] >= seen.fault - WINDOW_STEPS * STEP_S])
+    for what, value, limit in (
+        ("largest joint speed as a fraction", verdict.joint_speed, expected.limits.joint_speed),
+        ("largest joint acceleration [rad/s^2]", verdict.joint_acceleration, expected.limits.joint_acceleration),
+        ("largest tool speed [m/s]", verdict.tool_speed, expected.limits.tool_speed),
+    ):
+        if value > limit:
+            verdict.faults.append(f"{what} {value:.3f} is above {limit:g}")
+    late = []
+    for reaction in expected.reactions:
+        when, fault = _REACTIONS[reaction](expected, seen, after)
+        if fault:
+            verdict.faults.append(f"{reaction}: {fault}")
+        elif when is not None:
+            verdict.reaction_s = max(verdict.reaction_s or 0.0, when - seen.fault)
+            if when - seen.fault > expected.within:
+                late.append(f"{reaction}: only after {when - seen.fault:.2f} s, expected within {expected.within:g} s")
+    moved = _moved(after, seen)
+    if expected.still and moved > MOVED_BY_INPUT:
+        verdict.faults.append(f"the arm moved by {moved:.4f} rad")
+    if expected.named_by:
+        verdict.named = next((f"{who}: {text}" for _, who, text in _naming(expected, seen)), "")
+        if not verdict.named:
+            verdict.faults.append(f"no message named it (/{expected.named_by}/)")
+    if expected.operator:
+        until = seen.operator if seen.operator is not None else seen.end
+        by_itself = [mode for when, mode, _ in seen.statuses if seen.fault + expected.within < when < until]
+        if set(by_itself) & set(FOLLOWING):
+            verdict.faults.append("it followed again without the operator")
+    verdict.faults += [f"died: {name}" for name in seen.died]
+    verdict.faults += [f"{what}: {detail}" if detail else what for what, good, detail in seen.checks if not good]
+    if late and not verdict.faults and _paused(seen, verdict.reaction_s or 0.0):
+        return _with(verdict, "slow", late)
+    verdict.faults += late
+    return _with(verdict, "failed" if verdict.faults else "passed", verdict.faults)
+
+
+def _with(verdict: Verdict, result: str, faults: list[str]) -> Verdict:
+    verdict.result, verdict.faults = result, faults
+    return verdict
+
+
+def _acceleration(steps: np.ndarray) -> float:
+    """Returns the largest mean acceleration over WINDOW_STEPS [rad/s^2], of joint 1 or in proportion to it."""
+    n = WINDOW_STEPS
+    if len(steps) <= n:
+        return 0.0
+    took = steps[n:, 0] - steps[:-n, 0]
+    whole = took < 1.5 * n * STEP_S  # no rest and no pause within the window
+    change = np.abs(steps[n:, 8:15] - steps[:-n, 8:15]) / (n * STEP_S)
+    return float(np.max((change / (FULL_SPEED / FULL_SPEED[0]))[whole], initial=0.0))
+
+
+def _moved(after: np.ndarray, seen: Evidence) -> float:
+    q = after[after[:, 0] < _until(seen), 1:8]
+    return float(np.max(np.abs(q - q[0]))) if len(q) else 0.0
+
+
+def _until(seen: Evidence) -> float:
+    return seen.operator if seen.operator is not None else seen.end
+
+
+def _rest(after: np.ndarray, until: float) -> float | None:
+    """Returns since when the arm rests, up to the time `until`; None if it does not rest then."""
+    before = after[after[:, 0] < until]
+    moving = np.flatnonzero(np.max(np.abs(before[:, 8:15]), axis=1, initial=0.0) > REST)
+    if not len(moving):
+        return float(before[0, 0]) if len(before) else 0.0
+    last = before[moving[-1], 0]
+    return float(last) if until - last > 0.05 else None
+
+
+def _hold(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
+    until = min(filter(None, (seen.mended and seen.mended - LAG_S, seen.operator, seen.end)))
+    rests = _rest(after, until)
+    if rests is None:
+        return None, "the arm did not come to rest before the fault ended"
+    return max(rests, seen.fault), ""
+
+
+def _disengage(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
+    later = [(when, mode) for when, mode, _ in seen.statuses if seen.fault <= when < _until(seen)]
+    out = next((when for when, mode in later if mode not in FOLLOWING), None)
+    if out is None:
+        return None, "the controller never left servo mode"
+    if any(mode in FOLLOWING for when, mode in later if when > out):
+        return None, "the arm followed again without the operator"
+    return out, ""
+
+
+def _leave_servo(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
+    when = next((t for t, text in seen.events if t >= seen.fault and "stopDirectServoJoints" in text), None)
+    return when, "" if when is not None else "the robot got no stopDirectServoJoints"
+
+
+def _latch(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
+    later = [(when, mode) for when, mode, _ in seen.statuses if seen.fault <= when < _until(seen)]
+    latched = next((when for when, mode in later if mode == "stopped"), None)
+    if latched is None:
+        return None, "the mode was never `stopped`"
+    if any(mode != "stopped" for when, mode in later if when > latched):
+        return None, "the latch opened without the operator"
+    q = after[(after[:, 0] > latched + expected.within) & (after[:, 0] < _until(seen)), 1:8]
+    if len(q) and np.max(np.abs(q - q[0])) > STAYS:
+        return None, f"the arm moved by {np.max(np.abs(q - q[0])):.3f} rad while it was latched"
+    return latched, ""
+
+
+def _refuse(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
+    when = next((t for t, _, _ in _naming(expected, seen)), None)
+    return when, "" if when is not None else "nothing was refused"
+
+
+def _naming(expected: Expected, seen: Evidence) -> list[tuple[float, str, str]]:
+    return [said for said in seen.said if said[0] >= seen.fault and re.search(expected.named_by, said[2])]
+
+
+def _paused(seen: Evidence, reaction: float) -> bool:
+    return any(
+        duration > MAX_PAUSE_S and end > seen.fault and end - duration < seen.fault + reaction
+        for end, duration in seen.pauses
+    )
+
+
+_REACTIONS = {"H": _hold, "D": _disengage, "S": _leave_servo, "L": _latch, "R": _refuse}

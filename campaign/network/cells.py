@@ -1,0 +1,156 @@
+"""The table of bad networks: each condition of a link on each wire of the rig. Pure: results come in, text goes out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from campaign.network.link import CONDITIONS
+
+WIRES = {
+    "arm": "the controller's TCP connection to the robot",
+    "leap": "the WebSocket of the Leap service",
+    "ros": "every connection between two nodes, and to the ROS master",
+}
+CELL_S, SHORT_S = 20.0, 5.0
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A condition on a wire; a short one, on a rig that is patient with a busy machine, is a test."""
+
+    wire: str
+    condition: str
+    short: bool = False
+    spoils: bool = False
+
+    @property
+    def number(self) -> str:
+        """Its name, such as arm:loss_5."""
+        return f"{self.wire}:{self.condition}{':short' if self.short else ''}"
+
+    @property
+    def variant(self) -> str:
+        """The rig that it needs; see trial.VARIANTS."""
+        return f"{'patient' if self.short else 'shipped'}/{self.wire}"
+
+    @property
+    def seconds(self) -> float:
+        """How long the condition lasts [s]."""
+        return SHORT_S if self.short else CELL_S
+
+
+CELLS = {cell.number: cell for cell in (Cell(wire, condition) for wire in WIRES for condition in CONDITIONS)}
+SHORT = {cell.number: cell for cell in (Cell("arm", name, short=True) for name in ("loss_5", "freezes_300"))}
+
+
+@dataclass
+class CellResult:
+    """What came of a cell. The largest values are those up to the recovery."""
+
+    result: str  # "passed" or "failed"
+    faults: list[str]
+    goals: float  # on the wire [1/s]
+    error_mm: float | None  # from the desired to the true tool, root mean square; None without desired frames
+    joint_speed: float  # largest, as a fraction of full speed
+    joint_acceleration: float  # largest, of joint 1, in proportion for the others [rad/s^2]
+    tool_speed: float  # largest [m/s]
+    pick_ups: int
+    stops: int  # safety stops of the robot
+    recovery: str  # "followed on", "by itself", "hand in again", "control off and on", "none"
+    recovery_s: float  # since the end of the condition [s]
+    said: str  # by kuka/status at the end of the condition, where the arm did not follow then
+    packets: int
+    lost: int
+    pause_s: float  # longest pause of the machine that was measured on [s]
+    died: list[str] = field(default_factory=list)
+
+
+def chosen(only: str) -> list[Cell]:
+    """Returns the cells that `only` names: cells, wires or conditions, or all if it is empty."""
+    names = only.replace(",", " ").split()
+    for name in names:
+        if name not in (*CELLS, *WIRES, *CONDITIONS):
+            raise SystemExit(
+                f"There is no cell {name}; there are {', '.join((*WIRES, *CONDITIONS))} and such as arm:loss_5."
+            )
+    return [cell for cell in CELLS.values() if not names or {cell.number, cell.wire, cell.condition} & set(names)]
+
+
+def as_json(results: Mapping[str, dict]) -> str:
+    """Returns the results by cell as JSON, a cell on a line, in the order of the table."""
+    shown = {name: {key: _rounded(value) for key, value in result.items()} for name, result in results.items()}
+    lines = (f'"{name}": {json.dumps(shown[name], sort_keys=True)}' for name in CELLS if name in shown)
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+HEAD = ("goals/s", "error [mm]", "joint speed", "acceleration", "tool [m/s]", "pick-ups", "stops", "recovery", "result")
+
+
+def figures(result: Mapping) -> list[str]:
+    """Returns a result as texts, one for each of HEAD."""
+    if "goals" not in result:
+        return ["-"] * (len(HEAD) - 1) + [result["result"]]
+    error = result["error_mm"]
+    return [
+        f"{result['goals']:.0f}",
+        "-" if error is None else f"{error:.0f}",
+        *(f"{result['joint_speed']:.2f}", f"{result['joint_acceleration']:.1f}", f"{result['tool_speed']:.2f}"),
+        *(str(result["pick_ups"]), str(result["stops"])),
+        result["recovery"] + (f", {result['recovery_s']:.1f} s" if result["recovery"] != "followed on" else ""),
+        result["result"],
+    ]
+
+
+def line(name: str, result: Mapping) -> str:
+    """Returns a result as a line for the terminal, its faults below."""
+    cells = dict(zip(HEAD, figures(result)))
+    text = f"{name:16} {cells['result']:6} {cells['goals/s']:>4} goals/s {cells['error [mm]']:>4} mm"
+    text += f"  speed {cells['joint speed']} acc. {cells['acceleration']:>4} tool {cells['tool [m/s]']} m/s"
+    text += f"  {cells['pick-ups']} pick-ups {cells['stops']} stops  {cells['recovery']}"
+    if result.get("pause_s", 0.0) > 0.3:
+        text += f"  (the machine paused for {result['pause_s']:.1f} s)"
+    return "\n".join([text, *(f"      {more}" for more in (result.get("said"), *result["faults"]) if more)])
+
+
+def page(results: Mapping[str, dict]) -> str:
+    """Returns the handbook's page."""
+    lines = [PAGE]
+    for wire, what in WIRES.items():
+        lines += [f"## {what[0].upper()}{what[1:]}", ""]
+        lines += ["| condition | " + " | ".join(HEAD) + " |", "| --- " * (len(HEAD) + 1) + "|"]
+        for condition, each in CONDITIONS.items():
+            result = results.get(f"{wire}:{condition}", {"result": "not run"})
+            lines.append(f"| {each.title} | " + " | ".join(figures(result)) + " |")
+        lines.append("")
+    known = {name: results[name] for name in CELLS if name in results}
+    said = [f"- {name}: {result['said']}" for name, result in known.items() if result.get("said")]
+    faults = [f"- {name}: {fault}" for name, result in known.items() for fault in result["faults"]]
+    notes = [("What the rig said", said), ("Faults", faults)]
+    return "\n".join([*lines, *(text for title, texts in notes if texts for text in (f"## {title}", "", *texts, ""))])
+
+
+PAGE = f"""# Bad networks
+
+The simulated rig as shipped, on links that are bad one at a time: their packets pass a program on a network device,
+which delays, loses, reorders, repeats or holds them, in each direction, on the kernel's own TCP. A hand moves to and
+fro by 120 mm, 1 s each way; the condition lasts {CELL_S:.0f} s, then the link is good again. `make networks` makes this
+page; `make networks ONLY=arm:loss_5` runs a cell, `ONLY=arm` a wire, `ONLY=loss_5` a condition.
+
+- *goals/s*: servo goals that the robot received; *error*: distance from desired to true tool, root mean square.
+- *joint speed*, *acceleration*, *tool*: the largest values up to the recovery; speeds of joints as fractions of the
+  data sheet's, accelerations [rad/s²] of joint 1, of the faster joints in proportion, means over 20 ms.
+- *pick-ups*: motions to a hand that was too far away to follow; *stops*: safety stops of the robot.
+- *recovery*: the arm *followed on* in servo mode all the time, or went on *by itself* after the condition, after the
+  *hand* was taken out and *in again*, or after *control off and on*.
+
+A cell fails if a limit is exceeded, the robot stops itself, a node dies, or the arm never follows again. The limits:
+0.95 of the joint speeds, a tool speed of 0.71 m/s, and an acceleration of 12 rad/s². With fewer than 200 goals a
+second, be it for the link or a busy machine, the robot's own drives bring the arm to each, at up to 17.2 rad/s².
+The queue in front of 256 kbit/s holds 32 kB, which is a second.
+"""
+
+
+def _rounded(value: object) -> object:
+    return round(value, 3) if isinstance(value, float) else value

@@ -1,0 +1,119 @@
+"""Measures a cell of the table of bad networks on a running rig."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from campaign.judge import Evidence, Expected, Limits, judge
+from campaign.network.cells import Cell, CellResult
+from campaign.network.link import CLEAR, CONDITIONS
+
+STEADY_GOALS = 200.0
+"""With fewer goals a second than this the robot's own drives bring the arm to each of them, as fast as they may."""
+ITSELF_S, OPERATOR_S = 3.0, 20.0
+"""How long the arm may take to follow by itself, and control to go on [s]."""
+
+
+def run_cell(rig, cell: Cell) -> CellResult:
+    """Lets the arm follow a hand while the link is bad, and afterwards until it follows again."""
+    before = rig.pids()
+    rig.follow(right=-0.06)
+    rig.hand.sway(1.0, right=0.06)
+    rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
+    rig.modes.clear()
+    began, goals, stops = time.monotonic(), rig.arm.now.goals, rig.arm.now.stops
+    counts = _let_pass(rig.wire, cell)
+    ended = time.monotonic()
+    goals_per_s = (rig.arm.now.goals - goals) / (ended - began)
+    error = _tracking_error(rig, began, ended)
+    pick_ups = rig.modes.count("pick_up")
+    said = "" if rig.mode == "servo" else f"{rig.mode}: {rig.status.reason}"
+    recovery, after = _recover(rig)
+    time.sleep(0.1)  # the arm's trace is so far behind
+    steps = np.array(list(rig.arm.steps)) if rig.arm.steps else np.zeros((0, 16))
+    after_pids = rig.pids()
+    died = [name for name, pid in before.items() if after_pids.get(name) != pid]
+    limits = Limits() if goals_per_s >= STEADY_GOALS else Limits.of_the_drives()
+    verdict = judge(
+        Expected("", 1.0, limits=limits), Evidence(steps=steps, fault=began, end=time.monotonic(), died=died)
+    )
+    stops = rig.arm.now.stops - stops
+    faults = verdict.faults
+    if stops:
+        faults.append(f"the robot stopped itself {stops} times")
+    if recovery == "none":
+        faults.append(f"the arm never followed again{rig.situation}")
+    return CellResult(
+        "failed" if faults else "passed", faults, goals_per_s, error,
+        verdict.joint_speed, verdict.joint_acceleration, verdict.tool_speed,
+        pick_ups, stops, recovery, after, said, counts["packets"], counts["lost"],
+        max((duration for _, duration in rig.arm.pauses), default=0.0), died,
+    )  # fmt: skip
+
+
+def _let_pass(wire, cell: Cell) -> dict[str, int]:
+    """Lets the condition pass; returns how many packets came and how many were lost."""
+    total = {"packets": 0, "lost": 0}
+    end = time.monotonic() + cell.seconds
+    wire.set(CLEAR)
+    for duration, link in (*CONDITIONS[cell.condition].phases, (0.0, CLEAR)):
+        for phase in (link,) if time.monotonic() < end else (CLEAR,):
+            for name, count in wire.set(phase).items():
+                total[name] += count
+        time.sleep(max(0.0, min(duration, end - time.monotonic())))
+    return total
+
+
+def _tracking_error(rig, began: float, ended: float) -> float | None:
+    """Returns how far the tool was from where it should have been, root mean square [mm]."""
+    offset = time.time() - time.monotonic()
+    stamps = np.array(rig.desired_at[:]) - offset
+    desired = np.array([T[:3, 3] for T in rig.desired[: len(stamps)]])
+    samples = rig.arm.since(began - 1.0)
+    within = (stamps > began) & (stamps < ended)
+    if not within.any() or not samples:
+        return None
+    times, tools = np.array([s.time for s in samples]), np.array([s.T_base_tool[:3, 3] for s in samples])
+    true = np.column_stack([np.interp(stamps[within], times, tools[:, k]) for k in range(3)])
+    return float(1e3 * np.sqrt(np.mean(np.sum((true - desired[within]) ** 2, axis=1))))
+
+
+def _recover(rig) -> tuple[str, float]:
+    """Waits until the arm follows again; returns what it took and how long [s]."""
+    ended = time.monotonic()
+    followed_on = all(mode == "servo" for mode in rig.modes)
+
+    def follows() -> bool:
+        return rig.mode == "servo" and rig.arm.now.tool_speed > 0.05
+
+    def hand_in_again() -> None:
+        rig.modes.clear()
+        rig.hand.show(right=-0.06)
+        rig.wait_for_modes("servo")
+        rig.hand.sway(1.0, right=0.06)
+
+    def control_off_and_on() -> None:
+        rig.hand.hide()
+        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", OPERATOR_S)
+        rig.wait_for_mode("home")
+        hand_in_again()
+
+    ways: list[tuple[str, Callable[[], None]]] = [
+        ("followed on" if followed_on else "by itself", lambda: None),
+        ("hand in again", hand_in_again),
+        ("control off and on", control_off_and_on),
+    ]
+    if rig.mode == "stopped":  # latched: nothing else helps
+        ways = ways[2:]
+    for way, act in ways:
+        try:
+            act()
+            rig.wait(follows, "the arm to follow", ITSELF_S)
+        except (pytest.fail.Exception, AssertionError):
+            continue
+        return way, time.monotonic() - ended
+    return "none", time.monotonic() - ended

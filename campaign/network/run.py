@@ -1,0 +1,56 @@
+"""`make networks`: the rig on bad links, cell by cell, on two rigs; a line as each cell ends, JSON, the page."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import conftest  # noqa: F401 - sets the path of the packages
+from campaign.network import cells
+from campaign.network.wire import ROOT, in_own_network
+from campaign.run import Campaign
+
+RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "handbook" / "bad-networks.md"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs the cells; returns the exit code, 0 if none failed."""
+    parser = argparse.ArgumentParser(prog="python -m campaign.network.run", description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="cells, wires or conditions, such as arm:loss_5, leap, rate_256")
+    parser.add_argument("--rigs", type=int, default=2, help="how many rigs run at once")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--page", action="store_true", help="store the results and make the handbook's page from them")
+    options = parser.parse_args(argv)
+    entries = cells.chosen(options.only)
+    device = [sys.executable, "-c", "from campaign.network.wire import Wire; Wire('arm').close()"]
+    if subprocess.run(in_own_network(device), cwd=ROOT, capture_output=True).returncode:
+        print("This machine lets nobody make a network device (/dev/net/tun, unshare --net): nothing was measured.")
+        return 1
+    began = time.monotonic()
+
+    def tell(cell: cells.Cell, result: dict, done: int) -> None:
+        line = cells.line(cell.number, result)
+        print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {line}", flush=True)
+        if options.page:
+            store({cell.number: result})
+
+    results = Campaign(entries, options.rigs, None, tell).run()
+    print("\n" + "\n".join(cells.line(name, results[name]) for name in cells.CELLS if name in results))
+    if options.json:
+        options.json.write_text(cells.as_json(results))
+    return int(any(result["result"] == "failed" for result in results.values()))
+
+
+def store(results: dict[str, dict]) -> None:
+    """Adds results to the stored ones and makes the handbook's page from all."""
+    stored = {**(json.loads(RESULTS.read_text()) if RESULTS.exists() else {}), **results}
+    RESULTS.write_text(cells.as_json(stored))
+    PAGE.write_text(cells.page(json.loads(RESULTS.read_text())))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,100 @@
+"""The results as a line, a table for the terminal, JSON, and the page of the handbook."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+
+from campaign.trial import Row
+
+HEAD = """# The campaign
+
+{rows} of the {catalogue} faults of a catalogue, provoked on the running simulated rig: simulated devices on their
+wires, real nodes, a real ROS master. What the arm does is the simulated arm's own word, sampled each millisecond on its
+control port. This page is made by `make campaign`; `make campaign ONLY=1,8` runs some rows.
+
+| reaction | meaning |
+| --- | --- |
+| H | decelerate within limits and hold |
+| D | leave the hand: the arm stays or goes home by a planned motion, and follows again only after a deliberate start |
+| S | leave servo mode cleanly |
+| L | latched, the operator resets it |
+| R | refuse, with the reason |
+
+Joint speeds are fractions of the data sheet's, accelerations those of joint 1, of the faster joints in proportion, as
+means over 20 ms. They are the largest from the fault to the end of the row, recovery included. A row is *slow* if the
+machine that ran it paused for too long to judge a time.
+"""
+CATALOGUE = 80  # faults; a row has the number of its fault
+
+
+def as_json(results: dict[str, dict]) -> str:
+    """Returns the results by row as JSON, a row on a line."""
+    ordered = sorted(results.items(), key=lambda item: int(item[0]))
+    lines = (f'"{number}": {json.dumps(_rounded(result), sort_keys=True)}' for number, result in ordered)
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def line(entry: Row, result: dict) -> str:
+    """Returns one line for the terminal."""
+    reaction = result.get("reaction_s")
+    time = "" if reaction is None else f" after {reaction:.2f} s"
+    text = f"{entry.number:3d} {result['result']:6} {entry.expected.reactions:3}{time} {entry.fault}"
+    return "\n".join([text, *(f"      {fault}" for fault in result["faults"])])
+
+
+def table(entries: dict[int, Row], results: dict[int, dict]) -> str:
+    """Returns the table for the terminal."""
+    rows = [" row result reaction [s] speed  acc. tool [m/s] took fault"]
+    for number, result in results.items():
+        reaction = result.get("reaction_s")
+        rows.append(
+            f"{number:4d} {result['result']:6} {entries[number].expected.reactions:3} "
+            f"{'' if reaction is None else f'{reaction:.2f}':>8} {result.get('joint_speed', 0.0):5.2f} "
+            f"{result.get('joint_acceleration', 0.0):5.1f} {result.get('tool_speed', 0.0):10.2f} "
+            f"{result['seconds']:4.0f} {entries[number].fault}"
+        )
+    counts = Counter(result["result"] for result in results.values())
+    return "\n".join([*rows, ", ".join(f"{count} {what}" for what, count in sorted(counts.items()))])
+
+
+def page(entries: dict[int, Row], results: dict[str, dict]) -> str:
+    """Returns the handbook's page."""
+    lines = [
+        HEAD.format(catalogue=CATALOGUE, rows=len(entries)),
+        "| row | fault | reaction | result | time [s] | joint speed | acceleration [rad/s²] | tool [m/s] | named by |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for number, entry in entries.items():
+        result = _rounded(results[str(number)]) if str(number) in results else None
+        if result is None:
+            cells = ["not run", "", "", "", "", ""]
+        else:
+            reaction = result.get("reaction_s")
+            cells = [
+                result["result"],
+                "" if reaction is None else f"{reaction:.2f}",
+                *(f"{result.get(key, 0.0):.2f}" for key in ("joint_speed", "joint_acceleration", "tool_speed")),
+                _quoted(result.get("named", "")),
+            ]
+        lines.append("| " + " | ".join([str(number), entry.fault, " ".join(entry.expected.reactions), *cells]) + " |")
+    notes = [f"- Row {entry.number}: {entry.instead}" for entry in entries.values() if entry.instead]
+    notes += [
+        f"- Row {entry.number} differs from the catalogue: [why](../decisions/{entry.argued})."
+        for entry in entries.values()
+        if entry.argued
+    ]
+    dangerous = [f"- {entry.number}, {entry.fault}: {entry.dangerous}" for entry in entries.values() if entry.dangerous]
+    if notes:
+        lines += ["", "## Notes", "", *notes]
+    lines += ["", "## The most dangerous rows", "", "`make campaign ONLY=dangerous` runs these:", "", *dangerous]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    text = " ".join(text.replace("|", "/").replace("<", "‹").replace(">", "›").split())
+    return text if len(text) <= 140 else f"{text[:139]}…"
+
+
+def _rounded(result: dict) -> dict:
+    return {key: round(value, 3) if isinstance(value, float) else value for key, value in result.items()}

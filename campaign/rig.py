@@ -1,0 +1,385 @@
+"""The whole simulated rig: its nodes, what they publish, the truth about the arm, and a hand to steer it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import signal
+import socket
+import sys
+import time
+import xmlrpc.client
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rosgraph
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rosgraph_msgs.msg import Log
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from campaign.arm_trace import ArmTrace
+from campaign.hand_puppet import PuppetClient
+from campaign.network.link import CLEAR
+from campaign.network.wire import Wire
+from common.ros.conversions import pose_from_transform
+from kuka_msgs.srv import setGripperControl, setKukaControl
+from leap_motion.msg import Human
+from rig_msgs.msg import KukaStatus
+from rig_simulation.control_port import ControlClient
+
+CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
+PROGRAMS = {
+    CONTROLLER: ("kuka_control", "real_time_controller.py"),
+    DRIVER: ("leap_motion", "leap_driver.py"),
+    TELEOP: ("leap_rig", "patient_leap_kuka_node.py"),
+}
+START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
+"""Longest waits [s]: for the rig to start, for a motion, for a message."""
+
+STANDING = 2e-3
+"""A servo goal is approached ever more slowly: at this speed [rad/s] a joint is 0.1 deg away from it."""
+
+
+class RigUnderTest:
+    """One rig. The hand is the caller's own, on the simulated Leap service; the rest is in rig.launch.
+
+    Attributes:
+        hand: what the simulated Leap service shows.
+        leap, robot_hand: control ports of the simulated Leap service and of the simulated hand.
+        arm: the truth about the arm, and requests to its control port.
+        modes: modes of the controller.
+        desired: desired tool frames, shape (4, 4); `desired_at`: their stamps [s].
+        commanded: tool frames that the controller aimed at, shape (4, 4).
+        stream: what leap_kuka said of its stream, as (state, reason).
+        said: what any node said since the last `calm`, as (monotonic time [s], topic, text).
+        statuses: mode of the controller and whether control was on, as (monotonic time [s], mode, on).
+
+    Args:
+        shared: the module conftest of the project, for its processes and waits.
+        folder: for the output of the programs.
+        wire: a link that may become bad, of the arm, the Leap or ROS (see worker.master); else they meet on loopback.
+        arguments: of rig.launch, besides the ports.
+    """
+
+    def __init__(self, shared, folder: Path, wire: Wire | None = None, **arguments: str) -> None:
+        self.wire = wire
+        self._shared = shared
+        self._arguments = arguments
+        self._processes = shared.Processes(folder)
+        self._started = {}
+        self._counts: dict[str, dict[str, str]] = {}
+        self.mode = ""
+        self.status: KukaStatus | None = None
+        self.modes: list[str] = []
+        self.desired: list = []
+        self.desired_at: list[float] = []
+        self.commanded: list = []
+        self.stream: list[tuple[str, str]] = []
+        self.stream_state = ""
+        self.said: list[tuple[float, str, str]] = []
+        self.statuses: list[tuple[float, str, bool]] = []
+        self._last_said: dict[str, str] = {}
+
+    def bring_up(self) -> None:
+        """Starts everything; waits until the arm is at home and the robot hand is steered."""
+        robot_host, robot_ip = self._addresses("arm")
+        leap_host, leap_ip = self._addresses("leap")
+        leap = self._processes.start(sys.executable, str(Path(__file__).with_name("hand_puppet.py")), leap_host)
+        ready = self.wait(
+            lambda: re.match(r"ready (\d+) (\d+) (\d+)\n", leap.log_path.read_text()), "the Leap service", START_S
+        )
+        self.hand = PuppetClient(int(ready[3]))
+        self.leap = ControlClient(leap_host, int(ready[2]))
+        self._subscribers = [
+            rospy.Subscriber(topic, kind, take, queue_size=1000, tcp_nodelay=True)
+            for topic, kind, take in (
+                ("kuka/mode", String, self._take_mode),
+                ("kuka/status", KukaStatus, self._take_status),
+                ("/tf", TFMessage, self._take_transforms),
+                ("leap_kuka/stream", DiagnosticStatus, self._take_stream),
+                ("/diagnostics", DiagnosticArray, self._take_counts),
+                ("/rosout_agg", Log, lambda log: self.hear("rosout", f"{log.name}: {log.msg}")),
+            )
+        ]
+        robot, hand = self._shared.free_port(), self._shared.free_port()
+        arguments = {
+            **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
+            **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
+            **{"leap_port": ready[1], "leap_host": leap_ip, "robot_host": robot_host, "robot_ip": robot_ip},
+            **self._arguments,
+        }
+        self._launch = self._processes.start(
+            "roslaunch", "--wait", str(Path(__file__).with_name("rig.launch")),
+            *(f"{k}:={v}" for k, v in arguments.items()),
+        )  # fmt: skip
+        self.arm = ArmTrace(robot_host, robot)
+        self.robot_hand = ControlClient("127.0.0.1", hand)
+        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
+
+    def _addresses(self, device: str) -> tuple[str, str]:
+        """Returns where a device listens, and where it is reached."""
+        if self.wire is None or self.wire.name != device:
+            return "127.0.0.1", "127.0.0.1"
+        return self.wire.near, self.wire.far
+
+    def end(self) -> None:
+        """Ends everything and clears the parameters."""
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+        self._processes.end_all()
+        self.arm.close()
+        for port in (self.hand, self.leap, self.robot_hand):
+            port.close()
+        for name in rospy.get_param_names():
+            if not name.startswith(("/ros", "/run_id")):
+                with contextlib.suppress(KeyError):
+                    rospy.delete_param(name)
+
+    def calm(self) -> None:
+        """Brings the rig to rest: no faults, all nodes run, no hand, controls off, no safety stop, the arm at home."""
+        self.hand.hide()
+        if self.wire is not None:
+            self.wire.set(CLEAR)
+        for device in self.devices().values():
+            for fault in device.ask("faults")["faults"]:
+                if fault["on"]:
+                    device.ask("fault", name=fault["name"], on=False)
+        self.arm.ask("set_external_torque", value=[0.0] * 7)
+        if self.arm.ask("state")["safety_stop"]:
+            self.wait(lambda: self.arm.now.speed == 0.0, "the arm to stand", MOVE_S)
+            self.arm.ask("release")
+        for name in PROGRAMS:
+            if self.pid(name) is None:
+                self.start(name)
+        self.wait(lambda: self.mode not in ("", "starting"), "the controller", MOVE_S)
+        self.gripper(False)
+        self.control(False)
+        if self.mode == "stopped":
+            self.control(True)
+            self.wait(lambda: self.mode != "stopped", "the controller to go on", MOVE_S)
+            self.control(False)
+        self.wait(lambda: self.mode == "home" and not self.status.control_on, "the arm at home", MOVE_S)
+        self.wait(lambda: self.stream_state == "waiting", "the stream to end")
+        for record in (
+            self.modes,
+            self.desired,
+            self.desired_at,
+            self.commanded,
+            self.stream,
+            self.said,
+            self.statuses,
+            self._last_said,
+        ):
+            record.clear()
+        self.arm.forget()
+
+    def devices(self) -> dict:
+        """Returns the control ports of the simulated devices, by the names that the faults' page gives them."""
+        return {"arm": self.arm, "leap": self.leap, "hand": self.robot_hand}
+
+    def pids(self) -> dict[str, int]:
+        """Returns the processes of all nodes that answer, by name."""
+        master = rosgraph.Master("/test")
+        names = {name for kind in master.getSystemState() for _, nodes in kind for name in nodes}
+        own = rospy.get_name()
+        return {name: pid for name in names if name != own and (pid := self.pid(name)) is not None}
+
+    def hear(self, who: str, text: str) -> None:
+        """Records what somebody says: a topic's message, or the answer of a service."""
+        if text and self._last_said.get(who) != text:
+            self._last_said[who] = text
+            self.said.append((time.monotonic(), who, text))
+
+    def start(self, name: str, **parameters) -> None:
+        """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
+        self.set(**parameters)
+        if name == CONTROLLER:
+            self.mode = ""
+        self._started[name] = self._processes.start("rosrun", *PROGRAMS[name], f"__name:={name}")
+
+    def set(self, **parameters) -> None:
+        """Changes parameters under kuka/, for controllers that are started later."""
+        for key, value in parameters.items():
+            rospy.set_param(f"kuka/{key}", value)
+
+    def pid(self, name: str) -> int | None:
+        """Returns the process of a node, None if it does not run."""
+        try:
+            uri = rosgraph.Master("/test").lookupNode(f"/{name.lstrip('/')}")
+            return xmlrpc.client.ServerProxy(uri).getPid("/test")[2]
+        except (rosgraph.MasterError, OSError):
+            return None
+
+    def signal(self, name: str, number: signal.Signals) -> None:
+        """Sends a signal to a node."""
+        os.kill(self.pid(name), number)
+
+    def suspend(self, name: str) -> None:
+        """Lets a node stand still, as if it hung."""
+        self._shared.suspend(self.pid(name))
+
+    def exit_code(self, name: str) -> int:
+        """Waits until a node ends and returns its exit code."""
+        if name in self._started:
+            process = self._started[name]
+            self.wait(lambda: process.poll() is not None, f"the end of {name}", MOVE_S)
+            return process.returncode
+        pattern = rf"\[{name}-\d+\] process has (?:finished (cleanly)|died \[pid \d+, exit code (-?\d+))"
+        end = self.wait(lambda: re.search(pattern, self.log), f"the end of {name}", MOVE_S)
+        return 0 if end[1] else int(end[2])
+
+    def wait(self, condition, what: str, timeout: float = SOON_S):
+        """Waits until the condition is true and returns its value; fails the test if that takes too long."""
+        try:
+            return self._shared.wait_until(condition, timeout, what)
+        except pytest.fail.Exception as failure:
+            pytest.fail(f"{failure.msg}\n{self.situation}")
+
+    @property
+    def situation(self) -> str:
+        """What is known of the rig now, for the text of a failure."""
+        lines = [f"controller: mode {self.mode!r}, before: {self.modes[-12:]}"]
+        if self.status is not None:
+            lines.append(f"  control {'on' if self.status.control_on else 'off'}; {self.status.reason}")
+        lines.append(f"stream: {self.stream_state!r}, the last of {len(self.stream)} changes:")
+        lines += [f"  {state}: {why}" for state, why in self.stream[-6:]]
+        if self.arm.now is not None:
+            arm = self.arm.now
+            lines.append(
+                f"arm: mode {arm.mode!r}, fastest joint {arm.speed:.4f} rad/s, tool {arm.tool_speed:.3f} m/s at "
+                f"{arm.T_base_tool[:3, 3].round(4).tolist()} m, {arm.stops} stops, safety stop: {arm.safety_stop}"
+            )
+        for name, tools in (("desired", self.desired), ("commanded", self.commanded)):
+            if tools:
+                lines.append(f"{name}: {tools[-1][:3, 3].round(4).tolist()} m, {len(tools)} frames")
+        return "\n".join(["", *lines, "the end of the log:", *self.log.splitlines()[-25:]])
+
+    def watch(self, seconds: float) -> None:
+        """Lets so much time pass on the arm's clock."""
+        until = self.arm.now.time + seconds
+        self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + SOON_S)
+
+    def wait_for_mode(self, *modes: str) -> None:
+        """Waits until the controller is in one of these modes."""
+        self.wait(lambda: self.mode in modes, f"mode {' or '.join(modes)} instead of {self.mode}", MOVE_S)
+
+    def wait_for_modes(self, *sequence: str) -> None:
+        """Waits until the controller went through these modes in this order, perhaps with others between them."""
+
+        def went_through():
+            modes = iter(list(self.modes))
+            return all(mode in modes for mode in sequence)
+
+        self.wait(went_through, f"the modes {sequence} in {self.modes}", MOVE_S)
+
+    def wait_until_at(self, joints: np.ndarray) -> None:
+        """Waits until the arm stands at these joint angles, shape (7,) [rad]; its state is seen late."""
+        self.wait(lambda: np.allclose(self.arm.now.q, joints, rtol=0.0, atol=1e-3), f"the arm at {joints}")
+
+    def follow(self, **at: float) -> None:
+        """Switches control on, brings a hand in and waits until the arm stands where the hand has sent it."""
+        assert self.control(True).success
+        self.bring_hand(**at)
+        self.wait_for_mode("servo")
+        self.settle()
+
+    def bring_hand(self, **at: float) -> None:
+        """Brings a hand in until it is followed: on a busy machine its way in may be among the frames left behind."""
+        until = 0.0
+
+        def followed():
+            nonlocal until
+            if time.monotonic() > until:
+                self.hand.show(**at)
+                until = time.monotonic() + 6.0
+            return self.stream_state == "running"
+
+        self.wait(lambda: self.stream_state != "running", "the end of the stream before")
+        self.wait(followed, "a hand to be followed", MOVE_S)
+
+    def settle(self) -> None:
+        """Waits until the hand, its mean and the arm in servo mode stand still."""
+        self.wait(lambda: self.hand.still, "the hand to stand still", MOVE_S)
+        self.see(20)
+        # Half a second, because the arm also stands while servo mode starts.
+        self.wait(
+            lambda: self.mode == "servo" and max(s.speed for s in self.arm.since(self.arm.now.time - 0.5)) < STANDING,
+            "the arm to stand still in servo mode",
+            MOVE_S,
+        )
+
+    def see(self, frames: int) -> None:
+        """Waits until so many more frames with a hand have gone to the Leap driver."""
+        until = self.hand.seen + frames
+        self.wait(lambda: self.hand.seen >= until, f"{frames} frames with a hand")
+
+    def listen_to_hands(self) -> list[Human]:
+        """Returns a list that grows by every message on leap_motion/leap_device with a hand in it."""
+        heard = []
+
+        def take(human: Human) -> None:
+            if human.nr_of_hands:
+                heard.append(human)
+
+        subscriber = rospy.Subscriber("leap_motion/leap_device", Human, take, queue_size=1000)
+        self._subscribers.append(subscriber)
+        self.wait(lambda: subscriber.get_num_connections() > 0, "the Leap driver")
+        return heard
+
+    def control(self, on: bool):
+        """Switches control of the arm."""
+        return self.call("kuka/kuka_control", setKukaControl, on)
+
+    def gripper(self, on: bool):
+        """Switches control of the robot hand."""
+        return self.call("kuka/gripper_control", setGripperControl, on)
+
+    def call(self, name: str, kind, *values):
+        """Calls a service, once it is there."""
+        rospy.wait_for_service(name, MOVE_S)
+        return rospy.ServiceProxy(name, kind)(*values)
+
+    def count(self, node: str, name: str) -> int:
+        """Returns a counter from /diagnostics, 0 before it came."""
+        return int(self._counts.get(node, {}).get(name, 0))
+
+    @property
+    def log(self) -> str:
+        """What the launch file and the nodes that were started later printed so far."""
+        return "".join(path.read_text(errors="replace") for path in sorted(self._launch.log_path.parent.glob("*.log")))
+
+    def _take_status(self, status: KukaStatus) -> None:
+        self.status = status
+        self.statuses.append((time.monotonic(), status.mode, status.control_on))
+        self.hear("kuka/status", status.reason)
+
+    def _take_mode(self, message: String) -> None:
+        self.mode = message.data
+        self.modes.append(message.data)
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self.stream_state = {v.key: v.value for v in message.values}["state"]
+        self.stream.append((self.stream_state, message.message))
+        self.hear("leap_kuka/stream", message.message)
+
+    def _take_counts(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            self._counts[status.name] = {v.key: v.value for v in status.values}
+            self.hear(f"/diagnostics {status.name}", status.message)
+
+    def _take_transforms(self, message: TFMessage) -> None:
+        transforms = {t.child_frame_id: t for t in message.transforms}
+        if "kuka/tool_frame/desired" in transforms:
+            T_base_leap, T_leap_tool = (
+                pose_from_transform(transforms[name].transform)
+                for name in ("leap_motion/virtual_frame", "kuka/tool_frame/desired")
+            )
+            self.desired.append(T_base_leap @ T_leap_tool)
+            self.desired_at.append(transforms["kuka/tool_frame/desired"].header.stamp.to_sec())
+        if "kuka/tool_frame/commanded" in transforms:
+            self.commanded.append(pose_from_transform(transforms["kuka/tool_frame/commanded"].transform))

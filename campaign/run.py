@@ -1,0 +1,209 @@
+"""`make campaign`: provokes the rows on rigs of their own, side by side, and judges what the arm did.
+
+Prints a line as each row ends, and a table at the end; `--json` stores the results, `--page` the handbook's page.
+The exit code is 0 if no row failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import conftest  # noqa: F401 - sets the path of the packages
+from campaign import page, rows
+from campaign.network.wire import in_own_network
+from campaign.trial import Row
+
+ROOT = Path(__file__).parents[1]
+RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "handbook" / "campaign.md"
+START_S, ROW_S = 240.0, 180.0
+"""Longest waits [s], for a rig and for a row, on a busy machine."""
+
+
+class Rig:
+    """A worker: a rig in a process and, where the kernel allows it, in a network of its own."""
+
+    def __init__(self, variant: str, traces: Path | None) -> None:
+        self.variant = variant
+        alone = subprocess.run(in_own_network(["true"]), capture_output=True).returncode == 0
+        worker = [sys.executable, "-m", "campaign.worker", variant, *([str(traces)] if traces else [])]
+        command = in_own_network(worker) if alone else worker
+        self._log = (ROOT / "build" / f"campaign-{os.getpid()}-{id(self)}.log").open("w+")
+        self._process = subprocess.Popen(
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True
+        )
+        self._lines: queue.Queue[str] = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+        if self._line(START_S) != "ready":
+            self._process.terminate()
+            raise OSError(f"the rig did not start; {self._end_of_log()}")
+
+    def judge(self, entry: Row) -> dict:
+        """Runs a row and returns its verdict, a failure if the worker dies of it.
+
+        Raises:
+            OSError: the row did not begin, because the row before has left no sound rig.
+        """
+        began = time.monotonic()
+        self._process.stdin.write(f"{entry.number}\n")
+        self._process.stdin.flush()
+        if self._line(ROW_S) != "at rest":
+            raise OSError(f"the rig did not come to rest; {self._end_of_log()}")
+        try:
+            return json.loads(self._line(ROW_S))
+        except (OSError, ValueError):
+            fault = f"the row never ended; {self._end_of_log()}"
+            return {"result": "failed", "faults": [fault], "seconds": time.monotonic() - began}
+
+    @property
+    def usable(self) -> bool:
+        """Whether another row can run on it."""
+        return self._process.poll() is None
+
+    def close(self) -> None:
+        """Ends it."""
+        self._process.stdin.close()
+        try:
+            self._process.wait(60.0)
+        except subprocess.TimeoutExpired:
+            self._process.send_signal(signal.SIGTERM)
+            self._process.wait(60.0)
+        self._log.close()
+        os.unlink(self._log.name)
+
+    def _read(self) -> None:
+        for line in self._process.stdout:
+            self._lines.put(line.strip())
+        self._lines.put("")
+
+    def _line(self, timeout: float) -> str:
+        try:
+            return self._lines.get(timeout=timeout)
+        except queue.Empty:
+            return ""
+
+    def _end_of_log(self) -> str:
+        self._log.flush()
+        return f"the end of its log: {Path(self._log.name).read_text()[-2000:]}"
+
+
+class Campaign:
+    """Runs rows on some rigs at once; a rig is kept for rows of the same variant until one spoils it."""
+
+    def __init__(self, entries: list[Row], rigs: int, traces: Path | None, tell) -> None:
+        self._waiting = sorted(entries, key=lambda entry: (entry.spoils, entry.variant, entry.number))
+        self._count, self._traces, self._tell = rigs, traces, tell
+        self._lock = threading.Lock()
+        self.results: dict[int, dict] = {}
+
+    def run(self) -> dict[int, dict]:
+        """Returns the results by number."""
+        threads = [threading.Thread(target=self._work) for _ in range(min(self._count, len(self._waiting)))]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return dict(sorted(self.results.items()))
+
+    def _next(self, variant: str | None) -> Row | None:
+        with self._lock:
+            fitting = [entry for entry in self._waiting if entry.variant == variant] or self._waiting
+            if not fitting:
+                return None
+            entry = fitting[0]
+            self._waiting.remove(entry)
+            return entry
+
+    def _work(self) -> None:
+        rig = None
+        while True:
+            entry = self._next(rig.variant if rig else None)
+            if rig is not None and (entry is None or entry.variant != rig.variant or not rig.usable):
+                rig.close()
+                rig = None
+            if entry is None:
+                return
+            used = rig is not None
+            try:
+                rig = rig or Rig(entry.variant, self._traces)
+                result = rig.judge(entry)
+            except OSError as error:
+                if rig is not None:
+                    rig.close()
+                    rig = None
+                if used:  # the row before may have left it so
+                    with self._lock:
+                        self._waiting.insert(0, entry)
+                    continue
+                result = {"result": "failed", "faults": [str(error)], "seconds": 0.0}
+            with self._lock:
+                self.results[entry.number] = result
+                self._tell(entry, result, len(self.results))
+            if rig is not None and entry.spoils:
+                rig.close()
+                rig = None
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs the campaign; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m campaign.run", description=__doc__.splitlines()[0])
+    parser.add_argument("--only", default="", help="numbers of rows, such as 14,33 or 1-15; or `dangerous`")
+    parser.add_argument("--rigs", type=int, default=2, help="how many rigs run at once")
+    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--traces", type=Path, help="folder for what was seen of each row")
+    parser.add_argument("--page", action="store_true", help="store the results and make the handbook's page from them")
+    parser.add_argument("--render", action="store_true", help="only make the page from the stored results")
+    options = parser.parse_args(argv)
+    if options.render:
+        store({})
+        return 0
+    entries = chosen(rows.load(), options.only)
+    began = time.monotonic()
+
+    def tell(entry: Row, result: dict, done: int) -> None:
+        print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {page.line(entry, result)}", flush=True)
+
+    results = Campaign(entries, options.rigs, options.traces, tell).run()
+    print("\n" + page.table({entry.number: entry for entry in entries}, results))
+    named = {str(number): result for number, result in results.items()}
+    if options.page:
+        store(named)
+    if options.json:
+        options.json.write_text(page.as_json(named))
+    return int(any(result["result"] == "failed" for result in results.values()))
+
+
+def store(results: dict[str, dict]) -> None:
+    """Adds results to the stored ones and makes the handbook's page from all."""
+    stored = {**json.loads(RESULTS.read_text()), **results}
+    RESULTS.write_text(page.as_json(stored))
+    PAGE.write_text(page.page(rows.load(), stored))
+
+
+def chosen(entries: dict[int, Row], only: str) -> list[Row]:
+    """Returns the rows that `only` names: numbers and ranges, `dangerous`, or all if it is empty."""
+    if not only:
+        return list(entries.values())
+    if only == "dangerous":
+        return [entry for entry in entries.values() if entry.dangerous]
+    numbers = set()
+    for part in only.replace(" ", ",").split(","):
+        first, _, last = part.partition("-")
+        if part:
+            numbers |= set(range(int(first), int(last or first) + 1))
+    missing = numbers - set(entries)
+    if missing:
+        raise SystemExit(f"There is no row {', '.join(map(str, sorted(missing)))}.")
+    return [entries[number] for number in sorted(numbers)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

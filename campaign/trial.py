@@ -1,0 +1,223 @@
+"""One row of the campaign: what its function uses to provoke the fault, and the register of all rows.
+
+    @row(1, "Arm TCP reset by peer", "D", within=1.5, named_by="connection", operator=True)
+    def reset(trial):
+        trial.follow()
+        trial.fault("arm", "cut", duration=1.0)
+        trial.stays_away(3.0)
+        trial.recovers()
+
+The function provokes and waits; what the arm does meanwhile is judged afterwards from the trace (campaign.judge).
+Between two rows the rig comes to rest (`RigUnderTest.calm`), so a row leaves nothing to tidy up but what it did beside
+the control ports. What cannot be provoked here is a row with `instead`: a sentence that says why, and
+what stands for it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from campaign.judge import Evidence, Expected, Limits, Verdict, judge
+from campaign.network.link import Link
+
+VARIANTS: dict[str, dict[str, str]] = {
+    "patient": {},
+    "shipped": {"teleop": "leap_kuka_node.py", "overrides": ""},
+}
+"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, or as shipped.
+
+Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the catalogue."""
+
+    number: int
+    fault: str
+    expected: Expected
+    provoke: Callable[[Trial], None]
+    variant: str = "patient"
+    instead: str = ""  # why the fault itself cannot be provoked here, and what stands for it
+    dangerous: str = ""  # why it is among the most dangerous ones
+    spoils: bool = False  # whether the rig is of no use afterwards
+    argued: str = ""  # page of docs/decisions which says why the reaction differs from the catalogue's
+
+
+ROWS: dict[int, Row] = {}
+
+
+def row(
+    number: int,
+    fault: str,
+    reactions: str,
+    within: float = 2.0,
+    named_by: str = "",
+    operator: bool = False,
+    still: bool = False,
+    limits: Limits | None = None,
+    **others: Any,
+) -> Callable[[Callable[[Trial], None]], Callable[[Trial], None]]:
+    """Registers the function that provokes a row; see Row and campaign.judge.Expected."""
+
+    def register(provoke: Callable[[Trial], None]) -> Callable[[Trial], None]:
+        assert number not in ROWS, f"row {number} exists twice"
+        expected = Expected(reactions, within, named_by, operator, still, limits or Limits())
+        ROWS[number] = Row(number, fault, expected, provoke, **others)
+        return provoke
+
+    return register
+
+
+@dataclass
+class Trial:
+    """What a row does to the rig, and when.
+
+    Attributes:
+        rig: the running rig (campaign.rig.RigUnderTest).
+        killed: names of the nodes that the row itself ends.
+    """
+
+    rig: Any
+    killed: set[str] = field(default_factory=set)
+    _fault: float | None = None
+    _mended: float | None = None
+    _operator: float | None = None
+    _checks: list[tuple[str, bool, str]] = field(default_factory=list)
+
+    def follow(self, sway: bool = True) -> None:
+        """Lets the arm follow a hand: one that moves for ever, or one that stands still."""
+        self.rig.follow(right=-0.06)
+        if sway:
+            self.rig.hand.sway(1.0, right=0.06)
+            self.rig.wait(lambda: self.rig.arm.now.tool_speed > 0.05, "the arm to move")
+
+    def fault(self, device: str, name: str, value: float | None = None, duration: float | None = None) -> None:
+        """Switches a fault of docs/faults.md on, at the device "arm", "leap" or "hand"."""
+        options = {"value": value, "duration": duration}
+        began = self.begins()
+        ask = self.rig.devices()[device].ask
+        ask("fault", name=name, **{key: number for key, number in options.items() if number is not None})
+        if duration is not None:
+            self._mended = began + duration
+
+    def mend(self, device: str, name: str) -> None:
+        """Switches a fault off."""
+        self.rig.devices()[device].ask("fault", name=name, on=False)
+        self.ends()
+
+    def link(self, **fields: Any) -> None:
+        """Makes the link of the rig's wire bad, see campaign.network.link.Link; without fields it is good again."""
+        self.rig.wire.set(Link(**fields))
+        if fields:
+            self.begins()
+        else:
+            self.ends()
+
+    def begins(self) -> float:
+        """Notes that the fault begins now, unless it began before; returns when it began [s]."""
+        self._fault = self._fault or time.monotonic()
+        return self._fault
+
+    def ends(self) -> None:
+        """Notes that the fault has ended."""
+        self._mended = time.monotonic()
+
+    def signal(self, node: str, number: signal.Signals) -> None:
+        """Sends a signal to a node; the fault begins."""
+        pid = self.rig.pid(node)
+        self.killed.add(f"/{node}")
+        self.begins()
+        os.kill(pid, number)
+
+    def says(self, pattern: str, timeout: float = 5.0) -> None:
+        """Waits until somebody says what a regular expression describes, after the fault."""
+
+        def said() -> bool:
+            return any(re.search(pattern, text) for when, _, text in list(self.rig.said) if when >= self._fault)
+
+        self.rig.wait(said, f"a message with /{pattern}/", timeout)
+
+    def stays_away(self, seconds: float) -> None:
+        """Lets time pass on the arm's clock, in which nothing may follow the hand; the judge looks at it."""
+        self.rig.watch(seconds)
+
+    def operator(self) -> None:
+        """Notes that the operator acts from now on."""
+        self._operator = self._operator or time.monotonic()
+
+    def recovers(self) -> None:
+        """Switches control off and on and brings a hand in, and waits until the arm follows it again."""
+        self.operator()
+        rig = self.rig
+        rig.hand.hide()
+        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", 20.0)
+        rig.wait_for_mode("home")
+        rig.modes.clear()
+        rig.bring_hand(right=-0.04)
+        rig.wait_for_modes("servo")
+        rig.settle()
+
+    def check(self, what: str, good: bool, detail: object = "") -> None:
+        """Notes a condition of this row alone; a false one fails the row."""
+        self._checks.append((what, bool(good), str(detail)))
+
+    def call(self, name: str, kind: Any, *values: Any) -> Any:
+        """Calls a service and takes note of its answer."""
+        answer = self.rig.call(name, kind, *values)
+        self.rig.hear(name, answer.message)
+        return answer
+
+    def evidence(self, died: list[str]) -> Evidence:
+        """Returns what was seen up to now."""
+        arm = self.rig.arm
+        steps = np.array(list(arm.steps)) if arm.steps else np.zeros((0, 16))
+        now = time.monotonic()
+        return Evidence(
+            steps=steps,
+            fault=self._fault or now,
+            end=now,
+            mended=self._mended,
+            operator=self._operator,
+            said=list(self.rig.said),
+            statuses=list(self.rig.statuses),
+            events=list(arm.events),
+            died=died,
+            pauses=list(arm.pauses),
+            checks=list(self._checks),
+        )
+
+
+def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
+    """Runs a row on a rig at rest and judges it; stores what was seen in the folder `traces`."""
+    trial = Trial(rig)
+    before = rig.pids()
+    try:
+        entry.provoke(trial)
+    except (pytest.fail.Exception, AssertionError) as failure:
+        trial.check(str(getattr(failure, "msg", failure)).strip(), False)
+    died = [name for name, pid in before.items() if name not in trial.killed and not _runs(pid)]
+    seen = trial.evidence(died)
+    if traces is not None:
+        (traces / f"row_{entry.number}.json").write_text(json.dumps({**vars(seen), "steps": seen.steps.tolist()}))
+    return judge(entry.expected, seen)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        return False

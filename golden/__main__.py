@@ -1,0 +1,35 @@
+"""`make golden`: renews what is stored where a new trace differs, and draws both for a person to judge."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from golden.chain import PureChain, World
+from golden.picture import draw
+from golden.runs import RUNS, Missing
+from golden.stored import TOLERANCE, TOLERANCES, Stored, differences, stored
+
+PICTURES = Path(__file__).resolve().parents[1] / "build" / "golden"
+
+
+def main() -> None:
+    """Renews all recordings that are on this machine."""
+    for name, make in RUNS.items():
+        try:
+            new = stored(PureChain(World(make())).run())
+        except Missing as missing:
+            print(missing)
+            continue
+        old = Stored.read(name)
+        sentences = differences(old, new, TOLERANCES.get(name, TOLERANCE))
+        if not sentences:
+            print(f"{name}: as stored.")
+            continue
+        new.write(name)
+        picture = PICTURES / f"{name}.png"
+        draw(name, old, new, picture)
+        print("\n  ".join([f"{name}: renewed; look at {picture}", *sentences]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,97 @@
+"""What is stored of a trace, and how another one is compared with it.
+
+Numbers are stored as the means of blocks of samples, so every sample counts although few numbers are stored. Events are
+stored as text, all of them.
+
+Two machines agree to 1e-13 in all that is compared, except in the goals of one recording. Products of matrices differ
+in the last digit between processors (BLAS kernels, fused multiplication). Ruckig's search for roots, and the search for
+the largest step after which the arm can still stop, end at a tolerance: where both act along a bound of the workspace,
+that last digit becomes 1e-8 rad, whatever its size. So the goals of confidence-74fps are compared to 1e-7 rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from golden.chain import CYCLE_S, Trace
+
+FOLDER = Path(__file__).parent / "stored"
+BLOCK = {"tools": 5, "hands": 5, "goals": 10}  # samples in a block
+TOLERANCE = {"tools": 1e-9, "hands": 1e-9, "goals": 1e-9}  # m and no unit, rad, rad
+ALONG_BOUNDS = {**TOLERANCE, "goals": 1e-7}
+TOLERANCES = {"confidence-74fps": ALONG_BOUNDS}  # of recordings, where it is not TOLERANCE
+SHAPE = {"tools": 9, "hands": 4, "goals": 7}
+
+
+@dataclass(frozen=True)
+class Stored:
+    """The means of blocks by kind, shape (n, SHAPE[kind]), NaN where a block has no sample; counts of samples that are
+    there, shape (n,); the times of the frames' blocks, shape (n,) [s]; and the events.
+    """
+
+    means: dict[str, np.ndarray]
+    counts: dict[str, np.ndarray]
+    events: tuple[str, ...]
+
+    def write(self, name: str, folder: Path = FOLDER) -> None:
+        """Writes the files of a recording."""
+        counts = {f"{kind}_counts": count for kind, count in self.counts.items()}
+        np.savez_compressed(folder / f"{name}.npz", **self.means, **counts)
+        (folder / f"{name}.txt").write_text("".join(f"{event}\n" for event in self.events))
+
+    @classmethod
+    def read(cls, name: str, folder: Path = FOLDER) -> Stored:
+        """Returns what is stored of a recording; empty where nothing is."""
+        if not (folder / f"{name}.npz").is_file():
+            return stored(Trace())
+        with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
+            means, counts = ({kind: file[kind + end] for kind in BLOCK} for end in ("", "_counts"))
+        return cls(means, counts, tuple((folder / f"{name}.txt").read_text().splitlines()))
+
+
+def stored(trace: Trace) -> Stored:
+    """Returns what is stored of a trace."""
+    means, counts = {}, {}
+    for kind, size in BLOCK.items():
+        samples = np.array(getattr(trace, kind)).reshape(-1, SHAPE[kind])
+        blocks = [samples[i : i + size] for i in range(0, len(samples), size)]
+        there = [block[np.isfinite(block[:, 0])] for block in blocks]
+        counts[kind] = np.array([len(block) for block in there], dtype=np.uint8)
+        means[kind] = np.array(
+            [block.mean(axis=0) if len(block) else np.full(SHAPE[kind], np.nan) for block in there]
+        ).reshape(-1, SHAPE[kind])
+    return Stored(means, counts, tuple(trace.events))
+
+
+def differing(kind: str, old: Stored, new: Stored, tolerance: dict[str, float] = TOLERANCE) -> np.ndarray:
+    """Returns the numbers of the blocks that differ."""
+    a, b = old.means[kind], new.means[kind]
+    n = min(len(a), len(b))
+    same = old.counts[kind][:n] == new.counts[kind][:n]
+    far = np.abs(a[:n] - b[:n]) > tolerance[kind]
+    return np.concatenate([np.nonzero(~same | far.any(axis=1))[0], np.arange(n, max(len(a), len(b)))])
+
+
+def differences(old: Stored, new: Stored, tolerance: dict[str, float] = TOLERANCE) -> list[str]:
+    """Returns a sentence about each kind that differs; none if the traces agree."""
+    sentences = []
+    for kind in BLOCK:
+        blocks = differing(kind, old, new, tolerance)
+        if not len(blocks):
+            continue
+        a, b = old.means[kind], new.means[kind]
+        common = blocks[blocks < min(len(a), len(b))]
+        apart = np.abs(a[common] - b[common])
+        largest = float(np.nanmax(apart)) if np.isfinite(apart).any() else float("nan")
+        when = f"block {blocks[0]}" + (f" ({blocks[0] * BLOCK[kind] * CYCLE_S:.2f} s)" if kind == "goals" else "")
+        sentences.append(
+            f"{kind}: {len(blocks)} of {max(len(a), len(b))} blocks differ, first {when}, by {largest:.3g} at most."
+        )
+    if old.events != new.events:
+        pairs = zip((*old.events, "the end"), (*new.events, "the end"))
+        before, now = next(pair for pair in pairs if pair[0] != pair[1])
+        sentences.append(f"events: stored {before!r}, now {now!r}.")
+    return sentences

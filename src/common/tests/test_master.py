@@ -1,0 +1,56 @@
+"""A node whose ROS master is gone says so, and exits when another one answers in its place."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+NODE = """
+import rospy
+from common.ros import master, node
+master.watch.lost.append(lambda sentence: print("disengaged"))
+node.run("lonely", rospy.spin)
+"""
+
+
+def test_a_node_disengages_without_its_master_and_exits_when_another_one_answers(processes, free_port, wait_until):
+    port = free_port()
+    environment = {**os.environ, "ROS_MASTER_URI": f"http://localhost:{port}"}
+
+    def master():
+        core = processes.start("rosmaster", "--core", "-p", str(port), env=environment)
+        wait_until(lambda: answers(environment["ROS_MASTER_URI"]), 30.0, "the master")
+        return core
+
+    first = master()
+    lonely = processes.start(sys.executable, "-c", NODE, env=environment)
+    wait_until(lambda: knows(environment["ROS_MASTER_URI"], "/lonely"), 30.0, "the node")
+    processes.end(first)
+    wait_until(lambda: "disengaged" in lonely.log_path.read_text(), 20.0, "that the master is gone")
+    assert lonely.poll() is None
+    master()
+    wait_until(lambda: lonely.poll() is not None, 20.0, "the end of the node")
+    log = lonely.log_path.read_text()
+    assert lonely.returncode == 1 and "started anew" in log and "Traceback" not in log, log
+
+
+def answers(uri):
+    import rosgraph
+
+    try:
+        return rosgraph.Master("/test", uri).getPid()
+    except OSError:
+        return None
+
+
+def knows(uri, name):
+    import rosgraph
+
+    try:
+        return rosgraph.Master("/test", uri).lookupNode(name)
+    except (OSError, rosgraph.MasterError):
+        return None

@@ -1,0 +1,149 @@
+"""The robot as convex bodies that enclose it: links, media flange, marker board, and the ReFlex hand at its opening.
+
+Numbers of the meshes and solids in rig_description. The axes of a link are those of the base while all joints are zero;
+its origin is the shoulder (links 1 and 2), the elbow (3 and 4) or the wrist (5 to 7). Lengths in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+
+from common.poses import pose, read_only, translation
+from common.rotations import rotation_about
+from iiwa_kinematics import RobotModel
+from kuka_control.model.obstacles import ConvexBody, ConvexShape
+from rig_description import arms, hand
+from rig_description.urdf import TABLE_HALF, TABLE_THICKNESS
+
+ELBOW_RADIUS, ELBOW_END, ELBOW_ASIDE = 0.089, 0.055, 0.0465
+"""Of links 1 to 4: radius of the capsule around each, how far before the link's seam it ends, and how far beside the
+axis in the half of the joint's housing."""
+FOREARM_RADIUS, FOREARM_END, FOREARM_ASIDE = 0.081, 0.042, 0.040
+WRIST_RADIUS, FLANGE_RADIUS = 0.080, 0.0505
+LINK_7 = 0.075  # where link 7 begins beyond the wrist
+BASE_RADIUS, PLUGS = 0.113, ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
+PALM = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
+PHALANX_RADIUS = 0.0165
+PROXIMAL, DISTAL = ((0.0, 0.003), (0.054, 0.003)), ((0.003, 0.001), (0.038, 0.001))  # x, z of the ends of their axes
+FINGER_REACH = 0.132  # from the knuckle at preshape 0 to the tip of a straight finger at any preshape
+TABLE = "table"
+
+
+@dataclass(frozen=True)
+class Opening:
+    """Joints of the hand as the topic reflex_takktile/hand_state has them: fingers index, middle, thumb [rad]."""
+
+    proximal: tuple[float, float, float]
+    distal: tuple[float, float, float]
+    preshape: float
+
+
+def arm_bodies(model: RobotModel, ring: bool) -> list[ConvexBody]:
+    """Returns the bodies of base, links 1 to 6, and link 7 with media flange, the hand's connector, and any ring."""
+    low, middle, high = arms.ARMS[model.name].seams
+    shoulder, upper, fore = model.base_shoulder, model.shoulder_elbow, model.elbow_wrist
+    r, end, aside = ELBOW_RADIUS, ELBOW_END, ELBOW_ASIDE
+    top = model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH
+    corners = np.array([*hand.RING_PAD, *hand.RING_ARM])
+    pad = _box("marker ring", 7, corners.min(axis=0), corners.max(axis=0), translation(0.0, 0.0, model.wrist_flange))
+    bodies = [
+        ConvexBody("base", 0, ConvexShape("cylinder", (BASE_RADIUS, low)), read_only(translation(0.0, 0.0, low / 2.0))),
+        _box("base plugs", 0, *PLUGS),
+        _capsule("link 1", 1, r, (0.0, 0.0, low - shoulder + end), (0.0, -aside, 0.0)),
+        _capsule("link 2", 2, r, (0.0, aside, 0.0), (0.0, 0.0, middle - end)),
+        _capsule("link 3", 3, r, (0.0, 0.0, middle - upper + end), (0.0, aside, 0.0)),
+        _capsule("link 4", 4, r, (0.0, -aside, 0.0), (0.0, 0.0, high - end)),
+        _capsule("link 5", 5, FOREARM_RADIUS, (0.0, 0.0, high - fore + FOREARM_END), (0.0, -FOREARM_ASIDE, 0.0)),
+        _capsule("link 6", 6, WRIST_RADIUS, (0.0, 0.0015, 0.0155), (0.0, 0.0105, 0.0)),
+        ConvexBody(
+            "flange",
+            7,
+            ConvexShape("cylinder", (FLANGE_RADIUS, top - LINK_7)),
+            read_only(translation(0, 0, (top + LINK_7) / 2)),
+        ),
+    ]
+    return [*bodies, pad] if ring else bodies
+
+
+def table() -> ConvexBody:
+    """Returns the board under the base."""
+    half, thick = TABLE_HALF, TABLE_THICKNESS
+    return _box(TABLE, 0, (-half, -half, -thick), (half, half, 0.0))
+
+
+def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[ConvexBody]:
+    """Returns the palm and two bodies of each finger; `ring`: the ring of the marker board is behind the hand.
+
+    Without an opening each finger is the sphere in which it may be.
+    """
+    T_7_hand = translation(0.0, 0.0, model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH)
+    T_7_hand[:3, :3] = rotation_about(2, hand.CONNECTOR_YAW)
+    bodies = [_box("palm", 7, *PALM, T_7_hand)]
+    frames = {"base_link": T_7_hand}
+    for joint in hand.JOINTS:
+        T = pose(rotation_about(2, joint.yaw), joint.xyz)
+        if opening is not None:
+            axis = 2 if joint.axis == hand.DOWN else 1
+            T[:3, :3] = T[:3, :3] @ rotation_about(axis, -_angle(joint.name, opening))
+        frames[joint.child] = frames[joint.parent] @ T
+    for finger in (1, 2, 3):
+        for part, ends in (("proximal", PROXIMAL), ("distal", DISTAL)):
+            name = f"finger {finger}, {part}"
+            if opening is None:
+                knuckle = pose(p=frames[f"proximal_{finger}"][:3, 3])
+                bodies.append(ConvexBody(name, 7, ConvexShape("capsule", (FINGER_REACH, 0.0)), knuckle, True))
+            else:
+                a, b = ((x, 0.0, z) for x, z in ends)
+                bodies.append(_capsule(name, 7, PHALANX_RADIUS, a, b, frames[f"{part}_{finger}"], True))
+    return bodies
+
+
+def travel(before: Opening, after: Opening) -> float:
+    """Returns how far any point of a finger moves at most from one opening to the other [m]."""
+    turns = [
+        sum([abs(a - b) for a, b in zip(*ends)])
+        for ends in zip(zip(before.proximal, before.distal), zip(after.proximal, after.distal))
+    ]
+    return FINGER_REACH * (max(turns) + abs(after.preshape - before.preshape))
+
+
+def _angle(joint: str, opening: Opening) -> float:
+    """Returns the angle of a joint of the hand; the second preshape joint turns against the first."""
+    kind, finger = joint.split("_")[0], int(joint[-1]) - 1
+    if kind == "preshape":
+        return opening.preshape if finger == 0 else -opening.preshape
+    angle = (opening.proximal if kind == "proximal" else opening.distal)[finger]
+    return min(max(angle, 0.0), pi if kind == "proximal" else hand.DISTAL_MAX)
+
+
+def _box(
+    name: str, link: int, low: Iterable[float], high: Iterable[float], T_link: np.ndarray | None = None
+) -> ConvexBody:
+    low, high = np.array(list(low)), np.array(list(high))
+    T = translation(*((low + high) / 2.0))
+    return ConvexBody(
+        name, link, ConvexShape("box", tuple((high - low).tolist())), read_only(T if T_link is None else T_link @ T)
+    )
+
+
+def _capsule(
+    name: str,
+    link: int,
+    radius: float,
+    start: Iterable[float],
+    end: Iterable[float],
+    T_link: np.ndarray | None = None,
+    finger: bool = False,
+) -> ConvexBody:
+    a, b = np.array(list(start)), np.array(list(end))
+    length = float(np.linalg.norm(b - a))
+    z = (b - a) / length
+    x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
+    x /= np.linalg.norm(x)
+    T = pose(np.column_stack([x, np.cross(z, x), z]), (a + b) / 2.0)
+    shape = ConvexShape("capsule", (radius, length))
+    return ConvexBody(name, link, shape, read_only(T if T_link is None else T_link @ T), finger)

@@ -1,0 +1,53 @@
+"""Reads tf messages as bytes: a controller needs two of the many on /tf, and rospy would build all."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import rospy
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+_HEADER, _LENGTH, _NUMBERS = struct.Struct("<4I"), struct.Struct("<I"), struct.Struct("<7d")
+
+
+class RawTransform(NamedTuple):
+    """A transform as it came; frames without the leading slash of old nodes, as tf2 names them."""
+
+    child: str
+    parent: str
+    stamp: tuple[int, int]  # [s], [ns]
+    numbers: tuple[float, ...]  # x, y, z [m], and the quaternion x, y, z, w
+
+    @property
+    def message(self) -> TransformStamped:
+        """The transform as a message."""
+        transform = Transform(Vector3(*self.numbers[:3]), Quaternion(*self.numbers[3:]))
+        return TransformStamped(Header(0, rospy.Time(*self.stamp), self.parent), self.child, transform)
+
+
+class RawTfMessage(TFMessage):
+    """A tf message that is received only; `data` has its bytes."""
+
+    data: bytes = bytes(4)
+
+    def deserialize(self, data: bytes) -> RawTfMessage:
+        """Keeps the bytes of the message."""
+        self.data = bytes(data)
+        return self
+
+    def raw_transforms(self) -> Iterator[RawTransform]:
+        """Yields the transforms in their order. struct.error or UnicodeDecodeError: the bytes are no tf message."""
+        data, start = self.data, 4
+        for _ in range(_LENGTH.unpack_from(data)[0]):
+            _, secs, nsecs, length = _HEADER.unpack_from(data, start)
+            start += 16 + length
+            parent = data[start - length : start].decode().lstrip("/")
+            (length,) = _LENGTH.unpack_from(data, start)
+            start += 4 + length
+            child = data[start - length : start].decode().lstrip("/")
+            yield RawTransform(child, parent, (secs, nsecs), _NUMBERS.unpack_from(data, start))
+            start += 56

@@ -1,0 +1,191 @@
+"""The tf messages that a controller reads as bytes are those that rospy reads; only what concerns it goes to tf2."""
+
+from __future__ import annotations
+
+import io
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pytestmark = pytest.mark.ros
+
+names = st.text(st.characters(codec="utf-8", exclude_characters="/"), min_size=1, max_size=12)
+numbers = st.lists(st.floats(width=64), min_size=7, max_size=7)
+stamps = st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(names, names, stamps, numbers, st.booleans()), max_size=6))
+def test_the_bytes_are_read_as_rospy_reads_them(rows):
+    import rospy
+    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+    from std_msgs.msg import Header
+    from tf2_msgs.msg import TFMessage
+
+    from kuka_control.ros.tf_message import RawTfMessage
+
+    message, buffer = TFMessage(), io.BytesIO()
+    for parent, child, stamp, row, slash in rows:
+        transform = Transform(Vector3(*row[:3]), Quaternion(*row[3:]))
+        header = Header(7, rospy.Time(*stamp), "/" * slash + parent)
+        message.transforms.append(TransformStamped(header, "/" * slash + child, transform))
+    message.serialize(buffer)
+    raw = list(RawTfMessage().deserialize(buffer.getvalue()).raw_transforms())
+    assert [(one.parent, one.child, one.stamp) for one in raw] == [row[:3] for row in rows]
+    for one, (_, _, stamp, row, _) in zip(raw, rows):
+        np.testing.assert_array_equal(one.numbers, row)
+        assert one.message.header.stamp == rospy.Time(*stamp)
+        assert math.isnan(row[6]) or one.message.transform.rotation.w == row[6]
+
+
+class Listener:
+    """A DesiredTool without topics, and tf2's own listener with the same messages."""
+
+    def __init__(self, monkeypatch):
+        import rospy
+        import tf2_ros
+
+        from kuka_control.ros.desired_tool import DesiredTool
+
+        monkeypatch.setattr(rospy, "Subscriber", lambda *args, **kwargs: None)
+        monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
+        self.desired, self.reference = DesiredTool(), tf2_ros.Buffer(debug=False)
+
+    def hear(self, transforms, static=False):
+        from tf2_msgs.msg import TFMessage
+
+        from kuka_control.ros.tf_message import RawTfMessage
+
+        message, data = TFMessage(transforms), io.BytesIO()
+        message.serialize(data)
+        raw = message if static else RawTfMessage().deserialize(data.getvalue())
+        raw._connection_header = {"callerid": "/a"}
+        (self.desired.static_callback if static else self.desired.callback)(raw)
+        for transform in transforms:
+            (self.reference.set_transform_static if static else self.reference.set_transform)(transform, "/a")
+
+    def expected(self):
+        import rospy
+        import tf2_ros
+
+        from common.ros.conversions import pose_from_transform
+
+        try:
+            found = self.reference.lookup_transform("kuka/base_frame", "kuka/tool_frame/desired", rospy.Time(0))
+        except tf2_ros.TransformException:
+            return None
+        return pose_from_transform(found.transform), found.header.stamp.to_sec()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_desired_tool_is_what_tf2_makes_of_all_frames(seed):
+    """Frames change their parents, stand above or below the base, are static or not, and come at different times."""
+    import rospy
+
+    from common.poses import pose
+    from common.ros.conversions import stamped_transform
+    from common.rotations import rotation_about
+
+    rng = np.random.default_rng(seed)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        listener = Listener(monkeypatch)
+        frames = ["world", "kuka/base_frame", "a", "b", "c", "kuka/tool_frame/desired"]
+        parents = {child: frames[rng.integers(0, i)] for i, child in enumerate(frames) if i}
+        last = None
+        static = {child for child in parents if rng.random() < 0.2}
+        for step in range(30):
+            if rng.random() < 0.1:  # a frame that is not static stands in another one from now on
+                i = int(rng.integers(1, len(frames)))
+                if frames[i] not in static:
+                    parents[frames[i]] = frames[rng.integers(0, i)]
+            for child in rng.permutation(list(parents)):
+                if (child in static and step) or rng.random() < 0.3:
+                    continue
+                T = pose(rotation_about(int(rng.integers(3)), rng.uniform(-1.0, 1.0)), rng.uniform(-1.0, 1.0, 3))
+                stamp = rospy.Time.from_sec(1e9 + 0.01 * step + 1e-3 * rng.integers(5))
+                listener.hear([stamped_transform(T, parents[child], str(child), stamp)], static=child in static)
+            expected, found = listener.expected(), listener.desired.wait(0.0)
+            if expected is None:
+                continue
+            assert found is not None and found.stamp == expected[1]
+            if found is not last:
+                np.testing.assert_allclose(found.T_base_tool, expected[0], atol=1e-9)
+            last = found
+
+
+DESIRED, BASE = "kuka/tool_frame/desired", "kuka/base_frame"
+
+
+@pytest.fixture
+def listener(monkeypatch):
+    return Listener(monkeypatch)
+
+
+def hear(listener, parent, x, stamp, child=DESIRED):
+    import rospy
+
+    from common.poses import translation
+    from common.ros.conversions import stamped_transform
+
+    T = translation(x, 0.0, 0.4)
+    listener.hear([stamped_transform(T, parent, child, rospy.Time.from_sec(stamp))])
+    return listener.desired.wait(0.0)
+
+
+def test_a_frame_that_stands_nowhere_is_refused_after_a_while_until_it_has_a_way_to_the_base(listener, monkeypatch):
+    import time
+
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    assert hear(listener, "table", 0.5, 100.0) is None
+    now += 0.3
+    assert hear(listener, "table", 0.5, 100.3) is None
+    now += 0.3
+    refused = hear(listener, "table", 0.5, 100.6)
+    assert "stands in table" in refused.conflict
+    assert listener.desired.wait(0.0) is refused, "each frame is refused once"
+    hear(listener, BASE, 0.1, 100.7, "table")
+    assert hear(listener, "table", 0.5, 100.7).conflict is None
+
+
+def test_a_frame_of_the_chain_that_jumps_is_a_conflict_and_a_tool_that_jumps_is_not(listener):
+    hear(listener, BASE, 0.1, 100.0, "table")
+    hear(listener, BASE, 0.1, 101.0, "table")
+    assert hear(listener, "table", 0.5, 100.01).conflict is None
+    assert hear(listener, "table", 0.6, 100.02).conflict is None
+    listener.hear([])
+    hear(listener, BASE, 0.15, 101.0, "table")
+    listener.desired.buffer.clear()
+    hear(listener, BASE, 0.15, 100.03, "table")
+    assert "The frame table" in hear(listener, "table", 0.6, 100.03).conflict
+
+
+def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_is_set_back_is_not(listener):
+    import rospy
+
+    try:
+        for simulated in (False, True):
+            rospy.rostime.switch_to_wallclock() if not simulated else rospy.rostime.set_rostime_initialized(True)
+            if simulated:
+                rospy.rostime._set_rostime(rospy.Time(200))
+            listener.desired._last_time = rospy.Time.now() + rospy.Duration(5.0)
+            frame = hear(listener, BASE, 0.5, 300.0 + simulated)
+            assert (frame.conflict is None) is not simulated
+        assert "went back by 5 s" in frame.conflict
+        assert hear(listener, BASE, 0.5, 302.0).conflict is None
+    finally:
+        rospy.rostime.switch_to_wallclock()
+
+
+def test_bytes_that_are_no_tf_message_are_left_out_and_the_next_message_counts(listener, caplog):
+    from kuka_control.ros.tf_message import RawTfMessage
+
+    for data in (b"\x01", b"\xff\xff\xff\xff", b"\x01\0\0\0" + bytes(12) + b"\x02\0\0\0\xff\xfe"):
+        damaged = RawTfMessage().deserialize(data)
+        damaged._connection_header = {"callerid": "/hostile"}
+        listener.desired.callback(damaged)
+    assert hear(listener, BASE, 0.5, 100.0).conflict is None

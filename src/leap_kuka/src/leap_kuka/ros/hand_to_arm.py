@@ -1,0 +1,65 @@
+"""The delay from the hand to the arm, for /diagnostics: the palm's motion, and that of the measured tool on tf."""
+
+from __future__ import annotations
+
+import struct
+import time
+
+import numpy as np
+import rospy
+
+from common.frames import BASE, FLANGE_MEASURED
+from common.hand_delay import DelayMeter
+
+MEASURED = b"".join(struct.pack("<I", len(name)) + name.encode() for name in (BASE, FLANGE_MEASURED))
+"""The frames of the flange's transform as they stand in a tf message, after its stamp and before its seven numbers."""
+STAMP, NUMBERS = struct.Struct("<2I"), struct.Struct("<7d")
+REST_S, READ_S = 0.5, 0.01  # time between two looks at what came on tf, and time to read it
+BUFFER_BYTES = 2**20
+
+
+class DelayMonitor:
+    """Measures the delay. `T_tool_flange`: pose of the flange in the tool frame, shape (4, 4).
+
+    Attributes:
+        palm: track of the hand that steers, in the Leap frame.
+    """
+
+    def __init__(self, T_tool_flange: np.ndarray) -> None:
+        self._meter = DelayMeter()
+        self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
+        self._looked: dict[str, float] = {}  # by publisher
+        self.palm = self._meter.palm
+        self._subscriber: rospy.Subscriber | None = None
+        self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=BUFFER_BYTES)
+
+    def values(self) -> dict[str, str]:
+        """Returns the delay and its 10th and 90th percentile [ms]; empty while too little moves to tell."""
+        delay = self._meter.at(rospy.get_time())
+        numbers = (None,) * 3 if delay is None else (delay.median, delay.low, delay.high)
+        names = ("hand_to_arm_ms", "hand_to_arm_p10_ms", "hand_to_arm_p90_ms")
+        return {name: "" if value is None else f"{1e3 * value:.0f}" for name, value in zip(names, numbers)}
+
+    def _take(self, message: rospy.AnyMsg) -> None:
+        """Takes a message of tf, as bytes. Each publisher has a thread here, which rests: the messages that came
+        meanwhile are then read at once, at a fraction of the cost. Where this process subscribes to tf a second time,
+        it does not, since rospy calls both in this thread.
+        """
+        publisher, now = message._connection_header["callerid"], time.monotonic()
+        alone = self._subscriber is not None and len(self._subscriber.impl.callbacks) == 1
+        if alone and now - self._looked.get(publisher, 0.0) > READ_S:
+            time.sleep(REST_S)
+            self._looked[publisher] = time.monotonic()
+        data = message._buff
+        at = data.find(MEASURED)
+        if at >= STAMP.size:
+            seconds, nanoseconds = STAMP.unpack_from(data, at - STAMP.size)
+            self._meter.tool.add(
+                seconds + 1e-9 * nanoseconds, self._tool(*NUMBERS.unpack_from(data, at + len(MEASURED)))
+            )
+
+    def _tool(self, px: float, py: float, pz: float, x: float, y: float, z: float, w: float) -> tuple[float, ...]:
+        """Returns the position [m] of the tool from that of the flange and its quaternion."""
+        a, b, c = self._tool_in_flange
+        tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+        return px + a + w * tx + y * tz - z * ty, py + b + w * ty + z * tx - x * tz, pz + c + w * tz + x * ty - y * tx

@@ -1,0 +1,47 @@
+"""The state of the teleoperation for the operator, on leap_kuka/state."""
+
+from __future__ import annotations
+
+import rospy
+
+from leap_kuka.ros.stream_status import NewestResult
+from leap_kuka.start_gate import CONDITIONS
+from leap_kuka.teleop import StreamState, TeleopResult
+from leap_kuka.tool_hold import HoldState
+from leap_motion.ros.tracking import LEFT, RIGHT
+from rig_msgs.msg import TeleopState
+
+PERIOD_S = 0.2
+
+
+class TeleopStatePublisher(NewestResult):
+    """Publishes a change of what the operator switches and steers at once, and the whole state every PERIOD_S."""
+
+    def __init__(self, engagement: str, enabling_needed: bool) -> None:
+        super().__init__(PERIOD_S)
+        self._engagement, self._enabling_needed = engagement, enabling_needed
+        self._publisher = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=10, latch=True)
+
+    def _key(self, result: TeleopResult) -> tuple:
+        switches = result.follows, result.enabled, result.clutched
+        return _state(result), result.owner, switches, result.unmet, result.limits
+
+    def _publish(self, result: TeleopResult) -> None:
+        message = TeleopState(engagement=self._engagement, state=_state(result), reason=result.reason)
+        message.follows = result.follows
+        message.header.stamp = rospy.Time.now()
+        message.hand_side = "" if result.owner is None else LEFT if result.owner[1] else RIGHT
+        message.enabling_needed, message.enabled = self._enabling_needed, result.enabled
+        message.clutched, message.source, message.hold_left = result.clutched, result.source, result.hold_left
+        message.conditions = list(CONDITIONS)
+        message.fulfilled = [condition not in result.unmet for condition in CONDITIONS]
+        message.limits = list(result.limits)
+        self._publisher.publish(message)
+
+
+def _state(result: TeleopResult) -> str:
+    if result.state is StreamState.RUNNING:
+        return TeleopState.RUNNING
+    if result.hold is HoldState.NONE:
+        return TeleopState.WAITING
+    return TeleopState.CLUTCHED if result.hold is HoldState.KEPT and result.clutched else TeleopState.HOLDING

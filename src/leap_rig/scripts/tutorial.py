@@ -1,0 +1,7 @@
+#!/usr/bin/env python3
+"""Node that leads a visitor through the first minutes at the rig."""
+
+from common.ros.node import run
+from leap_rig.ros.tutorial_node import main
+
+run("tutorial", main)

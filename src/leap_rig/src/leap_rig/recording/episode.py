@@ -1,0 +1,74 @@
+"""A recording as what a policy is trained on: rows of state and action at a fixed rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from leap_rig.recording.recording_files import RecordingFault
+from leap_rig.recording.run import RecordedRun
+
+FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
+ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
+HAND = ("index", "middle", "thumb", "spread")
+CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingEpisode:
+    """Rows at `times`; arm joints first, then the hand's motors where the run has them.
+
+    The state is what was measured last. The action of a row is what had been commanded one period later: the newest
+    servo goal, or the measured joints while none was sent; and the newest command of the hand, or its angles before
+    the first one.
+    """
+
+    names: tuple[str, ...]
+    times: np.ndarray  # since the epoch, shape (n,) [s]
+    state: np.ndarray  # shape (n, 7) or (n, 11) [rad]
+    action: np.ndarray  # likewise
+
+
+def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
+    """Returns the rows of a run, `fps` a second; RecordingFault if it has no measured joints."""
+    parts = [(run.joint_times, run.joints)]
+    if len(run.hand):
+        parts.append((run.hand_times, run.hand))
+    if not len(run.joints):
+        raise RecordingFault("The recording has no measured joints, so there is nothing to learn from.")
+    begin, end = max(times[0] for times, _ in parts), min(times[-1] for times, _ in parts)
+    times = begin + np.arange(int((end - begin) * fps) + 1) / fps
+    later = times + 1.0 / fps
+    state = np.hstack([_newest(*part, times)[0] for part in parts])
+    action = np.hstack([_newest(*part, later)[0] for part in parts])
+    servo = run.goal_velocities == 0.0
+    _command(action[:, :7], run.goal_times[servo], run.goals[servo], later, FRESH_S)
+    if len(run.hand):
+        _command(action[:, 7:], run.hand_command_times, run.hand_commands, later, np.inf)
+    return TrainingEpisode(ARM + (HAND if len(run.hand) else ()), times, state, action)
+
+
+def color_image(message: dict[str, Any]) -> np.ndarray:
+    """Returns a decoded sensor_msgs/Image, shape (height, width, 3), red first; RecordingFault: another encoding."""
+    height, width, step = message["height"], message["width"], message["step"]
+    order = CHANNELS.get(message["encoding"])
+    if order is None or step < 3 * width or len(message["data"]) < height * step:
+        raise RecordingFault(f"Images of the encoding {message['encoding']!r} cannot be exported; rgb8 and bgr8 can.")
+    rows = np.frombuffer(message["data"], np.uint8, height * step).reshape(height, step)
+    return np.ascontiguousarray(rows[:, : 3 * width].reshape(height, width, 3)[..., order])
+
+
+def _newest(times: np.ndarray, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the newest row at each time, and how old it is [s]; negative where the first came later."""
+    index = np.maximum(np.searchsorted(times, at, side="right") - 1, 0)
+    return rows[index], at - times[index]
+
+
+def _command(action: np.ndarray, times: np.ndarray, rows: np.ndarray, at: np.ndarray, fresh: float) -> None:
+    """Replaces actions by commands where there is one that is not older than `fresh` [s]."""
+    if len(times):
+        newest, age = _newest(times, rows, at)
+        given = (age >= 0.0) & (age <= fresh)
+        action[given] = newest[given]

@@ -1,0 +1,336 @@
+"""The folder of a recording, on the disk.
+
+    NAME/manifest.json     what it is, and a hash of every other file
+    NAME/messages.mcap     all messages, as ROS 1 wrote them (https://mcap.dev)
+    NAME/parameters.yaml   the parameter server at the start
+    NAME/...               other files of the start, such as calibrations
+
+Every half second the messages so far become a chunk of their own, which is written and synced: a killed recorder, or
+a power cut, loses what came after. The manifest is replaced as a whole, so there is always one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Channel, Chunk, Footer, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, Writer
+
+from common.errors import RigError
+from common.ros.files import FILE_NAME, write_whole
+
+FORMAT, VERSION = "leap_rig recording", 1
+MANIFEST, MESSAGES, PARAMETERS = "manifest.json", "messages.mcap", "parameters.yaml"
+HOME = "leap_rig/recordings"  # in ROS's home, ~/.ros
+RESERVE_BYTES = 16 * 2**20  # kept free while a recording runs, for the last chunk and the index on a full disk
+UNBOUNDED = 2**62  # bytes of a chunk: time ends it, not its size
+CHUNK_BYTES = READ_BYTES = 2**20
+
+
+class RecordingFault(RigError):
+    """A recording cannot be written or read; the text is one sentence."""
+
+
+def folder_of(name: str) -> Path:
+    """Returns the folder of a recording: a path if `name` has a slash, else one in HOME. RecordingFault: no name."""
+    if "/" in name:
+        return Path(name)
+    if not FILE_NAME.fullmatch(name):
+        allowed = "must be letters, digits, - and _, and begin with a letter or digit, or be a path with a slash"
+        raise RecordingFault(f"The recording's name is {name!r}, but {allowed}.")
+    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / HOME / name
+
+
+@dataclass(frozen=True)
+class MessageKind:
+    """The type of a topic's messages."""
+
+    name: str  # such as std_msgs/Bool
+    definition: str  # in full, with those of the messages within
+    md5sum: str = ""
+    is_latched: bool = False
+
+
+@dataclass(frozen=True)
+class StoredMessage:
+    """One message: its bytes as ROS sent them, and when the recorder received it [ns]."""
+
+    topic: str
+    kind: MessageKind
+    received: int
+    data: bytes
+
+
+class McapSink:
+    """Messages into one MCAP file, chunk by chunk; a chunk ends after `chunk_bytes` or by `end_chunk`."""
+
+    def __init__(self, stream: Any, chunk_bytes: int) -> None:
+        self._writer: Any = Writer(stream, chunk_bytes, CompressionType.ZSTD)
+        self._writer.start("ros1")
+        self._schemas: dict[tuple[str, str], int] = {}
+        self._channels: dict[tuple[str, MessageKind], int] = {}
+        self.attach = self._writer.add_attachment
+
+    def add(self, message: StoredMessage) -> None:
+        """Adds a message to the open chunk."""
+        topic, kind = message.topic, message.kind
+        if (topic, kind) not in self._channels:
+            if (kind.name, kind.definition) not in self._schemas:
+                schema = self._writer.register_schema(kind.name, "ros1msg", kind.definition.encode())
+                self._schemas[kind.name, kind.definition] = schema
+            known = {"md5sum": kind.md5sum, "topic": topic, **({"latching": "1"} if kind.is_latched else {})}
+            channel = self._writer.register_channel(topic, "ros1", self._schemas[kind.name, kind.definition], known)
+            self._channels[topic, kind] = channel
+        self._writer.add_message(self._channels[topic, kind], message.received, message.data, message.received)
+
+    def end_chunk(self) -> None:
+        """Completes the open chunk. The library does so by size only; requirements.txt pins it."""
+        self._writer._Writer__finalize_chunk()
+
+    def finish(self) -> None:
+        """Completes the last chunk and writes the index."""
+        self._writer.finish()
+
+
+class _Pending:
+    """A file to which whole chunks go: bytes wait until `commit` has them on the disk."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        self._waiting = bytearray()
+        self._sha = hashlib.sha256()
+        self.size = 0  # on the disk
+
+    def write(self, data: bytes) -> int:
+        self._waiting += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size + len(self._waiting)
+
+    def commit(self) -> None:
+        """Writes and syncs; after an OSError nothing of what waited counts as written, and all of it still waits."""
+        data = memoryview(bytes(self._waiting))
+        written = 0
+        try:
+            while written < len(data):
+                written += os.write(self._file, data[written:])
+            os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self.size)
+            os.lseek(self._file, self.size, os.SEEK_SET)
+            raise
+        self._sha.update(data)
+        self.size += len(data)
+        self._waiting.clear()
+
+    def close(self) -> str:
+        """Closes the file and returns the hash of what is on the disk."""
+        os.close(self._file)
+        return self._sha.hexdigest()
+
+
+class RecordingWriter:
+    """Writes a recording; one thread calls it.
+
+    Args:
+        folder: must not exist; it is made.
+        about: entries of the manifest.
+        files: content of further files, by name.
+        reserve: bytes that are kept free for the end.
+
+    Raises RecordingFault if the folder exists or cannot be written.
+    """
+
+    def __init__(
+        self, folder: Path, about: Mapping[str, Any], files: Mapping[str, bytes], now: int, reserve: int = RESERVE_BYTES
+    ) -> None:
+        self._folder = folder
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError as error:
+            raise RecordingFault(
+                f"{folder} exists already, and nothing is overwritten; choose another name."
+            ) from error
+        except OSError as error:
+            raise RecordingFault(f"{folder} cannot be made: {error.strerror}.") from error
+        self._topics: Counter[str] = Counter()
+        hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+        self._manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, **about}
+        self._manifest.update(start_ns=now, end_ns=None, complete=False, ended_by="", files=hashes)
+        try:
+            for name, content in files.items():
+                write_whole(folder / name, content)
+            self._write_manifest()
+            self._spare = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+            os.posix_fallocate(self._spare.fileno(), 0, reserve)
+            self._file = _Pending(folder / MESSAGES)
+        except OSError as error:
+            raise RecordingFault(f"Nothing can be recorded in {folder}: {error.strerror}.") from error
+        self._sink = McapSink(self._file, UNBOUNDED)
+
+    @property
+    def size(self) -> int:
+        """Bytes of messages on the disk."""
+        return self._file.size
+
+    def add(self, message: StoredMessage) -> None:
+        """Adds a message, which `flush` brings to the disk."""
+        self._topics[message.topic] += 1
+        self._sink.add(message)
+
+    def flush(self) -> None:
+        """Brings all messages so far to the disk. Raises OSError if the disk does not take them; then `close`."""
+        self._sink.end_chunk()
+        self._file.commit()
+
+    def close(self, now: int, ended_by: str, dropped: Mapping[str, int]) -> None:
+        """Completes the recording, also on a full disk. Raises RecordingFault if not even the index could be written;
+        what was flushed stays readable.
+        """
+        self._spare.close()
+        self._manifest.update(ended_by=ended_by, dropped=dict(dropped))
+        try:
+            self._sink.finish()
+            self._file.commit()
+            complete = True
+        except OSError:
+            complete = False
+        digest = self._file.close()
+        if complete:
+            self._manifest["files"][MESSAGES] = digest
+            self._manifest.update(end_ns=now, complete=True, topics=dict(sorted(self._topics.items())))
+        try:
+            self._write_manifest()
+        except OSError:
+            complete = False
+        if not complete:
+            raise RecordingFault(f"{self._folder} could not be completed: the end of {MESSAGES} is missing.")
+
+    def _write_manifest(self) -> None:
+        write_whole(self._folder / MANIFEST, json.dumps(self._manifest, indent=1) + "\n")
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Returns the manifest; raises RecordingFault if it does not have this format."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingFault(
+            f"There is no recording {folder}: {MANIFEST} cannot be read ({error.strerror})."
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise RecordingFault(f"{folder / MANIFEST} is not JSON: {error}.") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise RecordingFault(f"{folder / MANIFEST} is not of a recording of this rig.")
+    if manifest.get("version") != VERSION:
+        raise RecordingFault(f"{folder} has format version {manifest.get('version')!r}, but {VERSION} is read here.")
+    files = manifest.get("files")
+    if not isinstance(files, dict) or not all(Path(str(name)).name == name for name in files):
+        raise RecordingFault(f"{folder / MANIFEST} has no valid list of files.")
+    return manifest
+
+
+def verify(folder: Path) -> tuple[dict[str, Any], str]:
+    """Returns the manifest, and a sentence if the recording was not completed, else "".
+
+    Raises RecordingFault if a file is missing or not the one that was recorded.
+    """
+    manifest = read_manifest(folder)
+    for name, expected in manifest["files"].items():
+        try:
+            found = _sha256(folder / name)
+        except OSError as error:
+            raise RecordingFault(f"{folder / name} cannot be read: {error.strerror}.") from error
+        if found != expected:
+            raise RecordingFault(f"{folder / name} was changed since it was recorded: its hash differs.")
+    if manifest.get("complete") is True and MESSAGES in manifest["files"]:
+        return manifest, ""
+    return (
+        manifest,
+        f"{folder} was not completed (power, kill -9 or a full disk): up to a second is missing at its end.",
+    )
+
+
+def write_mcap(path: Path, stored: Iterable[StoredMessage], attachments: Mapping[str, bytes]) -> int:
+    """Writes messages and files into one MCAP file and returns the number of messages; RecordingFault: it exists, or
+    the disk does not take it.
+    """
+    count = 0
+    try:
+        with open(path, "xb") as file:
+            sink = McapSink(file, CHUNK_BYTES)
+            for name, content in attachments.items():
+                sink.attach(0, 0, name, "application/json" if name.endswith(".json") else "application/yaml", content)
+            for message in stored:
+                sink.add(message)
+                count += 1
+            sink.finish()
+    except OSError as error:
+        raise RecordingFault(f"{path} cannot be written: {error.strerror}.") from error
+    return count
+
+
+def _sha256(path: Path) -> str:
+    sha = hashlib.sha256()
+    with open(path, "rb") as file:
+        for part in iter(lambda: file.read(READ_BYTES), b""):
+            sha.update(part)
+    return sha.hexdigest()
+
+
+def messages(path: Path) -> Iterator[StoredMessage]:
+    """Yields the messages of an MCAP file in the order of their receipt, up to where the file is whole.
+
+    Raises RecordingFault if the file cannot be read.
+    """
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[str, MessageKind]] = {}
+    try:
+        file = open(path, "rb")  # noqa: SIM115
+    except OSError as error:
+        raise RecordingFault(f"{path} cannot be read: {error.strerror}.") from error
+    with file:
+        for record in _records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.schema_id in schemas:
+                schema, known = schemas[record.schema_id], record.metadata
+                md5sum, latching = known.get("md5sum", ""), known.get("latching") == "1"
+                channels[record.id] = record.topic, MessageKind(schema.name, schema.data.decode(), md5sum, latching)
+            elif isinstance(record, Message) and record.channel_id in channels:
+                yield StoredMessage(*channels[record.channel_id], record.log_time, record.data)
+
+
+class _Capped:
+    """A file whose `read` asks for no more than there is, whatever length a damaged record claims."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._size = file, os.fstat(file.fileno()).st_size
+
+    def read(self, length: int) -> bytes:
+        return self._file.read(min(length, self._size))
+
+
+def _records(file: BinaryIO) -> Iterator[Any]:
+    """Yields the records of the chunks, up to the first chunk that is not whole."""
+    try:
+        for record in StreamReader(cast(Any, _Capped(file)), emit_chunks=True).records:
+            if isinstance(record, Chunk):
+                yield from breakup_chunk(record, validate_crc=True)
+            elif isinstance(record, Footer):
+                return
+    except (McapError, ValueError, struct.error, zstandard.ZstdError, OSError, MemoryError, OverflowError):
+        return

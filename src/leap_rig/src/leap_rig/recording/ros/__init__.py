@@ -1,0 +1,1 @@
+"""The programs record.py, replay.py and export_recording.py."""

@@ -1,0 +1,94 @@
+"""The program export_recording.py: recordings for others' tools."""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import rospy
+
+import common.errors
+from common.ros.node import run_program
+from leap_rig.recording import lerobot_export, topics
+from leap_rig.recording.recording_files import RecordingFault, folder_of, verify, write_mcap
+from leap_rig.recording.run import between, read
+
+SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
+PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
+ERRORS = (common.errors.RigError, OSError)
+WORKSPACE = Path(__file__).resolve().parents[6]
+
+
+def main() -> None:
+    """Entry point of the script."""
+    options = _parser().parse_args(rospy.myargv()[1:])
+    run_program("export_recording", lambda: export(options), "Interrupted; what was written is not complete.", ERRORS)
+
+
+def export(options: argparse.Namespace) -> int:
+    """Exports and returns the exit code."""
+    folders = [folder_of(name) for name in options.names]
+    for folder in folders:
+        _, remark = verify(folder)
+        if remark:
+            print(remark, file=sys.stderr)
+    if options.lerobot is not None:
+        return _to_lerobot(folders, options)
+    if len(folders) != 1:
+        raise RecordingFault("One file holds one recording; name one.")
+    (folder,) = folders
+    if options.frames is not None:
+        frames = read(folder, options.start, options.end).frames
+        with gzip.open(options.frames, "xt", encoding="utf-8") as lines:
+            lines.writelines(f"{text}\n" for text in frames if '"hands"' in text)
+        print(f"Wrote {len(frames)} frames to {options.frames}.")
+        return 0
+    wanted = topics.recorded("rgbd") if options.topic is None else options.topic
+    files = {file.name: file.read_bytes() for file in sorted(folder.glob("*.[yj]*"))}
+    count = write_mcap(options.mcap, between(folder, wanted, options.start, options.end), files)
+    print(f"Wrote {count} messages to {options.mcap}.")
+    return 0
+
+
+def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
+    if importlib.util.find_spec("lerobot") is not None:
+        lerobot_export.export(folders, options.lerobot, options.fps, options.task)
+    else:
+        if not options.python.is_file():
+            raise RecordingFault(f"LeRobot is not installed: `make lerobot` installs it ({options.python} is missing).")
+        request = {
+            "recordings": [str(folder.resolve()) for folder in folders],
+            "folder": str(options.lerobot.resolve()),
+        }
+        request = {**request, "fps": options.fps, "task": options.task}
+        command = [str(options.python), "-c", PROGRAM, json.dumps(request)]
+        environment = {"PYTHONPATH": ":".join(map(str, SOURCES)), "HF_HUB_OFFLINE": "1", "HOME": str(Path.home())}
+        code = subprocess.run(command, env=environment, check=False).returncode
+        if code:
+            return code
+    print(f"Wrote the dataset {options.lerobot}.")
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="export_recording.py", description="Exports recordings for other tools.")
+    parser.add_argument("names", nargs="+", metavar="NAME", help="recordings; several are episodes of one dataset")
+    to = parser.add_mutually_exclusive_group(required=True)
+    to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
+    to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
+    to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
+    parser.add_argument("--fps", type=int, default=30, help="rows a second of the dataset (default: 30)")
+    parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
+    python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
+    parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)
+    parser.add_argument("--topic", nargs="*", help="topics of the MCAP file (default: all that record.py stores)")
+    parser.add_argument(
+        "--from", dest="start", type=float, default=0.0, metavar="S", help="of the MCAP file: begin there"
+    )
+    parser.add_argument("--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, in seconds")
+    return parser

@@ -1,0 +1,270 @@
+"""The program record.py: a run of the rig into one folder, from a process of its own that no controller waits for."""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import platform
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import rospkg
+import rospy
+import yaml
+
+from common.errors import RigError
+from common.ros.node import run_program
+from kuka_control.ros.parameter_server import master_of_this_graph
+from leap_motion.ros.registrations import registration_file
+from leap_rig.recording.fingerprint import fingerprint
+from leap_rig.recording.recording_files import (
+    PARAMETERS,
+    MessageKind,
+    RecordingWriter,
+    StoredMessage,
+    folder_of,
+)
+from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
+from leap_rig.ros.live_status import CLEAR_LINE
+
+FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
+QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped
+READ_BYTES = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
+LARGEST_FILE = 2**20  # a larger file is no calibration
+SUFFIXES = (".yaml", ".yml", ".json")
+SECRETS = ("code", "password", "token")
+PACKAGES = ("leap_rig", "kuka_control", "leap_kuka", "leap_hand", "leap_motion", "reflex", "vision", "grasping")
+LINE_S = 5.0  # between two lines where the output is no terminal
+GIT_S = 5.0
+
+
+class Inbox:
+    """Messages that wait for the disk, as bytes; the newest are dropped beyond `limit` bytes."""
+
+    def __init__(self, limit: int = QUEUE_BYTES) -> None:
+        self._limit, self._bytes = limit, 0
+        self._lock = threading.Lock()
+        self._waiting: list[StoredMessage] = []
+        self._start, self._zero = time.time_ns(), time.monotonic_ns()
+        self.received: Counter[str] = Counter()
+        self.dropped: Counter[str] = Counter()
+
+    @property
+    def now(self) -> int:
+        """The time [ns]; a step of the clock during a recording does not matter."""
+        return self._start + time.monotonic_ns() - self._zero
+
+    def put(self, topic: str, kind: MessageKind, data: bytes) -> None:
+        """Adds a message that came now."""
+        with self._lock:
+            self.received[topic] += 1
+            if self._bytes + len(data) > self._limit:
+                self.dropped[topic] += 1
+                return
+            self._bytes += len(data)
+            self._waiting.append(StoredMessage(topic, kind, self.now, data))
+
+    def take(self) -> list[StoredMessage]:
+        """Returns what waits, in the order in which it came."""
+        with self._lock:
+            taken, self._waiting, self._bytes = self._waiting, [], 0
+        return taken
+
+
+def main() -> None:
+    """Entry point of the script."""
+    options = _parser().parse_args(rospy.myargv()[1:])
+    run_program("record", lambda: record(options), "Interrupted before anything was recorded.")
+
+
+def record(options: argparse.Namespace) -> int:
+    """Records until Ctrl-C, the end of the time, or a full disk; returns the exit code."""
+    folder = folder_of(options.name)
+    master_of_this_graph()
+    rospy.init_node("leap_rig_record", anonymous=True, disable_signals=True)
+    parameters = rospy.get_param("/")
+    inbox = Inbox()
+    writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
+    for topic in dict.fromkeys((*recorded(options.camera), *map(_absolute, options.topic))):
+        _subscribe(topic, inbox)
+    live, ended_by, began = _LiveLine(inbox, writer), "", time.monotonic()
+    interrupted = threading.Event()
+    # An exception in the midst of a write would leave a file that differs from its hash.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: interrupted.set())
+    try:
+        while not ended_by:
+            if interrupted.wait(FLUSH_S):
+                ended_by = "Ctrl-C"
+            _store(inbox, writer)
+            live.update(time.monotonic() - began)
+            if not ended_by and options.seconds is not None and time.monotonic() - began >= options.seconds:
+                ended_by = f"the end of {options.seconds:g} s"
+    except OSError as error:
+        return _end(writer, inbox, live, f"{error.strerror}, so the recording ends; the rig runs on", folder, 1)
+    return _end(writer, inbox, live, ended_by, folder, 0)
+
+
+def _store(inbox: Inbox, writer: RecordingWriter) -> None:
+    for message in inbox.take():
+        writer.add(message)
+    writer.flush()
+
+
+def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, folder: Path, code: int) -> int:
+    now, dropped = inbox.now, dict(inbox.dropped)
+    live.finish()
+    if code:
+        print(f"record: {ended_by}.", file=sys.stderr)
+    writer.close(now, ended_by, dropped)
+    print(f"Recorded {sum(inbox.received.values()) - sum(dropped.values())} messages in {folder}, {live.text}.")
+    if dropped:
+        lost = ", ".join(f"{count} of {topic}" for topic, count in dropped.items())
+        print(f"record: the disk was too slow: {lost} are missing.", file=sys.stderr)
+    return code
+
+
+def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
+    kinds: dict[tuple[str, str], MessageKind] = {}
+
+    def take(message: rospy.AnyMsg) -> None:
+        header = message._connection_header
+        key = header["md5sum"], header.get("latching", "0")
+        if key not in kinds:
+            kinds[key] = MessageKind(header["type"], header["message_definition"], key[0], key[1] == "1")
+        inbox.put(topic, kinds[key], message._buff)
+
+    return rospy.Subscriber(topic, rospy.AnyMsg, take, buff_size=READ_BYTES)
+
+
+class _LiveLine:
+    """What is recorded, each second on a terminal."""
+
+    def __init__(self, inbox: Inbox, writer: RecordingWriter) -> None:
+        self._inbox, self._writer = inbox, writer
+        self._terminal = sys.stdout.isatty()
+        self._before: Mapping[str, int] = {}
+        self._at = self._next = 0.0
+        self.text = "0 s"
+
+    def update(self, seconds: float) -> None:
+        """Prints the line if it is due; `seconds` since the start."""
+        self.text = f"{seconds:.0f} s, {self._writer.size / 1e6:.1f} MB"
+        if seconds < self._next:
+            return
+        received = dict(self._inbox.received)
+        rates = ((name, received.get(topic, 0) - self._before.get(topic, 0)) for name, topic in RATES)
+        passed = max(seconds - self._at, 1e-3)
+        parts = [self.text, *(f"{name} {count / passed:.0f}/s" for name, count in rates)]
+        parts.append(f"dropped {sum(self._inbox.dropped.values())}")
+        line = " | ".join([*parts, "Ctrl-C ends"])
+        print(f"{CLEAR_LINE}{line}" if self._terminal else line, end="" if self._terminal else "\n", flush=True)
+        self._before, self._at = received, seconds
+        self._next = seconds + (1.0 if self._terminal else LINE_S)
+
+    def finish(self) -> None:
+        """Ends the live line."""
+        if self._terminal:
+            print()
+
+
+RATES = (("frames", RAW_FRAMES), ("goal messages", SENT_GOALS), ("transforms", "/tf"))
+
+
+def _absolute(topic: str) -> str:
+    return topic if topic.startswith("/") else f"/{topic}"
+
+
+def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
+    kuka = parameters.get("kuka", {})
+    kuka = kuka if isinstance(kuka, dict) else {}
+    robot = {"address": f"{kuka.get('ip', '')}:{kuka.get('port', '')}", **fingerprint(kuka, file_hash)}
+    return {
+        "name": folder_of(options.name).name,
+        "task": options.task,
+        "camera": options.camera,
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "robot": robot,
+        "versions": _versions(),
+    }
+
+
+def file_hash(path: str) -> str:
+    """Returns the SHA-256 of a file, or a sentence if it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        return f"{path} cannot be read: {error.strerror}"
+
+
+def _versions() -> dict[str, Any]:
+    packages = rospkg.RosPack()
+    try:
+        here = Path(__file__).resolve().parent
+        git = subprocess.run(
+            ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, timeout=GIT_S
+        ).stdout.strip()
+    except (OSError, subprocess.TimeoutExpired):
+        git = ""
+    return {
+        "git": git,
+        "packages": {name: packages.get_manifest(name).version for name in PACKAGES},
+        "ros": os.environ.get("ROS_DISTRO", ""),
+        "python": platform.python_version(),
+        "host": platform.node(),
+    }
+
+
+def _files(parameters: dict[str, Any]) -> dict[str, bytes]:
+    """Returns the parameters, without secrets, and the files that they name, such as calibrations, by name."""
+    files = {}
+    for name, value in _leaves("", parameters):
+        path = registration_of(value) if name.endswith(".registration") else Path(value)
+        if path is not None and path.is_absolute() and path.suffix in SUFFIXES:
+            try:
+                if path.is_file() and path.stat().st_size <= LARGEST_FILE:
+                    files[f"{name}{path.suffix}"] = path.read_bytes()
+            except OSError as error:
+                print(f"record: {path} is left out: {error.strerror}.", file=sys.stderr)
+    files[PARAMETERS] = yaml.safe_dump(_without_secrets(parameters)).encode()
+    return files
+
+
+def registration_of(name: str) -> Path | None:
+    """Returns the file of a tracker's registration; None if no file can have that name."""
+    try:
+        return registration_file(name)
+    except RigError:
+        return None
+
+
+def _leaves(name: str, value: Any) -> list[tuple[str, str]]:
+    if isinstance(value, dict):
+        return [leaf for key, below in value.items() for leaf in _leaves(f"{name}.{key}" if name else str(key), below)]
+    return [(name, value)] if isinstance(value, str) and 0 < len(value) < 4096 and "\n" not in value else []
+
+
+def _without_secrets(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: "(left out)" if k in SECRETS and v else _without_secrets(v) for k, v in value.items()}
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="record.py", description="Records a run of the rig; Ctrl-C ends it.")
+    parser.add_argument("name", help="of the recording, in ~/.ros/leap_rig/recordings; or a path, with a slash")
+    parser.add_argument("--camera", choices=CAMERA, default="off", help="images to record (default: off)")
+    parser.add_argument("--seconds", type=float, help="record for so long; without it until Ctrl-C")
+    parser.add_argument("--task", default="", help="what is done, in a sentence; exports to LeRobot need it")
+    parser.add_argument("--topic", nargs="*", default=[], help="further topics")
+    parser.add_argument("--reserve", type=int, default=16 * 2**20, help=argparse.SUPPRESS)
+    return parser

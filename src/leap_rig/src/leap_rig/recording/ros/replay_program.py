@@ -1,0 +1,315 @@
+"""The program replay.py: a recording in RViz, as a tracker for the whole chain, or as a motion of the robot."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import rosgraph
+import roslib.message
+import rospy
+import yaml
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from common.errors import RigError
+from common.frames import BASE
+from common.ros.conversions import stamped_pose
+from common.ros.node import run_program
+from kuka_control.model.rig import Rig
+from kuka_control.ros.move_program import carry_out
+from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, master_of_this_graph, parameters
+from kuka_msgs.msg import MoveGoal
+from leap_motion.codec import DeviceEvent, LeapProtocolError, read_message
+from leap_motion.service.server import LeapService, LeapServiceError
+from leap_rig.recording.fingerprint import controller_config, differences, fingerprint
+from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, folder_of, verify
+from leap_rig.recording.ros.record_program import file_hash
+from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
+from leap_rig.recording.topics import CAMERA, DRIVING, VIEW
+from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
+
+SLOWLY = 0.2  # rate of the first pass on the robot
+SHARE = 0.95  # of tcp_speed, for the fastest line
+CHECK_S = 0.5  # a controller that starts during --view is seen after this time
+CLIENT_S = 60.0  # a driver is waited for so long
+AFTER_S = 0.5  # the service sends nothing for so long before it ends
+POLL_S = 0.05
+MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", "/reflex_takktile/disable_torque")
+"""Services of what moves an arm or a hand."""
+DESCRIPTION = "robot_description"
+AGREED = "yes"
+
+
+def main() -> None:
+    """Entry point of the script."""
+    options = _parser().parse_args(rospy.myargv()[1:])
+    run_program("replay", lambda: replay(options), "The replay was interrupted.", (RigError, LeapServiceError))
+
+
+def replay(options: argparse.Namespace) -> int:
+    """Checks the files and plays; returns the exit code."""
+    folder = folder_of(options.name)
+    manifest, remark = verify(folder)
+    if remark:
+        print(remark, file=sys.stderr)
+    if options.view:
+        return view(folder, options)
+    if options.tracker:
+        return serve(folder, options)
+    return move(folder, manifest, options)
+
+
+# RViz
+
+
+def view(folder: Path, options: argparse.Namespace) -> int:
+    """Publishes what RViz draws, where nothing can move."""
+    master = master_of_this_graph()
+    _refuse_movers(master)
+    rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
+    _describe(folder)
+    player = _Player(options.rate)
+    print(f"Plays {folder}; open RViz with: rviz -d $(rospack find leap_rig)/rviz/rig.rviz")
+    checked = time.monotonic()
+    images = [topic for topics in CAMERA.values() for topic in topics]
+    for message, due in _paced(between(folder, (*VIEW, *images), options.start, options.end), options.rate):
+        while True:
+            now = time.monotonic()
+            if now - checked > CHECK_S:
+                checked = now
+                _refuse_movers(master)
+            if due <= now:
+                break
+            time.sleep(min(due - now, CHECK_S))
+        player.publish(message)
+    return 0
+
+
+def _paced(messages: Iterable[StoredMessage], rate: float) -> Iterator[tuple[StoredMessage, float]]:
+    """Yields messages with their times [s, monotonic]; what a latched topic said before the start comes first."""
+    began, first = time.monotonic(), None
+    for message in messages:
+        if not message.kind.is_latched:
+            first = message.received if first is None else first
+        yield message, began + (0.0 if first is None else 1e-9 * (message.received - first) / rate)
+
+
+def _refuse_movers(master: rosgraph.Master) -> None:
+    """Raises RecordingFault where a controller or a driver runs: a view belongs on a master without a rig."""
+    services = {name: nodes for name, nodes in master.getSystemState()[2] if name in MOVERS}
+    if services:
+        nodes = ", ".join(sorted({node for names in services.values() for node in names}))
+        raise RecordingFault(
+            f"{nodes} runs on this ROS master, so nothing is shown here: the view would mix with the real state. "
+            "Use a master of its own: ROS_MASTER_URI=http://localhost:11312 for roscore -p 11312, RViz and replay.py."
+        )
+
+
+def _describe(folder: Path) -> None:
+    """Sets the robot description of the recording for RViz, unless one is set already."""
+    if not rospy.has_param(DESCRIPTION):
+        recorded = yaml.safe_load((folder / PARAMETERS).read_text(encoding="utf-8"))
+        if isinstance(recorded, dict) and isinstance(recorded.get(DESCRIPTION), str):
+            rospy.set_param(DESCRIPTION, recorded[DESCRIPTION])
+
+
+class _Player:
+    """Publishes recorded messages with stamps of now; frames that steer an arm get another name."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._first: rospy.Time | None = None
+        self._begin = rospy.Time.now()
+        self._publishers: dict[str, rospy.Publisher | None] = {}
+        self._static: dict[str, object] = {}
+
+    def publish(self, message: StoredMessage) -> None:
+        """Publishes one message; a topic whose type is not this workspace's is left out, with a sentence."""
+        topic, kind = message.topic, message.kind
+        if topic not in self._publishers:
+            found = roslib.message.get_message_class(kind.name)
+            if found is None or found._md5sum != kind.md5sum:
+                print(f"replay: {topic} is left out: {kind.name} is another message here.", file=sys.stderr)
+                self._publishers[topic] = None
+            else:
+                publisher = rospy.Publisher(topic, found, latch=kind.is_latched, queue_size=100)
+                self._publishers[topic] = publisher
+        publisher = self._publishers[topic]
+        if publisher is None:
+            return
+        value = publisher.data_class().deserialize(message.data)
+        self._restamp(value)
+        if isinstance(value, TFMessage):
+            for transform in value.transforms:
+                transform.child_frame_id = _harmless(transform.child_frame_id)
+                transform.header.frame_id = _harmless(transform.header.frame_id)
+            if kind.is_latched:  # one latched message holds what several nodes sent
+                self._static.update((t.child_frame_id, t) for t in value.transforms)
+                value = TFMessage(list(self._static.values()))
+        publisher.publish(value)
+
+    def _restamp(self, value: object) -> None:
+        if isinstance(value, Header):
+            if value.stamp:
+                self._first = self._first or value.stamp
+                after = (value.stamp - self._first).to_sec() / self._rate
+                value.stamp = self._begin + rospy.Duration.from_sec(after)
+        elif isinstance(value, list):
+            if value and hasattr(value[0], "__slots__"):
+                for item in value:
+                    self._restamp(item)
+        elif hasattr(value, "__slots__"):
+            for slot in value.__slots__:
+                self._restamp(getattr(value, slot))
+
+
+def _harmless(frame: str) -> str:
+    return f"recorded/{frame}" if frame in DRIVING else frame
+
+
+# Tracker
+
+
+def serve(folder: Path, options: argparse.Namespace) -> int:
+    """Serves the raw frames as the Leap service did, at their pace, to the driver."""
+    run = read(folder, options.start, options.end)
+    if not run.frames:
+        raise RecordingFault(f"{folder} has no tracker frames in this time.")
+    version, serial = _service(folder)
+    service = LeapService("127.0.0.1", options.port, "2.3" if version.startswith("2") else "gemini", version, serial)
+    thread = threading.Thread(target=service.run, name="service", daemon=True)
+    thread.start()
+    try:
+        print(f"Serves {len(run.frames)} frames on 127.0.0.1:{service.port}; the arm follows them if control is on.")
+        deadline = time.monotonic() + CLIENT_S
+        while not service.clients:
+            if time.monotonic() > deadline:
+                raise RecordingFault(f"Nobody connected to port {service.port} within {CLIENT_S:g} s.")
+            time.sleep(POLL_S)
+        time.sleep(AFTER_S)
+        _send(run, service, options.rate)
+        time.sleep(AFTER_S)
+    finally:
+        service.stop()
+        thread.join(2.0)
+    print(f"Sent {service.sent} frames; {service.lost} were not taken in time.")
+    return 0
+
+
+def _send(run: RecordedRun, service: LeapService, rate: float) -> None:
+    begin = time.monotonic()
+    for text, received in zip(run.frames, run.frame_times):
+        time.sleep(max(begin + (received - run.frame_times[0]) / rate - time.monotonic(), 0.0))
+        event = _event(text)
+        if event is not None:
+            service.plug(event.attached)
+        else:
+            service.offer(text if rate == 1.0 else _at_pace(text, rate))
+
+
+def _event(text: str) -> DeviceEvent | None:
+    if '"event"' not in text:
+        return None
+    try:
+        message = read_message(text)
+    except LeapProtocolError:
+        return None
+    return message if isinstance(message, DeviceEvent) else None
+
+
+def _at_pace(text: str, rate: float) -> str:
+    """Returns the frame with its device time slowed; a text that is no frame as it is."""
+    try:
+        frame = json.loads(text)
+        return json.dumps({**frame, "timestamp": int(frame["timestamp"] / rate)}, separators=(",", ":"))
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return text
+
+
+def _service(folder: Path) -> tuple[str, str]:
+    """Returns version and serial of the service, as the driver reported them; empty where it did not know."""
+    decode, known = MessageDecoders(), {}
+    for message in between(folder, ["/diagnostics"], 0.0, float("inf")):
+        for status in decode(message)["status"]:
+            if status["name"] == "leap_motion":
+                known.update((pair["key"], pair["value"]) for pair in status["values"])
+    version, serial = known.get("service_version", ""), known.get("serial", "")
+    return version if re.match(r"\d", version) else "", "" if serial == "unknown" else serial
+
+
+# Robot
+
+
+def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
+    """Moves the robot along the recorded path by kuka/move: first slowly, then at the rate; each pass is agreed to."""
+    values = parameters("kuka")
+    found = differences(manifest.get("robot"), fingerprint(values, file_hash))
+    if found:
+        raise RecordingFault("\n".join(["Nothing moves, because this is not the robot of the recording:", *found]))
+    config = controller_config(values)
+    fastest = SHARE * getattr(config, "tcp_speed", 0.0)
+    if not fastest:
+        raise RecordingFault("Nothing moves: straight lines need the real-time controller.")
+    run = read(folder, options.start, options.end)
+    kinematics = Rig.of(config, dh_deviations(config), guard_obstacles(config)).kinematics
+    motions = streamed_motions(run.goal_times, run.goals, run.goal_velocities, kinematics.forward)
+    if not motions:
+        raise RecordingFault(f"{folder} has no goals of a moving arm in this time.")
+    rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
+    print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
+    for rate in sorted({min(SLOWLY, options.rate), min(options.rate, 1.0)}):
+        goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest)]
+        print(
+            f"The arm carries out {len(goals)} motions, at {rate:g} of the recorded pace; PTP to where a stream began."
+        )
+        if input(f"Is the space around the arm free, and is a hand at the stop? Type {AGREED}: ").strip() != AGREED:
+            print("Cancelled; nothing moved.")
+            return 1
+        for number, goal in enumerate(goals, 1):
+            result, interrupted = carry_out(goal)
+            if interrupted:
+                raise KeyboardInterrupt
+            if not result.success:
+                raise RecordingFault(f"The replay ends before motion {number} of {len(goals)}: {result.message}")
+    print("The arm is at the end of the recording.")
+    return 0
+
+
+def _move_goals(motion: StreamedMotion, rate: float, fastest: float) -> list[MoveGoal]:
+    goals = [MoveGoal(kind=MoveGoal.JOINTS, joints=motion.q_start.tolist())]
+    for line in lines_along(motion.times, motion.poses, rate, fastest):
+        pose = stamped_pose(line.T_base_tool, BASE, rospy.Time(0))
+        goals.append(MoveGoal(kind=MoveGoal.POSE, pose=pose, straight=True, velocity=line.velocity))
+    return goals
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="replay.py", description="Plays a recording; its hashes are checked first.")
+    parser.add_argument("name", help="of the recording in ~/.ros/leap_rig/recordings; or a path, with a slash")
+    how = parser.add_mutually_exclusive_group(required=True)
+    how.add_argument("--view", action="store_true", help="in RViz, on a ROS master without a rig")
+    how.add_argument("--tracker", action="store_true", help="as a Leap service, for leap_driver and the whole chain")
+    how.add_argument("--robot", action="store_true", help="the arm's motion, first slowly; asks before each pass")
+    parser.add_argument("--rate", type=_rate, default=1.0, metavar="FACTOR", help="pace, 0.1 to 10; --robot at most 1")
+    parser.add_argument(
+        "--from", dest="start", type=float, default=0.0, metavar="S", help="begin so long after the start"
+    )
+    parser.add_argument(
+        "--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, seconds after the start"
+    )
+    parser.add_argument("--port", type=int, default=6437, help="of --tracker; 0: any free one")
+    return parser
+
+
+def _rate(text: str) -> float:
+    value = float(text)
+    if not 0.1 <= value <= 10.0:
+        raise argparse.ArgumentTypeError(f"{text} is not between 0.1 and 10")
+    return value

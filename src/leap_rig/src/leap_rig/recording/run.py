@@ -1,0 +1,133 @@
+"""A recording as arrays, for tests, exports and replays. Times are seconds since the epoch, poses shape (n, 4, 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from common.frames import BASE, TOOL_DESIRED
+from common.poses import pose
+from common.rotations import rotation_from_quaternion
+from leap_rig.recording import topics
+from leap_rig.recording.recording_files import MESSAGES, MessageKind, StoredMessage, messages, verify
+from leap_rig.recording.ros1 import decoder
+
+ENCODED_DESIRED = TOOL_DESIRED.encode()
+READ = (topics.RAW_FRAMES, topics.SENT_GOALS, topics.JOINTS, topics.HAND_STATE, topics.HAND_COMMAND, topics.TF)
+MAX_CHAIN = 10  # transforms from a frame to the base
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedRun:
+    """What `read` found; arrays without a message have length 0."""
+
+    manifest: dict[str, Any]
+    remark: str  # about a recording that was not completed; else empty
+    frames: tuple[str, ...]  # texts of the Leap service, frames and device events, as they came
+    frame_times: np.ndarray  # when the driver received each, shape (n,)
+    desired: np.ndarray  # T_base_tool, the desired tool frame, shape (n, 4, 4) [m]
+    desired_times: np.ndarray  # its stamps, shape (n,)
+    goals: np.ndarray  # as sent to the robot, shape (n, 7) [rad]
+    goal_times: np.ndarray  # when they were sent, shape (n,)
+    goal_velocities: np.ndarray  # of PTP motions, fraction of the full joint speed, shape (n,); 0: a servo goal
+    joints: np.ndarray  # measured, shape (n, 7) [rad]
+    joint_times: np.ndarray
+    hand: np.ndarray  # motor angles of index, middle, thumb and spread, shape (n, 4) [rad]
+    hand_times: np.ndarray  # when the recorder received them: the message has no stamp
+    hand_commands: np.ndarray  # likewise
+    hand_command_times: np.ndarray
+
+
+class MessageDecoders:
+    """Decodes stored messages; each type's definition is read once."""
+
+    def __init__(self) -> None:
+        self._decoders: dict[MessageKind, Callable[[bytes], dict[str, Any]]] = {}
+
+    def __call__(self, message: StoredMessage) -> dict[str, Any]:
+        """Returns the fields of a message; raises MessageFault."""
+        if message.kind not in self._decoders:
+            self._decoders[message.kind] = decoder(message.kind.name, message.kind.definition)
+        return self._decoders[message.kind](message.data)
+
+
+def between(folder: Path, wanted: Iterable[str], start: float, end: float) -> Iterator[StoredMessage]:
+    """Yields the messages of the `wanted` topics that were received between `start` and `end` [s] after the start of
+    the recording; of latched topics also those before.
+    """
+    names, first = set(wanted), None
+    for message in messages(folder / MESSAGES):
+        first = message.received if first is None else first
+        after = 1e-9 * (message.received - first)
+        if after > end:
+            return
+        if message.topic in names and (after >= start or message.kind.is_latched):
+            yield message
+
+
+def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> RecordedRun:
+    """Returns a recording, or what was received between `start` and `end` [s] after its start.
+
+    Raises RecordingFault, of a file that is missing or was changed, or MessageFault.
+    """
+    manifest, remark = verify(folder)
+    decode = MessageDecoders()
+    found: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in READ}
+    velocities: list[float] = []
+    for message in between(folder, READ, start, end):
+        if message.topic == topics.TF and ENCODED_DESIRED not in message.data:
+            continue
+        value, rows = decode(message), found[message.topic]
+        if message.topic == topics.RAW_FRAMES:
+            rows.append((value["received"], value["text"]))
+        elif message.topic == topics.SENT_GOALS:
+            rows.extend(zip(value["sent"].tolist(), value["joints"].reshape(-1, 7)))
+            velocities.extend(value["velocity"].tolist())
+        elif message.topic == topics.JOINTS:
+            rows.append((value["header"]["stamp"], [value[f"joint_{i}"] for i in range(1, 8)]))
+        elif message.topic == topics.HAND_STATE:
+            rows.append((message.received, [motor["joint_angle"] for motor in value["motor"]]))
+        elif message.topic == topics.HAND_COMMAND:
+            rows.append((message.received, value["radian_commands"]))
+        else:
+            rows.extend(pose_in_base(value["transforms"], TOOL_DESIRED))
+
+    def arrays(topic: str, *shape: int) -> tuple[np.ndarray, np.ndarray]:
+        values = np.array([row for _, row in found[topic]], dtype=float).reshape(-1, *shape)
+        return values, _seconds([time for time, _ in found[topic]])
+
+    frames = found[topics.RAW_FRAMES]
+    return RecordedRun(
+        manifest, remark, tuple(text for _, text in frames), _seconds([time for time, _ in frames]),
+        *arrays(topics.TF, 4, 4), *arrays(topics.SENT_GOALS, 7), np.array(velocities, dtype=float),
+        *arrays(topics.JOINTS, 7), *arrays(topics.HAND_STATE, 4), *arrays(topics.HAND_COMMAND, 4),
+    )  # fmt: skip
+
+
+def _seconds(nanoseconds: list[int]) -> np.ndarray:
+    return np.array(nanoseconds, dtype=np.int64) * 1e-9
+
+
+def pose_in_base(transforms: Iterable[dict[str, Any]], frame: str) -> list[tuple[int, np.ndarray]]:
+    """Returns the stamp [ns] of a frame and its pose in the base, shape (4, 4) [m]; nothing if the transforms of this
+    message do not lead to the base, or one of them is no pose.
+    """
+    by_child = {transform["child_frame_id"]: transform for transform in transforms}
+    T, name = np.eye(4), frame
+    for _ in range(MAX_CHAIN):
+        if name == BASE:
+            return [(by_child[frame]["header"]["stamp"], T)]
+        if name not in by_child:
+            return []
+        value = by_child[name]["transform"]
+        p, q = value["translation"], value["rotation"]
+        try:
+            T = pose(rotation_from_quaternion([q[i] for i in "xyzw"]), np.array([p[i] for i in "xyz"])) @ T
+        except ValueError:
+            return []
+        name = by_child[name]["header"]["frame_id"]
+    return []

@@ -1,0 +1,40 @@
+"""What a recording holds: topics by purpose."""
+
+from __future__ import annotations
+
+from common.frames import FLANGE_DESIRED, HAND, TOOL_DESIRED
+
+RAW_FRAMES = "/leap_motion/raw_frames"
+SENT_GOALS = "/kuka/sent_goals"
+JOINTS = "/kuka/joint_positions"
+HAND_STATE = "/reflex_takktile/hand_state"
+HAND_COMMAND = "/reflex_takktile/radian_hand_command"
+TF = "/tf"
+COLOR = "/camera/rgb/image_raw"
+DEPTH = "/camera/depth/image"
+
+INPUTS = (RAW_FRAMES, "/leap_kuka/operator_input", "/kuka/move/goal")
+COMMANDS = (SENT_GOALS, HAND_COMMAND, "/reflex_takktile/raw_hand_command", "/kuka/gripper_control")
+STATES = (
+    *(JOINTS, "/kuka/joint_torques_external", "/kuka/joint_torques_measured", "/kuka/flange_force"),
+    *("/kuka/flange_torque", "/kuka/mode", "/kuka/status", "/kuka/guard", "/kuka/move/result", HAND_STATE),
+    *("/leap_kuka/stream", "/leap_kuka/state", "/operator_view/rows", "/grasping/state", "/grasping/outcome"),
+    *("/diagnostics", "/rosout", "/simulation/status", "/simulation/scenario"),
+)
+VIEW = (
+    *(TF, "/tf_static", "/joint_states", "/kuka/workspace", "/kuka/guard_markers", "/leap_kuka/interaction_box"),
+    *("/operator_view/hands", "/operator_view/markers", "/simulation/objects", "/simulation/contacts"),
+)
+"""What RViz draws. None of these topics moves anything, but for frames in /tf (`DRIVING`)."""
+CAMERA = {
+    "off": (),
+    "color": (COLOR, "/camera/rgb/camera_info"),
+    "rgbd": (COLOR, "/camera/rgb/camera_info", DEPTH, "/camera/depth/camera_info"),
+}
+DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND)
+"""Frames that steer an arm, or follow from one that does."""
+
+
+def recorded(camera: str) -> tuple[str, ...]:
+    """Returns the topics of a recording with the images of `camera`, a key of CAMERA."""
+    return (*INPUTS, *COMMANDS, *STATES, *VIEW, *CAMERA[camera])

@@ -1,0 +1,55 @@
+"""Shows the state of the demo in the terminal. Apart from the listener, whose imports take as long as roslaunch's."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from leap_rig.ros.listener import RigListener
+
+CLEAR_LINE = "\r\033[K"
+COMPLAINT = "[${severity}] ${node}: ${message}"
+"""ROSCONSOLE_FORMAT of the nodes."""
+
+
+class LiveStatus:
+    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stdout.isatty()
+        self._period = 0.5 if self._terminal else 5.0
+        self._next = 0.0
+        self._frames = 0
+        self._time = time.monotonic()
+
+    def update(self, listener: RigListener, phase: str) -> None:
+        """Prints the state, at most once a period."""
+        now = time.monotonic()
+        recorder = listener.recorder
+        if now < self._next:
+            return
+        self._next = now + self._period
+        rate = max(recorder.frames - self._frames, 0) / max(now - self._time, 1e-3)
+        self._frames, self._time = recorder.frames, now
+        speed = recorder.counters.get("simulation", {}).get("tcp_speed")
+        hand = "steers" if recorder.streaming else "waits"
+        text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
+        if speed is not None:
+            text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
+        if recorder.scenario is not None:
+            text += f" | {recorder.scenario['step']}"
+        self._print(text + ("" if self._terminal else "\n"))
+
+    def say(self, sentence: str) -> None:
+        """Prints a sentence on a line of its own."""
+        self._print(sentence + "\n")
+
+    def finish(self) -> None:
+        """Ends the live line."""
+        if self._terminal:
+            print()
+
+    def _print(self, text: str) -> None:
+        print(f"{CLEAR_LINE}{text}" if self._terminal else text, end="", flush=True)

@@ -1,0 +1,136 @@
+"""The node operator_view: what the operator sees, for RViz, the control panel and the headset's page, and hears.
+
+It listens only while somebody looks, or with sounds, and reads no more messages than it shows: a callback that takes
+its period makes rospy skip those in between.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import fields
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from common.config import parse
+from common.ros.node import while_running
+from common.ros.on_demand import OnDemand
+from common.ros.params import private_config
+from leap_motion.frames import TrackingFrame
+from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
+from leap_rig.cues import Sounds
+from leap_rig.operator_view import (
+    ArmView,
+    DelayView,
+    GripView,
+    GuardedPair,
+    HandView,
+    OperatorView,
+    OperatorViewConfig,
+    Record,
+    TouchConfig,
+)
+from leap_rig.ros.operator_markers import hand_markers, view_markers
+from leap_rig.ros.speaker import Speaker
+from reflex_msgs.msg import Hand
+from rig_msgs.msg import GuardState, KukaStatus, OperatorRow, TeleopState
+from rig_msgs.msg import OperatorView as OperatorViewMessage
+
+PERIOD_S = 0.1
+SKELETON_PERIOD_S = 1.0 / 15.0
+HEARTBEAT_S = 0.5  # longest time between two messages with the same rows
+BUFFER_BYTES = 2**18  # room for the messages of a period, so that all but the newest are skipped unread
+HAND_TO_ARM = "hand_to_arm_ms"  # key of the measured delay in /diagnostics
+
+
+class OperatorViewNode:
+    """The topics of the view."""
+
+    def __init__(self, config: OperatorViewConfig, touch: TouchConfig) -> None:
+        self._view, self._lock = OperatorView(touch.force_limit_pressure), threading.Lock()
+        self._sounds, self._speaker = Sounds(), Speaker() if config.sounds else None
+        self._listen = OnDemand(self._input_subscribers)
+        self._watch_hands = OnDemand(lambda: [subscribe(self._skeletons, ReceivedSkeletons)])
+        self._published: tuple[object, float] = None, -math.inf
+        self._rows = rospy.Publisher("operator_view/rows", OperatorViewMessage, queue_size=2)
+        self._markers = rospy.Publisher("operator_view/markers", MarkerArray, queue_size=2)
+        self._hands = rospy.Publisher("operator_view/hands", MarkerArray, queue_size=2)
+
+    def step(self) -> None:
+        """Publishes what the operator sees now, to those who look."""
+        looks = any(publisher.get_num_connections() for publisher in (self._rows, self._markers))
+        self._listen(looks or self._speaker is not None)
+        self._watch_hands(self._hands.get_num_connections() > 0)
+        now = time.monotonic()
+        with self._lock:
+            rows, cue, taxels = self._view.rows(now), self._view.cue(now), self._view.taxels(now)
+        sound = self._sounds.step(cue, now)
+        if sound is not None and self._speaker is not None:
+            self._speaker.play(sound)
+        shown, at = self._published
+        if not looks or (rows == shown and now - at < HEARTBEAT_S):
+            return
+        self._published = rows, now
+        if self._markers.get_num_connections():
+            self._markers.publish(view_markers(rows, taxels))
+        if self._rows.get_num_connections():
+            lines = [OperatorRow(r.name, r.text, r.tone.value, r.kind, r.labels, r.values) for r in rows]
+            self._rows.publish(OperatorViewMessage(Header(stamp=rospy.Time.now()), lines))
+
+    def _input_subscribers(self) -> list[rospy.Subscriber]:
+        return [
+            self._subscribe("leap_kuka/state", TeleopState, self._record(HandView)),
+            self._subscribe("kuka/status", KukaStatus, self._record(ArmView)),
+            self._subscribe("kuka/guard", GuardState, self._record(GuardedPair)),
+            self._subscribe("/reflex_takktile/hand_state", Hand, self._grip),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, self._diagnostics, queue_size=20),
+        ]
+
+    @staticmethod
+    def _subscribe(topic: str, kind: type, take: Callable) -> rospy.Subscriber:
+        def callback(message) -> None:
+            take(message)
+            time.sleep(PERIOD_S)
+
+        return rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES)
+
+    def _record(self, kind: type[Record]) -> Callable:
+        names = [field.name for field in fields(kind)]
+        return lambda message: self._take(kind(*(getattr(message, name) for name in names)))
+
+    def _take(self, record) -> None:
+        with self._lock:
+            self._view.take(record, time.monotonic())
+
+    def _grip(self, message: Hand) -> None:
+        angles = [motor.joint_angle for motor in message.motor[:3]]
+        touches = [any(finger.contact) for finger in message.finger]
+        self._take(GripView(angles, [finger.pressure for finger in message.finger], touches))
+
+    def _diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            for item in status.values:
+                if item.key == HAND_TO_ARM:
+                    try:
+                        self._take(DelayView(float(item.value)))
+                    except ValueError:  # nothing was measured yet
+                        continue
+
+    def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
+        self._hands.publish(hand_markers(frame.hands))
+        time.sleep(SKELETON_PERIOD_S)
+
+
+def main() -> None:
+    """Runs the node with its private parameters."""
+    hand = rospy.get_param("leap_hand", {})
+    node = OperatorViewNode(private_config(OperatorViewConfig), parse(TouchConfig, hand, "leap_hand/", others=hand))
+    while not rospy.is_shutdown():
+        with while_running():
+            node.step()
+        time.sleep(PERIOD_S)

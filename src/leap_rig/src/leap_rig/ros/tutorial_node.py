@@ -1,0 +1,151 @@
+"""The node tutorial: watches the rig's topics and leads a visitor, in a window or on the terminal.
+
+Publishes `leap_rig/tutorial` (diagnostic_msgs/DiagnosticStatus, latched): its message is a sentence, its values are
+scenario, step, ticked and failure, as those of simulation/scenario. It commands nothing.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import threading
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from tf2_msgs.msg import TFMessage
+
+from common.config import choice, flag
+from common.frames import BASE, FLANGE_MEASURED
+from common.ros.conversions import pose_from_transform
+from common.ros.params import private_config
+from leap_kuka.config import NONE
+from leap_rig.tutorial import (
+    DONE,
+    ArmRecord,
+    FingersRecord,
+    FlangeRecord,
+    Record,
+    TeleopRecord,
+    Tutorial,
+    TutorialView,
+)
+from leap_rig.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
+from reflex_msgs.msg import Hand
+from rig_msgs.msg import KukaStatus, TeleopState
+
+PERIOD_S = 0.1
+FINGERS = 3
+CLOSED_RAD = np.radians(100.0)  # of a finger of the closed robot hand: the least of leap_hand.yaml
+ENCODED = struct.pack("<I", len(FLANGE_MEASURED)) + FLANGE_MEASURED.encode()
+
+
+@dataclass(frozen=True)
+class TutorialConfig:
+    """The private parameters of the node."""
+
+    language: str = choice("", ENGLISH, GERMAN, doc="of the texts; empty: as LANG says", absent="")
+    window: bool = flag(doc="open a window; false, or without a screen: the terminal", absent=True)
+
+
+class TutorialNode:
+    """Feeds the tutorial and shows its views."""
+
+    def __init__(self, config: TutorialConfig, clutch: bool) -> None:
+        self.texts = TEXTS[language_of(config.language, os.environ.get("LANG", ""))]
+        self._tutorial, self._lock = Tutorial(clutch), threading.Lock()
+        self._flange_at = 0.0
+        self._shown: TutorialView | None = None
+        self._publisher = rospy.Publisher("leap_rig/tutorial", DiagnosticStatus, queue_size=10, latch=True)
+        for topic, kind, callback in (
+            ("leap_kuka/state", TeleopState, self._on_state),
+            ("kuka/status", KukaStatus, self._on_status),
+            ("reflex_takktile/hand_state", Hand, self._on_hand),
+            ("/tf", rospy.AnyMsg, self._on_transforms),
+        ):
+            rospy.Subscriber(topic, kind, callback, queue_size=10)
+
+    def view(self) -> TutorialView:
+        """Returns the present view, after publishing and logging what is new in it."""
+        with self._lock:
+            view = self._tutorial.view(time.monotonic())
+        before, self._shown = self._shown, view
+        for name in view.steps[before.ticked if before else 0 : view.ticked]:
+            self._tell(view, f"✔ {self.texts[f'name_{name}']}")
+        if before is None or before.step != view.step:
+            self._tell(view, self.texts[f"do_{view.step}"])
+        elif view.hint and view.hint != before.hint:
+            self._tell(view, self.texts[f"hint_{view.hint}"])
+        return view
+
+    def _tell(self, view: TutorialView, sentence: str) -> None:
+        rospy.loginfo("%s", sentence)
+        ticked = " ".join(view.steps[: view.ticked])
+        values = {"scenario": "tutorial", "step": view.step, "failure": "", "ticked": ticked}
+        status = DiagnosticStatus(name="tutorial", message=sentence)
+        status.values = [KeyValue(key, value) for key, value in values.items()]
+        self._publisher.publish(status)
+
+    def _take(self, record: Record) -> None:
+        with self._lock:
+            self._tutorial.take(record, time.monotonic())
+
+    def _on_state(self, message: TeleopState) -> None:
+        fulfilled = frozenset(name for name, met in zip(message.conditions, message.fulfilled) if met)
+        self._take(TeleopRecord(message.state, message.follows, message.reason, fulfilled, message.clutched))
+
+    def _on_status(self, message: KukaStatus) -> None:
+        self._take(ArmRecord(message.mode, message.control_on, message.gripper_on, tuple(message.limited_by)))
+
+    def _on_hand(self, message: Hand) -> None:
+        angles = [motor.joint_angle for motor in message.motor[:FINGERS]]
+        self._take(FingersRecord(float(np.mean(angles)) / CLOSED_RAD))
+
+    def _on_transforms(self, message: rospy.AnyMsg) -> None:
+        """Reads ten poses of the flange a second, of the many transforms."""
+        now = time.monotonic()
+        if now - self._flange_at < PERIOD_S or ENCODED not in message._buff:
+            return
+        for transform in TFMessage().deserialize(message._buff).transforms:
+            if transform.child_frame_id == FLANGE_MEASURED and transform.header.frame_id == BASE:
+                self._flange_at = now
+                self._take(FlangeRecord(pose_from_transform(transform.transform)))
+
+
+def main() -> None:
+    """Runs the node until ROS shuts down or its window is closed."""
+    config = private_config(TutorialConfig)
+    node = TutorialNode(config, rospy.get_param("leap/clutch", NONE) != NONE)
+    if config.window and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        _show(node)
+        return
+    while not rospy.is_shutdown() and node.view().step != DONE:
+        time.sleep(PERIOD_S)
+    rospy.spin()
+
+
+def _show(node: TutorialNode) -> None:
+    from python_qt_binding.QtCore import QTimer
+    from python_qt_binding.QtWidgets import QApplication
+
+    from leap_rig.tutorial_window import TutorialWindow
+
+    application = QApplication([])
+    window, timer = TutorialWindow(node.texts), QTimer()
+    screen = application.primaryScreen().availableGeometry()
+    window.move(screen.left(), screen.bottom() - window.height())
+
+    def refresh() -> None:
+        if rospy.is_shutdown():
+            application.quit()
+        else:
+            window.show_view(node.view())
+
+    refresh()
+    timer.timeout.connect(refresh)
+    timer.start(round(1e3 * PERIOD_S))
+    window.show()
+    application.exec_()
+    timer.stop()

@@ -1,0 +1,67 @@
+"""The robot's identity: what differs is named, whatever it is; addresses and rates do not matter."""
+
+import dataclasses
+
+import pytest
+import yaml
+
+from kuka_control.model.config import PtpConfig, RealTimeConfig
+from leap_rig.recording.fingerprint import GROUPS, KNOWN, LEFT_OUT, differences, fingerprint
+
+CONFIG = "src/kuka_control/config"
+OTHER = {"robot": "LBR14R820", "flange": "MF_touch_pneumatisch", "shaping": "none"}
+
+
+@pytest.fixture
+def kuka(pytestconfig):
+    values = yaml.safe_load((pytestconfig.rootpath / CONFIG / "kuka_params_rt.yaml").read_text())
+    return values.get("kuka", values)
+
+
+def changed(value):
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return value * 1.01 if value else 0.01
+    if isinstance(value, list):
+        return [changed(value[0]), *value[1:]] if value and not isinstance(value[0], str) else ["another"]
+    return OTHER.get(value, "/another")
+
+
+def test_the_same_parameters_agree_also_when_defaults_are_written_out(kuka):
+    one = fingerprint(kuka, str)
+    assert all(one[group] for group in GROUPS) and not differences(one, one)
+    written = {**kuka, "collision_guard": one["limits"]["collision_guard"], "ip": "10.0.0.1", "time_out": 0.3}
+    assert not differences(one, fingerprint(written, str))
+
+
+@pytest.mark.parametrize("key", ["tool_length", "mounting", "center_line", "z_lower_limit", "tcp_speed", "joint_jerk"])
+def test_what_differs_is_named_with_both_values(kuka, key):
+    value = kuka.get(key, [0.0, 0.0, 0.0])
+    here = fingerprint({**kuka, key: changed(value)}, str)
+    (line,) = differences(fingerprint(kuka, str), here)
+    assert key in line and str(value[0] if isinstance(value, list) else value) in line
+
+
+def test_another_robot_and_another_calibration_differ(kuka):
+    recorded = fingerprint(kuka, str)
+    assert "LBR14R820" in " ".join(differences(recorded, fingerprint({**kuka, "robot": "LBR14R820"}, str)))
+    contents = iter(["hash 1", "hash 2"])
+    two = [fingerprint({**kuka, "dh_parameters": "/file"}, lambda _: next(contents)) for _ in range(2)]
+    (line,) = differences(*two)
+    assert "hash 1" in line and "hash 2" in line
+
+
+@pytest.mark.parametrize("recorded", [None, {}, {"model": {}}, [], {"model": []}])
+def test_a_recording_without_a_robot_fits_none(kuka, recorded):
+    assert differences(recorded, fingerprint(kuka, str))
+    assert differences(fingerprint(kuka, str), fingerprint({}, str))
+
+
+def test_every_parameter_is_compared_or_left_out_on_purpose():
+    fields = {field.name for schema in (RealTimeConfig, PtpConfig) for field in dataclasses.fields(schema)}
+    assert fields >= KNOWN
+    assert fields - KNOWN == LEFT_OUT == {
+        "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "elbow_preference", "rate_joints",
+        "rate_state", "rate_servo", "servo_law", "joints_thresh",
+    }  # fmt: skip

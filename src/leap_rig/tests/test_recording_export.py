@@ -1,0 +1,161 @@
+"""Exports: rows for training, MCAP for mcap's reader, and a dataset for LeRobot's loader."""
+
+import json
+import os
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recordings import START, stored, write_recording
+
+from leap_rig.recording import read
+from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
+from leap_rig.recording.recording_files import RecordingFault, write_mcap
+from leap_rig.recording.run import between
+
+ROOT = Path(__file__).parents[3]
+LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
+BEGIN = 1e-9 * START
+
+
+@pytest.fixture
+def run(tmp_path):
+    """2 s: joint 1 rises by 1 rad/s at 100 Hz; servo goals are 0.05 rad ahead from 0.5 s to 1.5 s; the hand closes."""
+    run = read(write_recording(tmp_path / "empty", [], name="x", task="lift the cup"))
+    t = np.arange(0.0, 2.0, 0.01)
+    joints = np.zeros((len(t), 7))
+    joints[:, 0] = t
+    servo = (t >= 0.5) & (t < 1.5)
+    goals = joints[servo] + 0.05
+    ptp = np.full((1, 7), 9.0)
+    return replace(
+        run,
+        joints=joints,
+        joint_times=BEGIN + t,
+        goals=np.vstack([ptp, goals]),
+        goal_times=BEGIN + np.append(0.1, t[servo]),
+        goal_velocities=np.append(0.25, np.zeros(len(goals))),
+        hand=np.tile([0.1, 0.2, 0.3, 0.4], (len(t), 1)),
+        hand_times=BEGIN + t,
+        hand_commands=np.array([[1.0, 1.0, 1.0, 0.0]]),
+        hand_command_times=np.array([BEGIN + 1.0]),
+    )
+
+
+def test_rows_are_what_was_measured_and_what_was_commanded_next(run):
+    episode = training_episode(run, 20)
+    t = episode.times - BEGIN
+    assert episode.names == ARM + HAND and episode.state.shape == episode.action.shape == (len(t), 11)
+    np.testing.assert_allclose(np.diff(t), 0.05, atol=1e-6)
+    np.testing.assert_allclose(episode.state[:, 0], t, atol=0.011)
+    assert np.all(episode.state[:, 0] <= t + 1e-6), "a state is never from the future"
+    moving = (t > 0.5) & (t < 1.4)
+    np.testing.assert_allclose(episode.action[moving, 0], t[moving] + 0.05 + 0.05, atol=0.011)
+    still = (t < 0.44) | ((t > 1.56) & (t < 1.9))
+    np.testing.assert_allclose(episode.action[still, 0], t[still] + 0.05, atol=0.011)
+    assert np.max(episode.action) < 8.0, "the goal of a PTP motion is no action"
+    np.testing.assert_allclose(episode.action[t < 0.94, 7:], [[0.1, 0.2, 0.3, 0.4]] * np.sum(t < 0.94))
+    np.testing.assert_allclose(episode.action[t >= 0.96, 7:], [[1.0, 1.0, 1.0, 0.0]] * np.sum(t >= 0.96))
+
+
+def test_a_run_without_hand_or_without_joints(run):
+    empty = np.zeros((0, 4))
+    assert training_episode(replace(run, hand=empty, hand_times=np.zeros(0)), 10).names == ARM
+    with pytest.raises(RecordingFault):
+        training_episode(replace(run, joints=np.zeros((0, 7)), joint_times=np.zeros(0)), 10)
+
+
+def test_images_are_red_first_whatever_their_padding():
+    data = bytes([1, 2, 3, 4, 5, 6, 0, 0] * 2)
+    message = {"height": 2, "width": 2, "step": 8, "encoding": "bgr8", "data": data}
+    np.testing.assert_array_equal(color_image(message), [[[3, 2, 1], [6, 5, 4]]] * 2)
+    for wrong in ({"encoding": "16UC1"}, {"step": 5}, {"data": data[:-1]}):
+        with pytest.raises(RecordingFault):
+            color_image({**message, **wrong})
+
+
+def session(folder, images):
+    """A recording of 1 s as the rig writes it."""
+    import rospy
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import Header
+
+    from kuka_msgs.msg import jointPositions
+    from reflex_msgs.msg import Hand, RadianServoCommands
+    from rig_msgs.msg import SentGoals
+
+    messages = []
+    for i in range(100):
+        stamp = rospy.Time(0, START + 10**7 * i)
+        q = [0.01 * i] * 7
+        messages += [
+            stored("/kuka/joint_positions", jointPositions(Header(0, stamp, ""), *q), 0.01 * i),
+            stored("/kuka/sent_goals", SentGoals([stamp], q, [0.0]), 0.01 * i),
+            stored("/reflex_takktile/hand_state", Hand(), 0.01 * i),
+            stored("/reflex_takktile/radian_hand_command", RadianServoCommands([0.5] * 4), 0.01 * i),
+        ]
+        if images and i % 10 == 0:
+            picture = Image(Header(0, stamp, ""), 64, 96, "rgb8", 0, 288, bytes([2 * i]) * (64 * 288))
+            messages.append(stored("/camera/rgb/image_raw", picture, 0.01 * i))
+    return write_recording(folder, messages, name="x", task="lift the cup", robot={"model": {"robot": "LBR7R800"}})
+
+
+@pytest.mark.ros
+def test_mcap_is_read_by_its_own_library(tmp_path):
+    from mcap.reader import make_reader
+
+    folder, file = session(tmp_path / "run", images=True), tmp_path / "run.mcap"
+    wanted = ["/kuka/joint_positions", "/camera/rgb/image_raw"]
+    manifest = (folder / "manifest.json").read_bytes()
+    count = write_mcap(file, between(folder, wanted, 0.25, 0.75), {"manifest.json": manifest})
+    with open(file, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = list(reader.iter_messages())
+        assert [a.data for a in reader.iter_attachments()] == [manifest]
+    assert len(found) == count == 51 + 5 and {channel.topic for _, channel, _ in found} == set(wanted)
+    assert {(schema.encoding, channel.message_encoding) for schema, channel, _ in found} == {("ros1msg", "ros1")}
+    from kuka_msgs.msg import jointPositions
+
+    first = next(message for _, channel, message in found if channel.topic == wanted[0])
+    assert jointPositions().deserialize(first.data).joint_7 == pytest.approx(0.25)
+    with pytest.raises(RecordingFault, match="cannot be written"):
+        write_mcap(file, [], {})
+
+
+LOAD = """
+import json, sys
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+data = LeRobotDataset("leap_rig/set", root=sys.argv[1], video_backend="pyav")  # torchcodec wants FFmpeg
+row = data[10]
+print(json.dumps({
+    "rows": len(data), "episodes": data.num_episodes, "fps": data.fps, "task": row["task"],
+    "names": data.meta.features["action"]["names"], "version": data.meta.info["codebase_version"],
+    "state": row["observation.state"].tolist(), "action": row["action"].tolist(),
+    "image": list(row["observation.images.color"].shape), "grey": float(row["observation.images.color"].mean()),
+}))
+"""
+
+
+@pytest.mark.ros
+def test_lerobot_loads_the_dataset(tmp_path):
+    if not LEROBOT.is_file():
+        pytest.skip("LeRobot is not installed: make lerobot")
+    folders = [session(tmp_path / name, images=True) for name in ("one", "two")]
+    command = ["rosrun", "leap_rig", "export_recording.py", *map(str, folders), "--lerobot", str(tmp_path / "set")]
+    ended = subprocess.run([*command, "--fps", "20"], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
+    loaded = subprocess.run(
+        [str(LEROBOT), "-c", LOAD, str(tmp_path / "set")], env=environment, capture_output=True, text=True, check=False
+    )
+    assert loaded.returncode == 0, loaded.stderr
+    found = json.loads(loaded.stdout.splitlines()[-1])
+    assert (found["rows"], found["episodes"], found["fps"], found["task"]) == (40, 2, 20, "lift the cup")
+    assert found["names"] == [*ARM, *HAND] and found["version"] == "v3.0"
+    assert found["state"][:7] == pytest.approx([0.5] * 7, abs=0.011)
+    assert found["action"][:7] == pytest.approx([0.55] * 7, abs=0.011) and found["action"][7:] == [0.5] * 4
+    assert found["image"] == [3, 64, 96] and found["grey"] == pytest.approx(100 / 255, abs=0.03)
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 1 and "exists already" in again.stderr

@@ -1,0 +1,204 @@
+"""The files of a recording: what is written is read, whatever ends the writing."""
+
+import errno
+import os
+from random import Random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from leap_rig.recording import recording_files as files
+from leap_rig.recording.recording_files import (
+    MANIFEST,
+    MESSAGES,
+    MessageKind,
+    RecordingFault,
+    RecordingWriter,
+    StoredMessage,
+    messages,
+    verify,
+)
+
+KINDS = (MessageKind("std_msgs/String", "string data\n", "992c", False), MessageKind("std_msgs/Bool", "bool data\n"))
+RESERVE = 4096
+STORED = st.lists(
+    st.builds(
+        StoredMessage,
+        st.sampled_from(["/a", "/b"]),
+        st.sampled_from(KINDS),
+        st.integers(0, 2**62),
+        st.binary(max_size=99),
+    ),
+    max_size=20,
+)
+
+
+def writer_in(folder, **files):
+    return RecordingWriter(folder, {"name": "x"}, files, 1, RESERVE)
+
+
+def write(folder, chunks):
+    writer = writer_in(folder, a=b"1")
+    for chunk in chunks:
+        for message in chunk:
+            writer.add(message)
+        writer.flush()
+    return writer
+
+
+def few(count, size=50, first=0):
+    return [
+        StoredMessage("/a", KINDS[0], first + i, Random(first + i).getrandbits(8 * size).to_bytes(size, "little"))
+        for i in range(count)
+    ]
+
+
+@settings(max_examples=30, deadline=None)
+@given(chunks=st.lists(STORED, max_size=5))
+def test_what_is_written_is_read(tmp_path_factory, chunks):
+    folder = tmp_path_factory.mktemp("r") / "run"
+    write(folder, chunks).close(9, "the test", {"/a": 2})
+    manifest, remark = verify(folder)
+    assert not remark and list(messages(folder / MESSAGES)) == [m for chunk in chunks for m in chunk]
+    assert (manifest["complete"], manifest["start_ns"], manifest["end_ns"], manifest["dropped"]) == (
+        True,
+        1,
+        9,
+        {"/a": 2},
+    )
+    assert sum(manifest["topics"].values()) == sum(map(len, chunks))
+
+
+def test_another_reader_reads_it(tmp_path):
+    from mcap.reader import make_reader
+
+    stored = few(5)
+    write(tmp_path / "run", [stored[:3], stored[3:]]).close(9, "the test", {})
+    with open(tmp_path / "run" / MESSAGES, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros1" and reader.get_summary().statistics.chunk_count == 2
+        found = list(reader.iter_messages())
+    assert [message.data for _, _, message in found] == [m.data for m in stored]
+    assert {(schema.name, schema.encoding, channel.message_encoding) for schema, channel, _ in found} == {
+        ("std_msgs/String", "ros1msg", "ros1")
+    }
+
+
+def test_a_killed_recording_keeps_every_flushed_chunk_wherever_its_file_ends(tmp_path):
+    chunks, ends = [few(2, 9, first=10 * i) for i in range(3)], []
+    writer = writer_in(tmp_path / "run")
+    for chunk in chunks:
+        for message in chunk:
+            writer.add(message)
+        writer.flush()
+        ends.append(writer.size)
+    data = (tmp_path / "run" / MESSAGES).read_bytes()
+    assert len(data) == ends[-1]
+    for tail in (b"", b"\0" * 64, b"\xff" * 64):
+        for end in range(ends[0], len(data) + 1):
+            (tmp_path / "torn").write_bytes(data[:end] + tail)
+            found = [m.received for m in messages(tmp_path / "torn")]
+            whole = sum(e <= end for e in ends)
+            assert found[: 2 * whole] == [m.received for chunk in chunks[:whole] for m in chunk], f"{end} of {ends}"
+            assert set(found) <= {m.received for chunk in chunks for m in chunk}
+    assert "not completed" in verify(tmp_path / "run")[1]
+
+
+def test_a_damaged_file_never_gives_a_message_that_was_not_recorded(tmp_path):
+    stored, random = few(6), Random(0)
+    write(tmp_path / "run", [stored[:3], stored[3:]])
+    data = (tmp_path / "run" / MESSAGES).read_bytes()
+    for at in range(len(data)):
+        damaged = bytearray(data)
+        damaged[at] ^= random.randint(1, 255)
+        (tmp_path / "damaged").write_bytes(damaged)
+        assert {m.data for m in messages(tmp_path / "damaged")} <= {m.data for m in stored}
+
+
+@pytest.mark.parametrize("name", [MESSAGES, "a"])
+def test_a_changed_file_is_refused(tmp_path, name):
+    write(tmp_path / "run", [few(2)]).close(9, "the test", {})
+    file = tmp_path / "run" / name
+    data = bytearray(file.read_bytes())
+    data[-1] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(RecordingFault, match=str(file)):
+        verify(tmp_path / "run")
+    file.unlink()
+    with pytest.raises(RecordingFault, match=str(file)):
+        verify(tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    "manifest",
+    ["", "[]", "{", "[" * 10**5, '{"format": "another"}', '{"format": "leap_rig recording", "version": 2}',
+     '{"format": "leap_rig recording", "version": 1}',
+     '{"format": "leap_rig recording", "version": 1, "files": {"../a": "1"}}'],
+)  # fmt: skip
+def test_a_manifest_of_something_else_is_refused(tmp_path, manifest):
+    (tmp_path / MANIFEST).write_text(manifest)
+    with pytest.raises(RecordingFault):
+        verify(tmp_path)
+
+
+def test_no_recording_is_overwritten(tmp_path):
+    with pytest.raises(RecordingFault, match="exists"):
+        writer_in(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+class FullDisk:
+    """os.write on a disk with so many bytes left; the reserve counts as free once it is closed."""
+
+    def __init__(self, monkeypatch, left):
+        self.left, self._write = left, os.write
+        monkeypatch.setattr(files.os, "write", self.write)
+
+    def write(self, descriptor, data):
+        count = min(len(data), self.left)
+        if data and not count:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.left -= count
+        return self._write(descriptor, bytes(data[:count]))
+
+
+@pytest.mark.parametrize("left", [300, 700, 1100])
+def test_a_full_disk_ends_the_recording_in_a_valid_folder(tmp_path, monkeypatch, left):
+    disk, stored = FullDisk(monkeypatch, left), few(40, 100)
+    writer, flushed = writer_in(tmp_path / "run"), 0
+    with pytest.raises(OSError, match="No space"):
+        for message in stored:
+            writer.add(message)
+            flushed += 1
+            writer.flush()
+    disk.left = RESERVE * 8
+    writer.close(9, "No space left on device", {})
+    manifest, remark = verify(tmp_path / "run")
+    assert not remark and "No space" in manifest["ended_by"]
+    assert [m.received for m in messages(tmp_path / "run" / MESSAGES)] == list(range(flushed))
+
+
+def test_a_disk_without_room_for_the_index_keeps_what_was_flushed(tmp_path, monkeypatch):
+    FullDisk(monkeypatch, 700)
+    writer, stored, flushed = writer_in(tmp_path / "run"), few(40, 100), -1
+    with pytest.raises(OSError, match="No space"):
+        for message in stored:
+            writer.add(message)
+            flushed += 1
+            writer.flush()
+    assert (tmp_path / "run" / MESSAGES).stat().st_size == writer.size
+    with pytest.raises(RecordingFault, match="could not be completed"):
+        writer.close(9, "No space left on device", {})
+    manifest, remark = verify(tmp_path / "run")
+    assert remark and manifest["ended_by"] == "No space left on device"
+    assert [m.received for m in messages(tmp_path / "run" / MESSAGES)] == list(range(flushed))
+
+
+def test_nothing_starts_on_a_disk_without_the_reserve(tmp_path, monkeypatch):
+    def no_room(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(files.os, "posix_fallocate", no_room)
+    with pytest.raises(RecordingFault, match="No space"):
+        writer_in(tmp_path / "run")

@@ -1,0 +1,108 @@
+"""The programs record.py and replay.py on a graph of their own."""
+
+import os
+import signal
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from leap_motion.service.server import LeapService
+from leap_rig.recording import read
+
+pytestmark = pytest.mark.ros
+
+GOALS = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)), 6)
+EMPTY = '{{"currentFrameRate":110.5,"hands":[],"id":{i},"note":"é \\u0000  ","pointables":[],"timestamp":{t}}}'
+
+
+class Tracker:
+    """A Leap service that sends frames without hands, each text another."""
+
+    def __init__(self):
+        self._service = LeapService(port=0)
+        self.port, self.sent, self._stop = self._service.port, [], threading.Event()
+        for job in (self._service.run, self._send):
+            threading.Thread(target=job, daemon=True).start()
+
+    def _send(self):
+        while not self._stop.wait(0.01):
+            i = len(self.sent)
+            self.sent.append(EMPTY.format(i=i, t=9000 * i))
+            self._service.offer(self.sent[-1])
+
+    def close(self):
+        self._stop.set()
+        self._service.stop()
+
+
+@pytest.fixture
+def tracker():
+    service = Tracker()
+    yield service
+    service.close()
+
+
+def started(program, wait_until):
+    wait_until(lambda: "frames" in program.log_path.read_text() or program.poll() is not None, 20.0, "the live line")
+    assert program.poll() is None, program.log_path.read_text()
+
+
+@pytest.fixture
+def publish(ros):
+    """Publishes goals and a desired tool frame."""
+    import rospy
+    from tf2_msgs.msg import TFMessage
+
+    from common.frames import BASE, TOOL_DESIRED, VIRTUAL_LEAP
+    from common.poses import pose
+    from common.ros.conversions import stamped_transform
+    from rig_msgs.msg import SentGoals
+
+    goals = rospy.Publisher("kuka/sent_goals", SentGoals, queue_size=10)
+    tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
+    half = pose(np.eye(3), [0.1, 0.2, 0.3])
+
+    def now():
+        stamp = rospy.Time.now()
+        goals.publish([stamp] * 3, GOALS.ravel(), [0.0, 0.0, 0.25])
+        chain = ((BASE, VIRTUAL_LEAP), (VIRTUAL_LEAP, TOOL_DESIRED))
+        tf.publish(TFMessage([stamped_transform(half, *frames, stamp) for frames in chain]))
+
+    return now
+
+
+def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
+    ros, tracker, publish, processes, tmp_path, wait_until
+):
+    import rospy
+
+    rospy.set_param("leap_driver/code", "")
+    rospy.set_param("secret/code", "123456")
+    ros.run("leap_motion", "leap_driver.py", f"_port:={tracker.port}")
+    programs = [
+        ros.run("leap_rig", "record.py", f"{tmp_path}/{name}", "--task", "a test") for name in ("ended", "killed")
+    ]
+    for program in programs:
+        started(program, wait_until)
+    sizes = [tmp_path / name / "messages.mcap" for name in ("ended", "killed")]
+    wait_until(lambda: (publish(), all(size.stat().st_size > 20000 for size in sizes))[1], 20.0, "the frames")
+    killed_at = time.time()
+    os.killpg(programs[1].pid, signal.SIGKILL)
+    assert processes.end(programs[0]) == 0, programs[0].log_path.read_text()
+    again = ros.run("leap_rig", "record.py", f"{tmp_path}/ended")
+    run = read(tmp_path / "ended")
+    assert not run.remark and run.manifest["ended_by"] == "Ctrl-C" and run.manifest["task"] == "a test"
+    assert "Recorded" in programs[0].log_path.read_text()
+    assert len(run.frames) > 50 and run.frames == tuple(text for text in tracker.sent if text in set(run.frames))
+    assert np.all(np.diff(run.frame_times) > 0) and abs(run.frame_times[-1] - killed_at) < 30.0
+    assert len(run.goals) >= 3 and not len(run.goals) % 3
+    np.testing.assert_array_equal(run.goals[-3:], GOALS)
+    np.testing.assert_array_equal(run.goal_velocities[-3:], [0.0, 0.0, 0.25])
+    np.testing.assert_allclose(run.desired[-1][:3, 3], [0.2, 0.4, 0.6])
+    assert len(run.desired) == len(run.desired_times)
+    assert "123456" not in "".join(file.read_text() for file in (tmp_path / "ended").glob("*.[yj]*"))
+    killed = read(tmp_path / "killed")
+    assert "not completed" in killed.remark and killed.frame_times[-1] > killed_at - 1.0 * 3.0
+    assert again.wait(20.0) == 1 and "exists already" in again.log_path.read_text()

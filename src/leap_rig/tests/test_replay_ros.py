@@ -1,0 +1,159 @@
+"""The program replay.py: in RViz nothing can move, and the tracker's texts come back as they were."""
+
+import json
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recordings import START, stored, write_recording
+
+from leap_motion.client import LeapClient
+from leap_rig.recording import read
+from leap_rig.recording.fingerprint import fingerprint
+from leap_rig.recording.topics import DRIVING
+
+pytestmark = pytest.mark.ros
+
+
+def transforms(seconds, *frames):
+    import rospy
+    from tf2_msgs.msg import TFMessage
+
+    from common.ros.conversions import stamped_transform
+
+    stamp = rospy.Time(0, START + round(1e9 * seconds))
+    return TFMessage([stamped_transform(np.eye(4), *pair, stamp) for pair in frames])
+
+
+@pytest.fixture
+def session(tmp_path):
+    """A recording of 6 s with tf, a latched marker, a hand command, a goal and a desired tool."""
+    from std_msgs.msg import String
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
+    from kuka_msgs.msg import MoveActionGoal
+    from reflex_msgs.msg import RadianServoCommands
+
+    desired = (BASE, VIRTUAL_LEAP), (VIRTUAL_LEAP, TOOL_DESIRED), (TOOL_DESIRED, FLANGE_DESIRED), (VIRTUAL_LEAP, HAND)
+    other = stored("/operator_view/markers", String(""), 0.0)
+    messages = [
+        stored("/tf_static", transforms(0.0, (BASE, "a")), 0.0, True),
+        stored("/tf_static", transforms(0.0, (BASE, "b")), 0.0, True),
+        stored("/kuka/workspace", MarkerArray([Marker(ns="workspace")]), 0.0, True),
+        replace(other, kind=replace(other.kind, md5sum="of another version")),
+    ]
+    for i in range(300):
+        messages += [
+            stored("/tf", transforms(0.02 * i, *desired), 0.02 * i),
+            stored("/reflex_takktile/radian_hand_command", RadianServoCommands(), 0.02 * i),
+            stored("/kuka/move/goal", MoveActionGoal(), 0.02 * i),
+        ]
+    return write_recording(tmp_path / "run", messages, b"robot_description: <robot/>\n", name="run")
+
+
+def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session, wait_until):
+    import rospy
+    from std_srvs.srv import Empty
+    from tf2_msgs.msg import TFMessage
+    from visualization_msgs.msg import MarkerArray
+
+    from common.frames import VIRTUAL_LEAP
+
+    tf, static = ros.record("/tf", TFMessage), ros.record("/tf_static", TFMessage)
+    markers = ros.record("/kuka/workspace", MarkerArray)
+    begin = rospy.Time.now()
+    program = ros.run("leap_rig", "replay.py", str(session), "--view")
+    tf.wait(20)
+    wait_until(lambda: markers and static, 10.0, "latched topics")
+    children = {t.child_frame_id for message in tf for t in message.transforms}
+    assert children == {VIRTUAL_LEAP, *(f"recorded/{frame}" for frame in DRIVING)}
+    parents = {t.header.frame_id for message in tf for t in message.transforms}
+    assert not parents & set(DRIVING)
+    stamps = [t.header.stamp for message in tf for t in message.transforms]
+    assert all(begin <= stamp <= rospy.Time.now() + rospy.Duration(1) for stamp in stamps)
+    assert {t.child_frame_id for t in static[-1].transforms} == {"a", "b"}
+    published = {topic for topic, nodes in ros_master().getSystemState()[0] if any("replay" in n for n in nodes)}
+    assert published <= {"/tf", "/tf_static", "/kuka/workspace", "/rosout"}
+    assert rospy.get_param("robot_description") == "<robot/>"
+    service = rospy.Service("kuka/exit_app", Empty, lambda _: None)
+    try:
+        assert program.wait(15.0) == 1
+        assert "runs on this ROS master" in program.log_path.read_text()
+        count = len(tf)
+        again = ros.run("leap_rig", "replay.py", str(session), "--view")
+        assert again.wait(15.0) == 1
+        assert len(tf) == count
+    finally:
+        service.shutdown()
+    assert "left out" in program.log_path.read_text()
+
+
+def ros_master():
+    import rosgraph
+
+    return rosgraph.Master("/test")
+
+
+@pytest.mark.parametrize("rate", [0.5, 1.0])
+def test_the_tracker_sends_what_was_recorded_at_its_pace(ros, tmp_path, wait_until, rate):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from leap_motion.msg import RawFrame
+
+    texts = [f'{{"id":{i},  "timestamp":{9000 * i},"hands":[],"pointables":[],"x":"é"}}' for i in range(100)]
+    known = [KeyValue("service_version", "2.3.1"), KeyValue("serial", "LP1")]
+    status = DiagnosticArray(status=[DiagnosticStatus(name="leap_motion", values=known)])
+    messages = [stored("/diagnostics", status, 0.0)]
+    for i, text in enumerate(texts):
+        frame = RawFrame(rospy.Time(0, START + 10**7 * i), text)
+        messages.append(stored("/leap_motion/raw_frames", frame, 0.01 * i + 0.001))
+    folder = write_recording(tmp_path / "run", messages, name="run")
+    run = read(folder, 0.2, 0.8)
+    assert run.frames == tuple(texts[20:80]) and run.frame_times[0] == pytest.approx(1e-9 * START + 0.2, abs=1e-6)
+
+    program = ros.run(
+        "leap_rig", "replay.py", str(folder), "--tracker", "--port", "0", "--from", "0.2", "--to", "0.8",
+        "--rate", str(rate),
+    )  # fmt: skip
+    port = int(wait_until(lambda: re.search(r"127.0.0.1:(\d+)", program.log_path.read_text()), 20.0, "a port")[1])
+    heard = []
+    client = LeapClient(port=port, clock=time.monotonic, tap=lambda text, stamp: heard.append((text, stamp)))
+    try:
+        assert program.wait(20.0) == 0, program.log_path.read_text()
+        assert client.status.service == "2.3.1"
+    finally:
+        client.close()
+    heard = [(text, stamp) for text, stamp in heard if "hands" in text]
+    numbers = [json.loads(text)["id"] for text, _ in heard]
+    assert len(heard) > 30 and numbers == sorted(set(numbers))
+    if rate == 1.0:
+        assert {text for text, _ in heard} <= set(texts[20:80])
+    else:
+        assert all(json.loads(text)["timestamp"] == 18000 * number for (text, _), number in zip(heard, numbers))
+    assert heard[-1][1] - heard[0][1] > 0.4 / rate
+
+
+def test_another_robot_is_refused_with_what_differs(ros, tmp_path):
+    import rospy
+
+    from kuka_control.ros.parameter_server import read_yaml, shipped
+
+    values = read_yaml(shipped("kuka_params_rt.yaml"))
+    recorded = fingerprint({**values, "robot": "LBR14R820", "tool_length": 0.2}, str)
+    folder = write_recording(tmp_path / "run", [], name="run", robot=recorded)
+    rospy.set_param("kuka", values)
+    program = ros.run("leap_rig", "replay.py", str(folder), "--robot")
+    assert program.wait(20.0) == 1
+    text = program.log_path.read_text()
+    assert "Nothing moves" in text and "LBR14R820" in text and "tool_length was 0.2" in text
+
+
+def test_a_changed_recording_is_refused(ros, session):
+    file = session / "messages.mcap"
+    file.write_bytes(file.read_bytes()[:-1])
+    program = ros.run("leap_rig", "replay.py", str(session), "--tracker", "--port", "0")
+    assert program.wait(20.0) == 1 and "was changed" in program.log_path.read_text()

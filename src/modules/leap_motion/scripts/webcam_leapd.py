@@ -1,0 +1,9 @@
+#!/usr/bin/env python3
+"""A webcam as a Leap service."""
+
+import sys
+
+from leap_motion.webcam.webcam_program import main
+
+if __name__ == "__main__":
+    sys.exit(main())

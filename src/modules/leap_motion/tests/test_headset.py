@@ -1,0 +1,476 @@
+"""Hands of a headset: placement, frames of messages, the code, and the conversation with a page that does anything."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
+from websockets.sync.client import connect
+from websockets.sync.server import serve
+
+from leap_motion.headset.access import Access
+from leap_motion.headset.hand_stream import SETTLE_S, HandStream
+from leap_motion.headset.placement import FROM_XR, placement, xr_hand
+from leap_motion.headset.transport import BUSY, MAX_MESSAGE_BYTES, MAX_WAITING, HandsEndpoint, Scene
+from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
+from leap_motion.service.server import MAX_WRONG_CODES
+
+AHEAD, BELOW, HEIGHT = 0.4, 0.35, 0.35
+LEVEL = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
+CENTRE = np.array([0.0, HEIGHT, 0.0])
+finite = st.floats(-5.0, 5.0)
+headings = st.floats(-3.1, 3.1)
+
+
+def flat_hand(palm, side="right", pinch=False):
+    """Returns a level hand's 25 joints, shape (25, 3) [m], its palm at `palm` in axes like the Leap's [m]."""
+    mirror = np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
+    points = np.empty((25, 3))
+    points[0] = WRIST_MM
+    points[1:5] = KNUCKLES_MM[0] + np.outer([0.0, 40.0, 70.0, 90.0], [-0.6, 0.0, -0.8])
+    for finger in range(1, 5):
+        metacarpal = 0.2 * KNUCKLES_MM[finger] + 0.8 * WRIST_MM
+        points[5 * finger] = metacarpal
+        points[5 * finger + 1 : 5 * finger + 5] = KNUCKLES_MM[finger] - np.outer([0.0, 40.0, 63.0, 80.0], [0, 0, 1.0])
+    if pinch:
+        points[9] = points[4] + [5.0, 0.0, 0.0]
+    return palm + 1e-3 * points * mirror
+
+
+def rotated(points, heading):
+    """Turns points about the vertical, to the left."""
+    c, s = math.cos(heading), math.sin(heading)
+    return points @ np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]).T
+
+
+def head_at(position, heading):
+    return [*position, 0.0, math.sin(heading / 2.0), 0.0, math.cos(heading / 2.0)]
+
+
+class Person:
+    """Sends messages to a stream, as a page does 72 times a second."""
+
+    def __init__(self, head=LEVEL):
+        self.stream = HandStream(AHEAD, BELOW)
+        self.now, self.head, self.place, self.steers, self.height = 100.0, head, 1, False, HEIGHT
+
+    def step(self, delay=0.0, dt=1.0 / 72.0, **hands):
+        self.now += dt
+        lists = {side: None if hand is None else np.ravel(hand).tolist() for side, hand in hands.items()}
+        message = {"t": 1e3 * (self.now - 50.0), "place": self.place, "head": self.head, **lists}
+        return self.stream.step(message, self.now + delay, self.height, self.steers)
+
+    def settle(self, **hands):
+        self.step(**hands)
+        return self.step(dt=SETTLE_S + 0.01, **hands)
+
+    def room(self, leap):
+        """The points of the room that are at `leap` [m] in Leap axes."""
+        placed = self.stream.placement
+        return np.array(placed.origin) + rotated(np.asarray(leap), placed.heading)
+
+
+class TestPlacement:
+    @given(st.tuples(finite, finite, finite), headings, st.floats(-0.9, 0.9), st.floats(-0.5, 0.5))
+    def test_the_box_is_before_the_person_and_level_however_the_head_is_tilted(self, position, heading, pitch, roll):
+        yaw = np.array([0.0, math.sin(heading / 2), 0.0, math.cos(heading / 2)])
+        nod = np.array([math.sin(pitch / 2), 0.0, 0.0, math.cos(pitch / 2)])
+        tilt = np.array([0.0, 0.0, math.sin(roll / 2), math.cos(roll / 2)])
+        head = np.concatenate([position, product(product(yaw, nod), tilt)])
+        placed = placement(head, AHEAD, BELOW, HEIGHT)
+        ahead = rotated(np.array([[0.0, -BELOW, -AHEAD]]), heading)[0]
+        assert placed.to_leap((position + ahead)[None]) == pytest.approx(1e3 * CENTRE[None], abs=1e-6)
+        right = np.array(position) + ahead + rotated(np.array([[0.1, 0.0, 0.0]]), heading)
+        assert placed.to_leap(right) == pytest.approx(np.array([[100.0, 1e3 * HEIGHT, 0.0]]), abs=1e-6)
+
+    @pytest.mark.parametrize(
+        "head",
+        [
+            [0, 1.6, 0, math.sin(0.7), 0, 0, math.cos(0.7)],  # looks 80 deg up
+            [0, 1.6, 0, 0, 0, 0, 0],
+            [math.nan, 1.6, 0, 0, 0, 0, 1],
+            [1e9, 1.6, 0, 0, 0, 0, 1],
+        ],
+    )
+    def test_a_head_without_a_heading_places_nothing(self, head):
+        with pytest.raises(ValueError):
+            placement(np.array(head, dtype=float), AHEAD, BELOW, HEIGHT)
+
+    @given(st.data())
+    def test_anything_but_75_numbers_is_no_hand(self, data):
+        value = data.draw(st.one_of(st.none(), st.booleans(), st.text(max_size=3), st.floats(), st.integers()))
+        numbers = [0.1] * data.draw(st.sampled_from([0, 74, 75, 75, 75, 76]))
+        good = len(numbers) == 75 and type(value) in (int, float) and abs(value) < 20.0
+        if numbers:
+            numbers[data.draw(st.integers(0, len(numbers) - 1))] = value
+        assert (xr_hand(numbers) is not None) == good
+        assert xr_hand(value) is None
+
+
+def product(a, b):
+    """The product of two quaternions x, y, z, w."""
+    x, y, z, w = a
+    return np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]]) @ b
+
+
+class TestHandStream:
+    @given(st.tuples(finite, finite, finite), headings, st.sampled_from(["left", "right"]))
+    def test_a_hand_in_the_box_is_there_for_the_leap_wherever_the_person_looks(self, where, heading, side):
+        person = Person(head_at(where, heading))
+        person.settle()
+        hand = person.room(flat_hand(CENTRE, side))
+        (reported,) = person.step(**{side: hand}).hands
+        assert reported.side == side
+        assert reported.palm == pytest.approx(1e3 * CENTRE, abs=2.0)
+        assert reported.normal == pytest.approx([0.0, -1.0, 0.0], abs=0.02)
+        assert reported.direction == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+        assert reported.joints == pytest.approx(1e3 * flat_hand(CENTRE, side)[FROM_XR], abs=1e-6)
+        assert all(reported.extended)
+
+    @given(st.tuples(*[st.floats(-0.02, 0.02)] * 3))
+    def test_the_palm_moves_as_the_hand(self, move):
+        person = Person()
+        person.settle()
+        (first,) = person.step(right=person.room(flat_hand(CENTRE))).hands
+        (second,) = person.step(right=person.room(flat_hand(CENTRE + move))).hands
+        assert second.palm - first.palm == pytest.approx(1e3 * np.array(move), abs=1e-6)
+        assert second.id == first.id
+
+    def test_a_hand_that_is_missing_broken_or_jumps_is_not_the_same_hand(self):
+        person = Person()
+        person.settle()
+        good = person.room(flat_hand(CENTRE))
+        (hand,) = person.step(right=good).hands
+        nan = good.copy()
+        nan[13, 1] = math.nan
+        for bad in (None, nan, good[:24], 0.0 * good, good + 30.0):
+            assert person.step(right=bad).hands == ()
+            (back,) = person.step(right=good).hands
+            assert back.id > hand.id
+            hand = back
+        (jumped,) = person.step(right=good + np.array([0.1, 0.0, 0.0])).hands
+        assert jumped.id > hand.id and np.linalg.norm(jumped.velocity) < 1.0
+
+    @given(st.data())
+    def test_garbage_is_refused_or_makes_no_hand_and_numbers_and_times_only_rise(self, data):
+        person = Person()
+        person.settle()
+        good = person.room(flat_hand(CENTRE)).ravel().tolist()
+        last_time, ids = -math.inf, {"left": 0, "right": 0}
+        junk = st.one_of(
+            st.none(), st.text(max_size=3), st.floats(), st.integers(), st.just(good), st.lists(st.floats())
+        )
+        for _ in range(5):
+            person.now += 0.01
+            message = {"t": 1e3 * (person.now - 50.0), "place": 1, "head": LEVEL, "right": good}
+            message[data.draw(st.sampled_from(["t", "place", "head", "left", "right"]))] = data.draw(junk)
+            with contextlib.suppress(ValueError):
+                frame = person.stream.step(message, person.now, HEIGHT, False)
+                if frame is None:
+                    continue
+                assert frame.time > last_time
+                last_time = frame.time
+                for hand in frame.hands:
+                    assert hand.id >= ids[hand.side] and np.isfinite(hand.joints).all()
+                    ids[hand.side] = hand.id
+
+    def test_late_messages_and_floods_are_ignored(self):
+        person = Person()
+        person.settle()
+        hand = person.room(flat_hand(CENTRE))
+        assert person.step(right=hand) and person.step(right=hand, delay=0.05)
+        assert person.step(right=hand, delay=0.2) is None
+        assert person.step(right=hand)
+        assert sum(person.step(right=hand, dt=0.001) is not None for _ in range(1000)) <= 210
+        assert sum(person.step(right=hand, dt=0.01) is not None for _ in range(100)) == 100
+        assert person.step(right=hand).rate == pytest.approx(100.0, rel=0.2)
+
+    def test_a_connection_that_stays_late_does_not_become_the_present(self):
+        person = Person()
+        person.settle()
+        hand = person.room(flat_hand(CENTRE))
+        assert person.step(right=hand)
+        assert not any(person.step(right=hand, dt=0.04, delay=0.3) for _ in range(500))
+        assert "late" in person.stream.note
+        assert person.step(right=hand).hands and not person.stream.note
+
+    def test_a_page_whose_clock_is_slow_is_heard_for_an_hour(self):
+        stream, heard = HandStream(AHEAD, BELOW), 0
+        for i in range(3600):
+            words = {"t": 1e3 * i * (1.0 - 5e-4), "place": 1, "head": LEVEL}
+            heard += stream.step(words, 100.0 + i, HEIGHT, False) is not None
+        assert heard == 3600
+
+    def test_after_an_interruption_the_clock_may_have_stopped_and_hands_are_new(self):
+        person = Person()
+        person.settle()
+        hand = person.room(flat_hand(CENTRE))
+        (before,) = person.step(right=hand).hands
+        person.stream.interrupt()
+        (after,) = person.step(right=hand, delay=3.0).hands
+        assert after.id > before.id
+
+    def test_the_box_is_placed_anew_when_the_page_or_the_box_demands_it_and_then_there_are_no_hands_for_a_while(self):
+        person = Person()
+        assert person.step().hands == () and person.stream.placement.heading == 0.0
+        person.settle()
+        hand = person.room(flat_hand(CENTRE))
+        (before,) = person.step(right=hand).hands
+        for change in ({"place": 2}, {"height": 0.4}):
+            vars(person).update(change, head=head_at([0.0, 1.6, 0.0], person.stream.placement.heading + 0.01))
+            assert person.step(right=hand).hands == ()
+            (after,) = person.settle(right=hand).hands
+            assert after.id > before.id
+            before = after
+        assert person.stream.placement.heading == pytest.approx(0.02)
+
+    def test_who_looks_up_is_told_and_has_no_hands(self):
+        person = Person()
+        person.settle()
+        hand = person.room(flat_hand(CENTRE))
+        person.head, person.place = [0, 1.6, 0, math.sin(0.7), 0, 0, math.cos(0.7)], 2
+        assert person.settle(right=hand).hands == () and "straight ahead" in person.stream.note
+        person.head = LEVEL
+        assert person.settle(right=hand).hands and not person.stream.note
+
+    @pytest.mark.parametrize("steers", [False, True])
+    def test_both_hands_pinched_for_a_second_place_the_box_unless_a_hand_steers(self, steers):
+        person = Person()
+        person.settle()
+        aside = {"left": np.array([-0.2, 0.0, 0.0]), "right": np.array([0.2, 0.0, 0.0])}
+        hands = {side: person.room(flat_hand(CENTRE + x, side, pinch=True)) for side, x in aside.items()}
+        person.steers, person.head = steers, head_at([0.0, 1.6, 0.0], 0.3)
+        for _ in range(60):
+            assert len(person.step(**hands).hands) == 2
+        frames = [person.step(**hands) for _ in range(30)]
+        assert any(not frame.hands for frame in frames) is not steers
+        assert person.stream.placement.heading == pytest.approx(0.0 if steers else 0.3)
+
+
+class TestAccess:
+    def test_a_code_is_good_once_and_its_key_for_ever(self):
+        access = Access()
+        code = access.code
+        key = access.admit(code)
+        assert key and access.code != code
+        assert access.admit(code) is None and access.admit(key) == key
+        assert access.admit(access.code) not in (None, key)
+
+    @given(st.one_of(st.none(), st.text(), st.integers(), st.lists(st.integers())))
+    def test_nothing_else_is_admitted(self, secret):
+        access = Access()
+        if secret != access.code:
+            assert access.admit(secret) is None
+
+    def test_after_too_many_wrong_codes_the_right_one_is_wrong_but_a_key_still_holds(self):
+        access = Access()
+        key = access.admit(access.code)
+        for _ in range(MAX_WRONG_CODES):
+            assert access.admit("wrong!") is None
+        assert access.admit(access.code) is None and access.admit(key) == key
+
+
+class Rig:
+    """An endpoint on a port of its own, and what it passed on."""
+
+    def __init__(self):
+        self.frames, self.attached, self.said, self.plugged_at = [], None, [], 0.0
+        stream = HandStream(AHEAD, BELOW)
+        self.endpoint = HandsEndpoint(stream, self, lambda: Scene(HEIGHT, False, {"box": [1]}), self.said.append)
+        options = {"compression": None, "max_size": MAX_MESSAGE_BYTES, "close_timeout": 0.2}
+        self.server = serve(self.endpoint.converse, "127.0.0.1", 0, **options)
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        self.address = f"ws://127.0.0.1:{self.server.socket.getsockname()[1]}/"
+
+    offer = property(lambda self: self.frames.append)
+
+    def plug(self, attached):
+        self.attached, self.plugged_at = attached, time.monotonic()
+
+    @property
+    def code(self):
+        return [s for s in self.said if "code for" in s][-1].rstrip(".")[-6:]
+
+
+@pytest.fixture
+def rig():
+    made = Rig()
+    yield made
+    made.server.shutdown()
+
+
+def ask(connection, message):
+    connection.send(message if isinstance(message, (str, bytes)) else json.dumps(message))
+    return json.loads(connection.recv(timeout=10.0))
+
+
+def seat(rig, secret=None):
+    connection = connect(rig.address, compression=None)
+    return connection, ask(connection, {"secret": secret or rig.code})
+
+
+def message(t, hand=None):
+    return {"t": t, "place": 1, "head": LEVEL, "left": None, "right": hand and np.ravel(hand).tolist()}
+
+
+def eventually(condition):
+    end = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+class TestConversation:
+    def test_hands_become_frames_until_the_headset_is_taken_off_or_falls_silent(self, rig):
+        connection, said = seat(rig)
+        with connection:
+            assert said["drives"] and rig.attached is False
+            for i in range(5):
+                answer = ask(connection, message(10.0 * i))
+                assert answer["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0]) and answer["box"] == [1]
+            assert rig.attached is True and rig.endpoint.driven and rig.frames
+            ask(connection, {"away": True})
+            assert rig.attached is False
+            ask(connection, message(500.0))
+            assert rig.attached is True
+            heard = time.monotonic()
+            eventually(lambda: rig.attached is False)  # silence
+            assert rig.plugged_at - heard < 1.5
+            ask(connection, message(900.0))
+        eventually(lambda: not rig.endpoint.driven)
+        assert rig.attached is False
+
+    def test_who_has_no_code_gets_nothing_and_is_named(self, rig):
+        for secret in ("000000" if rig.code != "000000" else "000001", None, 5, "", "\ud800", "x" * 9999):
+            with connect(rig.address, compression=None) as connection:
+                assert "refused" in ask(connection, {"secret": secret})
+                with pytest.raises(ConnectionClosed):
+                    ask(connection, message(0.0))
+        assert not rig.endpoint.driven and not rig.frames and "127.0.0.1" in rig.said[-1]
+
+    def test_a_second_headset_is_told_and_may_come_when_the_first_has_left(self, rig):
+        first, said = seat(rig)
+        second, refused = seat(rig)
+        assert said["drives"] and "Another headset" in refused["refused"] and refused["key"] != said["key"]
+        assert ask(first, message(0.0))
+        first.close()
+        second.close()
+        eventually(lambda: not rig.endpoint.driven)
+        third, said = seat(rig, refused["key"])
+        assert said["drives"]
+        third.close()
+
+    def test_another_headset_gets_a_box_of_its_own_though_its_page_counts_alike(self, rig):
+        first, said = seat(rig)
+        assert ask(first, message(0.0))["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
+        first.close()
+        eventually(lambda: not rig.endpoint.driven)
+        second, _ = seat(rig)
+        turned = {**message(0.0), "head": head_at([0.0, 1.6, 0.0], math.pi / 2)}
+        assert ask(second, turned)["leap"] == pytest.approx([-0.4, 0.9, 0.0, math.pi / 2])
+        second.close()
+        eventually(lambda: not rig.endpoint.driven)
+        third, _ = seat(rig, said["key"])  # the first one after its pause
+        assert ask(third, message(0.0))["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
+        third.close()
+        eventually(lambda: not rig.endpoint.driven)
+        fourth, _ = seat(rig, said["key"])  # its connection was lost: the box stays
+        assert ask(fourth, turned)["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
+        fourth.close()
+
+    def test_the_same_page_takes_its_seat_again_before_its_old_connection_is_known_to_be_lost(self, rig):
+        first, said = seat(rig)
+        ask(first, message(0.0))
+        second, again = seat(rig, said["key"])
+        assert again["drives"]
+        with pytest.raises(ConnectionClosed):
+            for i in range(100):
+                ask(first, message(10.0 * i + 10.0))
+        assert ask(second, message(0.0)) and rig.attached
+        second.close()
+
+    @pytest.mark.parametrize(
+        "garbage",
+        ["", "{", "[]", "5", b"\xff\xfe", "[" * 5000, '{"t": NaN, "place": 1}', "{}", '{"t": 1e400}', "x" * 20000],
+    )
+    def test_garbage_ends_the_drive_and_the_tracker_is_unplugged(self, rig, garbage):
+        connection, _ = seat(rig)
+        ask(connection, message(0.0))
+        with pytest.raises(ConnectionClosed):
+            ask(connection, garbage)
+        eventually(lambda: not rig.endpoint.driven)
+        assert rig.attached is False
+
+    def test_a_page_that_is_gone_before_its_answer_leaves_the_seat_free(self, rig):
+        class Gone:
+            """A connection that is lost once the code was sent."""
+
+            socket = property(lambda self: self)
+            remote_address = "127.0.0.1", 5
+            setsockopt = close = staticmethod(lambda *_: None)
+            recv = staticmethod(lambda timeout: json.dumps({"secret": rig.code}))
+
+            def send(self, text):
+                raise ConnectionClosed(None, None)
+
+        rig.endpoint.converse(Gone())
+        assert not rig.endpoint.driven
+        connection, said = seat(rig)
+        assert said.get("drives")
+        connection.close()
+
+    def test_more_pages_than_may_wait_are_sent_away(self, rig):
+        with contextlib.ExitStack() as pages:
+            waiting = [pages.enter_context(connect(rig.address, compression=None)) for _ in range(MAX_WAITING + 1)]
+            closed = []
+
+            def one_is_closed():
+                for page in waiting:
+                    try:
+                        page.recv(timeout=0.01)
+                    except ConnectionClosed as error:
+                        closed.append(error.rcvd.code)
+                    except TimeoutError:
+                        pass
+                return closed
+
+            eventually(one_is_closed)
+            assert closed == [BUSY]
+
+    @pytest.mark.parametrize("torn", ["half", "reset", "opcode", "fragment"])
+    def test_torn_websocket_frames_end_the_drive(self, rig, torn):
+        connection, _ = seat(rig)
+        ask(connection, message(0.0))
+        data = Frame(Opcode.TEXT, json.dumps(message(10.0)).encode()).serialize(mask=True)
+        pieces = {
+            "half": data[:50],
+            "reset": b"",
+            "opcode": b"\x8b\x80\x00\x00\x00\x00",
+            "fragment": b"\x80\x80\0\0\0\0",
+        }
+        connection.socket.sendall(pieces[torn])
+        if torn in ("half", "reset"):
+            connection.socket.shutdown(2)
+        eventually(lambda: not rig.endpoint.driven)
+        assert rig.attached is False and len(rig.frames) == 1
+
+    def test_a_flood_is_thinned_and_answered(self, rig):
+        connection, _ = seat(rig)
+        with connection:
+            texts = [json.dumps(message(1.0 * i)) for i in range(500)]
+            reader = threading.Thread(target=lambda: [connection.recv(timeout=10.0) for _ in texts])
+            reader.start()
+            for text in texts:
+                connection.send(text)
+            reader.join(10.0)
+            assert not reader.is_alive() and rig.endpoint.driven
+        assert 1 <= len(rig.frames) <= 110

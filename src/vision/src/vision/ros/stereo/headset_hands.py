@@ -1,0 +1,102 @@
+"""The hands of the headset's page as a Leap service, and what the page draws of the rig: box, desired tool, state."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from visualization_msgs.msg import Marker, MarkerArray
+
+from common.errors import DeviceError
+from common.frames import TOOL_DESIRED, VIRTUAL_LEAP
+from common.ros.on_demand import OnDemand
+from leap_motion.headset.hand_stream import HandFrame, HandStream
+from leap_motion.headset.transport import HandsEndpoint, Scene
+from leap_motion.service import wire
+from leap_motion.service.server import LeapService, LeapServiceError
+from vision.stereo.view import WebConfig
+
+HEIGHT_M = 0.35  # of the box above the Leap, until leap_kuka publishes it
+FRESH_S = 0.3  # an older desired tool is not drawn
+DESIRED = b"".join(struct.pack("<I", len(name)) + name.encode() for name in (VIRTUAL_LEAP, TOOL_DESIRED))
+"""The frames of the desired tool as they stand in a tf message, before its seven numbers."""
+NUMBERS = struct.Struct("<7d")
+BUFFER_BYTES = 2**20
+CLOSE_S = 2.0
+
+
+class RigScene:
+    """Called, returns what leap_kuka publishes. `watch(True)` listens to the desired tool as well."""
+
+    def __init__(self) -> None:
+        self._height, self._box = HEIGHT_M, {}
+        self._tool: tuple[list[float], float] = [], -FRESH_S
+        self._steers = False
+        options = {"buff_size": BUFFER_BYTES, "tcp_nodelay": True}
+        self.watch = OnDemand(lambda: [rospy.Subscriber("/tf", rospy.AnyMsg, self._take_tool, **options)])
+        rospy.Subscriber("leap_kuka/interaction_box", MarkerArray, self._take_box, queue_size=1)
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=1)
+
+    def __call__(self) -> Scene:
+        tool, at = self._tool
+        drawn = {**self._box, "tool": tool} if time.monotonic() - at < FRESH_S else self._box
+        return Scene(self._height, self._steers, drawn)
+
+    def _take_box(self, message: MarkerArray) -> None:
+        for marker in message.markers:
+            if marker.type == Marker.LINE_LIST and marker.points:
+                centre, corner, colour = marker.pose.position, marker.points[0], marker.color
+                size = [2.0 * abs(length) for length in (corner.x, corner.y, corner.z)]
+                self._box = {"box": [centre.x, centre.y, centre.z, *size], "colour": [colour.r, colour.g, colour.b]}
+                self._height = centre.y
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self._steers = any(pair.key == "state" and pair.value == "running" for pair in message.values)
+
+    def _take_tool(self, message: rospy.AnyMsg) -> None:
+        """Takes a message of tf, as bytes: to read all of them costs more than all else here."""
+        at = message._buff.find(DESIRED)
+        if at >= 0:
+            self._tool = list(NUMBERS.unpack_from(message._buff, at + len(DESIRED))), time.monotonic()
+
+
+class HeadsetHands:
+    """Serves the hands of one headset on the port of a Leap service, in a thread; `converse` takes the page's socket.
+
+    Raises DeviceError if the port is taken.
+    """
+
+    def __init__(self, config: WebConfig) -> None:
+        try:
+            self._service = LeapService(port=config.leap_port, serial="WebXR")
+        except LeapServiceError as error:
+            raise DeviceError(str(error)) from error
+        self._frames = 0
+        self._scene = RigScene()
+        stream = HandStream(config.box_ahead, config.box_below)
+        self._endpoint = HandsEndpoint(stream, self, self._scene, lambda sentence: rospy.logwarn("%s", sentence))
+        self.converse = self._endpoint.converse
+        self._thread = threading.Thread(target=self._service.run, name="leap service", daemon=True)
+        self._thread.start()
+
+    def offer(self, frame: HandFrame) -> None:
+        """Sends a frame to the clients of the Leap service."""
+        self._frames += 1
+        text = wire.frame(frame.hands, frame.rate).text(self._frames, round(1e6 * frame.time))
+        self._service.offer(text)
+
+    def plug(self, attached: bool) -> None:
+        """Tells the clients of the Leap service whether a headset is there."""
+        self._service.plug(attached)
+
+    def watch(self) -> None:
+        """Listens to what the page draws while a headset drives."""
+        self._scene.watch(self._endpoint.driven)
+
+    def close(self) -> None:
+        """Stops the service."""
+        self._service.stop()
+        self._thread.join(CLOSE_S)

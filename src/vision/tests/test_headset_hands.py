@@ -1,0 +1,185 @@
+"""Hands from the headset's page to the desired tool: browser with an emulated headset, socket, bridge, driver, rig."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from chromium import browser
+from depth_scene import load
+
+from common.frames import TOOL_DESIRED
+from leap_motion.headset.placement import FROM_XR
+from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[2]
+PAGE = str(HERE.parent / "web" / "headset.html")
+ARM = {"center_line": [1, 0, 0], "z_lower_limit": 0.2, "tool_length": 0.106, "ws_center": [0.5, 0, 0.4]}
+RATE_HZ = 60
+
+
+@pytest.fixture(scope="session")
+def iwer():
+    """The source of Meta's headset emulation, in the version and with the checksum of package-lock.json."""
+    folder = ROOT / "build" / "iwer"
+    script = folder / "node_modules" / "iwer" / "build" / "iwer.min.js"
+    if not script.is_file():
+        if not shutil.which("npm"):
+            pytest.skip("the emulated headset is fetched by npm, which is not installed")
+        shutil.copytree(HERE / "iwer", folder, dirs_exist_ok=True)
+        command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120.0)
+        if done.returncode:
+            pytest.skip(f"npm does not fetch the emulated headset: {done.stderr.strip()[-300:]}")
+    return script.read_text()
+
+
+def recording(centre):
+    """Returns frames of 75 numbers [m], to be played again and again: an open hand of the simulated operator comes in
+    from the right to `centre`, in Leap axes [mm], stays, moves 80 mm to the left and back, and leaves.
+    """
+    model, frames = HandModel(), []
+    offsets = [np.full(RATE_HZ // 2, 250.0), np.linspace(250.0, 0.0, 2 * RATE_HZ), np.zeros(RATE_HZ)]
+    offsets += [40.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 3 * RATE_HZ)) - 40.0, np.linspace(0.0, 250.0, 2 * RATE_HZ)]
+    for offset in np.concatenate(offsets):
+        flexion, spread = fingers_for(0.05)
+        hand = model.place(HandPose(centre + np.array([offset, 0.0, 0.0]), 0.0, 0.0, 0.0, flexion, spread))
+        points = np.empty((25, 3))
+        points[0] = hand.wrist
+        points[FROM_XR] = hand.joints
+        frames.append(np.round(1e-3 * points, 5).ravel().tolist())
+    return frames
+
+
+EMULATION = """
+window.device = new IWER.XRDevice(IWER.metaQuest3);
+device.installRuntime({forceInstall: true});
+device.primaryInputMode = "hand";
+device.hands.left.connected = false;
+XRFrame.prototype.getJointPose = (joint, space) => {
+  const number = Math.floor((performance.now() - started) * RATE / 1000);
+  const frame = recorded[Math.max(0, number) % recorded.length];
+  const names = [...device.hands.right.inputSource.hand.keys()], i = 3 * names.indexOf(joint.jointName);
+  return {transform: {position: {x: frame[i] + origin[0], y: frame[i + 1] + origin[1], z: frame[i + 2] + origin[2]}}};
+};
+offer();
+"""
+
+
+def start_rig(ros, free_port, wait_until, tmp_path):
+    """Starts page, bridge, driver and teleoperation; returns the node of the page, its address and its log."""
+    import rospy
+
+    shipped = yaml.safe_load((HERE.parents[1] / "leap_kuka" / "config" / "leap_params.yaml").read_text())
+    rospy.set_param("leap", shipped)
+    rospy.set_param("kuka", {"robot": "LBR7R800", **ARM})
+    port = free_port()
+    web = {"host": "127.0.0.1", "port": 0, "page": PAGE, "certificate": "", "key": "", "hands": True, "leap_port": port}
+    rospy.set_param("stereo_web", {"view": {**load("stereo_view.yaml"), "lens": "none"}, "web": web})
+    node = ros.run("vision", "stereo_web_node.py")
+    ros.run("leap_motion", "leap_driver.py", f"_port:={port}")
+    ros.run("leap_kuka", "leap_kuka_node.py")
+
+    def said(words):
+        assert node.poll() is None, node.log_path.read_text()
+        parts = node.log_path.read_text().split(words)
+        return parts[-1].split("\x1b")[0].split()[0].rstrip(".") if len(parts) > 1 else None
+
+    wait_until(lambda: said("The view is at "), 30.0, "the address of the page")
+    return node, said
+
+
+class Rig:
+    """What the test sees of the rig."""
+
+    def __init__(self, ros):
+        from diagnostic_msgs.msg import DiagnosticStatus
+        from tf2_msgs.msg import TFMessage
+        from visualization_msgs.msg import MarkerArray
+
+        from leap_motion.msg import Human
+
+        self.boxes = ros.record("leap_kuka/interaction_box", MarkerArray)
+        self.humans = ros.record("leap_motion/leap_device", Human)
+        self.stream = ros.record("leap_kuka/stream", DiagnosticStatus)
+        self._tf = ros.record("/tf", TFMessage)
+
+    def moved(self):
+        """How far the desired tool has moved across the box so far [m]."""
+        found = [t.transform.translation.x for m in self._tf for t in m.transforms if t.child_frame_id == TOOL_DESIRED]
+        return np.ptp(found or [0.0])
+
+    def silent(self):
+        """Whether no frame of the tracker has come for a while."""
+        import rospy
+
+        return (rospy.Time.now() - self.humans[-1].header.stamp).to_sec() > 0.5
+
+    def runs(self):
+        return bool(self.stream) and any(v.key == "state" and v.value == "running" for v in self.stream[-1].values)
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+@pytest.mark.skipif(not shutil.which("openssl"), reason="openssl is not installed")
+def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken_off(
+    ros, free_port, wait_until, tmp_path, iwer
+):
+    rig = Rig(ros)
+    node, said = start_rig(ros, free_port, wait_until, tmp_path)
+    address = said("The view is at ")
+    assert address.startswith("https://127.0.0.1:")
+    box = rig.boxes.wait(1, 30.0)[0].markers[0].pose.position
+    origin = [0.0, 1.6 - 0.35 - box.y, -0.4]
+    frames = json.dumps(recording(np.array([0.0, 1e3 * box.y, 0.0])))
+    with browser(address, tmp_path, wait_until, size="320,240") as evaluate:
+        wait_until(lambda: evaluate("typeof offer === 'function'"), 30.0, "the page")
+        evaluate(iwer + "\n; 0")
+        evaluate(f"window.recorded = {frames}; window.origin = {origin}; window.RATE = {RATE_HZ}; 0")
+        evaluate("window.started = performance.now() + 1e9; 0")
+        evaluate(EMULATION + "; 0")
+        wait_until(lambda: not evaluate("code.hidden"), 30.0, "the field for the code")
+
+        def enter(code):
+            evaluate(f"code.value = {json.dumps(code)}; document.getElementById('vr').click(); 0")
+
+        wait_until(lambda: not evaluate("document.getElementById('vr').disabled"), 30.0, "the button")
+        wrong = "000000" if said("next headset is ") != "000000" else "000001"
+        enter(wrong)
+        wait_until(lambda: "not the code" in evaluate("drives.textContent"), 30.0, "the refusal")
+        wait_until(lambda: evaluate("window.painted > 2"), 30.0, "the view of a page that does not drive")
+        assert not any(human.nr_of_hands for human in rig.humans)
+        evaluate("drive.session.end(); 0")
+        enter(said("next headset is "))
+        wait_until(lambda: evaluate("!!drive.scene.leap"), 30.0, "the placement")
+        assert evaluate("drive.scene.leap") == pytest.approx([*origin, 0.0], abs=1e-3)
+        evaluate("window.started = performance.now(); 0")
+        wait_until(lambda: any(human.right_hand.is_present for human in rig.humans[-5:]), 30.0, "the hand")
+        wait_until(rig.runs, 30.0, "the stream")
+        wait_until(lambda: rig.moved() > 0.05, 30.0, "the desired tool to move")
+        wait_until(lambda: evaluate("!!drive.scene.tool"), 30.0, "the tool on the page")
+        wait_until(lambda: evaluate("drive.note") == "", 10.0, "no complaint")
+        if os.environ.get("HEADSET_PICTURE"):
+            evaluate.picture(Path(os.environ["HEADSET_PICTURE"]))
+        evaluate("device.updateVisibilityState('visible-blurred'); 0")
+        wait_until(lambda: not rig.runs(), 30.0, "the end of the stream")
+        count = len(rig.humans)
+        assert evaluate("drive.socket !== null")
+        evaluate("device.updateVisibilityState('visible'); 0")
+        wait_until(lambda: len(rig.humans) > count + 5, 30.0, "frames again")
+        painted = evaluate("document.hasFocus = () => true; window.painted")
+        wait_until(lambda: evaluate("window.painted") > painted + 2, 30.0, "frames of a page that has the focus")
+        evaluate("document.hasFocus = () => false; window.onblur(); 0")
+        wait_until(rig.silent, 30.0, "the end of the frames where the page loses the focus")
+        assert evaluate("drive.socket !== null")
+        evaluate("drive.session.end(); 0")
+        wait_until(lambda: "No headset drives" in node.log_path.read_text(), 30.0, "the end of the drive")

@@ -1,0 +1,127 @@
+"""A little of `make fuzz` with each run of the tests, what it found once, and that it finds faults at all."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import math
+import random
+
+import numpy as np
+import pytest
+
+from common import config
+from fuzz.run import checked, run_batch
+from fuzz.targets import TARGETS
+from grasping.lab.dataset import store
+from grasping.network import weights
+from kst.client import KstClient
+from kst.codec import KstLineSplitter
+from leap_motion import codec as leap_codec
+from reflex import codec as reflex_codec
+from rig_simulation.faults import injection
+
+EXAMPLES = 250  # of a target whose cost is 1
+ROS_MARK = {True: [pytest.mark.ros], False: []}
+NAMES = [pytest.param(name, marks=ROS_MARK[target.ros]) for name, target in TARGETS.items()]
+
+FOUND = [
+    ("control_port", b'{"do": "fault", "name": {}, "on": true, "value": 0.3}'),
+    ("control_port", b'{"do": "fault", "name": "slow", "value": 1' + b"0" * 400 + b"}"),
+    ("control_port", b'{"do": "fault", "name": "slow", "duration": 1' + b"0" * 400 + b"}"),
+    ("yaml_files", ("tags", "- 0.0\n- 0.0\n")),
+    ("yaml_files", ("obstacles", "post: {kind: box, position: [1, 2, " + 400 * "9" + "]}\n")),
+    ("yaml_files", ("camera", "camera_matrix: {data: [" + 8 * "0, " + 400 * "9" + "]}\n")),
+    ("yaml_files", ("lens", "{camera_matrix: {data: [1]}, image_width: " + 400 * "9" + "}\n")),
+    *(
+        ("yaml_files", (kind, text))
+        for kind in ("hand", "scene", "calibration")
+        for text in ("date: 2001-13-45\n", "x: !!int ''\n", "x: !!bool x\n", "[" * 500, "!!map x\n")
+    ),
+]
+"""Targets and inputs that were findings once."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_nothing_is_found(name):
+    target = TARGETS[name]
+    found = run_batch(target, checked(target, {}), max(10, int(EXAMPLES / target.cost)), None, target.inputs())
+    assert found is None, f"{found[1]}: {found[0]!r}; caused by {found[1].__cause__!r}"
+
+
+@pytest.mark.parametrize(("name", "given"), FOUND)
+def test_what_was_found_once_stays_mended(name, given):
+    checked(TARGETS[name], {})(given)
+
+
+def test_files_that_were_findings_once(monkeypatch):
+    packed = bytearray(gzip.compress(b"{}" * 500))
+    packed[15] ^= 0xFF
+    checked(TARGETS["recordings"], {})(bytes(packed))
+    for line in ("[" * 2000, '{"hands": ["x"], "pointables": [], "timestamp": 1}', '{"hands": [], "timestamp": 1}'):
+        checked(TARGETS["recordings"], {})(line.encode())
+    stream = io.BytesIO()
+    np.save(stream, np.zeros(3))
+    for wrong in ((b"(3,)", b"(3,("), (b"(3,), }" + b" " * 16, b"(300000000000000,), }  ")):
+        data = stream.getvalue().replace(*wrong)
+        with pytest.raises(store.DatasetError):
+            store._array("x", data)
+
+    def damaged(*_):
+        raise RuntimeError("Object visitation failed")
+
+    monkeypatch.setattr(weights.h5py, "File", damaged)
+    with pytest.raises(weights.WeightsError, match="visitation"):
+        weights.load(weights.HDF5_MAGIC)
+
+
+def lost_rest(self, data: bytes) -> list[bytes]:
+    return [line.rstrip(b"\r") for line in data.split(b"\n")[:-1] if line.strip(b"\r")]
+
+
+PLANTED = {
+    "the client takes numbers that are not finite": (
+        "kst_client", KstClient, "_numbers", staticmethod(lambda command, reply: np.array(reply.numbers))),
+    "a line that comes in two packets is lost": ("kst_answers", KstLineSplitter, "feed", lost_rest),
+    "a Leap number beyond a float's range ends the driver": (
+        "leap_text", leap_codec, "_checked", lambda read, *fields: read(*fields)),
+    "a parameter may be NaN": (
+        "parameters", config, "is_number", lambda value: type(value) in (int, float) and abs(value) != math.inf),
+    "the length of a datagram is not checked": ("reflex_datagrams", reflex_codec, "STATE_BYTES", 198),
+    "a fault's number may be anything": ("control_port", injection, "is_number", lambda value: True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", PLANTED)
+def test_a_planted_fault_is_found(monkeypatch, fault):
+    name, place, attribute, wrong = PLANTED[fault]
+    target = TARGETS[name]
+    inputs = target.inputs()
+    monkeypatch.setattr(place, attribute, wrong)
+    assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
+
+
+@pytest.mark.ros
+def test_random_messages_of_every_type_of_the_rig_can_be_sent():
+    from fuzz.live import random_message
+    from kuka_msgs.msg import MoveActionGoal
+    from leap_motion.msg import Human
+    from rig_msgs.msg import KukaStatus, OperatorInput
+    from rig_msgs.srv import CheckToolPoseRequest
+
+    for seed in range(20):
+        for kind in (Human, KukaStatus, OperatorInput, MoveActionGoal, CheckToolPoseRequest):
+            stream = io.BytesIO()
+            random_message(kind, random.Random(seed)).serialize(stream)
+            kind().deserialize(stream.getvalue())
+
+
+def test_an_exception_in_a_node_is_a_finding(tmp_path):
+    from fuzz.live import _tracebacks
+
+    log = tmp_path / "rig.log"
+    trace = 'Traceback (most recent call last):\n  File "/src/a.py", line 7\nKeyError: 1\n'
+    log.write_text(f"[ERROR] bad callback: x\n{trace}" * 3)
+    assert _tracebacks(log) == ['File "/src/a.py", line 7: KeyError: 1']
+    log.write_text("[WARN] The stamp is old.\n")
+    assert not _tracebacks(log)

@@ -1,0 +1,70 @@
+"""The pages about safety name tests and rows of the campaign that exist, and figures that can be recalculated."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from campaign.page import CATALOGUE
+
+ROOT = Path(__file__).parents[1]
+HANDBOOK = ROOT / "docs/handbook"
+PAGES = ("safety-case.md", "security.md", "commissioning.md")
+ARM_KG = 20.0 / 2.0 + 1.12 + 0.5
+BODY = {  # stiffness [N/m], mass [kg]
+    "hand, fingers": (75e3, 0.6), "forearm": (40e3, 2.0), "upper arm": (30e3, 3.0), "chest": (25e3, 40.0),
+    "face": (75e3, 4.4),
+}  # fmt: skip
+
+
+def functions(path: Path) -> set[str]:
+    """Returns the names of the functions in a file."""
+    return {node.name for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_test_that_is_named_exists(page):
+    named = re.findall(r"`(test_\w+\.py)::(test_\w+)`", (HANDBOOK / page).read_text())
+    assert named or page != "safety-case.md"
+    for file, name in named:
+        paths = [*ROOT.glob(f"src/**/tests/{file}"), *ROOT.glob(f"tests/{file}")]
+        assert sum(name in functions(path) for path in paths) == 1, f"{page} names {file}::{name}"
+
+
+def test_every_row_that_is_named_is_in_the_campaign():
+    from campaign.rows import load
+
+    named = {int(number) for number in re.findall(r"\brow (\d+)", (HANDBOOK / "safety-case.md").read_text())}
+    known = set(load())
+    assert named <= set(range(1, CATALOGUE + 1))
+    assert len(known) < CATALOGUE or named <= known
+
+
+def test_every_hazard_has_all_its_cells():
+    table = (HANDBOOK / "safety-case.md").read_text().partition("## Hazards")[2].partition("\n### ")[0]
+    rows = [line.strip("|").split("|") for line in table.splitlines() if re.match(r"\| \d+ \|", line)]
+    assert [int(row[0]) for row in rows] == list(range(1, len(rows) + 1)) and len(rows) > 20
+    shown = (HANDBOOK / "safety-case.md").read_text().partition("### What shows it")[2].partition("\n## ")[0]
+    assert [int(number) for number in re.findall(r"^\| (\d+) \|", shown, re.MULTILINE)] == list(range(1, len(rows) + 1))
+    for row in rows:
+        assert len(row) == 6 and all(cell.strip() for cell in row), row[0]
+        severity, frequency, avoidance, risk = row[3].split()
+        points = (severity == "S2", frequency == "F2", avoidance == "P2")
+        high, medium = points[0] and (points[1] or points[2]), points in ((False, True, True), (True, False, False))
+        assert risk == ("high" if high else "medium" if medium else "low"), row[0]
+
+
+def test_the_forces_are_those_of_the_model():
+    page = (HANDBOOK / "safety-case.md").read_text()
+    for part, (stiffness, mass) in BODY.items():
+        per_speed = math.sqrt(stiffness / (1.0 / mass + 1.0 / ARM_KG))
+        line = re.search(rf"^\| {part}[^|]*\|(.*)$", page, re.MULTILINE)
+        assert line, part
+        forces = [int(force) for force in re.findall(r"(\d+) N \|", line.group(1))[:3]]
+        assert forces == [round(per_speed * speed) for speed in (0.2, 0.65, 0.75)]
+        permitted, speed = re.search(r"(\d+) N \| (?:below )?([\d.]+) m/s", line.group(1)).groups()
+        assert float(speed) == round(float(permitted) / per_speed, 2)

@@ -1,0 +1,22 @@
+"""What a launch file would start, found within this process: a start of roslaunch for each question costs a second."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import roslaunch
+
+
+def nodes(package: str, file: str, *arguments: str) -> set[str]:
+    """Returns the names of the nodes that the launch file starts with these arguments (name:=value)."""
+    return set(roslaunch.node_args.get_node_list(_config(package, file, arguments)))
+
+
+def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:
+    """Returns the parameters that it sets, by their names."""
+    return {name: parameter.value for name, parameter in _config(package, file, arguments).params.items()}
+
+
+def _config(package: str, file: str, arguments: tuple[str, ...]) -> Any:
+    (path,) = roslaunch.rlutil.resolve_launch_arguments([package, file])
+    return roslaunch.config.load_config_default([(path, list(arguments))], None, assign_machines=False)
