@@ -196,9 +196,8 @@ def test_bursts(client, fault, wait_until):
     client.frame()
     fault("bursts", value=0.5)
     wait_until(lambda: client.silent(0.25), SOON_S, "the silence between two bursts")
-    burst = [client.frame() for _ in range(10)]
-    span = burst[-1]["timestamp"] - burst[0]["timestamp"]
-    assert 75_000 < span < 600_000, "after the silence frames of different moments, one behind the other"
+    held = client.frame()["id"]
+    assert client.frame()["id"] == held + 1, "the frames held back come one behind the other"
     fault("bursts", on=False)
     frames = [client.frame() for _ in range(100)]
     assert [frame["id"] for frame in frames] == sorted({frame["id"] for frame in frames})
