@@ -7,6 +7,7 @@ The exit code is 0 if no row failed.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import queue
@@ -70,7 +71,8 @@ class Rig:
 
     def close(self) -> None:
         """Ends it."""
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):
+            self._process.stdin.close()
         try:
             self._process.wait(60.0)
         except subprocess.TimeoutExpired:
@@ -95,8 +97,45 @@ class Rig:
         return f"the end of its log: {Path(self._log.name).read_text()[-2000:]}"
 
 
+class KeptRig:
+    """A rig that is kept for rows of the same variant until one spoils it; else a new one is made."""
+
+    def __init__(self, traces: Path | None = None) -> None:
+        self._traces = traces
+        self._rig: Rig | None = None
+
+    @property
+    def variant(self) -> str | None:
+        """The variant of the rig that runs, None if none does."""
+        return self._rig.variant if self._rig else None
+
+    def judge(self, entry: Row) -> dict:
+        """Runs a row and returns its verdict; a rig that does not come up is a failure of the row."""
+        while True:
+            if self._rig is not None and (self._rig.variant != entry.variant or not self._rig.usable):
+                self.close()
+            used = self._rig is not None
+            try:
+                self._rig = self._rig or Rig(entry.variant, self._traces)
+                result = self._rig.judge(entry)
+            except OSError as error:
+                self.close()
+                if used:  # the row before may have left it so, and this one has not begun
+                    continue
+                return {"result": "failed", "faults": [str(error)], "seconds": 0.0}
+            if entry.spoils:
+                self.close()
+            return result
+
+    def close(self) -> None:
+        """Ends the rig, if there is one."""
+        if self._rig is not None:
+            self._rig.close()
+        self._rig = None
+
+
 class Campaign:
-    """Runs rows on some rigs at once; a rig is kept for rows of the same variant until one spoils it."""
+    """Runs rows on some rigs at once."""
 
     def __init__(self, entries: list[Row], rigs: int, traces: Path | None, tell) -> None:
         self._waiting = sorted(entries, key=lambda entry: (entry.spoils, entry.variant, entry.number))
@@ -123,33 +162,15 @@ class Campaign:
             return entry
 
     def _work(self) -> None:
-        rig = None
-        while True:
-            entry = self._next(rig.variant if rig else None)
-            if rig is not None and (entry is None or entry.variant != rig.variant or not rig.usable):
-                rig.close()
-                rig = None
-            if entry is None:
-                return
-            used = rig is not None
-            try:
-                rig = rig or Rig(entry.variant, self._traces)
+        rig = KeptRig(self._traces)
+        try:
+            while (entry := self._next(rig.variant)) is not None:
                 result = rig.judge(entry)
-            except OSError as error:
-                if rig is not None:
-                    rig.close()
-                    rig = None
-                if used:  # the row before may have left it so
-                    with self._lock:
-                        self._waiting.insert(0, entry)
-                    continue
-                result = {"result": "failed", "faults": [str(error)], "seconds": 0.0}
-            with self._lock:
-                self.results[entry.number] = result
-                self._tell(entry, result, len(self.results))
-            if rig is not None and entry.spoils:
-                rig.close()
-                rig = None
+                with self._lock:
+                    self.results[entry.number] = result
+                    self._tell(entry, result, len(self.results))
+        finally:
+            rig.close()
 
 
 def main(argv: list[str] | None = None) -> int:
