@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from campaign import soak
 from campaign.growth import growth
+from campaign.soak_report import BOUNDS
 
 HOURS = np.arange(0.0, 2.0, 10.0 / 3600.0)
 SEEDS = st.integers(0, 2**32 - 1)
-LEAST = soak.BOUNDS["rss"][0]
+LEAST = BOUNDS["rss"][0]
 
 
 def memory(rng: np.random.Generator, leak: float) -> np.ndarray:
@@ -42,7 +43,7 @@ def test_threads_that_leak_with_every_fault_are_found_and_those_that_come_and_go
     rng = np.random.default_rng(seed)
     busy = 12 + rng.integers(0, 3, len(HOURS)) + 5 * (rng.random(len(HOURS)) < 0.1)
     threads = busy + leaks * np.floor(per_hour * HOURS)
-    assert growth(HOURS, threads).verdict(soak.BOUNDS["threads"][0]) == ("grows" if leaks else "steady")
+    assert growth(HOURS, threads).verdict(BOUNDS["threads"][0]) == ("grows" if leaks else "steady")
 
 
 @given(SEEDS, st.integers(0, 20))
@@ -67,7 +68,7 @@ def test_a_run_is_judged_from_its_file_even_if_its_last_line_was_cut_off(tmp_pat
         file.write('{"t": 7200, "processes": {"leap_dr')
     assert soak.main(["--judge", str(path)]) == (1 if leak else 0)
     result = json.loads(path.with_suffix(".json").read_text())
-    assert {row["measure"] for row in result["rows"]} == set(soak.BOUNDS)
+    assert {row["measure"] for row in result["rows"]} == set(BOUNDS)
     grown = {(row["process"], row["measure"]) for row in result["rows"] if row["verdict"] == "grows"}
     assert grown == ({("leap_driver.py", "rss"), ("leap_driver.py", "pss"), ("rig", "pss")} if leak else set())
     assert path.with_suffix(".png").stat().st_size < 150_000
