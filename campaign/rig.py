@@ -39,6 +39,7 @@ PROGRAMS = {
 }
 START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
 """Longest waits [s]: for the rig to start, for a motion, for a message."""
+ENGAGEMENTS = 3  # a busy machine's pauses may end so many streams, less one, before the arm is where the hand is
 
 STANDING = 2e-3
 """A servo goal is approached ever more slowly: at this speed [rad/s] a joint is 0.1 deg away from it."""
@@ -200,7 +201,10 @@ class RigUnderTest:
         self.set(**parameters)
         if name == CONTROLLER:
             self.mode = ""
-        self._started[name] = self._processes.start("rosrun", *PROGRAMS[name], f"__name:={name}")
+        package, program = PROGRAMS[name]
+        if name == TELEOP and not self._arguments.get("teleop", program).startswith("patient"):
+            package, program = "leap_kuka", self._arguments["teleop"]
+        self._started[name] = self._processes.start("rosrun", package, program, f"__name:={name}")
 
     def set(self, **parameters) -> None:
         """Changes parameters under kuka/, for controllers that are started later."""
@@ -284,9 +288,21 @@ class RigUnderTest:
     def follow(self, **at: float) -> None:
         """Switches control on, brings a hand in and waits until the arm stands where the hand has sent it."""
         assert self.control(True).success
-        self.bring_hand(**at)
-        self.wait_for_mode("servo")
-        self.settle()
+        self.engage(**at)
+
+    def engage(self, **at: float) -> None:
+        """Brings a hand in until the arm stands where it has sent it; again where the stream ended for a pause."""
+
+        def lost() -> bool:
+            return self.stream_state != "running"
+
+        for _ in range(ENGAGEMENTS):
+            self.bring_hand(**at)
+            self.wait(lambda: lost() or self.hand.still, "the hand to stand still", MOVE_S)
+            self.wait(lambda: lost() or self._stands_in_servo_mode(), "the arm to stand still in servo mode", MOVE_S)
+            if not lost():
+                return
+        pytest.fail(f"no hand was followed to where it is{self.situation}")
 
     def bring_hand(self, **at: float) -> None:
         """Brings a hand in until it is followed: on a busy machine its way in may be among the frames left behind."""
@@ -306,12 +322,11 @@ class RigUnderTest:
         """Waits until the hand, its mean and the arm in servo mode stand still."""
         self.wait(lambda: self.hand.still, "the hand to stand still", MOVE_S)
         self.see(20)
-        # Half a second, because the arm also stands while servo mode starts.
-        self.wait(
-            lambda: self.mode == "servo" and max(s.speed for s in self.arm.since(self.arm.now.time - 0.5)) < STANDING,
-            "the arm to stand still in servo mode",
-            MOVE_S,
-        )
+        self.wait(self._stands_in_servo_mode, "the arm to stand still in servo mode", MOVE_S)
+
+    def _stands_in_servo_mode(self) -> bool:
+        """Returns whether it has stood for half a second: the arm also stands while servo mode starts."""
+        return self.mode == "servo" and max(s.speed for s in self.arm.since(self.arm.now.time - 0.5)) < STANDING
 
     def see(self, frames: int) -> None:
         """Waits until so many more frames with a hand have gone to the Leap driver."""

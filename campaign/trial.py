@@ -28,17 +28,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from campaign.judge import Evidence, Expected, Limits, Verdict, judge
+from campaign.judge import REST, Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
 
 VARIANTS: dict[str, dict[str, str]] = {
     "patient": {},
-    "shipped": {"teleop": "leap_kuka_node.py", "overrides": ""},
+    "tracker": {"teleop": "leap_kuka_node.py", "overrides": str(Path(__file__).with_name("rig.yaml"))},
+    "shipped": {"teleop": "leap_kuka_node.py"},
 }
-"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, or as shipped.
+"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, with those of leap_kuka
+as shipped, or with all as shipped.
 
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """
+
+STOOD_S = 0.1
+"""An arm that rests so long has stopped; one that turns back on its way rests for less [s]."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +159,23 @@ class Trial:
         """Lets time pass on the arm's clock, in which nothing may follow the hand; the judge looks at it."""
         self.rig.watch(seconds)
 
+    def stands(self, within: float) -> None:
+        """Waits until the arm stands after the fault, for the first time; notes whether it did so in time [s].
+
+        What may come then, a motion home or the next hand, is no matter here.
+        """
+        found: list[float] = []
+
+        def rested() -> bool:
+            steps = [step for step in list(self.rig.arm.steps) if step[0] >= self._fault]
+            moving = [step[0] for step in steps if max(map(abs, step[8:15])) > REST]
+            pairs = zip([self._fault, *moving], [*moving, self.rig.arm.now.time])
+            found[:] = [before - self._fault for before, after in pairs if after - before > STOOD_S][:1]
+            return bool(found)
+
+        self.rig.wait(rested, "the arm to stand")
+        self.check(f"the arm stands within {within:g} s", found[0] <= within, f"only after {found[0]:.2f} s")
+
     def operator(self) -> None:
         """Notes that the operator acts from now on."""
         self._operator = self._operator or time.monotonic()
@@ -166,9 +188,7 @@ class Trial:
         rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", 20.0)
         rig.wait_for_mode("home")
         rig.modes.clear()
-        rig.bring_hand(right=-0.04)
-        rig.wait_for_modes("servo")
-        rig.settle()
+        rig.engage(right=-0.04)
 
     def check(self, what: str, good: bool, detail: object = "") -> None:
         """Notes a condition of this row alone; a false one fails the row."""
