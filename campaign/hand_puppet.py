@@ -51,7 +51,7 @@ class Hand:
 
 
 class HandPuppet:
-    """A source of the simulated service. Every call of `show` or `flash` brings another hand, with a new id."""
+    """A source of the simulated service. Every call of `show`, `flash` or `join` brings another hand, with a new id."""
 
     def __init__(self) -> None:
         self._seen = 0
@@ -59,7 +59,10 @@ class HandPuppet:
         self._model = HandModel("right")
         self._hand: Hand | None = None
         self._path: Iterator[Hand | None] = iter(())
-        self._id = 0
+        self._id = self._newest_id = 0
+        self._other: Hand | None = None
+        self._other_path: Iterator[Hand | None] = iter(())
+        self._other_id = 0
         self._glitch: Hand | None = None
         self._moving = False
 
@@ -74,9 +77,21 @@ class HandPuppet:
         """Shows another hand where it is to be, for so many frames only."""
         self._follow(iter([Hand(**at)] * frames + [None]), new=True)
 
-    def hide(self) -> None:
-        """Takes the hand away."""
+    def join(self, seconds: float, to: dict[str, float], **at: float) -> None:
+        """Brings in a second right hand, another person's, which sways; it stays when the first leaves."""
+        with self._lock:
+            self._newest_id += 1
+            self._other_id, self._other_path = self._newest_id, _sway(Hand(**at), Hand(**{**at, **to}), seconds)
+
+    def leave(self) -> None:
+        """Takes the first hand away; a second one stays."""
         self._follow(iter([None]))
+
+    def hide(self) -> None:
+        """Takes all hands away."""
+        with self._lock:
+            self._other_path = iter([None])
+        self.leave()
 
     def glide(self, seconds: float, **to: float) -> None:
         """Moves the hand smoothly; what is not named stays as it is."""
@@ -99,23 +114,27 @@ class HandPuppet:
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, dict]]:
         """Yields (interval, frame) for ever; called by the service."""
         while True:
-            hand, number = self._next()
-            yield PERIOD_S, wire.frame([] if hand is None else [self._report(hand, number)], 1.0 / PERIOD_S)
+            hands = [self._report(hand, number) for hand, number in self._next() if hand is not None]
+            yield PERIOD_S, wire.frame(hands, 1.0 / PERIOD_S)
 
     def _follow(self, path: Iterator[Hand | None], new: bool = False) -> None:
         with self._lock:
             self._path, self._moving = path, True
-            self._id += new
+            if new:
+                self._newest_id += 1
+                self._id = self._newest_id
 
-    def _next(self) -> tuple[Hand | None, int]:
+    def _next(self) -> list[tuple[Hand | None, int]]:
+        """Returns the hands of the next frame with their ids; the second comes first, to be taken for the first one."""
         with self._lock:
+            self._other = next(self._other_path, self._other)
             try:
                 self._hand = next(self._path)
             except StopIteration:
                 self._moving = False
             glitch, self._glitch = self._glitch, None
             self._seen += self._hand is not None
-            return glitch or self._hand, self._id
+            return [(self._other, self._other_id), (glitch or self._hand, self._id)]
 
     def _report(self, hand: Hand, number: int) -> ReportedHand:
         flexion, spread = fingers_for(hand.curl)
@@ -136,6 +155,12 @@ class PuppetClient:
 
     def flash(self, frames: int, **at: float) -> None:
         self._client.ask("flash", frames=frames, at=at)
+
+    def join(self, seconds: float, to: dict[str, float], **at: float) -> None:
+        self._client.ask("join", seconds=seconds, to=to, at=at)
+
+    def leave(self) -> None:
+        self._client.ask("leave")
 
     def hide(self) -> None:
         self._client.ask("hide")
@@ -184,6 +209,8 @@ def main() -> None:
     calls = {
         "show": lambda at: puppet.show(**at),
         "flash": lambda frames, at: puppet.flash(frames, **at),
+        "join": lambda seconds, to, at: puppet.join(seconds, to, **at),
+        "leave": puppet.leave,
         "hide": puppet.hide,
         "glide": lambda seconds, to: puppet.glide(seconds, **to),
         "sway": lambda seconds, to: puppet.sway(seconds, **to),

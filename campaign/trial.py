@@ -36,8 +36,8 @@ VARIANTS: dict[str, dict[str, str]] = {
     "tracker": {"teleop": "leap_kuka_node.py", "overrides": str(Path(__file__).with_name("rig.yaml"))},
     "shipped": {"teleop": "leap_kuka_node.py"},
 }
-"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, with those of leap_kuka
-as shipped, or with all as shipped.
+"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, only leap_kuka as
+shipped, or all as shipped.
 
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """
