@@ -12,6 +12,7 @@ import time
 import xmlrpc.client
 from pathlib import Path
 
+import actionlib
 import numpy as np
 import pytest
 import rosgraph
@@ -25,10 +26,13 @@ from campaign.arm_trace import ArmTrace
 from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
-from common.ros.conversions import pose_from_transform
+from common.frames import BASE
+from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
+from kuka_msgs.msg import MoveAction
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from leap_motion.msg import Human
 from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import CheckToolPose, HoldTool
 from rig_simulation.control_port import ControlClient
 
 CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
@@ -211,6 +215,10 @@ class RigUnderTest:
         for key, value in parameters.items():
             rospy.set_param(f"kuka/{key}", value)
 
+    def parameters(self, *keys: str) -> dict[str, object]:
+        """Returns parameters under kuka/ by key."""
+        return {key: rospy.get_param(f"kuka/{key}") for key in keys}
+
     def pid(self, name: str) -> int | None:
         """Returns the process of a node, None if it does not run."""
         try:
@@ -354,6 +362,19 @@ class RigUnderTest:
         """Switches control of the robot hand."""
         return self.call("kuka/gripper_control", setGripperControl, on)
 
+    def hold_tool(self, T_base_tool: np.ndarray, duration: float):
+        """Has the arm wait at a tool pose, shape (4, 4) [m], for a hand that takes over; 0 s ends that."""
+        check = self.call("kuka/check_tool_pose", CheckToolPose, stamped_pose(T_base_tool, BASE, rospy.Time.now()))
+        assert check.success, check.message
+        desired = stamped_pose(pose_from_message(check.desired), BASE, rospy.Time.now())
+        return self.call("leap_kuka/hold_tool", HoldTool, desired, duration)
+
+    def moves(self) -> actionlib.SimpleActionClient:
+        """Returns a client of kuka/move, connected."""
+        client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+        assert client.wait_for_server(rospy.Duration(MOVE_S))
+        return client
+
     def call(self, name: str, kind, *values):
         """Calls a service, once it is there."""
         rospy.wait_for_service(name, MOVE_S)
@@ -372,6 +393,7 @@ class RigUnderTest:
         self.status = status
         self.statuses.append((time.monotonic(), status.mode, status.control_on))
         self.hear("kuka/status", status.reason)
+        self.hear("kuka/status, limited by", ", ".join(status.limited_by))
 
     def _take_mode(self, message: String) -> None:
         self.mode = message.data

@@ -15,21 +15,24 @@ what stands for it.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rospy
 
 from campaign.judge import REST, Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
+from kuka_msgs.msg import MoveGoal
 
 VARIANTS: dict[str, dict[str, str]] = {
     "patient": {},
@@ -147,6 +150,25 @@ class Trial:
         self.begins()
         os.kill(pid, number)
 
+    @contextlib.contextmanager
+    def controller(self, **parameters: Any) -> Iterator[None]:
+        """Starts the controller anew with changed parameters under kuka/; afterwards they are as before."""
+        before = self.rig.parameters(*parameters)
+        self._restart_controller(**parameters)
+        try:
+            yield
+        finally:
+            self._restart_controller(**before)
+
+    def _restart_controller(self, **parameters: Any) -> None:
+        rig, node = self.rig, "kuka_real_time_node"
+        self.killed.add(f"/{node}")
+        if rig.pid(node) is not None:
+            rig.signal(node, signal.SIGINT)
+            rig.exit_code(node)
+        rig.start(node, **parameters)
+        rig.wait_for_mode("home")
+
     def says(self, pattern: str, timeout: float = 5.0) -> None:
         """Waits until somebody says what a regular expression describes, after the fault."""
 
@@ -199,6 +221,19 @@ class Trial:
         answer = self.rig.call(name, kind, *values)
         self.rig.hear(name, answer.message)
         return answer
+
+    def move(self, client: Any = None, **goal: Any) -> Any:
+        """Has a program move the arm (kuka_msgs/MoveGoal) and returns the result; takes note of its sentence."""
+        client = client or self.rig.moves()
+        client.send_goal(MoveGoal(**goal))
+        return self.moved(client)
+
+    def moved(self, client: Any) -> Any:
+        """Waits for the end of a motion for a program and returns its result; takes note of its sentence."""
+        self.rig.wait(lambda: client.wait_for_result(rospy.Duration(0.1)), "the end of the motion", 30.0)
+        result = client.get_result()
+        self.rig.hear("kuka/move", result.message)
+        return result
 
     def evidence(self, died: list[str]) -> Evidence:
         """Returns what was seen up to now."""

@@ -13,16 +13,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from campaign.rows.limits import outside
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 
 pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.alone]
 
 CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
-AHEAD = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
-LEFT = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
-"""The centre line of the parameters as shipped, and the horizontal direction to its left."""
-
 FULL_SPEED = np.radians([98, 98, 100, 130, 140, 180, 180])
 """Joint speeds of the 7 R800 [rad/s]."""
 
@@ -37,14 +34,6 @@ TOOL = pose(rotation_about(2, -np.pi / 4.0 + TURN) @ np.diag([-1.0, 1.0, -1.0]),
 def axes_turned(R_from, R_to) -> np.ndarray:
     """Returns the size of the rotation vector between two attitudes, axis by axis [deg]."""
     return np.degrees(np.abs(pin.log3(R_from.T @ R_to)))
-
-
-def outside(position) -> float:
-    """Returns by how much a tool position is outside of the workspace as shipped [m], 0 inside."""
-    along, left, z = position @ AHEAD, position @ LEFT, position[2]
-    r = np.linalg.norm(position - [0.0, 0.0, 0.34])
-    beyond_plane = np.cos(np.radians(25.0)) * abs(left) - np.sin(np.radians(25.0)) * along
-    return max(0.0, 0.2 - z, z - 0.6, 0.5 - r, r - 0.7, beyond_plane)
 
 
 def highest_share_of_joint_speed(samples) -> float:
@@ -280,18 +269,6 @@ def test_a_lost_hand_sends_the_arm_home_and_another_one_is_picked_up_without_a_j
     assert highest_share_of_joint_speed(rig.arm.since(since)) < 0.3, "pick-up motions run at a quarter of full speed"
 
 
-def hold_tool(rig, duration):
-    import rospy
-
-    from common.ros.conversions import pose_from_message, stamped_pose
-    from rig_msgs.srv import CheckToolPose, HoldTool
-
-    check = rig.call("kuka/check_tool_pose", CheckToolPose, stamped_pose(TOOL, "kuka/base_frame", rospy.Time.now()))
-    assert check.success, check.message
-    desired = stamped_pose(pose_from_message(check.desired), "kuka/base_frame", rospy.Time.now())
-    return rig.call("leap_kuka/hold_tool", HoldTool, desired, duration)
-
-
 def is_at_the_pose(rig):
     T = rig.arm.now.T_base_tool
     turned = rotation_angle(T[:3, :3].T @ TOOL[:3, :3])
@@ -299,9 +276,9 @@ def is_at_the_pose(rig):
 
 
 def test_a_hand_takes_the_arm_over_where_it_waits(rig):
-    assert "control of the arm is off" in hold_tool(rig, 60.0).message
+    assert "control of the arm is off" in rig.hold_tool(TOOL, 60.0).message
     assert rig.control(True).success
-    rig.wait(lambda: hold_tool(rig, 60.0).success, "the hold", 10.0)
+    rig.wait(lambda: rig.hold_tool(TOOL, 60.0).success, "the hold", 10.0)
     rig.wait(lambda: rig.mode == "servo" and is_at_the_pose(rig), "the arm at the pose", 15.0)
     assert rig.modes == ["pick_up", "servo"] and rig.stream_state == "waiting"
 
@@ -326,7 +303,7 @@ def test_a_hand_takes_the_arm_over_where_it_waits(rig):
 
 def test_without_a_hand_the_arm_goes_home_again(rig):
     assert rig.control(True).success
-    rig.wait(lambda: hold_tool(rig, 8.0).success, "the hold", 10.0)
+    rig.wait(lambda: rig.hold_tool(TOOL, 8.0).success, "the hold", 10.0)
     rig.wait(lambda: rig.mode == "servo" and is_at_the_pose(rig), "the arm at the pose", 15.0)
     rig.wait_for_modes("returning", "home")
     assert "the tool is no longer held: no hand took it over in time" in [why for _, why in rig.stream]

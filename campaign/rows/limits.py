@@ -1,0 +1,305 @@
+"""Rows 57 to 63: the bounds of the workspace, the reach, singular poses, joint ranges and collisions.
+
+Rows without a letter are no faults that stop the arm: it must go on, more slowly or elsewhere.
+"""
+
+from __future__ import annotations
+
+import signal
+import tempfile
+
+import numpy as np
+import rospy
+import yaml
+
+from campaign.judge import Limits
+from campaign.trial import row
+from common.poses import pose
+from common.rotations import rotation_about, rotation_angle
+from kuka_control.limits.collision import CollisionGuard
+from kuka_control.model.obstacles import obstacles_from
+from kuka_control.model.rig import checked_rig
+from kuka_control.model.robot_shape import Opening
+from kuka_msgs.msg import MoveGoal
+from reflex_msgs.msg import Hand
+
+AHEAD = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+LEFT = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+"""The centre line of the parameters as shipped, and the horizontal direction to its left."""
+RANGES = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])  # of the joints, either way, by the data sheet
+BEYOND_M = 5e-3  # goals leave the workspace by 2 mm; the joints follow them with lags of their own
+FOLLOWS = Limits.of_the_drives()
+"""Of an arm that follows a hand all along: goals that a busy machine sends late are caught up with as fast as the drives
+can, with the law of the simulated controller (lts). What the goals ask for is below 12 rad/s^2."""
+CORNERS = (
+    ({"right": 0.42, "up": -0.3, "back": -0.15}, ("opening angle", "lower z limit", "outer sphere")),
+    ({"right": -0.35, "up": 0.3, "back": 0.3}, ("opening angle", "upper z limit", "inner sphere")),
+)
+"""Hands that are beyond three bounds each, all six together."""
+OUT_S = 2.2  # of a hand on its way out or back [s]
+
+
+def outside(position: np.ndarray) -> float:
+    """Returns by how much a tool position is outside of the workspace as shipped [m], 0 inside."""
+    along, left, z = position @ AHEAD, position @ LEFT, position[2]
+    r = np.linalg.norm(position - [0.0, 0.0, 0.34])
+    beyond_plane = np.cos(np.radians(25.0)) * abs(left) - np.sin(np.radians(25.0)) * along
+    return max(0.0, 0.2 - z, z - 0.6, 0.5 - r, r - 0.7, beyond_plane)
+
+
+def log(*a):
+    open("/tmp/limits/log","a").write(" ".join(map(str,a))+"\n")
+
+
+def off(trial) -> float:
+    """Returns how far the tool is from where the hand wants it [m]."""
+    return float(np.linalg.norm(trial.rig.arm.now.T_base_tool[:3, 3] - trial.rig.desired[-1][:3, 3]))
+
+
+def comes_back(trial, **to: float) -> None:
+    """Moves the hand back to the middle; the arm must follow it there, and not faster than the hand by much."""
+    rig = trial.rig
+    start, way = rig.arm.now.time, np.linalg.norm(rig.desired[-1][:3, 3] - rig.arm.now.T_base_tool[:3, 3])
+    since = len(rig.desired)
+    rig.hand.glide(OUT_S, **{"right": 0.0, "up": 0.0, "back": 0.0, **to})
+    rig.settle()
+    desired = np.array([T[:3, 3] for T in rig.desired[since:]])
+    hand = 1.875 / OUT_S * float(np.linalg.norm(desired[-1] - desired[0]))
+    fastest = max(sample.tool_speed for sample in rig.arm.since(start))
+    trial.check("the tool is faster than the hand", fastest < 1.15 * hand + 0.03, f"{fastest:.3f} of {hand:.3f} m/s")
+    trial.check("the tool is not where the hand is", off(trial) < 2e-3, f"{off(trial):.4f} m, after {way:.3f} m")
+
+
+def turned(trial) -> float:
+    """Returns by how much the tool is turned from what the hand asks for [rad]."""
+    return rotation_angle(trial.rig.arm.now.T_base_tool[:3, :3].T @ trial.rig.desired[-1][:3, :3])
+
+
+def stays_in_servo(trial) -> None:
+    """Checks that the arm followed the hand all the time."""
+    modes = {mode for when, mode, _ in trial.rig.statuses if when >= trial.begins()}
+    trial.check("it did not follow all the time", modes == {"servo"}, modes)
+
+
+@row(57, "Target outside workspace box", "", named_by="opening angle", limits=FOLLOWS,
+     dangerous="the workspace keeps the tool away from what stands around the arm")  # fmt: skip
+def outside_the_workspace(trial):
+    rig = trial.rig
+    trial.follow(sway=False)
+    trial.begins()
+    start, clips = rig.arm.now.time, rig.count("kuka_control", "workspace_clips")
+    for corner, bounds in CORNERS:
+        rig.hand.glide(OUT_S, **corner)
+        for bound in bounds:
+            rig.wait(lambda bound=bound: bound in rig.status.limited_by, f"the bound {bound}")
+        rig.settle()
+        trial.check("the hand is not far out", outside(rig.desired[-1][:3, 3]) > 0.1)
+        comes_back(trial)
+    # Along a side plane.
+    rig.hand.glide(1.0, right=0.35)
+    rig.settle()
+    height = rig.arm.now.T_base_tool[2, 3]
+    rig.hand.glide(1.0, up=0.1)
+    rig.settle()
+    slid = rig.arm.now.T_base_tool[2, 3] - height
+    trial.check("the tool does not slide along the bound", abs(slid - 0.1) < 5e-3, f"{slid:.3f} of 0.1 m")
+    farthest = max(outside(sample.T_base_tool[:3, 3]) for sample in rig.arm.since(start))
+    trial.check("the tool left the workspace", farthest < BEYOND_M, f"{1e3 * farthest:.1f} mm")
+    rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 3, "the clips to be counted")
+    stays_in_servo(trial)
+
+
+@row(58, "Box smaller than current pose / box edited live", "", limits=FOLLOWS)
+def workspace_changed(trial):
+    rig = trial.rig
+    low = {"z_upper_limit": 0.45}
+    trial.follow(sway=False)
+    rig.hand.glide(1.0, up=0.12)
+    rig.settle()
+    before, high = rig.arm.now.time, rig.arm.now.T_base_tool[2, 3]
+    trial.check("the tool is not above the new limit", high > 0.5, high)
+    trial.begins()
+    kept = rig.parameters(*low)
+    rig.set(**low)
+    try:
+        # The values at the start count: nothing moves, and the hand leads on within the old bounds.
+        rig.watch(1.5)
+        trial.check("the arm moved when the limit was edited", rig.arm.way(before) < 2e-3, rig.arm.way(before))
+        rig.hand.glide(1.0, up=0.05)
+        rig.settle()
+        trial.check("the arm follows no more", off(trial) < 2e-3, off(trial))
+        rig.hand.glide(1.0, up=0.12)
+        rig.settle()
+        # A controller that starts with the arm above the limit goes home, down all the way.
+        rig.signal("kuka_real_time_node", signal.SIGKILL)
+        trial.killed.add("/kuka_real_time_node")
+        rig.hand.hide()
+        rig.wait(lambda: rig.arm.now.speed == 0.0 and rig.pid("kuka_real_time_node") is None, "the arm to stand")
+        again = rig.arm.now.time
+    finally:
+        rig.set(**kept)
+    with trial.controller(**low):
+        heights = [sample.T_base_tool[2, 3] for sample in rig.arm.since(again)]
+        up = max(np.max(heights) - heights[0], 0.0)
+        trial.check("the tool rose", heights[0] > 0.5 and up < 2e-3, f"by {1e3 * up:.1f} mm from {heights[0]:.3f} m")
+        assert rig.control(True).success
+        rig.modes.clear()
+        rig.bring_hand(up=0.09)
+        rig.wait_for_modes("servo")
+        within = rig.arm.now.time
+        rig.hand.glide(1.0, up=0.3)
+        rig.settle()
+        highest = max(sample.T_base_tool[2, 3] for sample in rig.arm.since(within))
+        trial.check("the tool left the smaller workspace", 0.44 < highest < 0.45 + BEYOND_M, f"{highest:.3f} m")
+
+
+@row(59, "Target out of reach (elbow straight)", "", within=3.0, named_by="out of the arm's reach", limits=FOLLOWS)
+def out_of_reach(trial):
+    rig = trial.rig
+    trial.follow(sway=False)
+    trial.begins()
+    rig.hand.glide(OUT_S, right=0.0, up=0.3, back=-0.3)
+    rig.wait(lambda: "reach" in rig.status.limited_by, "the end of the reach")
+    rig.settle()
+    stands = rig.arm.now.time
+    rig.watch(2.0)
+    trial.check("the arm shakes", rig.arm.way(stands) < 1e-3, rig.arm.way(stands))
+    tool = rig.arm.now.T_base_tool
+    trial.check("the tool is not as far as it may be", outside(tool[:3, 3]) < BEYOND_M and tool[2, 3] > 0.595, tool)
+    comes_back(trial)
+    trial.check("the orientation did not come back", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
+    stays_in_servo(trial)
+
+
+@row(60, "Near singularity", "", limits=FOLLOWS)
+def near_singular(trial):
+    rig = trial.rig
+    trial.follow(sway=False)
+    trial.begins()
+    start = rig.arm.now.time
+    rig.hand.glide(1.5, up=0.3, back=-0.1)
+    rig.settle()
+    rig.hand.sway(0.7, back=-0.35)
+    rig.watch(5.0)
+    elbow = min(abs(sample.q[3]) for sample in rig.arm.since(start))
+    trial.check("the elbow was not nearly straight", np.degrees(elbow) < 12.0, np.degrees(elbow))
+    rig.hand.glide(0.01)
+    comes_back(trial)
+    stays_in_servo(trial)
+
+
+@row(61, "Joint limit reached", "", limits=FOLLOWS)
+def joint_limit(trial):
+    rig = trial.rig
+    R_base_tool = rotation_about(2, np.radians(120.0)) @ np.diag([-1.0, 1.0, -1.0])  # joint 7 at -162 deg
+    tool = pose(R_base_tool, (0.45, -0.40, 0.32))
+    assert rig.control(True).success
+    rig.wait(lambda: rig.hold_tool(tool, 60.0).success, "the hold", 10.0)
+    rig.wait(lambda: rig.mode == "servo" and np.linalg.norm(rig.arm.now.T_base_tool[:3, 3] - tool[:3, 3]) < 2e-3,
+             "the arm at the pose", 15.0)  # fmt: skip
+    rig.hand.show()
+    rig.wait(lambda: rig.stream_state == "running", "the hand that takes over")
+    rig.settle()
+    trial.begins()
+    start, seventh = rig.arm.now.time, rig.arm.now.q[6]
+    rig.hand.glide(1.5, yaw=-30.0)
+    rig.settle()
+    at_limit = rig.arm.now.q
+    trial.check("joint 7 is not at its limit", at_limit[6] < np.radians(-169.0), np.degrees(at_limit[6]))
+    rig.hand.glide(1.0, right=0.05)
+    rig.settle()
+    trial.check("the other joints do not go on", off(trial) < 2e-3, off(trial))
+    trial.check("the tool is not as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
+    trial.check("the elbow stays", abs(at_limit[2]) > np.radians(5.0), np.degrees(at_limit[2]))
+    rig.hand.glide(1.5, yaw=0.0)
+    rig.settle()
+    back = np.degrees(abs(rig.arm.now.q[6] - seventh))
+    trial.check("joint 7 does not come back", back < 10.0, back)
+    beyond = max(np.max(np.abs(sample.q) - RANGES) for sample in rig.arm.since(start))
+    trial.check("a joint left its range", beyond < 0.0, np.degrees(beyond))
+    stays_in_servo(trial)
+
+
+AROUND = {
+    "wall": {"kind": "box", "position": [*(0.6 * AHEAD - 0.25 * LEFT)[:2], 0.3], "rpy": [0, 0, -45],
+             "size": [0.5, 0.04, 0.6]},
+    "shelf": {"kind": "box", "position": [*(0.6 * AHEAD)[:2], 0.16], "rpy": [0, 0, -45], "size": [0.3, 0.3, 0.04]},
+}  # fmt: skip
+"""A wall to the right of the tool and a shelf below it, both within the workspace."""
+INTO_ITSELF = np.radians([-45.0, 10.0, 0.0, -119.0, 0.0, 115.0, 0.0])  # a finger would hit link 2
+SLACK_M = 2e-3  # measured joints may be within the margin by this: drives follow their goals unevenly
+
+
+@row(62, "Self-collision / table / hand mount predicted", "H", within=3.0, named_by="collision guard", limits=FOLLOWS,
+     dangerous="the arm would break what stands around it, or itself")  # fmt: skip
+def collision(trial):
+    rig = trial.rig
+    with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
+        yaml.safe_dump({name: {k: np.array(v).tolist() for k, v in body.items()} for name, body in AROUND.items()}, file)
+        file.flush()
+        with trial.controller(guard_obstacles=file.name):
+            _press_against(trial, checked_rig(rospy.get_param("kuka"), "kuka/"))
+
+
+def _press_against(trial, known) -> None:
+    rig, (config, arm) = trial.rig, known
+    guard = CollisionGuard(arm.kinematics, False, obstacles_from(AROUND, arm.model.wrist_flange), config.guard_margin)
+    hand = rospy.wait_for_message("reflex_takktile/hand_state", Hand, 5.0)
+    proximal, distal = zip(*((finger.proximal, finger.distal_approx) for finger in hand.finger))
+    guard.open(Opening(proximal, distal, hand.motor[3].joint_angle))
+    rig.modes.clear()
+    trial.follow(sway=False)
+    rig.hand.glide(0.5, right=0.0)
+    rig.settle()
+    for number, (out, name) in enumerate((({"right": 0.3}, "wall"), ({"up": -0.22}, "shelf"))):
+        start = rig.arm.now.time
+        trial.begins()
+        rig.hand.glide(1.2, **out)
+        rig.wait(lambda: "collision guard" in rig.status.limited_by, "the guard")
+        rig.settle()
+        if not number:
+            trial.ends()
+        trial.check(f"the hand is not beyond the {name}", off(trial) > 0.02, off(trial))
+        near = min((guard.nearest_at(s.q.tolist()) for s in rig.arm.since(start)[::4]), key=lambda pair: pair.distance)
+        log(near, config.guard_margin)
+        trial.check(f"another body than the {name} was met", near.pair[1] == name, near)
+        trial.check("it came too near", near.distance > config.guard_margin - SLACK_M, near)
+        comes_back(trial)
+    stays_in_servo(trial)
+    # A motion for a program into its own links.
+    rig.hand.hide()
+    rig.wait_for_modes("servo", "home")
+    start = rig.arm.now.time
+    result = trial.move(kind=MoveGoal.JOINTS, joints=INTO_ITSELF.tolist())
+    trial.check("the arm would run into itself", not result.success and "finger" in result.message, result.message)
+    trial.check("the arm moved", rig.arm.way(start) < 1e-3, rig.arm.way(start))
+
+
+@row(63, "IK fails or flips branch", "H", within=4.0, named_by="The arm keeps its joints", limits=FOLLOWS)
+def no_solution(trial):
+    rig = trial.rig
+    trial.follow(sway=False)
+    rig.hand.glide(1.5, right=0.3, up=0.2, back=-0.05)
+    rig.settle()
+    failures, pick_ups = (rig.count("kuka_control", name) for name in ("ik_failures", "pickups"))
+    branch = np.sign(rig.arm.now.q[[1, 3, 5]])
+    trial.begins()
+    start = rig.arm.now.time
+    rig.hand.glide(1.0, yaw=-30.0, pitch=-30.0, roll=-30.0)
+    rig.wait(lambda: rig.count("kuka_control", "ik_failures") > failures, "a pose without joints", 10.0)
+    rig.settle()
+    log(rig.status.reason, rig.status.limited_by, np.degrees(rig.arm.now.q).round(1))
+    held = rig.arm.now.time
+    rig.hand.glide(0.5, up=0.3)
+    rig.settle()
+    trial.check("the arm does not hold", rig.arm.way(held) < 5e-3, rig.arm.way(held))
+    trial.ends()
+    back = rig.arm.now.time
+    rig.hand.glide(0.4, right=0.0, up=0.0, back=0.0, yaw=0.0, pitch=0.0, roll=0.0)
+    rig.settle()
+    trial.check("the tool is not where the hand is", off(trial) < 2e-3, off(trial))
+    log({k: rig.count("kuka_control", k) for k in ("ik_failures", "flips", "jumps", "pickups")}, pick_ups, rig.modes)
+    log(max(s.speed for s in rig.arm.since(back)), max(s.tool_speed for s in rig.arm.since(back)))
+    branches = {tuple(np.sign(sample.q[[1, 3, 5]])) for sample in rig.arm.since(start)}
+    trial.check("the arm folded otherwise", branches == {tuple(branch)}, branches)
+    stays_in_servo(trial)

@@ -1,0 +1,114 @@
+"""Rows 64 to 66: motions for programs, and point-to-point motions that do not end as they should."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import rospy
+from actionlib_msgs.msg import GoalStatus
+
+from campaign.rows.limits import FOLLOWS
+from campaign.trial import row
+from common.frames import BASE
+from common.ros.conversions import stamped_pose
+from kuka_msgs.msg import MoveGoal
+
+AWAY = np.radians([-20.0, 35.0, 0.0, -70.0, 0.0, 75.0, 20.0])  # joints within the workspace
+
+
+@row(64, "PTP requested while streaming, and vice versa", "R", named_by="A program may move the arm", limits=FOLLOWS)
+def motion_while_following(trial):
+    rig, program, another = trial.rig, trial.rig.moves(), trial.rig.moves()
+    trial.follow()
+    trial.begins()
+    result = trial.move(program, kind=MoveGoal.NAMED, name="home")
+    trial.check("it moved for a program while it followed", not result.success, result.message)
+    rig.watch(0.5)
+    trial.check("it no longer follows", rig.mode == "servo", rig.mode)
+    # And a hand that comes while a program moves the arm.
+    rig.hand.hide()
+    rig.wait_for_modes("servo", "home")
+    rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream")
+    rig.modes.clear()
+    program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist()))
+    rig.wait_for_mode("moving")
+    rig.hand.show(right=0.05)
+    refused = trial.move(another, kind=MoveGoal.NAMED, name="home")
+    trial.check("two programs at once", not refused.success and "has not ended" in refused.message, refused.message)
+    result = trial.moved(program)
+    trial.check("the motion did not end", result.success and np.allclose(rig.arm.now.q, AWAY, atol=2e-3), result.message)
+    rig.wait(lambda: rig.stream_state == "running", "the stream of the hand", 15.0)
+    there = rig.arm.now.time
+    rig.watch(1.5)
+    trial.check("the hand took the arm over unasked", rig.arm.way(there) < 2e-3, rig.arm.way(there))
+    trial.check("nothing was said", "began to move" in rig.status.reason or rig.mode == "holding", rig.status.reason)
+    trial.operator()
+    rig.modes.clear()
+    rig.bring_hand(right=-0.04)
+    rig.wait_for_modes("servo")
+    rig.settle()
+
+
+@row(65, "PTP never reports done", "L", within=12.0, named_by="does not continue, 0.0 deg are left", operator=True,
+     argued="ptp-motions.md")  # fmt: skip
+def end_of_motion_is_not_reported(trial):
+    rig, program = trial.rig, trial.rig.moves()
+    assert rig.control(True).success
+    trial.fault("arm", "unfinished")
+    program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist(), velocity=0.25))
+    rig.wait_for_mode("moving")
+    rig.wait_until_at(AWAY)
+    there = time.monotonic()
+    trial.says("does not continue", 10.0)
+    named = time.monotonic() - there
+    rig.wait_for_mode("stopped")
+    latched = time.monotonic() - there
+    open("/tmp/limits/log", "a").write(f"65 {named} {latched}\n")
+    trial.check("it was latched before its end could be known", latched > 2.0, latched)
+    result = trial.moved(program)
+    trial.check("the program was told that it ended well", not result.success, result.message)
+    rig.hand.show()
+    trial.stays_away(1.5)
+    trial.mend("arm", "unfinished")
+    trial.recovers()
+
+
+@row(66, "PTP cancelled / pre-empted", "", named_by="cancelled", argued="ptp-motions.md",
+     dangerous="who cancels a motion expects the arm to stop")  # fmt: skip
+def cancelled(trial):
+    rig, program = trial.rig, trial.rig.moves()
+    assert rig.control(True).success
+    home = rig.arm.now.T_base_tool
+    # A straight line brakes.
+    up = home.copy()
+    up[2, 3] += 0.15
+    pose = stamped_pose(up, BASE, rospy.Time())
+    program.send_goal(MoveGoal(kind=MoveGoal.POSE, pose=pose, straight=True, velocity=0.1))
+    rig.wait(lambda: rig.arm.now.T_base_tool[2, 3] > home[2, 3] + 0.04, "the arm on the line", 15.0)
+    trial.begins()
+    program.cancel_goal()
+    at = rig.arm.now.T_base_tool[2, 3]
+    result = trial.moved(program)
+    trial.check("it is not cancelled", program.get_state() == GoalStatus.PREEMPTED, program.get_state())
+    rig.wait_for_mode("holding")
+    ran_on = rig.arm.now.T_base_tool[2, 3] - at
+    trial.check("the line did not brake", ran_on < 0.06 and not result.success, f"{ran_on:.3f} m, {result.message}")
+    # Nothing stops a point-to-point motion: it ends at its goal, and says so.
+    program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist()))
+    rig.wait_for_mode("moving")
+    rig.wait(lambda: rig.arm.now.speed > 0.05, "the arm to move")
+    program.cancel_goal()
+    trial.says("point-to-point motion cannot be stopped")
+    result = trial.moved(program)
+    trial.check("the answer came before the arm stood", np.allclose(rig.arm.now.q, AWAY, atol=2e-3), rig.arm.now.q)
+    trial.check("the cancel is not mentioned", "It was cancelled on the way" in result.message, result.message)
+    # Control off: at its goal the arm goes home, and the program hears of it.
+    program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=np.radians([-70.0, 35, 0, -70, 0, 75, 20]).tolist()))
+    rig.wait_for_mode("moving")
+    rig.wait(lambda: rig.arm.now.speed > 0.05, "the arm to move")
+    rig.modes.clear()
+    assert rig.control(False).success
+    result = trial.moved(program)
+    rig.wait_for_modes("returning", "home")
+    trial.check("it stays away although control is off", np.linalg.norm(rig.arm.now.T_base_tool - home) < 0.01)
