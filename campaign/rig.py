@@ -28,7 +28,7 @@ from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
 from common.frames import BASE
 from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
-from kuka_msgs.msg import MoveAction
+from kuka_msgs.msg import MoveAction, MoveGoal
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from leap_motion.msg import Human
 from rig_msgs.msg import KukaStatus
@@ -374,6 +374,19 @@ class RigUnderTest:
         client = actionlib.SimpleActionClient("kuka/move", MoveAction)
         assert client.wait_for_server(rospy.Duration(MOVE_S))
         return client
+
+    def move(self, client: actionlib.SimpleActionClient | None = None, **goal):
+        """Has a program move the arm (kuka_msgs/MoveGoal); returns the result as `moved`."""
+        client = client or self.moves()
+        client.send_goal(MoveGoal(**goal))
+        return self.moved(client)
+
+    def moved(self, client: actionlib.SimpleActionClient):
+        """Waits for the end of a motion for a program and returns its result, whose sentence is heard."""
+        self.wait(lambda: client.wait_for_result(rospy.Duration(0.1)), "the end of the motion", 2.0 * MOVE_S)
+        result = client.get_result()
+        self.hear("kuka/move", result.message)
+        return result
 
     def call(self, name: str, kind, *values):
         """Calls a service, once it is there."""

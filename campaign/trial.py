@@ -28,11 +28,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rospy
 
 from campaign.judge import REST, Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
-from kuka_msgs.msg import MoveGoal
 
 VARIANTS: dict[str, dict[str, str]] = {
     "patient": {},
@@ -221,19 +219,6 @@ class Trial:
         answer = self.rig.call(name, kind, *values)
         self.rig.hear(name, answer.message)
         return answer
-
-    def move(self, client: Any = None, **goal: Any) -> Any:
-        """Has a program move the arm (kuka_msgs/MoveGoal) and returns the result; takes note of its sentence."""
-        client = client or self.rig.moves()
-        client.send_goal(MoveGoal(**goal))
-        return self.moved(client)
-
-    def moved(self, client: Any) -> Any:
-        """Waits for the end of a motion for a program and returns its result; takes note of its sentence."""
-        self.rig.wait(lambda: client.wait_for_result(rospy.Duration(0.1)), "the end of the motion", 30.0)
-        result = client.get_result()
-        self.rig.hear("kuka/move", result.message)
-        return result
 
     def evidence(self, died: list[str]) -> Evidence:
         """Returns what was seen up to now."""

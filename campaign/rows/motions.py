@@ -22,7 +22,7 @@ def motion_while_following(trial):
     rig, program, another = trial.rig, trial.rig.moves(), trial.rig.moves()
     trial.follow()
     trial.begins()
-    result = trial.move(program, kind=MoveGoal.NAMED, name="home")
+    result = rig.move(program, kind=MoveGoal.NAMED, name="home")
     trial.check("it moved for a program while it followed", not result.success, result.message)
     rig.watch(0.5)
     trial.check("it no longer follows", rig.mode == "servo", rig.mode)
@@ -34,10 +34,12 @@ def motion_while_following(trial):
     program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist()))
     rig.wait_for_mode("moving")
     rig.hand.show(right=0.05)
-    refused = trial.move(another, kind=MoveGoal.NAMED, name="home")
+    refused = rig.move(another, kind=MoveGoal.NAMED, name="home")
     trial.check("two programs at once", not refused.success and "has not ended" in refused.message, refused.message)
-    result = trial.moved(program)
-    trial.check("the motion did not end", result.success and np.allclose(rig.arm.now.q, AWAY, atol=2e-3), result.message)
+    result = rig.moved(program)
+    trial.check(
+        "the motion did not end", result.success and np.allclose(rig.arm.now.q, AWAY, atol=2e-3), result.message
+    )
     rig.wait(lambda: rig.stream_state == "running", "the stream of the hand", 15.0)
     there = rig.arm.now.time
     rig.watch(1.5)
@@ -45,6 +47,7 @@ def motion_while_following(trial):
     trial.check("nothing was said", "began to move" in rig.status.reason or rig.mode == "holding", rig.status.reason)
     trial.operator()
     rig.modes.clear()
+    rig.hand.hide()
     rig.bring_hand(right=-0.04)
     rig.wait_for_modes("servo")
     rig.settle()
@@ -64,9 +67,8 @@ def end_of_motion_is_not_reported(trial):
     named = time.monotonic() - there
     rig.wait_for_mode("stopped")
     latched = time.monotonic() - there
-    open("/tmp/limits/log", "a").write(f"65 {named} {latched}\n")
-    trial.check("it was latched before its end could be known", latched > 2.0, latched)
-    result = trial.moved(program)
+    trial.check("it was not named before it was latched", 0.8 < named < latched - 1.0, f"{named:.1f}, {latched:.1f} s")
+    result = rig.moved(program)
     trial.check("the program was told that it ended well", not result.success, result.message)
     rig.hand.show()
     trial.stays_away(1.5)
@@ -89,7 +91,7 @@ def cancelled(trial):
     trial.begins()
     program.cancel_goal()
     at = rig.arm.now.T_base_tool[2, 3]
-    result = trial.moved(program)
+    result = rig.moved(program)
     trial.check("it is not cancelled", program.get_state() == GoalStatus.PREEMPTED, program.get_state())
     rig.wait_for_mode("holding")
     ran_on = rig.arm.now.T_base_tool[2, 3] - at
@@ -100,7 +102,7 @@ def cancelled(trial):
     rig.wait(lambda: rig.arm.now.speed > 0.05, "the arm to move")
     program.cancel_goal()
     trial.says("point-to-point motion cannot be stopped")
-    result = trial.moved(program)
+    result = rig.moved(program)
     trial.check("the answer came before the arm stood", np.allclose(rig.arm.now.q, AWAY, atol=2e-3), rig.arm.now.q)
     trial.check("the cancel is not mentioned", "It was cancelled on the way" in result.message, result.message)
     # Control off: at its goal the arm goes home, and the program hears of it.
@@ -109,6 +111,6 @@ def cancelled(trial):
     rig.wait(lambda: rig.arm.now.speed > 0.05, "the arm to move")
     rig.modes.clear()
     assert rig.control(False).success
-    result = trial.moved(program)
+    result = rig.moved(program)
     rig.wait_for_modes("returning", "home")
     trial.check("it stays away although control is off", np.linalg.norm(rig.arm.now.T_base_tool - home) < 0.01)

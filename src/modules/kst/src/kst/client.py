@@ -242,7 +242,8 @@ class KstClient:
     def ptp_arrived(self) -> bool:
         """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has.
 
-        The joints that `joints` reads tell it, too: an arm that has been there for LATE_END_S has lost its final word.
+        The joints that `joints` reads tell it, too: an arm that has been there for LATE_END_S and then for the wait for
+        an answer (KstTiming.reply) has lost its final word.
 
         Raises:
             MotionRefused: the controller gave the motion up, or it never began because its start was wiped.
