@@ -54,7 +54,7 @@ class RigUnderTest:
 
     Attributes:
         hand: what the simulated Leap service shows.
-        leap, robot_hand: control ports of the simulated Leap service and of the simulated hand.
+        leap, robot_hand, camera: control ports of the simulated Leap service, hand and, where there is one, camera.
         arm: the truth about the arm, and requests to its control port.
         modes: modes of the controller.
         desired: desired tool frames, shape (4, 4); `desired_at`: their stamps [s].
@@ -74,6 +74,8 @@ class RigUnderTest:
         self.wire = wire
         self._shared = shared
         self._arguments = arguments
+        self._sees = arguments.get("world") == "true"
+        self.camera: ControlClient | None = None
         self._processes = shared.Processes(folder)
         self._started = {}
         self._counts: dict[str, dict[str, str]] = {}
@@ -117,6 +119,8 @@ class RigUnderTest:
             **{"leap_port": ready[1], "leap_host": leap_ip, "robot_host": robot_host, "robot_ip": robot_ip},
             **self._arguments,
         }
+        if self._sees:
+            arguments.update(world_port=self._shared.free_port(), camera_control_port=self._shared.free_port())
         self._launch = self._processes.start(
             "roslaunch", "--wait", str(Path(__file__).with_name("rig.launch")),
             *(f"{k}:={v}" for k, v in arguments.items()),
@@ -124,6 +128,9 @@ class RigUnderTest:
         self.arm = ArmTrace(robot_host, robot)
         self.robot_hand = ControlClient("127.0.0.1", hand)
         self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        if self._sees:
+            self.camera = ControlClient("127.0.0.1", arguments["camera_control_port"])
+            self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
         self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
 
     def _addresses(self, device: str) -> tuple[str, str]:
@@ -138,7 +145,7 @@ class RigUnderTest:
             subscriber.unregister()
         self._processes.end_all()
         self.arm.close()
-        for port in (self.hand, self.leap, self.robot_hand):
+        for port in (self.hand, self.leap, self.robot_hand, *([self.camera] if self.camera else [])):
             port.close()
         for name in rospy.get_param_names():
             if not name.startswith(("/ros", "/run_id")):
@@ -185,7 +192,8 @@ class RigUnderTest:
 
     def devices(self) -> dict:
         """Returns the control ports of the simulated devices, by the names that the faults' page gives them."""
-        return {"arm": self.arm, "leap": self.leap, "hand": self.robot_hand}
+        devices = {"arm": self.arm, "leap": self.leap, "hand": self.robot_hand}
+        return {**devices, "camera": self.camera} if self.camera else devices
 
     def pids(self) -> dict[str, int]:
         """Returns the processes of all nodes that answer, by name."""
@@ -209,6 +217,14 @@ class RigUnderTest:
         if name == TELEOP and not self._arguments.get("teleop", program).startswith("patient"):
             package, program = "leap_kuka", self._arguments["teleop"]
         self._started[name] = self._processes.start("rosrun", package, program, f"__name:={name}")
+
+    def run(self, package: str, program: str, *arguments: str):
+        """Starts a program with rosrun and returns its process, which has the attribute log_path."""
+        return self._processes.start("rosrun", package, program, *arguments)
+
+    def end_program(self, process) -> int:
+        """Interrupts a program as Ctrl-C does and returns its exit code."""
+        return self._processes.end(process)
 
     def set(self, **parameters) -> None:
         """Changes parameters under kuka/, for controllers that are started later."""

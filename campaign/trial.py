@@ -36,9 +36,10 @@ VARIANTS: dict[str, dict[str, str]] = {
     "patient": {},
     "tracker": {"teleop": "leap_kuka_node.py", "overrides": str(Path(__file__).with_name("rig.yaml"))},
     "shipped": {"teleop": "leap_kuka_node.py"},
+    "seeing": {"world": "true"},
 }
 """The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, only leap_kuka as
-shipped, or all as shipped.
+shipped, all as shipped, or patient with objects, a camera and the nodes that propose grasps.
 
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """
