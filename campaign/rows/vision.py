@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import tempfile
 import time
@@ -65,7 +66,10 @@ class Proposals:
 
 def refused(trial, reason: str) -> None:
     """Has a grasp executed, which must be refused for a reason."""
+    trial.rig.watch(0.5)  # until the node that executes grasps has heard what was heard here
     answer = trial.call("grasping/execute", Trigger)
+    if answer.success:
+        trial.call("grasping/cancel", Trigger)
     trial.check("a grasp is executed", not answer.success, answer.message)
     trial.check("it is refused for another reason", reason in answer.message, answer.message)
 
@@ -139,12 +143,13 @@ def stale_proposal(trial):
         assert rig.control(True).success
         proposals.wait(some=True)
         trial.begins()
+        network = rig.pid("ggcnn")
         rig.suspend("ggcnn")
         try:
             rig.watch(FRESH_S + 1.0)
             refused(trial, "s old")
         finally:
-            trial.signal("ggcnn", signal.SIGCONT)
+            os.kill(network, signal.SIGCONT)
         trial.ends()
         proposals.wait(some=True)
         rig.watch(1.0)
