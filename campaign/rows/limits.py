@@ -14,7 +14,9 @@ import yaml
 
 from campaign.judge import Limits
 from campaign.trial import row
+from common.frames import BASE
 from common.poses import pose
+from common.ros.conversions import stamped_pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.limits.collision import CollisionGuard
 from kuka_control.model.obstacles import obstacles_from
@@ -114,7 +116,7 @@ def outside_the_workspace(trial):
     stays_in_servo(trial)
 
 
-@row(58, "Box smaller than current pose / box edited live", "", limits=FOLLOWS)
+@row(58, "Box smaller than current pose / box edited live", "", limits=FOLLOWS, argued="limits-at-the-start.md")
 def workspace_changed(trial):
     rig = trial.rig
     low = {"z_upper_limit": 0.45}
@@ -176,6 +178,10 @@ def out_of_reach(trial):
     stays_in_servo(trial)
 
 
+BEFORE_SINGULAR = np.radians([-45.0, 10.0, 0.0, -115.0, 0.0, 15.0, 0.0])
+AFTER_SINGULAR = np.radians([-37.0, 12.0, 0.0, -113.0, 0.0, -15.0, 0.0])
+
+
 @row(60, "Near singularity", "", limits=FOLLOWS)
 def near_singular(trial):
     rig = trial.rig
@@ -191,6 +197,23 @@ def near_singular(trial):
     rig.hand.glide(0.01)
     comes_back(trial)
     stays_in_servo(trial)
+    # A straight line for a program through a pose in which the axes of joints 5 and 7 are one.
+    rig.hand.hide()
+    rig.wait_for_modes("servo", "home")
+    rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream")
+    there = rig.move(kind=MoveGoal.JOINTS, joints=BEFORE_SINGULAR.tolist(), velocity=0.25)
+    begin, start = rig.arm.now.T_base_tool[:3, 3], rig.arm.now.time
+    goal = stamped_pose(
+        checked_rig(rospy.get_param("kuka"), "kuka/")[1].kinematics.forward(AFTER_SINGULAR), BASE, rospy.Time()
+    )
+    along = rig.move(kind=MoveGoal.POSE, pose=goal, straight=True, velocity=0.1)
+    trial.check("a program could not move the arm", there.success and along.success, (there.message, along.message))
+    samples = rig.arm.since(start)
+    wrist = min(abs(sample.q[5]) for sample in samples)
+    trial.check("joint 6 was not near zero", wrist < np.radians(3.0), np.degrees(wrist))
+    way = samples[-1].T_base_tool[:3, 3] - begin
+    beside = [np.linalg.norm(np.cross(s.T_base_tool[:3, 3] - begin, way)) / np.linalg.norm(way) for s in samples]
+    trial.check("the tool left the line", max(beside) < 5e-3, max(beside))
 
 
 @row(61, "Joint limit reached", "", limits=FOLLOWS)
@@ -246,11 +269,11 @@ def collision(trial):
         )
         file.flush()
         with trial.controller(guard_obstacles=file.name):
-            _press_against(trial, checked_rig(rospy.get_param("kuka"), "kuka/"))
+            _press_against(trial)
 
 
-def _press_against(trial, known) -> None:
-    rig, (config, arm) = trial.rig, known
+def _press_against(trial) -> None:
+    rig, (config, arm) = trial.rig, checked_rig(rospy.get_param("kuka"), "kuka/")
     guard = CollisionGuard(arm.kinematics, False, obstacles_from(AROUND, arm.model.wrist_flange), config.guard_margin)
     hand = rospy.wait_for_message("reflex_takktile/hand_state", Hand, 5.0)
     proximal, distal = zip(*((finger.proximal, finger.distal_approx) for finger in hand.finger))
