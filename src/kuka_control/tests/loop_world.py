@@ -53,7 +53,10 @@ Q_ASIDE = HOME.q + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 class FakeArm(Arm):
-    """Moves to its goals with `speed` [rad/s], records commands; `held`: a safety stop; `refuse`: what it refuses."""
+    """Moves to its goals with `speed` [rad/s], records commands; `held`: a safety stop; `refuse`: what it refuses.
+
+    `shift`: its joints are measured so much off [rad]; `frozen`: they are measured there.
+    """
 
     def __init__(self):
         self.speed = 1.0
@@ -65,7 +68,9 @@ class FakeArm(Arm):
         self.held = False
         self.refuse = None
         self.fail = None
-        self.state = ArmState(read_only(self.q))
+        self.shift = 0.0
+        self.frozen = None
+        self._measure()
 
     def tick(self, dt):
         if not self.held:
@@ -74,7 +79,7 @@ class FakeArm(Arm):
     def read(self):
         self._fail()
         self._refuse("read")
-        self.state = ArmState(read_only(self.q))
+        self._measure()
 
     def start_ptp(self, q, velocity):
         assert self.mode == "idle"
@@ -102,19 +107,22 @@ class FakeArm(Arm):
     def servo(self, q):
         assert self.mode == "servo"
         self._fail()
-        self._refuse("hold" if q is self.state.joints else "servo")
+        self._refuse("servo")
         self.goals.append(q)
         self.goal = q
-        self.state = ArmState(read_only(self.q))
+        self._measure()
 
     def stop_servo(self):
         assert self.mode == "servo"
         self.told.append(("stop_servo",))
         self._refuse("stop_servo")
-        self.mode = "idle"
+        self.mode, self.goal = "idle", self.q
 
     def close(self):
         self.mode = "closed"
+
+    def _measure(self):
+        self.state = ArmState(read_only((self.q if self.frozen is None else self.frozen) + self.shift))
 
     def _refuse(self, what):
         if self.refuse == what:
@@ -132,10 +140,10 @@ FOLDED = Opening((3.1, 3.1, 3.1), (0.0, 0.0, 0.0), 0.0)  # of the hand
 class World:
     """A controller, its fake arm, a person at the switches, and a hand that publishes at 100 Hz while it is shown."""
 
-    def __init__(self, schema=RealTimeConfig, **changes):
+    def __init__(self, schema=RealTimeConfig, arm=None, **changes):
         settings, self.rig = rig(schema, **changes)
         make = algorithms.real_time_loop if schema is RealTimeConfig else algorithms.ptp_loop
-        self.arm = FakeArm()
+        self.arm = FakeArm() if arm is None else arm
         self.loop = make(settings, self.rig)
         self.loop.open_hand(FOLDED)
         self.controller = Controller(self.arm, self.loop)

@@ -461,7 +461,6 @@ def test_a_safety_stop_is_found_held_and_latched(off_s):
     world.arm.held = True
     world.run(2.0, lambda t: shifted(0.05 * t, 0.0, 0.0))
     assert world.mode == "stopped" and world.arm.told == [("stop_servo",)]
-    np.testing.assert_allclose(world.arm.goals[-1], world.arm.q, atol=1e-9)
     assert "safety stop" in world.loop.stopped_because
     held_at = world.arm.q.copy()
     world.arm.held = False

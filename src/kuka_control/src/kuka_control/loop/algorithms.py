@@ -30,6 +30,7 @@ RETURNS = (
     Trigger.CONTROL_WAS_OFF,
     Trigger.TIME_OUT,
 )  # ends of the stream after which the arm goes home
+STREAMS = (State.SERVO, State.BRAKING, State.LINE, State.LINE_BRAKING)
 COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
 
 TEST_MOTIONS = 3
@@ -69,7 +70,6 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                 State.RETURN_PENDING: self._return_pending,
                 State.LINE: self._line,
                 State.LINE_BRAKING: self._braking,
-                State.RELEASING: lambda _: Fired(Trigger.SERVO_ENDED),
             }
         )
 
@@ -77,6 +77,10 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def goal(self) -> np.ndarray:
         """The joints where the stream is, shape (7,) [rad]; what is sent may differ for the servo law."""
         return self._limits.goal
+
+    def _followed(self, command: Servo) -> np.ndarray:
+        """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
+        return self.goal if self._active.state in STREAMS else command.q
 
     def _arrived(self, cycle: Cycle) -> Fired:
         if self._active.state is State.HOMING and self._law is None and not self._exits(cycle):
@@ -238,7 +242,7 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
     guard = collision_guard(config, rig)
     settings = RealTimeSettings(
-        rig.ptp_velocity, rig.home.q, config.time_out, slow, fast, guard, config.servo_law, goals
+        rig.ptp_velocity, rig.home.q, rig.model.max_speed, config.time_out, slow, fast, guard, config.servo_law, goals
     )
     return RealTimeLoop(settings, rig.chain, motion_limits(config, rig, guard) if goals.shaped else Unlimited())
 
@@ -302,5 +306,6 @@ def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
     """Returns the PTP control loop."""
     velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
     guard = collision_guard(config, rig)
-    settings = PtpSettings(rig.ptp_velocity, rig.home.q, config.time_out, velocity, velocity, guard, threshold)
+    speeds = rig.model.max_speed
+    settings = PtpSettings(rig.ptp_velocity, rig.home.q, speeds, config.time_out, velocity, velocity, guard, threshold)
     return PtpLoop(settings, rig.chain)

@@ -16,6 +16,7 @@ import numpy as np
 
 from common.poses import read_only
 from kst import Feedback, KstClient, KstError, ReplyTimeout, UnexpectedReply
+from kuka_control.loop.tracking import BELIEVED_RAD
 
 NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
 
@@ -159,6 +160,7 @@ class KstArm(Arm):
         self._sent = sent
         self._wrench = wrench
         self._probed = False
+        self._motion_to: np.ndarray | None = None  # goal of the last PTP motion, where the arm stands after it
         self._lacking: tuple[Feedback, ...] = ()
         self._remarks: list[str] = []
         self._turn = 0
@@ -203,6 +205,7 @@ class KstArm(Arm):
     def start_ptp(self, q: np.ndarray, velocity: float) -> None:
         self._sent(q, velocity)
         self._client.start_ptp_joints(q, velocity)
+        self._motion_to = q
         self._at_rest = False
         self.state = replace(self.state, T_base_tool=None)
 
@@ -216,7 +219,7 @@ class KstArm(Arm):
         try:
             self._take("joints", _second_try(self._client.joints))
             if not self._probed:
-                self._probe(self.measured_joints)
+                self._probe()
         except NO_READING as error:
             raise ReplyTimeout(f"{error}; servo mode has started", pending=True) from error
         if Feedback.POSE in self._lacking:
@@ -245,8 +248,11 @@ class KstArm(Arm):
     def close(self) -> None:
         self._client.close()
 
-    def _probe(self, q: np.ndarray) -> None:
-        """Finds out which feedback the server lacks, by servo goals at the joints q of the arm."""
+    def _probe(self) -> None:
+        """Finds out which feedback the server lacks, by servo goals where the arm stands; not if that is in doubt."""
+        q = self.measured_joints
+        if self._motion_to is not None and np.max(np.abs(q - self._motion_to)) > BELIEVED_RAD:
+            return
         for feedback, (name, substitute) in NEWER.items():
             try:
                 _second_try(partial(self._client.servo, q, feedback))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Union
 
@@ -32,6 +33,7 @@ class Observation:
     inputs: Inputs = Inputs()  # what comes from outside
     arrived: bool = True  # whether no PTP motion runs
     refused: str | None = None  # why the robot's controller refused the last command
+    age: float = math.inf  # so much older at most were the joints that were measured before [s]
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from common.poses import read_only
 from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
-from kuka_control.loop.tracking import PtpSupervision
+from kuka_control.loop.tracking import JointCheck, PtpSupervision
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 from kuka_control.model.robot_shape import Opening
@@ -79,6 +79,7 @@ class LoopSettings:
 
     ptp_velocity: Callable[[np.ndarray, np.ndarray, float], float]  # slows a motion whose tool would be too fast
     q_home: np.ndarray  # home position, shape (7,) [rad]
+    joint_speeds: np.ndarray  # full speeds of the joints, shape (7,) [rad/s]
     time_out: float  # go home after this time without a new desired tool frame [s]
     velocity_home: float  # fraction of the full joint speed to home at the start and when control goes off, and to zero
     velocity_return: float  # the same to home after a time-out, and to a pick-up pose
@@ -155,6 +156,7 @@ class ControlLoop(ABC, Generic[Settings]):
         }
         self._stream = DesiredStream()
         self._active = Active()
+        self._joints = JointCheck(settings.joint_speeds)
         self._target: Target | None = None
         self._infeasible: str | None = None
         self._target_stamp = 0.0
@@ -193,6 +195,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if update.conflict is not None:
             self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
         command = self._command(Cycle(observation, update.fresh, now))
+        if isinstance(command, Servo):
+            self._joints.follow(self._followed(command), now)
         if self._active.state in BY_PROGRAM and self._stream.runs:
             self._barred, self._barred_because = self._stream.number, BARRED_BY_MOVE
         guard = self._settings.guard
@@ -225,9 +229,12 @@ class ControlLoop(ABC, Generic[Settings]):
         """Returns the command of the state in which the triggers of this cycle end."""
         if self._active.state in MOVING:
             cycle = replace(cycle, fresh=None)
-        refused = cycle.observation.refused
-        if refused is not None and (self._active.state, Trigger.REFUSED) in self._table:
-            outcome: Outcome = Fired(Trigger.REFUSED, refused)
+        observation, refused = cycle.observation, cycle.observation.refused
+        wrong = self._joints.step(observation.joints, cycle.now, observation.age)
+        if refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
+            outcome: Outcome = Fired(Trigger.DISBELIEVED, wrong)
+        elif refused is not None and (self._active.state, Trigger.REFUSED) in self._table:
+            outcome = Fired(Trigger.REFUSED, refused)
         else:
             outcome = self._handlers[self._active.state](cycle)
         while isinstance(outcome, Fired):
@@ -259,12 +266,10 @@ class ControlLoop(ABC, Generic[Settings]):
             velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
             data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
             self.counts["ptp_motions"] += 1
-        elif row.action is Action.HOLD:
-            command = Servo(cycle.observation.joints)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if before.state in BY_PROGRAM and row.target not in BY_PROGRAM:
-            braked = before.state in BRAKES and fired.trigger is not Trigger.LAG
+            braked = before.state in BRAKES and fired.trigger is Trigger.AT_REST
             self._end_move(row.target, before.trigger if braked else fired.trigger, because)
         if row.target is State.STOPPED:
             enable_count, self.stopped_because = cycle.switches.enable_count, because
@@ -279,6 +284,8 @@ class ControlLoop(ABC, Generic[Settings]):
             self.counts["pickups"] += 1
         if row.target in WITHOUT_TARGET:
             self._target = None
+        if row.target in MOVING or row.target is State.STOPPED:
+            self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
         if reason:
             self._unreachable = None
@@ -355,8 +362,13 @@ class ControlLoop(ABC, Generic[Settings]):
         """A PTP motion runs, which nothing can stop."""
         supervision: PtpSupervision = self._active.data
         if cycle.observation.arrived:
-            if supervision.was_held and self._active.state is not State.ZERO:
+            leaves = self._active.state is State.ZERO
+            if supervision.was_held and not leaves:
                 return Fired(Trigger.ARRIVED_AFTER_HOLD)
+            if not leaves and not supervision.is_at_goal(cycle.observation.joints):
+                wrong = supervision.ended_elsewhere(cycle.observation.joints, cycle.now)
+                return Wait() if wrong is None else Fired(Trigger.DISBELIEVED, wrong)
+            self._joints.stand(supervision.q)
             return self._arrived(cycle)
         event = supervision.step(cycle.observation.joints, cycle.now)
         if supervision.held and supervision.still > EXIT_PATIENCE_S and self._exits(cycle):
@@ -474,6 +486,10 @@ class ControlLoop(ABC, Generic[Settings]):
         self._progress = replace(self._progress, state=state, sentence=sentence)
         if state is MoveState.DONE:
             self._progress = replace(self._progress, fraction=1.0, left=0.0)
+
+    def _followed(self, command: Servo) -> np.ndarray:
+        """Returns the joints where a servo goal is to bring the arm, shape (7,) [rad]."""
+        return command.q
 
     @abstractmethod
     def _follow(self, distance: float) -> Outcome:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from kst import ConnectionLost, KstError, MotionRefused, ReplyTimeout, WrongMode
-from kuka_control.loop.arm import NO_READING, Arm
+from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
     End,
     Event,
@@ -167,6 +167,7 @@ class Controller:
         self._missing_since = 0.0  # when the first of them was missed [s]
         self._silent = 0.0  # how long the present hold has lasted [s]
         self._joints = arm.measured_joints  # the newest
+        self._read_from = self._cycle_from = -math.inf  # they were measured after this; when the last cycle began [s]
         self._step: Step | None = None
 
     def cycle(self, inputs: Inputs, now: float) -> Step:
@@ -177,6 +178,7 @@ class Controller:
             KstError: the connection is given up.
         """
         events: tuple[Event, ...] = ()
+        before, self._cycle_from = self._cycle_from, now
         silent = self._arm.silence()
         if silent > 0.0:
             return self._hold(silent)
@@ -188,10 +190,13 @@ class Controller:
             return replace(self._step, command=Wait(), events=events, transitions=())
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None
-        joints = self._arm.measured_joints
+        joints, age = self._arm.measured_joints, math.inf
         if joints is not self._joints:  # a goal that left, or an answer without joints, is no reading
             self._joints, self._missed_in_a_row = joints, 0
-        observation = Observation(joints, inputs, not self.moving, refused)
+            # They were measured after their question was sent, and before their answer was read.
+            delay = self._arm.round_trip or 0.0
+            age, self._read_from = now + min(delay, WAIT_S) - self._read_from, before - delay
+        observation = Observation(joints, inputs, not self.moving, refused, age)
         step = self._loop.step(observation, now)
         try:
             self._do(step)

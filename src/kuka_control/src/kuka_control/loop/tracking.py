@@ -1,6 +1,9 @@
-"""Whether the arm still follows its servo goals, and whether something holds it on a PTP motion."""
+"""Whether the measured joints can be true, whether the arm follows its servo goals, and what holds it in PTP motions."""
 
 from __future__ import annotations
+
+import math
+from collections import deque
 
 import numpy as np
 
@@ -16,6 +19,67 @@ SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of 
 UNKNOWN_S = 0.5  # so long at most are goals sent that lie away from the last known joints [s]
 CYCLE_S = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
 HELD_S = 0.4  # an arm that came no nearer for this time is held; longer than in servo mode: reduced override [s]
+
+
+BELIEVED_RAD = float(np.radians(0.6))  # measured joints this near to where they can be are believed [rad]
+FASTER = 1.2  # joints that change faster than this fraction of their full speed are not believed
+MOST_GOALS = 1000  # so many are remembered where no joints come
+LAST_GOALS_S = 0.2  # the arm may still be on its way between the goals of this time before a reading [s]
+
+
+class JointCheck:
+    """Compares each reading of the joints, shape (7,) [rad], with the reading before and the goals that the arm had.
+
+    The arm moves from where it was towards its goals and stops there, at no more than full speed. Joints that are
+    measured elsewhere are measured wrongly, or something else moves the arm: no goal may be made from them.
+
+    Args:
+        joint_speeds: full speeds of the joints, shape (7,) [rad/s].
+    """
+
+    def __init__(self, joint_speeds: np.ndarray) -> None:
+        self._speeds = FASTER * joint_speeds
+        self._goals: deque[tuple[float, np.ndarray]] = deque(maxlen=MOST_GOALS)
+        self._last: np.ndarray | None = None
+
+    def stand(self, q: np.ndarray | None) -> None:
+        """The arm stands at the joints q from now on; None: it is not known where, nothing is compared with that."""
+        self._goals.clear()
+        if q is not None:
+            self._goals.append((-math.inf, q))
+
+    def follow(self, q: np.ndarray, now: float) -> None:
+        """The arm gets the goal q at the monotonic time `now` [s]."""
+        self._goals.append((now, q))
+
+    def step(self, measured: np.ndarray, now: float, age: float) -> str | None:
+        """Returns None for joints that can be true, else what is wrong, as a part of a sentence.
+
+        `measured` are the newest joints, the same object until newer ones come; those before are at most `age` [s]
+        older.
+        """
+        last, self._last = self._last, measured
+        goals = self._goals
+        while len(goals) > 1 and goals[1][0] <= now - age - LAST_GOALS_S:
+            goals.popleft()
+        if last is None or measured is last or not goals:
+            return None
+        moved = np.abs(measured - last)
+        if np.all(moved <= STILL_RAD):
+            return None
+        fast = moved > self._speeds * age + BELIEVED_RAD
+        if fast.any():
+            k = int(np.argmax(moved - self._speeds * age))
+            deg = np.degrees((measured[k], last[k]))
+            return f"joint {k + 1} is at {deg[0]:.2f} deg, at most {1e3 * age:.0f} ms after {deg[1]:.2f} deg"
+        where = np.array([q for _, q in goals])
+        low, high = np.minimum(where.min(axis=0), last), np.maximum(where.max(axis=0), last)
+        off = np.maximum(low - measured, measured - high)
+        k = int(np.argmax(off))
+        if off[k] <= BELIEVED_RAD:
+            return None
+        deg = np.degrees((measured[k], last[k], where[-1, k]))
+        return f"joint {k + 1} is at {deg[0]:.2f} deg, from {deg[1]:.2f} deg on the way to {deg[2]:.2f} deg"
 
 
 class TrackingMonitor:
@@ -68,6 +132,10 @@ HELD_AT_ENDS_S = 1.0
 starts and stops gently, the more so at a reduced override [s]."""
 
 
+END_S = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
+SAMPLES_AT_END = 3  # a verdict needs more readings than this
+
+
 class PtpSupervision:
     """Watches one PTP motion by measured joints, cycle by cycle.
 
@@ -79,12 +147,16 @@ class PtpSupervision:
         q: the goal, shape (7,) [rad].
 
     Attributes:
+        name, q: as given.
         held: whether something holds the arm now.
         was_held: whether something held it since the motion began.
     """
 
     def __init__(self, name: str, q: np.ndarray) -> None:
-        self.name = name
+        self.name, self.q = name, q
+        self._ended: float | None = None  # when the motion was over, with the joints not at the goal [s]
+        self._readings = 0  # since then
+        self._read: np.ndarray | None = None
         self.held = self.was_held = False
         self._approach = PtpApproach(q)
 
@@ -92,6 +164,21 @@ class PtpSupervision:
     def still(self) -> float:
         """Time since the arm came nearer to the goal [s]."""
         return self._approach.still
+
+    def is_at_goal(self, measured: np.ndarray) -> bool:
+        """Returns whether the measured joints of an arm whose motion is over, shape (7,) [rad], are at its goal."""
+        return bool(np.max(np.abs(measured - self.q)) <= BELIEVED_RAD)
+
+    def ended_elsewhere(self, measured: np.ndarray, now: float) -> str | None:
+        """Returns what is wrong if several readings of such an arm are not at the goal, else None."""
+        self._ended = now if self._ended is None else self._ended
+        self._readings += measured is not self._read
+        self._read = measured
+        if now - self._ended < END_S or self._readings <= SAMPLES_AT_END:
+            return None
+        k = int(np.argmax(np.abs(measured - self.q)))
+        deg = np.degrees((measured[k], self.q[k]))
+        return f"joint {k + 1} is at {deg[0]:.2f} deg, but its motion to {self.name} has ended, at {deg[1]:.2f} deg"
 
     def step(self, measured: np.ndarray, now: float) -> Event | None:
         """Returns the event to report when something begins to hold the arm, and when the arm is free again.

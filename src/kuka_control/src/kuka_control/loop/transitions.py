@@ -28,7 +28,6 @@ class State(Enum):
     AT_POSE = Mode.PICK_UP, ""
     SERVO = Mode.SERVO, "The arm follows the desired tool frame in servo mode."
     BRAKING = Mode.SERVO, "{because} The arm brakes."
-    RELEASING = Mode.SERVO, ""
     SERVO_LEFT = Mode.PICK_UP, _LEAVES
     RETURN_PENDING = Mode.RETURNING, _LEAVES
     RETURNING = Mode.RETURNING, _MOVES
@@ -70,6 +69,7 @@ class Trigger(Enum):
     LAW_IDENTIFIED = "test motion done"
     WRONG_LAW = "servo_law is lts but the robot has another law"
     LAG = "the arm does not follow"
+    DISBELIEVED = "the measured joints cannot be true"
     REFUSED = "refused by the robot"
     BLOCKED = "a body is in the way of the motion"
     EXIT_BLOCKED = "exit_app, and a body is in the way to zero"
@@ -88,7 +88,6 @@ class Action(Enum):
     NONE = "nothing"
     PTP = "PTP motion"
     START_SERVO = "start servo mode"
-    HOLD = "servo goal where the arm is"
     STOP_SERVO = "stop servo mode"
     END = "end"
     DECIDE = "what the next state decides, in the same cycle"
@@ -111,7 +110,8 @@ _TO_REST = (*_TO_HOME, _S.PICK_UP, _S.TO_GOAL)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
 _LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING, _S.AT_GOAL)
 _BLOCKED = (_S.RETURN_PENDING, _S.AT_GOAL, *_AWAY)
-_STREAMS = (_S.SERVO, _S.BRAKING, _S.RELEASING, _S.LINE, _S.LINE_BRAKING)
+_STREAMS = (_S.SERVO, _S.BRAKING, _S.LINE, _S.LINE_BRAKING)
+_RESTS = (_S.HOME, _S.AT_POSE, _S.SERVO_LEFT, _S.AT_GOAL)
 _OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, *_STREAMS)
 _JOINTS_FAR = "The desired tool frame did not jump, but asks for joints far from those before."
 _MOVED_ON = "The desired tool frame moved on while the arm was on its way."
@@ -119,6 +119,7 @@ _LAG = "The arm does not follow, perhaps because of a safety stop: {detail}."
 _HELD = "The arm cannot go to zero because its motion to {name} does not end."
 _SILENCE = "No new desired tool frame came for {detail} s."
 _PROGRAM = "A program moves the arm."
+_DISBELIEVED = "The measured joints are not believed: {detail}."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
@@ -165,8 +166,10 @@ TRANSITIONS = (
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
     Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),
     # Faults.
-    Transition((_S.SERVO, _S.LINE, _S.LINE_BRAKING), _T.LAG, _S.RELEASING, _A.HOLD, _LAG),
-    Transition((_S.RELEASING,), _T.SERVO_ENDED, _S.STOPPED, _A.STOP_SERVO, "{because}"),
+    # The measured joints of an arm that does not follow may be wrong or frozen, so the arm is not sent there.
+    Transition((_S.SERVO, _S.LINE, _S.LINE_BRAKING), _T.LAG, _S.STOPPED, _A.STOP_SERVO, _LAG),
+    Transition((*_STREAMS, _S.IDENTIFYING), _T.DISBELIEVED, _S.STOPPED, _A.STOP_SERVO, _DISBELIEVED),
+    Transition((*_TO_REST, *_RESTS), _T.DISBELIEVED, _S.STOPPED, _A.NONE, _DISBELIEVED),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
@@ -174,7 +177,7 @@ TRANSITIONS = (
     Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED, *_LEFT), _T.EXIT_BLOCKED, _S.ENDED, _A.END, "{detail}"),
     Transition((_S.SERVO,), _T.CONFLICT, _S.BRAKING, _A.DECIDE, "{detail}"),
     Transition((_S.SERVO, _S.LINE), _T.GUARD_FAILED, _S.BRAKING, _A.DECIDE, "{detail}"),
-    Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.RELEASING, _A.DECIDE, "{because}"),
+    Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
     Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
