@@ -1,4 +1,4 @@
-"""Joints that are measured wrongly move no arm, whenever that begins: the robot tells them, and goals are made of them."""
+"""Joints that are measured wrongly move no arm, whenever that begins, although goals are made from them."""
 
 from __future__ import annotations
 

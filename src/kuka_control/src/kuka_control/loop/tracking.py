@@ -1,4 +1,4 @@
-"""Whether the measured joints can be true, whether the arm follows its servo goals, and what holds it in PTP motions."""
+"""Whether measured joints can be true, whether the arm follows its servo goals, and what holds it in PTP motions."""
 
 from __future__ import annotations
 
