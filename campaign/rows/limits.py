@@ -203,9 +203,8 @@ def near_singular(trial):
     rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream")
     there = rig.move(kind=MoveGoal.JOINTS, joints=BEFORE_SINGULAR.tolist(), velocity=0.25)
     begin, start = rig.arm.now.T_base_tool[:3, 3], rig.arm.now.time
-    goal = stamped_pose(
-        checked_rig(rospy.get_param("kuka"), "kuka/")[1].kinematics.forward(AFTER_SINGULAR), BASE, rospy.Time()
-    )
+    _, arm = checked_rig(rospy.get_param("kuka"), "kuka/")
+    goal = stamped_pose(arm.kinematics.forward(AFTER_SINGULAR), BASE, rospy.Time())
     along = rig.move(kind=MoveGoal.POSE, pose=goal, straight=True, velocity=0.1)
     trial.check("a program could not move the arm", there.success and along.success, (there.message, along.message))
     samples = rig.arm.since(start)

@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.alone]
 DRIVER = "leap_driver"
 LONG_S = 60.0
 SECONDS = 12.0
-NEAR_M, NEAR_DEG = 0.01, 3.0
+NEAR_M, ARM_NEAR_M = 0.005, 0.015
 """A frame that a busy machine leaves out shifts the mean of the hand by what the palm moves in a few frames."""
 
 
@@ -78,4 +78,4 @@ def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, track
     samples = rig.arm.since(since)
     assert max(sample.tool_speed for sample in samples) < 0.71 and rig.arm.now.safety_stop is None
     followed = np.array([sample.T_base_tool for sample in samples])
-    assert np.quantile(nearest(recorded, followed), 0.9) < 0.03, "the arm goes where it went"
+    assert np.quantile(nearest(recorded, followed), 0.9) < ARM_NEAR_M, "the arm goes where it went"
