@@ -116,7 +116,7 @@ def test_a_device_that_is_not_there_is_refused(data, tmp_path, monkeypatch, caps
 def test_training_without_data_says_what_to_do(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit):
         call(monkeypatch, train_ggcnn, tmp_path, tmp_path / "run")
-    assert "run make_dataset.py first." in capsys.readouterr().err
+    assert "run make_dataset.py or import_grasps.py first." in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
@@ -195,7 +195,7 @@ def test_grasps_of_one_image(tmp_path, monkeypatch, capsys, kind):
 
 
 @pytest.mark.parametrize(
-    ("content", "sentence"), [(None, "No such file"), (b"?", "not a 16-bit image"), ("hole", "holds no reading")]
+    ("content", "sentence"), [(None, "No such file"), (b"?", "is not an image"), ("hole", "holds no reading")]
 )
 def test_bad_images_are_refused(tmp_path, monkeypatch, capsys, content, sentence):
     path = tmp_path / "depth.png"

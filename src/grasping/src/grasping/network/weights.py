@@ -13,7 +13,7 @@ import tarfile
 import types
 import warnings
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import IO, Any, NamedTuple, TypeVar
 
 import h5py
@@ -30,6 +30,7 @@ HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 ZIP_MAGIC = b"PK\x03\x04"
 PICKLE_MAGIC = b"\x80"
 PROGRAM = "constants.pkl"  # record that marks a TorchScript archive, whose code torch would run while reading
+SAME_PADDING = "same_padding"  # array that marks a torch file of a GG-CNN with the borders of the Keras one
 KERAS_LAYERS = {  # layers of the Keras file and what they are called here
     **{f"conv2d_{i}": f"conv{i}" for i in (1, 2, 3)},
     **{f"conv2d_transpose_{i}": f"convt{i}" for i in (1, 2, 3)},
@@ -75,6 +76,12 @@ def load(data: bytes, sha256: str | None = None) -> Loaded:
     return Loaded(filled(NETWORKS[name](), name, state), name, found, KNOWN.get(found, ""))
 
 
+def state_for_file(name: str, network: nn.Module) -> dict[str, torch.Tensor]:
+    """Returns what a torch file of a network in `NETWORKS`, called `name`, holds, so that `load` finds that one."""
+    state = {key: value.cpu() for key, value in network.state_dict().items()}
+    return {**state, SAME_PADDING: torch.ones(1)} if name == "ggcnn_keras" else state
+
+
 def checked_sha256(data: bytes, wanted: str | None) -> str:
     """Returns the content's SHA-256, hexadecimal; raises WeightsError if another one is wanted."""
     found = hashlib.sha256(data).hexdigest()
@@ -110,8 +117,10 @@ def listed_sha256(sums: str, name: str) -> str:
     raise WeightsError(f"The list of hashes does not name {name}.")
 
 
-def _which(state: Mapping[str, torch.Tensor]) -> str:
-    """Returns the name of the network whose layers the state dict names."""
+def _which(state: dict[str, torch.Tensor]) -> str:
+    """Returns the name of the network whose layers the state dict names; takes the mark of `SAME_PADDING` out."""
+    if state.pop(SAME_PADDING, None) is not None:
+        return "ggcnn_keras"
     for name in ("ggcnn", "ggcnn2"):
         if state.keys() == NETWORKS[name]().state_dict().keys():
             return name

@@ -112,11 +112,10 @@ def object_mask(image: NetworkImage, margin: int = 0) -> np.ndarray:
     return cv2.dilate(mask, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
 
 
-def is_right(peak: Peak, labels: list[Peak]) -> bool:
-    """Returns whether a grasp is within 30 degrees of a label and shares 25 % of the area of both together."""
+def is_right(peak: Peak, labels: list[Peak], least: float = MIN_OVERLAP) -> bool:
+    """Returns whether a grasp is within 30 degrees of a label and shares the fraction `least` of both areas."""
     return any(
-        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > MIN_OVERLAP
-        for label in labels
+        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > least for label in labels
     )
 
 

@@ -3,6 +3,8 @@
 Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
 --export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
 lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
+With --folder the methods see labelled depth images instead (Cornell's, Jacquard's or label_grasps.py's), and the
+rectangle metric alone judges; results go to rectangles.csv and rectangles.md.
 """
 
 from __future__ import annotations
@@ -27,17 +29,19 @@ from common.config import parse
 from common.errors import RigError
 from common.ros.files import read_yaml
 from common.statistics import proportion
+from grasping.lab.dataset import labelled_images
 from grasping.lab.evaluation import trials
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.scene import world_xml
 from grasping.network import maps, weights
-from grasping.network.depth_image import NetworkImage
-from grasping.network.networks import frozen, infer
+from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
+from grasping.network.networks import WIDTH_SCALE_PX, frozen, infer
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 EXPORT_SCHEMA = 1
+OVERLAPS = (0.25, 0.5, 0.75)  # of the rectangle metric; publications give the first
 QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)  # as the reference experiments; the node blurs for a moving camera
 
@@ -146,6 +150,37 @@ def chosen_grasps(
     return of, chosen
 
 
+def try_images(folder: Path, side: int, trained: Mapping[str, Trained]) -> list[dict]:
+    """Returns a row for each labelled image of a folder and each method; `side`: of the window about the grasps [px].
+
+    Raises RigError if the folder holds none, or an image cannot be used.
+    """
+    rows = []
+    for number, labelled in enumerate(tqdm(labelled_images.read(folder), unit="image")):
+        depth = labelled.depth()
+        crop = labelled_images.crop_around(labelled.grasps, depth.shape, side)
+        try:
+            image = prepare(depth, crop)
+        except ValueError as error:
+            raise RigError(f"{labelled.name}: {error}.") from error
+        wanted = labelled_images.labels(labelled, crop)
+        for name in (*trials.HEURISTICS, *trained):
+            if name in trained:
+                found: maps.Peak | None = network_grasp(image, trained[name])
+            else:
+                found = trials.HEURISTICS[name](image, WIDTH_SCALE_PX, np.random.default_rng([7, number]))
+            right = {f"{least:g}": found is not None and trials.is_right(found, wanted, least) for least in OVERLAPS}
+            rows.append({"image": labelled.name, "method": name, "quality": found.quality if found else 0.0, **right})
+    return rows
+
+
+def rectangle_table(rows: list[dict], methods: Iterable[str]) -> str:
+    """Returns the rows of `try_images` as a Markdown table."""
+    columns = [f"{least:g}" for least in OVERLAPS]
+    lines = [[method, *(_fraction(rows, method, column, lambda _: True) for column in columns)] for method in methods]
+    return markdown_table(("right %, by the least overlap", *columns), lines)
+
+
 def table(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns the results as a Markdown table."""
     header = ("method", *(f"{n}: {field} %" for field in ("lifted", "rectangle") for n in ("one object", "clutter")))
@@ -177,6 +212,26 @@ def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
     path.write_text(json.dumps({"schema": EXPORT_SCHEMA, "scenes": scenes}) + "\n")
 
 
+def judge_images(
+    parser: argparse.ArgumentParser, results: Path, images: Path, side: int, trained: Mapping[str, Trained]
+) -> None:
+    """Writes and prints what --folder asks for."""
+    try:
+        rows = try_images(images, side, trained)
+        results.mkdir(parents=True, exist_ok=True)
+        with (results / "rectangles.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        found = rectangle_table(rows, (*trials.HEURISTICS, *trained))
+        (results / "rectangles.md").write_text(found)
+    except RigError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be used: {error.strerror}.")
+    print(found)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
@@ -187,10 +242,18 @@ def main() -> None:
     preferred_help = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
     parser.add_argument("--tool", type=Path, metavar="FILE", help=preferred_help)
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
+    folder_help = "labelled depth images instead of scenes"
+    parser.add_argument("--folder", dest="images", type=Path, metavar="IMAGES", help=folder_help)
+    side_help = f"with --folder, side of the window about an image's grasps [px], default {CROP_SIDE}; Jacquard: 1024"
+    parser.add_argument("--window", type=int, default=CROP_SIDE, help=side_help)
     parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
     arguments = parser.parse_args()
     if (arguments.folder is None) == (arguments.export is None):
         parser.error("Either a folder for the results is needed, or --export.")
+    if arguments.images is not None and (arguments.export is not None or arguments.tool is not None):
+        parser.error("--folder judges by rectangles in images: it goes with neither --export nor --tool.")
+    if arguments.window < 1:
+        parser.error(f"--window is {arguments.window} and must be at least 1 pixel.")
     trained = {}
     try:
         tool = arguments.tool and parse(ToolPoseConfig, read_yaml(arguments.tool))
@@ -201,6 +264,9 @@ def main() -> None:
                 trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
     except (OSError, RigError) as error:
         parser.error(str(error))
+    if arguments.images is not None:
+        judge_images(parser, arguments.folder, arguments.images, arguments.window, trained)
+        return
     methods = ["oracle", *trials.HEURISTICS, *trained]
     if arguments.export is not None:
         every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]

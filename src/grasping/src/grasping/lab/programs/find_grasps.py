@@ -1,7 +1,8 @@
-"""Finds grasps in one depth image: a .npy file in metres or a 16-bit image in millimetres, 0 or NaN = no reading.
+"""Finds grasps in depth images: .npy or .tiff in metres, or 16-bit images in millimetres, 0 or NaN = no reading.
 
 Writes one JSON object a grasp, best first: position before the camera [m], angle in the image [rad], width [m],
-quality, pixel. The image's centre is taken for the optical axis unless --centre says otherwise.
+quality, pixel, and for a folder the image's name. The image's centre is taken for the optical axis unless --centre says
+otherwise.
 """
 
 from __future__ import annotations
@@ -13,29 +14,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from torch import nn
 
 from common.camera_model import pinhole
 from common.errors import RigError
+from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
 from grasping.network.maps import THRESHOLD
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult, PipelineSettings
 from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.view import CameraView, CropConfig
-
-
-def read_depth(path: Path) -> np.ndarray:
-    """Returns the image, shape (h, w) [m]; raises RigError if it is no depth image."""
-    if path.suffix == ".npy":
-        depth = np.load(path, allow_pickle=False)
-    else:
-        depth = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-        if depth is None or depth.dtype != np.uint16:
-            raise RigError(f"{path} is not a 16-bit image of millimetres.")
-        depth = depth * np.float32(0.001)
-    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
-        raise RigError(f"{path} holds {depth.dtype} of shape {depth.shape}, not metres of shape (h, w).")
-    return depth
 
 
 def drawn(found: PipelineResult) -> np.ndarray:
@@ -55,32 +44,53 @@ def drawn(found: PipelineResult) -> np.ndarray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("depth", type=Path, help="depth image")
+    parser.add_argument("depth", type=Path, help="depth image, or a folder of them")
     parser.add_argument("weights", type=Path, help="weight file of a network")
     parser.add_argument("--focal", type=float, default=FOCAL_PX, help=f"focal length [px], default {FOCAL_PX}")
     parser.add_argument("--centre", type=float, nargs=2, metavar=("CX", "CY"), help="optical axis [px]")
     parser.add_argument("--crop", type=int, default=400, help="side of the window in the middle [px], default 400")
-    parser.add_argument("--count", type=int, default=1, help="most grasps")
-    parser.add_argument("--picture", type=Path, help="write the network's image with the grasps to this file")
+    parser.add_argument("--count", type=int, default=1, help="most grasps of an image")
+    picture_help = "write the network's image with the grasps to this file, or for a folder to this folder"
+    parser.add_argument("--picture", type=Path, help=picture_help)
     arguments = parser.parse_args()
+    many = arguments.depth.is_dir()
     try:
-        depth = read_depth(arguments.depth)
-        h, w = depth.shape
-        cx, cy = arguments.centre or (0.5 * (w - 1), 0.5 * (h - 1))
-        camera = pinhole("camera", w, h, [[arguments.focal, 0.0, cx], [0.0, arguments.focal, cy], [0.0, 0.0, 1.0]])
+        paths = depth_images(arguments.depth) if many else [arguments.depth]
         network = weights.load(arguments.weights.read_bytes()).network
-        settings = PipelineSettings(count=arguments.count, threshold=None if arguments.count == 1 else THRESHOLD)
-        found = GraspPipeline(CameraView(CropConfig(arguments.crop, 0)), network, settings).step(depth, camera)
-        if found.view is None:
-            raise RigError(found.reason)
-    except (RigError, ValueError, OSError) as error:
+        if many and arguments.picture is not None:
+            arguments.picture.mkdir(parents=True, exist_ok=True)
+        for path in paths:
+            try:
+                found = find(path, network, arguments)
+            except (RigError, ValueError, cv2.error) as error:
+                if not many:
+                    raise
+                sys.stderr.write(f"Left out: {error}\n")
+                continue
+            for grasp in (candidate.grasp for candidate in found.candidates):
+                if grasp is not None:
+                    name = {"image": path.name} if many else {}
+                    place = grasp.T_camera_grasp[:3, 3].tolist()
+                    sys.stdout.write(json.dumps({**name, "position": place, **_plain(grasp)}) + "\n")
+            if arguments.picture is not None:
+                picture = arguments.picture / f"{path.stem}.png" if many else arguments.picture
+                if not cv2.imwrite(str(picture), drawn(found)):
+                    raise RigError(f"{picture} cannot be written.")
+    except (RigError, ValueError, OSError, cv2.error) as error:
         parser.error(str(error))
-    for grasp in (candidate.grasp for candidate in found.candidates):
-        if grasp is not None:
-            place = grasp.T_camera_grasp[:3, 3].tolist()
-            sys.stdout.write(json.dumps({"position": place, **_plain(grasp)}) + "\n")
-    if arguments.picture is not None:
-        cv2.imwrite(str(arguments.picture), drawn(found))
+
+
+def find(path: Path, network: nn.Module, arguments: argparse.Namespace) -> PipelineResult:
+    """Returns the grasps in one image; raises RigError or ValueError if there is none to see."""
+    depth = read_depth(path)
+    h, w = depth.shape
+    cx, cy = arguments.centre or (0.5 * (w - 1), 0.5 * (h - 1))
+    camera = pinhole("camera", w, h, [[arguments.focal, 0.0, cx], [0.0, arguments.focal, cy], [0.0, 0.0, 1.0]])
+    settings = PipelineSettings(count=arguments.count, threshold=None if arguments.count == 1 else THRESHOLD)
+    found = GraspPipeline(CameraView(CropConfig(arguments.crop, 0)), network, settings).step(depth, camera)
+    if found.view is None:
+        raise RigError(f"{path}: {found.reason}")
+    return found
 
 
 def _plain(grasp: CameraGrasp) -> dict:

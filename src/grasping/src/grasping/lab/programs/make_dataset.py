@@ -42,16 +42,20 @@ def make_all(
 
 
 def make_shard(task: tuple[Path, str, range]) -> Path:
-    """Writes one shard unless it is there; an unfinished file never bears the shard's name."""
+    """Makes one shard unless it is there."""
     path, split, seeds = task
     if not path.exists():
         cv2.setNumThreads(1)
         mujoco.set_mju_user_warning(ignore_warning)
-        made = [samples.sample(samples.view(split, seed)) for seed in seeds]
-        part = path.with_suffix(".part.npz")
-        np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
-        part.replace(path)
+        write_shard(path, [samples.sample(samples.view(split, seed)) for seed in seeds])
     return path
+
+
+def write_shard(path: Path, made: Sequence[samples.Sample]) -> None:
+    """Writes samples to a file, whole or not at all."""
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(part, **{name: np.stack([getattr(s, name) for s in made]) for name in made[0]._fields})
+    part.replace(path)
 
 
 def ignore_warning(_text: str) -> None:

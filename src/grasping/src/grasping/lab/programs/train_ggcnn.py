@@ -1,4 +1,6 @@
-"""Trains a grasp network from scratch on a synthetic data set; may be stopped and resumed at any time.
+"""Trains a grasp network on the shards of make_dataset.py and import_grasps.py; may be stopped and resumed at any time.
+
+It begins with random weights, or with those of a file (--from), whose network it then trains.
 
 The folder of the run holds checkpoint.pt (to resume, with the same data and settings), weights.pt (the best so far),
 settings.json, curves.csv and curves.png.
@@ -9,7 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import io
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.programs import runs
 from grasping.lab.training.trainer import NetworkTraining, network_trainer
+from grasping.network import weights
 
 CURVES = runs.Curves(
     ("step", "rate", "training", "validation", "quality", "angle", "width", "hits"),
@@ -37,7 +40,7 @@ def load(folder: Path, split: str, most: int) -> tuple[dict[str, np.ndarray], li
     """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
-        raise RigError(f"{folder} holds no shard of the split {split}: run make_dataset.py first.")
+        raise RigError(f"{folder} holds no shard of the split {split}: run make_dataset.py or import_grasps.py first.")
     loaded, hashes = [], []
     for shard in tqdm(shards, unit="shard", desc=split):
         content = shard.read_bytes()
@@ -52,21 +55,29 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     runs.add_options(parser, "shards", default, every=250)
     parser.add_argument("--shards", type=int, default=10**6, help="most shards of each split")
+    parser.add_argument("--from", dest="start", type=Path, metavar="WEIGHTS", help="weight file to begin with")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     settings = NetworkTraining(**{name: getattr(arguments, name) for name in asdict(default)})
     try:
         device = runs.device(arguments.device)
+        start = arguments.start and weights.load(arguments.start.read_bytes())
+        if start:
+            settings = replace(settings, network=start.name)
         parts = [load(arguments.data, split, arguments.shards) for split in ("train", "validation")]
-        identity = runs.identity(asdict(settings), *(hashes for _, hashes in parts))
+        identity = runs.identity(
+            asdict(settings), *(hashes for _, hashes in parts), *([[start.sha256]] if start else [])
+        )
         saved = runs.opened(arguments.run, identity, arguments.anew)
     except (RigError, OSError) as error:
         parser.error(str(error))
     train, validation = (samples for samples, _ in parts)
     about = {**asdict(settings), "scenes": len(train["depth"]), "identity": identity}
+    if start:
+        about["from"] = start.sha256
 
     def files(mean: nn.Module) -> dict[str, object]:
-        return {"weights.pt": {name: value.cpu() for name, value in mean.state_dict().items()}}
+        return {"weights.pt": weights.state_for_file(settings.network, mean)}
 
-    trainer, data = network_trainer(settings, device), (train, validation)
+    trainer, data = network_trainer(settings, device, start and start.network), (train, validation)
     runs.train(arguments.run, about, saved, trainer, data, arguments.every, files, CURVES)

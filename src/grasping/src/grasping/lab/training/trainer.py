@@ -184,11 +184,18 @@ class NetworkTraining:
     half: bool = True  # compute in bfloat16, which is faster where the device knows it
 
 
-def network_trainer(settings: NetworkTraining, device: torch.device = CPU) -> MeanTrainer[nn.Module]:
-    """Returns the training of a grasp network; its metric: the fraction of whole images whose best pixel is a grasp."""
+def network_trainer(
+    settings: NetworkTraining, device: torch.device = CPU, start: nn.Module | None = None
+) -> MeanTrainer[nn.Module]:
+    """Returns the training of a grasp network, which begins with the weights of `start`, or random ones; its metric:
+
+    the fraction of whole images whose best pixel is a grasp.
+    """
     s = settings
     torch.manual_seed(s.seed)
     network = NETWORKS[s.network]()
+    if start is not None:
+        network.load_state_dict(start.state_dict())
     network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
     def said(network: nn.Module, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:

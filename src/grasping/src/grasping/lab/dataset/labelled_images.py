@@ -1,0 +1,282 @@
+"""Depth images with grasp rectangles: folders of Cornell, of Jacquard, and of the user's own; and their training maps.
+
+A grasp rectangle is the place of a parallel gripper in an image (Jiang, Moseson and Saxena, ICRA 2011): its middle, the
+line through both fingers, their distance, and the length of a finger across that line. The user's own folder holds
+depth images and, beside NAME.png (16 bit, millimetres), NAME.npy or NAME.tiff (metres), a file NAME.grasps.json:
+
+    {"schema": 1, "grasps": [{"row": 210.5, "column": 318.0, "angle": 0.4, "opening": 62.0, "breadth": 25.0}]}
+
+with pixels of the image and radians, anticlockwise from its horizontal, for the line through the fingers.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from common.errors import RigError
+from grasping.lab.synthetic.samples import Sample
+from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
+from grasping.network.maps import Peak
+from grasping.network.networks import WIDTH_SCALE_PX
+
+SCHEMA = 1
+SUFFIX = ".grasps.json"
+IMAGE_SUFFIXES = (".png", ".npy", ".tif", ".tiff")
+CORNELL_SHAPE = 480, 640
+CORNELL_MM = 1e-3  # the point clouds are in millimetres
+LARGEST_PX = 1e5  # of any number in a label
+
+
+class LabelError(RigError):
+    """A file with labelled grasps cannot be used."""
+
+
+@dataclass(frozen=True)
+class GraspRectangle:
+    """A grasp in an image. Raises ValueError if a value is not finite, or a side not positive."""
+
+    row: float  # of its middle [px]
+    column: float  # of its middle [px]
+    angle: float  # of the line through both fingers, anticlockwise from the horizontal, modulo pi [rad]
+    opening: float  # between the fingers [px]
+    breadth: float  # of a finger, across the line [px]
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not isinstance(value, (int, float)) or isinstance(value, bool) or not abs(value) < LARGEST_PX:
+                raise ValueError(f"{name} is {value!r} and must be a number below {LARGEST_PX:g}")
+        if self.opening <= 0.0 or self.breadth <= 0.0:
+            raise ValueError(f"opening and breadth are {self.opening:g} and {self.breadth:g} px and must be positive")
+
+    @classmethod
+    def between(cls, a: tuple[float, float], b: tuple[float, float], breadth: float) -> GraspRectangle:
+        """Returns the rectangle of two fingers at (column, row) [px]."""
+        across, up = b[0] - a[0], a[1] - b[1]
+        middle = 0.5 * (a[1] + b[1]), 0.5 * (a[0] + b[0])
+        return cls(*middle, folded(math.atan2(up, across)), math.hypot(across, up), breadth)
+
+    def corners(self, fraction: float = 1.0) -> np.ndarray:
+        """Returns the corners as (column, row), shape (4, 2) [px]; of the opening only a fraction about the middle."""
+        along = 0.5 * fraction * self.opening * np.array([math.cos(self.angle), -math.sin(self.angle)])
+        across = 0.5 * self.breadth * np.array([math.sin(self.angle), math.cos(self.angle)])
+        middle = np.array([self.column, self.row])
+        return np.stack(
+            [middle - along - across, middle + along - across, middle + along + across, middle - along + across]
+        )
+
+
+@dataclass(frozen=True)
+class LabelledImage:
+    """An image with its grasps; it is read when it is needed.
+
+    Attributes:
+        name: of the image, the same on every machine.
+        thing: what lies there: images of one thing belong to the same split.
+        depth: returns the image, shape (h, w) [m], 0 or NaN where there is no reading.
+        grasps: the rectangles.
+    """
+
+    name: str
+    thing: str
+    depth: Callable[[], np.ndarray]
+    grasps: tuple[GraspRectangle, ...]
+
+
+def folded(angle: float) -> float:
+    """Returns the angle of a line in [-pi/2, pi/2) [rad]."""
+    return (angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+
+
+def read_depth(path: Path) -> np.ndarray:
+    """Returns a depth image, shape (h, w) [m], of a .npy or .tiff file in metres or a 16-bit image in millimetres.
+
+    Raises RigError if it is none.
+    """
+    try:
+        if path.suffix == ".npy":
+            depth = np.load(path, allow_pickle=False)
+        else:
+            depth = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except (ValueError, EOFError, cv2.error) as error:
+        raise RigError(f"{path} cannot be read: {error}.") from error
+    if depth is None:
+        raise RigError(f"{path} is not an image.")
+    if path.suffix != ".npy" and depth.dtype == np.uint16:
+        depth = depth * np.float32(0.001)
+    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
+        raise RigError(f"{path} holds {depth.dtype} of shape {depth.shape}, not 16-bit millimetres or metres, (h, w).")
+    return depth
+
+
+def depth_images(folder: Path) -> list[Path]:
+    """Returns the depth images of a folder, by name; raises RigError if there are none."""
+    found = sorted(path for path in folder.iterdir() if path.suffix in IMAGE_SUFFIXES)
+    if not found:
+        raise RigError(f"{folder} holds no depth image ({', '.join(IMAGE_SUFFIXES)}).")
+    return found
+
+
+def read(folder: Path) -> list[LabelledImage]:
+    """Returns the labelled images of a folder of any of the three kinds; those without a grasp are left out.
+
+    Raises RigError if there are none, LabelError for a label file that cannot be used.
+    """
+    for reader in (_own, _cornell, _jacquard):
+        found = [image for image in reader(folder) if image.grasps]
+        if found:
+            return found
+    raise RigError(
+        f"{folder} holds no labelled grasps: neither *{SUFFIX} (label_grasps.py makes them), nor Cornell's "
+        "pcd*cpos.txt, nor Jacquard's *_grasps.txt."
+    )
+
+
+def read_grasps(path: Path) -> list[GraspRectangle]:
+    """Returns the grasps of one of the user's own label files; raises LabelError for anything else."""
+    try:
+        content = json.loads(path.read_text())
+        if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+            raise ValueError(f'it has no "schema": {SCHEMA}')
+        return [GraspRectangle(**grasp) for grasp in content["grasps"]]
+    except (ValueError, TypeError, KeyError, OSError, RecursionError) as error:
+        raise LabelError(f"{path} is not a file of labelled grasps: {error}.") from error
+
+
+def write_grasps(path: Path, grasps: Iterable[GraspRectangle]) -> None:
+    """Writes a label file whole or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    rows = ",\n".join(f"  {json.dumps(asdict(grasp))}" for grasp in grasps)
+    part.write_text(f'{{"schema": {SCHEMA}, "grasps": [\n{rows}\n]}}\n')
+    part.replace(path)
+
+
+def label_file(image: Path) -> Path:
+    """Returns the label file of an image."""
+    return image.with_name(image.stem + SUFFIX)
+
+
+def _own(folder: Path) -> Iterable[LabelledImage]:
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        stem = path.name[: -len(SUFFIX)]
+        images = [folder / f"{stem}{suffix}" for suffix in IMAGE_SUFFIXES]
+        image = next((image for image in images if image.exists()), None)
+        if image is None:
+            raise LabelError(f"{path} belongs to no image: {stem}.png, .npy or .tiff is missing.")
+        yield LabelledImage(stem, stem, lambda image=image: read_depth(image), tuple(read_grasps(path)))
+
+
+def _cornell(folder: Path) -> Iterable[LabelledImage]:
+    """pcdNNNNcpos.txt holds four corners a rectangle, "column row" each, some NaN; its depth is the point cloud
+    pcdNNNN.txt, or pcdNNNNd.tiff [m] where somebody has converted it. The first two corners span the opening.
+    """
+    for path in sorted(folder.rglob("pcd*cpos.txt")):
+        name = path.name[: -len("cpos.txt")]
+        tiff, cloud = path.with_name(f"{name}d.tiff"), path.with_name(f"{name}.txt")
+        try:
+            corners = np.array(
+                [[float(word) for word in line.split()] for line in path.read_text().split("\n") if line.strip()]
+            )
+            corners = corners.reshape(-1, 4, 2)
+        except ValueError as error:
+            raise LabelError(f"{path} does not hold four corners a rectangle: {error}.") from error
+        grasps = [_of_corners(four, path) for four in corners if np.isfinite(four).all()]
+        depth = (lambda tiff=tiff: read_depth(tiff)) if tiff.exists() else (lambda cloud=cloud: _of_cloud(cloud))
+        yield LabelledImage(name, name, depth, tuple(grasps))
+
+
+def _of_corners(corners: np.ndarray, path: Path) -> GraspRectangle:
+    (ax, ay), (bx, by) = corners[:2]
+    row, column = corners[:, 1].mean(), corners[:, 0].mean()
+    opening, breadth = (float(np.linalg.norm(corners[i + 1] - corners[i])) for i in (0, 1))
+    try:
+        return GraspRectangle(float(row), float(column), folded(math.atan2(ay - by, bx - ax)), opening, breadth)
+    except ValueError as error:
+        raise LabelError(f"{path}: {error}.") from error
+
+
+def _of_cloud(path: Path) -> np.ndarray:
+    """Returns the distances of an ASCII point cloud whose last column is the pixel's number, shape (480, 640) [m]."""
+    depth = np.full(CORNELL_SHAPE, np.nan, np.float32)
+    try:
+        _, _, body = path.read_text().partition("DATA ascii\n")
+        points = np.array([line.split() for line in body.splitlines()], dtype=float).reshape(-1, 5)
+        depth.ravel()[points[:, 4].astype(int)] = CORNELL_MM * np.linalg.norm(points[:, :3], axis=1)
+    except (ValueError, IndexError, OSError) as error:
+        raise RigError(
+            f"{path} is not a point cloud of {CORNELL_SHAPE[1]} x {CORNELL_SHAPE[0]} pixels: {error}."
+        ) from error
+    return depth
+
+
+def _jacquard(folder: Path) -> Iterable[LabelledImage]:
+    """*_grasps.txt holds "column;row;angle;opening;breadth" a line, angles in degrees clockwise, best first; a
+    grasp is there once for each breadth. The depth is *_perfect_depth.tiff, else *_stereo_depth.tiff [m].
+    """
+    for path in sorted(folder.rglob("*_grasps.txt")):
+        name = path.name[: -len("_grasps.txt")]
+        tiffs = [path.with_name(f"{name}_{kind}_depth.tiff") for kind in ("perfect", "stereo")]
+        tiff = next((tiff for tiff in tiffs if tiff.exists()), tiffs[0])
+        grasps = []
+        try:
+            for line in path.read_text().split():
+                column, row, degrees, opening, breadth = (float(word) for word in line.split(";"))
+                grasps.append(GraspRectangle(row, column, folded(-math.radians(degrees)), opening, breadth))
+        except ValueError as error:
+            raise LabelError(f"{path} does not hold five numbers a grasp: {error}.") from error
+        yield LabelledImage(name, name.partition("_")[2] or name, lambda tiff=tiff: read_depth(tiff), tuple(grasps))
+
+
+def crop_around(grasps: Iterable[GraspRectangle], shape: tuple[int, ...], side: int) -> Crop:
+    """Returns the window of `side` pixels, at most what the image has, about the grasps' mean and inside the image."""
+    side = min(side, *shape)
+    middle = np.mean([(grasp.row, grasp.column) for grasp in grasps], axis=0)
+    row, column = (int(np.clip(round(c - 0.5 * side), 0, n - side)) for c, n in zip(middle, shape))
+    return Crop(row, column, side)
+
+
+def in_network_image(grasp: GraspRectangle, crop: Crop) -> GraspRectangle:
+    """Returns a grasp in the pixels of the network's image of a window."""
+    scale = NETWORK_SIDE / crop.side
+    row, column = (scale * (c + 0.5 - first) - 0.5 for c, first in ((grasp.row, crop.row), (grasp.column, crop.column)))
+    return GraspRectangle(row, column, grasp.angle, scale * grasp.opening, scale * grasp.breadth)
+
+
+def sample(image: LabelledImage, side: int) -> Sample:
+    """Returns the network's image of a window of `side` pixels and its labels: as published, the middle third of each
+    rectangle is a grasp, the first one where several overlap; nothing else is.
+
+    Raises RigError if there is no reading in the window, or none of the grasps.
+    """
+    depth = image.depth()
+    crop = crop_around(image.grasps, depth.shape, side)
+    try:
+        seen = prepare(depth, crop)
+    except ValueError as error:
+        raise RigError(f"{image.name}: {error}.") from error
+    quality, angle, width = (np.zeros((NETWORK_SIDE, NETWORK_SIDE), np.uint8) for _ in range(3))
+    for grasp in reversed([in_network_image(grasp, crop) for grasp in image.grasps]):
+        inside = np.zeros_like(quality)
+        cv2.fillConvexPoly(inside, np.round(grasp.corners(1.0 / 3.0)).astype(np.int32), 1)
+        here = inside > 0
+        quality[here] = 255
+        angle[here] = round(256.0 * grasp.angle / np.pi) % 256
+        width[here] = round(255.0 * min(grasp.opening / WIDTH_SCALE_PX, 1.0))
+    if not quality.any():
+        raise RigError(
+            f"{image.name}: none of its {len(image.grasps)} grasps lies in the window of {crop.side} pixels."
+        )
+    known = np.ones_like(quality, bool)
+    return Sample((seen.depth - seen.mean).astype(np.float16), quality, angle, width, known)
+
+
+def labels(image: LabelledImage, crop: Crop) -> list[Peak]:
+    """Returns the grasps as the rectangle metric compares them, in the pixels of the network's image."""
+    found = [in_network_image(grasp, crop) for grasp in image.grasps]
+    return [Peak(round(g.row), round(g.column), 1.0, g.angle, g.opening) for g in found]

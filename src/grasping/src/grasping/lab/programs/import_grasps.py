@@ -1,0 +1,80 @@
+"""Makes a training set of depth images with labelled grasps: Cornell's, Jacquard's, or your own (label_grasps.py).
+
+It writes shards as make_dataset.py does, so both may lie in one folder. All images of one thing fall into the same
+split, which depends on its name alone. Images that cannot be used are named and left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import sys
+from pathlib import Path
+
+from tqdm import tqdm
+
+from common.errors import RigError
+from grasping.lab.dataset.labelled_images import LabelledImage, read, sample
+from grasping.lab.programs.make_dataset import SHARD, write_shard
+from grasping.lab.synthetic.samples import Sample
+from grasping.network.depth_image import CROP_SIDE
+
+
+def split(image: LabelledImage, validation: float) -> str:
+    """Returns "validation" for so large a fraction of all things, else "train"."""
+    number = int.from_bytes(hashlib.sha256(image.thing.encode()).digest()[:4], "big")
+    return "validation" if number < validation * 2**32 else "train"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("source", type=Path, help="folder of the labelled images")
+    parser.add_argument("folder", type=Path, help="where the shards go")
+    parser.add_argument("--name", default="own", help="of these shards, to tell them from others in the folder")
+    parser.add_argument("--validation", type=float, default=0.2, help="fraction of the things for validation")
+    side_help = f"side of the window about an image's grasps [px], default {CROP_SIDE}; Jacquard: 1024"
+    parser.add_argument("--window", type=int, default=CROP_SIDE, help=side_help)
+    arguments = parser.parse_args()
+    if not 0.0 <= arguments.validation < 1.0:
+        parser.error(f"--validation is {arguments.validation:g} and must be at least 0 and below 1.")
+    if arguments.window < 1:
+        parser.error(f"--window is {arguments.window} and must be at least 1 pixel.")
+    if not arguments.name.isidentifier():
+        parser.error(f"--name is {arguments.name!r} and must be a word of letters, digits and underscores.")
+    try:
+        images = read(arguments.source)
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        for old in arguments.folder.glob(f"*_{arguments.name}_*.npz"):
+            old.unlink()
+        made: dict[str, list[Sample]] = {"train": [], "validation": []}
+        counts, left_out = dict.fromkeys(made, 0), 0
+
+        def store(kind: str) -> None:
+            name = f"{kind}_{arguments.name}_{counts[kind]:06d}.npz"
+            write_shard(arguments.folder / name, made[kind])
+            counts[kind] += len(made[kind])
+            made[kind].clear()
+
+        for image in tqdm(images, unit="image"):
+            try:
+                found = sample(image, arguments.window)
+            except RigError as error:
+                sys.stderr.write(f"Left out: {error}\n")
+                left_out += 1
+                continue
+            kind = split(image, arguments.validation)
+            made[kind].append(found)
+            if len(made[kind]) == SHARD:
+                store(kind)
+        for kind in made:
+            if made[kind]:
+                store(kind)
+    except RigError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename or arguments.folder}: {error.strerror}.")
+    things = len({image.thing for image in images})
+    text = f"{counts['train']} images for training, {counts['validation']} for validation, of {things} things"
+    print(text + (f"; {left_out} left out." if left_out else "."))
+    if not all(counts.values()):
+        print("Training needs both: label more things, or change --validation.")

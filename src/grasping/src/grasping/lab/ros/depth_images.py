@@ -1,0 +1,60 @@
+"""Takes depth images out of a bag as 16-bit PNG files in millimetres, one every so many seconds of the recording.
+
+A file's name is the bag's and the image's stamp; what is there already is not written again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rosbag
+
+from common.ros.images import depth_from_image
+
+LARGEST_MM = 2**16 - 1
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("bag", type=Path, help="recording with depth images, 16UC1 or 32FC1")
+    parser.add_argument("folder", type=Path, help="where the images go")
+    parser.add_argument("--topic", default="/camera/depth/image", help="default: %(default)s")
+    parser.add_argument("--every", type=float, default=1.0, help="seconds between two images, default 1")
+    arguments = parser.parse_args()
+    if not 0.0 <= arguments.every < 1e6:
+        parser.error(f"--every is {arguments.every:g} and must be 0 to 1e6 seconds.")
+    written, last = 0, -np.inf
+    try:
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        with rosbag.Bag(str(arguments.bag)) as bag:
+            topics = bag.get_type_and_topic_info().topics
+            if arguments.topic not in topics:
+                parser.error(f"{arguments.bag} has no topic {arguments.topic}; it has {', '.join(sorted(topics))}.")
+            for _, message, stamp in bag.read_messages(topics=[arguments.topic]):
+                if stamp.to_sec() < last + arguments.every:
+                    continue
+                try:
+                    depth = depth_from_image(message)
+                except ValueError as error:
+                    sys.stderr.write(f"Left out, at {stamp.to_sec():.3f} s: {error}\n")
+                    continue
+                last = stamp.to_sec()
+                path = arguments.folder / f"{arguments.bag.stem}_{stamp.to_nsec() // 10**6}.png"
+                if not path.exists():
+                    written += 1
+                    cv2.imwrite(str(path), in_millimetres(depth))
+    except rosbag.ROSBagException as error:
+        parser.error(f"{arguments.bag} cannot be read: {error}.")
+    except OSError as error:
+        parser.error(f"{error.filename or arguments.bag}: {error.strerror or error}.")
+    print(f"{written} images in {arguments.folder}.")
+
+
+def in_millimetres(depth: np.ndarray) -> np.ndarray:
+    """Returns a depth image [m] as 16-bit millimetres, 0 where there is no reading or none that fits."""
+    fits = np.isfinite(depth) & (depth > 0.0) & (depth < LARGEST_MM * 1e-3)
+    return np.round(np.where(fits, depth, 0.0) * 1e3).astype(np.uint16)
