@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds grasps in one depth image."""
+"""Finds grasps in depth images."""
 
 from grasping.lab.programs.find_grasps import main
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Trains a grasp network from nothing on the synthetic data set."""
+"""Trains a grasp network, from nothing or from given weights."""
 
 from grasping.lab.programs.train_ggcnn import main
 
