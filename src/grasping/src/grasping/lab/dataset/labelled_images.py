@@ -15,6 +15,7 @@ import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -169,7 +170,7 @@ def _own(folder: Path) -> Iterable[LabelledImage]:
         image = next((image for image in images if image.exists()), None)
         if image is None:
             raise LabelError(f"{path} belongs to no image: {stem}.png, .npy or .tiff is missing.")
-        yield LabelledImage(stem, stem, lambda image=image: read_depth(image), tuple(read_grasps(path)))
+        yield LabelledImage(stem, stem, partial(read_depth, image), tuple(read_grasps(path)))
 
 
 def _cornell(folder: Path) -> Iterable[LabelledImage]:
@@ -187,7 +188,7 @@ def _cornell(folder: Path) -> Iterable[LabelledImage]:
         except ValueError as error:
             raise LabelError(f"{path} does not hold four corners a rectangle: {error}.") from error
         grasps = [_of_corners(four, path) for four in corners if np.isfinite(four).all()]
-        depth = (lambda tiff=tiff: read_depth(tiff)) if tiff.exists() else (lambda cloud=cloud: _of_cloud(cloud))
+        depth = partial(read_depth, tiff) if tiff.exists() else partial(_of_cloud, cloud)
         yield LabelledImage(name, name, depth, tuple(grasps))
 
 
@@ -230,7 +231,7 @@ def _jacquard(folder: Path) -> Iterable[LabelledImage]:
                 grasps.append(GraspRectangle(row, column, folded(-math.radians(degrees)), opening, breadth))
         except ValueError as error:
             raise LabelError(f"{path} does not hold five numbers a grasp: {error}.") from error
-        yield LabelledImage(name, name.partition("_")[2] or name, lambda tiff=tiff: read_depth(tiff), tuple(grasps))
+        yield LabelledImage(name, name.partition("_")[2] or name, partial(read_depth, tiff), tuple(grasps))
 
 
 def crop_around(grasps: Iterable[GraspRectangle], shape: tuple[int, ...], side: int) -> Crop:
@@ -263,7 +264,7 @@ def sample(image: LabelledImage, side: int) -> Sample:
     quality, angle, width = (np.zeros((NETWORK_SIDE, NETWORK_SIDE), np.uint8) for _ in range(3))
     for grasp in reversed([in_network_image(grasp, crop) for grasp in image.grasps]):
         inside = np.zeros_like(quality)
-        cv2.fillConvexPoly(inside, np.round(grasp.corners(1.0 / 3.0)).astype(np.int32), 1)
+        cv2.fillConvexPoly(inside, np.round(grasp.corners(1.0 / 3.0)).astype(np.int32), (1,))
         here = inside > 0
         quality[here] = 255
         angle[here] = round(256.0 * grasp.angle / np.pi) % 256
