@@ -208,6 +208,16 @@ class RigUnderTest:
             self._last_said[who] = text
             self.said.append((time.monotonic(), who, text))
 
+    def streams_of(self, name: str) -> list[tuple[int, str, str]]:
+        """Returns the streams of messages from a node to the nodes of PROGRAMS, as (socket, topic, node)."""
+        uri = rosgraph.Master("/test").lookupNode(f"/{name}")
+        found = []
+        for _, peer, direction, kind, topic, connected, *how in xmlrpc.client.ServerProxy(uri).getBusInfo("/test")[2]:
+            number = re.search(r"on socket (\d+)", how[0]) if how else None
+            if direction == "o" and kind == "TCPROS" and connected and number and peer.lstrip("/") in PROGRAMS:
+                found.append((int(number[1]), topic, peer.lstrip("/")))
+        return found
+
     def start(self, name: str, **parameters) -> None:
         """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
         self.set(**parameters)

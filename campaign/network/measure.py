@@ -29,7 +29,7 @@ def run_cell(rig, cell: Cell) -> CellResult:
     counts = _let_pass(rig.wire, cell)
     ended = time.monotonic()
     goals_per_s = (rig.arm.now.goals - goals) / (ended - began)
-    error = _tracking_error(rig, began, ended)
+    error = tracking_error(rig, began, ended)
     pick_ups = rig.modes.count("pick_up")
     said = "" if rig.mode == "servo" else f"{rig.mode}: {rig.status.reason}"
     recovery, after = _recover(rig)
@@ -68,7 +68,7 @@ def _let_pass(wire, cell: Cell) -> dict[str, int]:
     return total
 
 
-def _tracking_error(rig, began: float, ended: float) -> float | None:
+def tracking_error(rig, began: float, ended: float) -> float | None:
     """Returns how far the tool was from where it should have been, root mean square [mm]."""
     offset = time.time() - time.monotonic()
     stamps = np.array(rig.desired_at[:]) - offset

@@ -1,13 +1,23 @@
-"""Rows 1 to 15: the link to the arm."""
+"""Rows 1 to 17: the link to the arm."""
 
 from __future__ import annotations
 
+import re
+import signal
+import time
+
 import numpy as np
+import rospy
 
 from campaign.judge import Limits
+from campaign.network.measure import tracking_error
+from campaign.rig import CONTROLLER, DRIVER, TELEOP
+from campaign.sockets import connections
 from campaign.trial import row
+from kuka_msgs.msg import jointPositions
 
 ROBOT_BRAKES = Limits.of_the_drives()
+SLOW_LINK_M_S = 0.15
 
 
 @row(1, "Arm TCP reset by peer", "DL", within=1.5, named_by="out of reach|connection", operator=True,
@@ -102,3 +112,253 @@ def frozen(trial):
     trial.check("the arm does not go back to where its joints are frozen", away[-1] > max(away) - 0.02, away[-1])
     trial.mend("arm", "frozen")
     trial.recovers()
+
+
+# The goals end in the middle of a motion, which the robot's drives brake.
+@row(3, "Arm server accepts but never answers", "DL", within=1.8, named_by="not answered|does not answer",
+     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+def never_answers(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.fault("arm", "silent")
+    rig.wait_for_mode("stopped")
+    began = time.monotonic()
+    answer = rig.control(True)
+    trial.check("no thread is blocked: a service answers", time.monotonic() - began < 2.0, answer.message)
+    trial.check("control cannot go on", not answer.success, answer.message)
+    rig.arm.ask("fault", name="cut", duration=0.3)  # and the next connection is accepted and never answered
+    trial.says("silent for .* another client", 20.0)
+    trial.mend("arm", "silent")
+    trial.says("connected again", 20.0)
+    trial.stays_away(1.0)
+    trial.recovers()
+
+
+# With slower answers fewer goals leave, and the robot's drives bring the arm to each of them as fast as they may.
+@row(4, "Answer split over several reads / two answers in one read", "", within=1.0, limits=ROBOT_BRAKES)
+def torn(trial):
+    rig = trial.rig
+    trial.follow()
+    missed = rig.count("kuka_control", "missed_answers")
+    for fault, value in (("torn", 0.0001), ("bursts", 0.03)):
+        trial.fault("arm", fault, value=value)
+        moves_on(trial, f"with {fault} answers", 3.0)
+        rig.arm.ask("fault", name=fault, on=False)
+    rig.watch(1.5)  # counters come each second
+    more = rig.count("kuka_control", "missed_answers") - missed
+    trial.check("no answer is taken for another one", more == 0, f"{more} were left out")
+
+
+def moves_on(trial, when: str, seconds: float) -> None:
+    """Lets time pass, in which the arm is to follow the moving hand."""
+    rig = trial.rig
+    began, since = len(rig.statuses), rig.arm.now.time
+    rig.watch(seconds)
+    modes = {mode for _, mode, _ in rig.statuses[began:]}
+    trial.check(f"servo mode lasts {when}", modes == {"servo"}, f"{modes}: {rig.status.reason}")
+    trial.check(f"the arm moves {when}", rig.arm.way(since) > 0.02, rig.arm.way(since))
+
+
+# Fewer goals leave, as in row 4; the reaction is to the garbage that comes instead of every answer, 2 s later.
+@row(5, "Garbage or binary in an answer", "DL", within=9.0, named_by="answer is left out|not answered|is missing",
+     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+def garbage(trial):
+    rig = trial.rig
+    trial.follow()
+    missed = rig.count("kuka_control", "missed_answers")
+    trial.fault("arm", "garbled", value=0.02)
+    moves_on(trial, "with garbage now and then", 2.0)
+    rig.wait(lambda: rig.count("kuka_control", "missed_answers") > missed, "the garbage to be counted")
+    rig.arm.ask("fault", name="garbled", value=1.0)
+    rig.wait_for_mode("stopped")
+    trial.stays_away(1.0)
+    trial.mend("arm", "garbled")
+    trial.says("connected again", 20.0)
+    trial.recovers()
+
+
+# The goals end in the middle of a motion, as in row 3.
+@row(6, "Late answer to an earlier command", "", within=1.0, named_by="not answered|No answer in time",
+     limits=ROBOT_BRAKES)  # fmt: skip
+def late(trial):
+    rig = trial.rig
+    heard = []
+    subscriber = rospy.Subscriber("kuka/joint_positions", jointPositions, heard.append, queue_size=1000)
+    trial.follow(sway=False)
+    rig.hand.hide()
+    rig.wait_for_mode("home")
+    rig.watch(0.5)
+    heard.clear()
+    # Outside of servo mode different questions are asked in turn; later than 1 s an answer is given up and another
+    # question is asked.
+    trial.fault("arm", "slow", value=1.2, duration=4.0)
+    rig.watch(7.0)
+    subscriber.unregister()
+    joints = np.array([angles(message) for message in heard])
+    off = np.max(np.abs(joints - rig.arm.now.q)) if len(joints) else np.inf
+    trial.check("no late answer is taken for the joints", off < 1e-3, off)
+    rig.wait(lambda: rig.mode in ("home", "stopped"), "the rig to know where it is")
+    trial.stays_away(0.5)
+    trial.recovers()
+    missed = rig.count("kuka_control", "missed_answers")
+    rig.hand.sway(1.0, right=0.06)
+    rig.arm.ask("fault", name="slow", value=0.25, duration=0.6)
+    rig.watch(2.0)
+    trial.check("what was late in servo mode is counted", rig.count("kuka_control", "missed_answers") > missed)
+    if rig.mode != "servo":
+        rig.hand.show(right=-0.06)
+        rig.wait_for_mode("servo")
+        rig.hand.sway(1.0, right=0.06)
+    moves_on(trial, "with answers in time again", 1.5)
+
+
+def angles(message) -> list[float]:
+    """Returns the joints of a message [rad]."""
+    return [getattr(message, f"joint_{k}") for k in range(1, 8)]
+
+
+@row(7, 'Arm answers "nak"', "RL", within=3.0, named_by="refused", operator=True, still=True)
+def refused(trial):
+    rig = trial.rig
+    assert rig.control(True).success
+    trial.fault("arm", "refused")
+    rig.modes.clear()
+    rig.hand.show(right=0.1)
+    rig.wait_for_modes("stopped")
+    trial.stays_away(1.0)
+    started = [text for _, text in rig.arm.events if "startDirectServoJoints" in text]
+    trial.check("servo mode is not taken for running", not started and rig.arm.now.mode == "idle", started)
+    rig.hand.hide()
+    trial.mend("arm", "refused")
+    trial.recovers()
+
+
+@row(9, "Emergency stop, later released", "DL", within=0.8, named_by="safety stop", operator=True, limits=ROBOT_BRAKES,
+     dangerous="after the release the arm must not catch up with a hand that has moved on")  # fmt: skip
+def emergency_stop(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.fault("arm", "emergency_stop")
+    rig.wait_for_mode("stopped")
+    rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand")
+    rig.watch(1.0)
+    rig.arm.ask("fault", name="emergency_stop", on=False)
+    rig.watch(0.5)
+    since = rig.arm.now.time
+    rig.arm.ask("release")
+    trial.stays_away(2.0)
+    trial.check("nothing is left to be followed at the release", rig.arm.way(since) < 1e-3, rig.arm.way(since))
+    trial.recovers()
+
+
+@row(10, "Application restarted on the pad", "DL", within=1.5, named_by="out of reach|application has ended",
+     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+def restarted(trial):
+    trial.follow()
+    trial.fault("arm", "restarted", duration=2.0)
+    trial.says("connected again", 20.0)
+    trial.stays_away(2.0)
+    trial.recovers()
+
+
+@row(11, "KST velocity mode + link loss", "DL", within=1.5, named_by="out of reach|connection", operator=True,
+     limits=ROBOT_BRAKES,
+     instead="no part of the rig has a command of the velocity mode (src/modules/kst/tests/test_codec.py), so no speed "
+     "can be left behind; provoked is the loss of the link in position servo, and the row looks whether the arm stands "
+     "and whether the robot was ever in another servo mode.",
+     dangerous="a speed that nobody takes back moves the arm until something stops it")  # fmt: skip
+def no_velocity_mode(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.fault("arm", "cut", duration=1.0)
+    rig.wait_for_mode("stopped")
+    rig.wait(lambda: rig.arm.now.speed == 0.0, "the arm to stand without its client")
+    trial.says("connected again", 15.0)
+    trial.stays_away(1.0)
+    trial.recovers()
+    modes = {sample.mode for sample in rig.arm.samples} - {"idle", "ptp", "servo"}
+    trial.check("the robot was in no other servo mode", not modes, modes)
+    foreign = [text for _, text in rig.arm.events if re.search("vel(DC|Dc)|stVel|DcSeCar|stDc|SmartImp", text)]
+    trial.check("no other servo mode was asked for", not foreign, foreign[:1])
+
+
+@row(12, "60 s accept window missed", "R", within=30.0, named_by="start MatlabToolboxServer", still=True)
+def missed_window(trial):
+    rig = trial.rig
+    rig.arm.ask("fault", name="window", value=1.0)  # instead of 60 s
+    trial.signal(CONTROLLER, signal.SIGTERM)
+    rig.wait(lambda: any("no client within" in text for _, text in rig.arm.events), "the window to close", 15.0)
+    rig.start(CONTROLLER)
+    trial.says("start MatlabToolboxServer", 20.0)
+    rig.watch(1.0)
+    trial.operator()
+    rig.arm.ask("fault", name="window", on=False)  # somebody starts the application
+    rig.wait_for_mode("home")
+    trial.recovers()
+
+
+@row(13, "Round-trip time spikes to 200 ms", "", within=1.0, named_by="not answered for", limits=ROBOT_BRAKES,
+     argued="lost-robot.md")  # fmt: skip
+def spikes(trial):
+    rig = trial.rig
+    trial.follow()
+    holds = rig.count("kuka_control", "holds")
+    trial.fault("arm", "slow", value=0.2)
+    rig.watch(1.0)
+    began = rig.arm.now.time
+    trial.says("not answered for", 3.0)
+    rig.watch(2.0)
+    fastest = max(sample.tool_speed for sample in rig.arm.since(began))
+    trial.check("the arm is slow", fastest < SLOW_LINK_M_S, f"{fastest:.3f} m/s")
+    trial.check("the goals hold", rig.count("kuka_control", "holds") > holds + 2, rig.count("kuka_control", "holds"))
+    trial.mend("arm", "slow")
+    trial.recovers()
+
+
+@row(14, "1 % / 10 % loss, reordering, 50 ms jitter", "", within=1.0, variant="patient/arm", limits=ROBOT_BRAKES,
+     dangerous="bursts of late goals could make the arm faster than its limits")  # fmt: skip
+def bad_link(trial):
+    rig = trial.rig
+    trial.follow()
+    stops = rig.arm.now.stops
+    for what, link in (
+        ("1 % loss", {"loss": 0.01}),
+        ("10 % loss", {"loss": 0.1}),
+        ("reordering", {"delay": 0.01, "reordered": 0.25}),
+        ("50 ms jitter", {"delay": 0.05, "jitter": 0.05}),
+    ):
+        if rig.mode != "servo":  # it held
+            trial.link()
+            trial.recovers()
+            rig.hand.sway(1.0, right=0.06)
+        began = time.monotonic()
+        trial.link(**link)
+        rig.watch(4.0)
+        error = tracking_error(rig, began, time.monotonic())
+        followed = rig.mode == "servo"
+        trial.check(f"it follows to within 0.12 m, or holds: {what}", not followed or (error or 0.0) < 120.0, error)
+    trial.link()
+    trial.check("the robot never stopped the arm", rig.arm.now.stops == stops, rig.arm.now.safety_stop)
+    trial.recovers()
+
+
+# No limit of the stream's 12 rad/s^2: on a busy machine too few goals leave.
+@row(15, "Nagle / delayed ACK stalls", "", within=1.0, limits=ROBOT_BRAKES)
+def nagle(trial):
+    rig = trial.rig
+    trial.follow()
+    port = rospy.get_param("kuka/port")
+    to_robot = [c for c in connections(rig.pid(CONTROLLER)).values() if c.peer_port == port]
+    trial.check("TCP_NODELAY to the robot", [c.no_delay for c in to_robot] == [True], to_robot)
+    for node in (DRIVER, TELEOP, CONTROLLER):
+        found = connections(rig.pid(node))
+        for number, topic, reader in rig.streams_of(node):
+            trial.check(f"TCP_NODELAY of {topic} from {node} to {reader}", found[number].no_delay)
+    rates = []
+    for _ in range(2):
+        began, goals = rig.arm.now.time, rig.arm.now.goals
+        moves_on(trial, "with such a server" if rates else "before", 3.0)
+        rates.append((rig.arm.now.goals - goals) / (rig.arm.now.time - began))
+        trial.fault("arm", "nagle")  # as the published server, whose socket has no option
+    trial.check("no goal waits for an acknowledgement", rates[1] > 0.7 * rates[0], f"{rates} goals a second")
+    trial.mend("arm", "nagle")

@@ -3,6 +3,7 @@
 import math
 import re
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -202,3 +203,10 @@ def test_a_line_of_numbers_is_read_as_field_by_field(vector, end):
         np.testing.assert_array_equal(reply.numbers, [float(text) for text in texts])
     else:
         assert reply.kind in (ReplyKind.FOREIGN, ReplyKind.PIN) and len(reply.numbers) < 2
+
+
+@pytest.mark.parametrize("word", ["stVelDcJoint", "velJDC"])
+def test_no_command_of_the_velocity_mode_is_known(word):
+    """The server has no watchdog: after the loss of the link it keeps the last speed."""
+    sources = Path(codec.__file__).parent.glob("*.py")
+    assert not [path.name for path in sources if word in path.read_text()]

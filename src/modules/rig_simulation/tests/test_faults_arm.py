@@ -194,6 +194,52 @@ def test_torn(connect, fault):
     assert client.ask() == ZEROS
 
 
+def test_bursts(connect, fault):
+    client = connect()
+    fault("bursts", value=0.5)
+    for _ in range(3):
+        client.send("getJointsPositions")
+        time.sleep(0.02)
+    pieces = [client.socket.recv(4096), b"" if client.silent(0.6) else client.socket.recv(4096)]
+    assert max(piece.count(b"\n") for piece in pieces) > 1, "several answers in one piece"
+    fault("bursts", on=False)
+
+
+def test_nagle(server, connect, fault, wait_until):
+    client = connect()
+    assert client.ask() == ZEROS and no_delay(server)
+    fault("nagle")
+    wait_until(lambda: not no_delay(server), SOON_S, "the option to be taken back")
+    assert client.ask() == ZEROS
+    fault("nagle", on=False)
+    wait_until(lambda: no_delay(server), SOON_S, "the option to be set again")
+
+
+def no_delay(server):
+    return bool(server._client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+
+
+def test_window(server, connect, fault, wait_until):
+    client = connect()
+    fault("window", value=0.2)
+    assert not client.silent(0.01) or client.ask() == ZEROS, "a client that is there may stay"
+    time.sleep(0.4)
+    assert client.ask() == ZEROS
+    client.send("end")
+    wait_until(lambda: not reconnects(server), SOON_S, "the port to close")
+    fault("window", on=False)
+    wait_until(lambda: reconnected(connect), SOON_S, "a new client to be served on the same port")
+
+
+def reconnects(server):
+    try:
+        socket.create_connection((server.host, server.port), SOON_S).close()
+    except OSError:
+        return False
+    time.sleep(0.4)
+    return True
+
+
 def test_restarted(server, connect, moving, fault, wait_until):
     fault("restarted")
     assert moving.replies.read() == b"", "closed in order"

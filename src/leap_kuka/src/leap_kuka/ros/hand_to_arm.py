@@ -31,7 +31,7 @@ class DelayMonitor:
         self._looked: dict[str, float] = {}  # by publisher
         self.palm = self._meter.palm
         self._subscriber: rospy.Subscriber | None = None
-        self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=BUFFER_BYTES)
+        self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=BUFFER_BYTES, tcp_nodelay=True)
 
     def values(self) -> dict[str, str]:
         """Returns the delay and its 10th and 90th percentile [ms]; empty while too little moves to tell."""

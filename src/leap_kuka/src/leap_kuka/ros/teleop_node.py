@@ -51,7 +51,7 @@ class ArmTeleopNode:
         self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
         self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed)
         self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange), False
-        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
+        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("leap_kuka/operator_input", OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
         Diagnostics("leap_kuka", self._diagnostics)

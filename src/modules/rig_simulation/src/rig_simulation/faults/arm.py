@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 
 import numpy as np
@@ -15,7 +16,14 @@ ARM_FAULTS = (
     Fault("slow", "every answer comes late", FaultValue("delay [s]", 0.2, 0.001, 60.0)),
     Fault("garbled", "answers are garbage that ends like a line", fraction_of("answers")),
     Fault("torn", "answers come byte by byte", FaultValue("time between two bytes [s]", 0.0005, 0.0001, 1.0)),
+    Fault("bursts", "answers are held back, then arrive all at once", FaultValue("their period [s]", 0.03, 0.001, 1.0)),
+    Fault("nagle", "short answers wait until the one before is acknowledged: the socket is without TCP_NODELAY"),
     Fault("restarted", "the application stops and its port closes; it starts again when the fault ends"),
+    Fault(
+        "window",
+        "an application that gets no client for this time ends, and its port closes; it starts again as the fault ends",
+        FaultValue("time [s]", 60.0, 0.1, 600.0),
+    ),
     Fault("refused", "motions are answered `done`, `nak`: the arm stays, the tool is detached"),
     Fault("unfinished", "the end of a PTP motion is not answered"),
     Fault("emergency_stop", "the button is pressed: a safety stop, which lasts until `release` after its end"),
@@ -38,6 +46,8 @@ class ArmAnswers:
         """Takes the answers, complete lines, that the application gives at the time `now` [s]."""
         faults = self._faults.active()
         due = now + faults.get("slow", 0.0)
+        if "bursts" in faults:
+            due = math.ceil(due / faults["bursts"]) * faults["bursts"]
         for answer in text.encode("ascii").splitlines(keepends=True):
             if self._random.random() < faults.get("silent", 0.0):
                 continue

@@ -83,7 +83,7 @@ class SunriseServer:
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
         self._planner = ThreadPoolExecutor(1, "planner")  # the reader answers while a motion is planned
-        self._deaf = False
+        self._deaf = self._missed = False
         self._reported_stops = 0
         self._selector = selectors.DefaultSelector()
         self._listener: socket.socket | None = listen(host, port, "the toolbox port")
@@ -184,7 +184,7 @@ class SunriseServer:
             self._client, address = self._listener.accept()
         except OSError:
             return
-        self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._delay_small_packets()
         self._client.settimeout(SEND_TIMEOUT_S)
         self._lines = JavaLineSplitter()
         self._selector.unregister(self._listener)
@@ -233,7 +233,9 @@ class SunriseServer:
             self._log(f"the fault {name} {'ends' if value is None else 'begins'}")
             if name == "emergency_stop":
                 self._arm.press_emergency_stop(value is not None)
-        cut, restarted = self.faults.is_on("cut"), self.faults.is_on("restarted")
+            elif name == "nagle":
+                self._delay_small_packets()
+        cut, restarted = self.faults.is_on("cut"), self.faults.is_on("restarted") or self._window_missed()
         if cut or restarted:
             if self._client is not None and cut:
                 self._client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
@@ -250,6 +252,21 @@ class SunriseServer:
                 self._listener.setblocking(False)
         elif cut and not restarted:
             self._reset_waiting_clients()
+
+    def _delay_small_packets(self) -> None:
+        if self._client is not None:
+            self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, not self.faults.is_on("nagle"))
+
+    def _window_missed(self) -> bool:
+        """Returns whether no client came within the window of its fault."""
+        window = self.faults.value("window")
+        if window is None:
+            self._missed = False
+        elif not self._missed and self._listener is not None and self._listener in self._selector.get_map():
+            self._missed = time.monotonic() - self._waiting_since > window
+            if self._missed:
+                self._log(f"no client within {window:g} s; the application ends")
+        return self._missed
 
     def _close_client(self) -> None:
         self._answers.drop()

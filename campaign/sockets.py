@@ -1,0 +1,69 @@
+"""The TCP connections of another process with their options, seen through duplicates of its descriptors."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import os
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+PIDFD_GETFD = 438  # the system call, on every architecture
+
+
+class Connection(NamedTuple):
+    """A connection: the ports of its two ends, and whether small packets leave at once (TCP_NODELAY)."""
+
+    port: int
+    peer_port: int
+    no_delay: bool
+
+
+def connections(pid: int) -> dict[int, Connection]:
+    """Returns the TCP connections of a process by descriptor; OSError: this process may not look."""
+    found = {}
+    pidfd = os.pidfd_open(pid)
+    try:
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):
+                if os.readlink(entry).startswith("socket:"):
+                    connection = _connection(pidfd, int(entry.name))
+                    if connection is not None:
+                        found[int(entry.name)] = connection
+    finally:
+        os.close(pidfd)
+    return found
+
+
+def _connection(pidfd: int, number: int) -> Connection | None:
+    """Returns the connection of a descriptor, None if it is none.
+
+    No Python socket is made of the duplicate: it would change the mode of the other process's socket, too.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    own = libc.syscall(PIDFD_GETFD, pidfd, number, 0)
+    if own < 0:
+        error = ctypes.get_errno()
+        if error == errno.EBADF:  # it was closed meanwhile
+            return None
+        raise OSError(error, os.strerror(error))
+    try:
+        ends = [_port(call, own) for call in (libc.getsockname, libc.getpeername)]
+        value, size = ctypes.c_int(), ctypes.c_uint(4)
+        option = (socket.IPPROTO_TCP, socket.TCP_NODELAY, ctypes.byref(value), ctypes.byref(size))
+        if None in ends or libc.getsockopt(own, *option):
+            return None
+        return Connection(*ends, bool(value.value))
+    finally:
+        os.close(own)
+
+
+def _port(call: Callable[..., int], own: int) -> int | None:
+    address, size = ctypes.create_string_buffer(128), ctypes.c_uint(128)
+    failed = call(own, address, ctypes.byref(size))
+    family, port = struct.unpack("=H2s", address.raw[:4])
+    return None if failed or family != socket.AF_INET else int.from_bytes(port, "big")
