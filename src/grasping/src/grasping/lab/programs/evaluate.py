@@ -14,6 +14,7 @@ import contextlib
 import csv
 import json
 import multiprocessing
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -229,7 +230,7 @@ def judge_images(
         parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename} cannot be used: {error.strerror}.")
-    print(found)
+    sys.stdout.write(found)
 
 
 def main() -> None:

@@ -75,6 +75,6 @@ def main() -> None:
         parser.error(f"{error.filename or arguments.folder}: {error.strerror}.")
     things = len({image.thing for image in images})
     text = f"{counts['train']} images for training, {counts['validation']} for validation, of {things} things"
-    print(text + (f"; {left_out} left out." if left_out else "."))
+    sys.stdout.write(text + (f"; {left_out} left out.\n" if left_out else ".\n"))
     if not all(counts.values()):
-        print("Training needs both: label more things, or change --validation.")
+        sys.stdout.write("Training needs both: label more things, or change --validation.\n")
