@@ -23,6 +23,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from campaign.arm_trace import ArmTrace
+from campaign.clocks import Clock
 from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
@@ -56,6 +57,7 @@ class RigUnderTest:
         hand: what the simulated Leap service shows.
         leap, robot_hand, camera: control ports of the simulated Leap service, hand and, where there is one, camera.
         arm: the truth about the arm, and requests to its control port.
+        clock: the clock of its programs.
         modes: modes of the controller.
         desired: desired tool frames, shape (4, 4); `desired_at`: their stamps [s].
         commanded: tool frames that the controller aimed at, shape (4, 4).
@@ -72,6 +74,7 @@ class RigUnderTest:
 
     def __init__(self, shared, folder: Path, wire: Wire | None = None, **arguments: str) -> None:
         self.wire = wire
+        self.clock: Clock | None = None
         self._shared = shared
         self._arguments = arguments
         self._sees = arguments.get("world") == "true"
@@ -217,6 +220,14 @@ class RigUnderTest:
             if direction == "o" and kind == "TCPROS" and connected and number and peer.lstrip("/") in PROGRAMS:
                 found.append((int(number[1]), topic, peer.lstrip("/")))
         return found
+
+    def listen_anew(self) -> None:
+        """Lets `hear` also record what was said last before."""
+        self._last_said.clear()
+
+    def program(self, *command: str):
+        """Starts another program, which ends with the rig; returns its process."""
+        return self._processes.start(*command)
 
     def start(self, name: str, **parameters) -> None:
         """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
@@ -450,7 +461,7 @@ class RigUnderTest:
 
     def _take_transforms(self, message: TFMessage) -> None:
         transforms = {t.child_frame_id: t for t in message.transforms}
-        if "kuka/tool_frame/desired" in transforms:
+        if {"leap_motion/virtual_frame", "kuka/tool_frame/desired"} <= transforms.keys():
             T_base_leap, T_leap_tool = (
                 pose_from_transform(transforms[name].transform)
                 for name in ("leap_motion/virtual_frame", "kuka/tool_frame/desired")

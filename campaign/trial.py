@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from campaign.clocks import SHIFTED, SIMULATED
 from campaign.judge import REST, Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
 
@@ -37,9 +38,12 @@ VARIANTS: dict[str, dict[str, str]] = {
     "tracker": {"teleop": "leap_kuka_node.py", "overrides": str(Path(__file__).with_name("rig.yaml"))},
     "shipped": {"teleop": "leap_kuka_node.py"},
     "seeing": {"world": "true"},
+    SHIFTED: {},
+    SIMULATED: {},
 }
 """The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, only leap_kuka as
-shipped, all as shipped, or patient with objects, a camera and the nodes that propose grasps.
+shipped, all as shipped, or patient with objects, a camera and the nodes that propose grasps, or with another clock
+(campaign.clocks).
 
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """

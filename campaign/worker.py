@@ -19,6 +19,7 @@ from pathlib import Path
 
 import conftest as shared
 from campaign import rows, trial
+from campaign.clocks import clock_of
 from campaign.network.cells import CELLS, SHORT, Cell
 from campaign.network.measure import run_cell
 from campaign.network.wire import Wire
@@ -38,8 +39,12 @@ def main(variant: str, traces: Path | None = None) -> None:
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="campaign-"))
         wire = stack.enter_context(Wire(name)) if name else None
+        clock = clock_of(kind, Path(folder))
         stack.enter_context(master(Path(folder), wire.far if wire and name == "ros" else "localhost"))
+        stack.callback(clock.stop)
+        clock.start()
         rig = RigUnderTest(shared, Path(folder, "rig"), wire, **trial.VARIANTS[kind])
+        rig.clock = clock
         try:
             Path(folder, "rig").mkdir()
             rig.bring_up()

@@ -183,11 +183,22 @@ def test_a_repeated_frame_is_left_aside_and_does_not_end_the_silence():
 
 
 @pytest.mark.parametrize("age, word", [(0.7, "old"), (-3.0, "future"), (float("nan"), "stamp")])
-def test_a_stamp_far_from_now_is_refused_with_the_skew(age, word):
+def test_a_stamp_far_from_now_is_refused_with_the_skew_and_does_not_end_the_silence(age, word):
     watch = FrameWatch(0.2)
-    arrival = watch.arrived(1, age, 0.0)
-    assert not arrival.usable and word in arrival.broken
-    assert watch.silence(0.0) == arrival.broken
+    assert not watch.arrived(1, age, 0.0).usable and word in watch.silence(0.0)
+    assert watch.arrived(2, 0.0, 0.01).usable
+    for now in (0.1, 0.2, 0.25):
+        assert not watch.arrived(3, age, now).usable
+    assert word in watch.silence(0.25)
+
+
+@pytest.mark.parametrize("age", [2.0, -2.0])
+def test_a_frame_that_was_on_its_way_when_the_wall_clock_was_set_does_not_break_the_stream(age):
+    watch = FrameWatch(0.2)
+    for i in range(10):
+        arrival = watch.arrived(i, age if i == 5 else 0.0, 0.01 * i)
+        assert arrival.usable is (i != 5) and arrival.broken is None
+        assert watch.silence(0.01 * i) is None
 
 
 @given(st.floats(-MAX_SKEW_S, MAX_SKEW_S))

@@ -153,7 +153,7 @@ class World:
         self.exit_requested = False
         self.scale = 1.0
         self.tool = None
-        self.skew = 0.0
+        self.clock, self.skew = CLOCK, 0.0  # the wall clock at the start, and how far stamps are ahead of it [s]
         self.conflict = None
         self.newest = None
         self.move = None
@@ -172,11 +172,11 @@ class World:
         for i in range(max(1, round(seconds / DT))):
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
-                self.newest = DesiredFrame(T, CLOCK + self.now + self.skew, self.conflict)
+                self.newest = DesiredFrame(T, self.clock + self.now + self.skew, self.conflict)
             switches = SwitchState(
                 self.control_on, self.enable_count, scale=self.scale, exit_requested=self.exit_requested
             )
-            inputs = Inputs(self.newest, CLOCK + self.now, switches, self.move)
+            inputs = Inputs(self.newest, self.clock + self.now, switches, self.move)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]
             if not self.modes or self.modes[-1] != step.mode:

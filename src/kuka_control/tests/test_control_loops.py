@@ -447,6 +447,21 @@ def test_scaling_is_about_the_centre():
     assert reached(world, shifted(0.03, 0.0, 0.0))
 
 
+def test_the_wall_clock_may_be_set_while_the_arm_follows():
+    def sway(t):
+        return shifted(0.0, 0.0, 0.06 * (1.0 - np.cos(6.0 * t)))  # up to 0.36 m/s
+
+    steady, world = World().following(), World().following()
+    for i in range(40):
+        world.clock += (3.0, -3.0, -3600.0, 3600.0)[i % 4]
+        for each in (steady, world):
+            start = 0.144 * i
+            each.run(0.048, None)  # the frames that were on their way are left out
+            each.run(0.096, lambda t, start=start: sway(start + 0.048 + t))
+        assert world.mode == "servo" and not set(world.modes) - {"servo"}, world.steps[-1].reason
+        np.testing.assert_allclose(world.arm.q, steady.arm.q, atol=np.radians(0.5))
+
+
 @pytest.mark.parametrize("skew", [-0.7, 0.7])
 def test_stale_and_future_frames_do_not_move_the_arm(skew):
     world = World().at_home()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 
 import numpy as np
 import pytest
@@ -177,6 +178,70 @@ def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_
             assert (frame.conflict is None) is not simulated
         assert "went back by 5 s" in frame.conflict
         assert hear(listener, BASE, 0.5, 302.0).conflict is None
+    finally:
+        rospy.rostime.switch_to_wallclock()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ((math.nan, 0.0, 0.4, 0.0, 0.0, 0.0, 1.0), "kuka/tool_frame/desired is refused: it is not finite"),
+        ((0.5, 0.0, 0.4, 0.0, 0.0, math.inf, 1.0), "kuka/tool_frame/desired is refused: it is not finite"),
+        ((0.5, 0.0, 0.4, 0.0, 0.0, 0.0, 0.0), "has norm 0 instead of 1"),
+        ((0.5, 0.0, 0.4, 0.0, 0.0, 0.0, 1.002), "has norm 1.002 instead of 1"),
+    ],
+)
+def test_bad_numbers_are_refused_with_the_reason_and_the_frame_before_them_does_not_count_again(
+    listener, monkeypatch, numbers, said
+):
+    import time
+
+    import rospy
+    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+    from std_msgs.msg import Header
+
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    good = hear(listener, BASE, 0.5, 100.0)
+    bad = Transform(Vector3(*numbers[:3]), Quaternion(*numbers[3:]))
+    for i in range(10):
+        now += 0.2
+        listener.hear([TransformStamped(Header(0, rospy.Time(101, i), BASE), DESIRED, bad)])
+        refused = listener.desired.wait(0.0)
+        assert said in refused.refused and refused.conflict is None
+        assert listener.desired.wait(0.0) is refused, "each frame is refused once, and the one before is not new"
+    found = hear(listener, BASE, 0.5, 102.0)
+    assert found.refused is None and found.stamp == 102.0 and good.stamp == 100.0
+
+
+def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(listener):
+    """One that was on its way when the wall clock was set back."""
+    import rospy
+
+    now = rospy.get_time()
+    assert hear(listener, BASE, 0.5, now).refused is None
+    assert re.search(r"its stamp is 2\.\d+ s ahead of", hear(listener, BASE, 0.5, now + 2.5).refused)
+    assert hear(listener, BASE, 0.5, now + 0.02).stamp == pytest.approx(now + 0.02)
+
+
+def test_desired_tools_are_refused_while_simulated_time_stands_still(listener, monkeypatch):
+    import time
+
+    import rospy
+
+    now = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    try:
+        rospy.rostime._set_rostime(rospy.Time(200))
+        assert hear(listener, BASE, 0.5, 200.0).refused is None
+        now += 0.6
+        first = hear(listener, BASE, 0.5, 200.0)
+        now += 0.1
+        second = hear(listener, BASE, 0.5, 200.0)
+        assert "ROS time has stood still for 0.6 s" in first.refused and "0.7 s" in second.refused
+        assert first.stamp != second.stamp, "each counts"
+        rospy.rostime._set_rostime(rospy.Time(201))
+        assert hear(listener, BASE, 0.5, 201.0).refused is None
     finally:
         rospy.rostime.switch_to_wallclock()
 

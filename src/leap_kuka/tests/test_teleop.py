@@ -315,10 +315,13 @@ def test_a_repeated_frame_is_no_frame(play, sample):
 
 
 @pytest.mark.parametrize("age, word", [(3600.0, "3600.0 s old"), (-2.0, "in the future")])
-def test_a_stamp_far_from_now_ends_the_stream_and_is_not_published(play, sample, age, word):
+def test_stamps_far_from_now_end_the_stream_and_are_not_published(play, sample, age, word):
     play.steps(10, sample())
-    result = play.teleop.step(TrackingFrame(999, age, (sample(),)), play.now + 0.01)
-    assert result.state == StreamState.WAITING and not result.usable and word in result.reason
+    for i in range(25):
+        assert not play.teleop.step(TrackingFrame(999 + i, age, (sample(),)), play.now + 0.01 * i).usable
+    silent = play.teleop.silence(play.now + 0.25)
+    assert silent.state == StreamState.WAITING and word in silent.reason
+    assert play.steps(30, sample())[-1].state == StreamState.WAITING, "a hand must come in anew"
 
 
 def test_a_gap_in_the_stream_ends_it(play, sample):

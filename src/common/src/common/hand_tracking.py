@@ -48,12 +48,13 @@ class FrameWatch:
 
     def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
         """Judges a frame that arrived at `now` [s], `age` [s] after its stamp. A repeated number means that the tracker
-        hangs: the frame is ignored, and the silence continues. A lower number means that the tracker has restarted.
+        hangs, a large age that the clocks differ, or that one was set while the frame was on its way: it is ignored,
+        and the silence continues. A lower number means that the tracker has restarted.
         """
         if not abs(age) <= MAX_SKEW_S:
             skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
             self._refusal = (skewed, now)
-            return FrameArrival(False, skewed)
+            return FrameArrival(False)
         if frame_id == self._last_id:
             self._refusal = (f"the tracker repeats frame {frame_id}", now)
             return FrameArrival(False)

@@ -7,12 +7,13 @@ look like a time-out.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from common.poses import check_pose, inverse
-from common.rotations import rotation_angle
+from common.rotations import UNIT_TOLERANCE, rotation_angle
 
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
@@ -25,6 +26,7 @@ STALLED_S = 0.5  # stalls since the last frame count as silence where they are l
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain that moves farther at once was set anew
 AT_ONCE_S = 0.1  # between two stamps that are not farther apart [s]
+STANDS_S = 0.5  # ROS time that has not passed for this long stands still [s]
 UNCONNECTED_S = 0.5  # so long the transforms of a chain may come one after the other [s]
 
 
@@ -33,8 +35,9 @@ class DesiredFrame:
     """A desired tool frame."""
 
     T_base_tool: np.ndarray  # shape (4, 4) [m]
-    stamp: float  # ROS time [s]
+    stamp: float  # ROS time [s]; of one that is refused on arrival any other number than of the one before
     conflict: str | None = None  # why the controller must not follow it, a sentence, if that is known on arrival
+    refused: str | None = None  # why this frame alone does not count, a sentence, if that is known on arrival
 
 
 def rejection_reason(T_base_tool: np.ndarray) -> str | None:
@@ -45,6 +48,29 @@ def rejection_reason(T_base_tool: np.ndarray) -> str | None:
         return f"{error}."
     distance = math.hypot(*T_base_tool[:3, 3].tolist())
     return f"it is {distance:.4g} m from the base; is it in metres?" if distance > MAX_DISTANCE_M else None
+
+
+def transform_fault(numbers: Sequence[float]) -> str | None:
+    """Returns why x, y, z and the quaternion x, y, z, w cannot be a transform, the end of a sentence; None if they can.
+
+    tf2 leaves some of these out without a word to ROS.
+    """
+    if not all(map(math.isfinite, numbers)):
+        return "it is not finite"
+    norm = math.hypot(*numbers[3:])
+    return f"its quaternion has norm {norm:.6g} instead of 1" if abs(norm - 1.0) > UNIT_TOLERANCE else None
+
+
+def skew_fault(stamp: float, clock: float) -> str | None:
+    """Returns why a desired tool frame with this stamp is refused at the ROS time `clock` [s], a sentence, or None."""
+    skew = stamp - clock
+    if abs(skew) <= MAX_SKEW_S:
+        return None
+    side = "ahead of" if skew > 0.0 else "behind"
+    return (
+        f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
+        f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
+    )
 
 
 @dataclass(frozen=True)
@@ -121,11 +147,30 @@ class FrameSources:
         return None
 
 
+class SteadyStamps:
+    """Takes the steps out of stamps whose clock is set meanwhile: back, or forwards by more than MAX_SKEW_S,
+    which no delay on the way explains.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[float, float] | None = None
+        self._offset = 0.0
+
+    def take(self, stamp: float, now: float) -> float:
+        """Returns the stamp of a new frame [s], less all steps so far; `now` is monotonic [s]."""
+        if self._last is not None:
+            step = (stamp - self._last[0]) - (now - self._last[1])
+            if stamp <= self._last[0] or step > MAX_SKEW_S:
+                self._offset -= step
+        self._last = stamp, now
+        return stamp + self._offset
+
+
 @dataclass(frozen=True)
 class StreamUpdate:
     """The verdict on the newest desired tool frame."""
 
-    fresh: DesiredFrame | None = None  # the frame, if it is new and accepted
+    fresh: DesiredFrame | None = None  # the frame, if it is new and accepted; its stamp is one of SteadyStamps
     refused: str | None = None  # why it is refused, a sentence, for the first refused frame in a row
     conflict: str | None = None  # why the whole stream must not be followed any longer, a sentence
 
@@ -147,6 +192,7 @@ class DesiredStream:
         self._stalled = 0.0  # since then, in stalls of the control loop [s]
         self._refusing = False
         self._refusal: tuple[str, float] | None = None
+        self._stamps = SteadyStamps()
 
     def take(self, newest: DesiredFrame | None, clock: float, now: float, in_servo: bool = False) -> StreamUpdate:
         """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
@@ -170,7 +216,7 @@ class DesiredStream:
             self._refusing = False
             self._refusal = None
             self._silence = self._stalled = 0.0
-            return StreamUpdate(newest)
+            return StreamUpdate(replace(newest, stamp=self._stamps.take(newest.stamp, now)))
         reported, self._refusing = self._refusing, True
         self._refusal = (fault, now)
         return StreamUpdate(refused=None if reported else fault, conflict=newest.conflict)
@@ -191,14 +237,8 @@ class DesiredStream:
 
 
 def _fault(desired: DesiredFrame, clock: float) -> str | None:
-    if desired.conflict is not None:
-        return desired.conflict
-    skew = desired.stamp - clock
-    if abs(skew) > MAX_SKEW_S:
-        side = "ahead of" if skew > 0.0 else "behind"
-        return (
-            f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
-            f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
-        )
+    fault = desired.conflict or desired.refused or skew_fault(desired.stamp, clock)
+    if fault is not None:
+        return fault
     reason = rejection_reason(desired.T_base_tool)
     return None if reason is None else f"The desired tool frame is refused: {reason}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 import threading
 import time
@@ -11,11 +10,20 @@ from collections import deque
 import numpy as np
 import rospy
 import tf2_ros
+from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_from_transform
-from kuka_control.model.desired_frame import UNCONNECTED_S, ChainWatch, DesiredFrame, FrameSources
+from kuka_control.model.desired_frame import (
+    STANDS_S,
+    UNCONNECTED_S,
+    ChainWatch,
+    DesiredFrame,
+    FrameSources,
+    skew_fault,
+    transform_fault,
+)
 from kuka_control.ros.tf_message import RawTfMessage, RawTransform
 
 REMIND_S = 5.0
@@ -27,7 +35,8 @@ class DesiredTool:
 
     A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
     it, that one counts as refused. So it does without a way to the base, when a frame that it stands in jumps, and when
-    ROS time goes back. Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
+    ROS time goes back. A transform with bad numbers, or a desired tool frame of the future, is refused: in tf2 it would
+    hide those after it. Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
     newest transforms of the others are kept in case this changes.
 
     Attributes:
@@ -42,11 +51,12 @@ class DesiredTool:
         self._chain = ChainWatch()
         self._conflict: object = None  # the newest one that was passed on
         self._went_back: str | None = None  # ROS time did, and this was not passed on yet
+        self._refused: str | None = None  # why the newest transform of the chain is, and this was not passed on yet
         self._heard = self._unconnected = 0.0  # when it came last, and that of those which had no way to the base [s]
         self._unconnected_since: float | None = None  # [s]
         self.stamp: rospy.Time | None = None
         self._lock = threading.Lock()  # each publisher on /tf has a thread of its own
-        self._last_time = rospy.Time.now()
+        self._last_time, self._passed = rospy.Time.now(), time.monotonic()  # ROS time, and when it was seen to pass [s]
         self._parents: dict[str, str] = {}
         self._needed: set[str] = {TOOL_DESIRED, BASE}
         self._others: dict[str, deque[RawTransform]] = {}
@@ -87,8 +97,13 @@ class DesiredTool:
         with self._lock:
             self._check_for_reset()
             for transform in data.transforms:
+                child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+                fault = transform_fault(_numbers(transform.transform))
+                if fault is not None:
+                    rospy.logwarn("The static transform %s -> %s is refused: %s.", parent, child, fault)
+                    continue
                 self.buffer.set_transform_static(transform, data._connection_header["callerid"])
-                self._stands_in(transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/"))
+                self._stands_in(child, parent)
         self._arrived.set()
 
     def _check_for_reset(self) -> None:
@@ -100,7 +115,8 @@ class DesiredTool:
             self.buffer.clear()
             if not rospy.rostime.is_wallclock():
                 self._went_back = f"ROS time went back by {(self._last_time - now).to_sec():.3g} s."
-        self._last_time = now
+        if now != self._last_time:
+            self._last_time, self._passed = now, time.monotonic()
 
     def _stands_in(self, child: str, parent: str) -> None:
         """Notes in which frame another one stands; gives tf2 what it needs from now on."""
@@ -116,13 +132,26 @@ class DesiredTool:
                 self._take(transform)
 
     def _take(self, transform: RawTransform) -> None:
-        """Passes a transform to tf2; drops one that is not finite."""
-        if all(map(math.isfinite, transform.numbers)):
-            self.buffer.set_transform(transform.message, "tf")
+        """Passes a transform to tf2; refuses one with bad numbers, and a desired tool frame of the future."""
+        fault = transform_fault(transform.numbers)
+        if fault is not None:
+            self._refused = f"The transform {transform.parent} -> {transform.child} is refused: {fault}."
+            rospy.logwarn_throttle(REMIND_S, self._refused)
             return
-        rospy.logwarn_throttle(
-            REMIND_S, f"The transform {transform.parent} -> {transform.child} is refused: it is not finite."
-        )
+        if transform.child == TOOL_DESIRED:
+            stamp, clock = transform.stamp[0] + 1e-9 * transform.stamp[1], rospy.get_time()
+            ahead = skew_fault(stamp, clock) if stamp > clock else None
+            if ahead is not None:
+                self._refused = ahead
+                return
+            stands = time.monotonic() - self._passed
+            if stands > STANDS_S:
+                self._refused = (
+                    f"The desired tool frame is refused: ROS time has stood still for {stands:.1f} s; use_sim_time is "
+                    "true, and nobody publishes /clock."
+                )
+                return
+        self.buffer.set_transform(transform.message, "tf")
 
     def wait(self, deadline: float) -> DesiredFrame | None:
         """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline` [s]."""
@@ -137,6 +166,11 @@ class DesiredTool:
         went_back, self._went_back = self._went_back, None
         if went_back is not None:
             return self._refuse(went_back)
+        refused, self._refused = self._refused, None
+        if refused is not None:  # the stamp stays, for the frame before it must not count as new
+            self._unconnected, self._unconnected_since = self._heard, None
+            self._newest = DesiredFrame(np.eye(4), now, refused=refused)
+            return True
         conflict = self._sources.conflict(TOOL_DESIRED, now)
         if conflict is not None:
             if conflict is self._conflict:
@@ -192,3 +226,8 @@ class DesiredTool:
         self.stamp = rospy.Time.now()
         self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence)
         return True
+
+
+def _numbers(transform: Transform) -> tuple[float, ...]:
+    p, q = transform.translation, transform.rotation
+    return p.x, p.y, p.z, q.x, q.y, q.z, q.w
