@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 
 import numpy as np
 import pytest
 
 from leap_rig.recording import read
+from rig_simulation.control_port import ControlClient
 
 pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.alone]
 
@@ -45,13 +47,21 @@ def nearest(poses, others):
     return np.min(np.linalg.norm(p - foot, axis=2), axis=1)
 
 
-def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, tracker_port, tmp_path):
+def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, tracker_port, free_port, tmp_path):
     port, folder = tracker_port, tmp_path / "circles"
-    operator = rig.run("rig_simulation", "leapd.py", "--port", str(port), "--control-port", "0")
     recorder = rig.run("leap_rig", "record.py", str(folder))
     rig.wait(lambda: "frames" in recorder.log_path.read_text(), "the recorder", LONG_S)
-    assert rig.control(True).success
-    rig.wait_for_modes("servo")
+    assert rig.control(True).success, "before the hand comes in: one that is there does not count"
+    control_port = free_port()
+    ports = "--port", str(port), "--control-port", str(control_port)
+    operator = rig.run("rig_simulation", "leapd.py", "--paused", *ports)
+    # The recording holds how the hand comes in: after an engagement only such a hand counts.
+    rig.wait(lambda: "control port" in operator.log_path.read_text(), "the operator's service", LONG_S)
+    rig.stream.clear()
+    rig.wait(lambda: any("no hand is seen" in why for _, why in rig.stream), "frames without a hand", LONG_S)
+    with contextlib.closing(ControlClient("127.0.0.1", control_port)) as leapd:
+        leapd.ask("play")
+    rig.wait(lambda: "servo" in rig.modes, "the arm to follow the operator", LONG_S)
     rig.watch(SECONDS)
     rig.end_program(recorder)
     rig.end_program(operator)
