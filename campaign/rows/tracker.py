@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import numpy as np
@@ -247,6 +248,8 @@ def bursts(trial):
             rig.hand.hide()
             rig.engage(right=-0.06)
             rig.hand.sway(1.0, right=0.06)
+    jumps = [why for _, why in rig.stream if re.search(r"jumped by \d+ mm within 1?\d ms", why)]
+    trial.check("by the device's clock no frames are nearer than 20 ms", not jumps, jumps)
     trial.fault("leap", "bursts", value=0.5)
     rig.wait_for_mode("home")
     trial.mend("leap", "bursts")

@@ -15,6 +15,7 @@ from common.ros.node import run, while_running
 from common.ros.params import private_config
 from common.ros.publishing import DirectPublisher
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
+from leap_motion.device_clock import DeviceClock
 from leap_motion.frames import LeapFrame
 from leap_motion.msg import Human, RawFrame
 from leap_motion.registration import registered
@@ -113,17 +114,21 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
                 raw.publish(received, text)
 
     client = LeapClient(config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw)
-    report = LinkReport(client, registration, config.registration)
+    report, clock = LinkReport(client, registration, config.registration), DeviceClock()
     Diagnostics("leap_motion", report.diagnostics)
     try:
         while not rospy.is_shutdown():
             report.update()
             received = client.next_frame(POLL_S)
-            frame = None if received is None else report.frame(received.frame)
+            if received is None:
+                continue
+            waited = clock.waited(received.frame.timestamp_us, received.stamp.to_sec())
+            frame = report.frame(received.frame)
             if frame is not None:
-                message = FrameMessage(frame, received.stamp, config.orientation)
+                stamp = received.stamp - rospy.Duration.from_sec(waited)
+                message = FrameMessage(frame, stamp, config.orientation)
                 publisher.publish(message)
-                stage.done(received.stamp)
+                stage.done(stamp)
                 pass_on(message)
     finally:
         client.close()
