@@ -21,13 +21,14 @@ def main() -> None:
             print(missing)
             continue
         old = Stored.read(name)
-        sentences = differences(old, new, TOLERANCES.get(name, TOLERANCE))
+        tolerance = TOLERANCES.get(name, TOLERANCE)
+        sentences = differences(old, new, tolerance)
         if not sentences:
             print(f"{name}: as stored.")
             continue
         new.write(name)
         picture = PICTURES / f"{name}.png"
-        draw(name, old, new, picture)
+        draw(name, old, new, picture, tolerance)
         print("\n  ".join([f"{name}: renewed; look at {picture}", *sentences]))
 
 

@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 
 from golden.chain import CYCLE_S
-from golden.stored import BLOCK, Stored, differing
+from golden.stored import BLOCK, NAMES, TOLERANCE, Stored, differing
 
 ROWS = (
     ("tools", slice(0, 3), "tool position [m]"),
@@ -18,35 +18,52 @@ ROWS = (
 )
 
 
-def draw(name: str, old: Stored, new: Stored, path: Path) -> None:
-    """Draws both, and the angle between the orientations; what differs has a red background."""
+def draw(name: str, old: Stored, new: Stored, path: Path, tolerance: dict[str, float] = TOLERANCE) -> None:
+    """Draws both, beside them what is new less what was stored, and last the angle between the orientations. What
+    differs has a red background; the scale of the differences is their own, so that small ones are seen too.
+    """
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, plots = pyplot.subplots(len(ROWS) + 1, 1, figsize=(11, 14), constrained_layout=True)
-    for plot, (kind, columns, label) in zip(plots, ROWS):
+    figure, plots = pyplot.subplots(len(ROWS) + 1, 2, figsize=(18, 14), constrained_layout=True, sharex="row")
+    for (both, apart), (kind, columns, label) in zip(plots, ROWS):
         pace = BLOCK[kind] * CYCLE_S if kind == "goals" else float(BLOCK[kind])
-        for trace, style, width in ((old, "-", 2.5), (new, "--", 1.0)):
-            values = trace.means[kind][:, columns]
-            for i, column in enumerate(values.T):
-                colour = f"C{i}" if trace is old else "black"
-                plot.plot(pace * np.arange(len(column)), column, style, color=colour, linewidth=width)
-        for block in differing(kind, old, new):
-            plot.axvspan((block - 0.5) * pace, (block + 0.5) * pace, color="red", alpha=0.15, linewidth=0)
-        plot.set_ylabel(label)
-        plot.set_xlabel("time [s]" if kind == "goals" else "frame")
+        a, b = old.means[kind][:, columns], new.means[kind][:, columns]
+        n = min(len(a), len(b))
+        for i, part in enumerate(NAMES[kind][columns]):
+            both.plot(pace * np.arange(len(a)), a[:, i], "-", color=f"C{i}", linewidth=2.5, label=part)
+            both.plot(pace * np.arange(len(b)), b[:, i], "--", color="black", linewidth=1.0)
+            apart.plot(pace * np.arange(n), b[:n, i] - a[:n, i], color=f"C{i}")
+        for block in differing(kind, old, new, tolerance):
+            for plot in (both, apart):
+                plot.axvspan((block - 0.5) * pace, (block + 0.5) * pace, color="red", alpha=0.15, linewidth=0)
+        both.set_ylabel(label)
+        both.legend(fontsize="x-small", ncol=3)
+        apart.set_ylabel("new less stored")
+        for plot in (both, apart):
+            plot.set_xlabel("time [s]" if kind == "goals" else "frame")
     n = min(len(old.means["tools"]), len(new.means["tools"]))
-    angle = np.degrees([_angle(a, b) for a, b in zip(old.means["tools"][:n, 3:], new.means["tools"][:n, 3:])])
-    plots[-1].plot(BLOCK["tools"] * np.arange(n), angle, color="red")
-    plots[-1].set_ylabel("tool, old to new [deg]")
-    plots[-1].set_xlabel("frame")
+    angles = np.degrees([angle(a, b) for a, b in zip(old.means["tools"][:n, 3:], new.means["tools"][:n, 3:])])
+    plots[-1, 0].plot(BLOCK["tools"] * np.arange(n), angles, color="red")
+    plots[-1, 0].set_ylabel("tool, old to new [deg]")
+    plots[-1, 0].set_xlabel("frame")
+    plots[-1, 1].axis("off")
     figure.suptitle(f"{name}: stored (colours) and new (black, dashed); red where they differ")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=70)
     pyplot.close(figure)
 
 
-def _angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Returns the angle between two orientations by their first two columns, shape (6,) each [rad]."""
-    R, S = (np.column_stack([x[:3], x[3:], np.cross(x[:3], x[3:])]) for x in (a, b))
+def angle(a: np.ndarray, b: np.ndarray) -> float:
+    """Returns the angle between two orientations by their first two columns, shape (6,) each [rad]; the means of a
+    block in which the tool turns are shorter than 1.
+    """
+    R, S = (_rotation(columns) for columns in (a, b))
     return float(np.arccos(np.clip((np.trace(R.T @ S) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def _rotation(columns: np.ndarray) -> np.ndarray:
+    x = columns[:3] / np.linalg.norm(columns[:3])
+    z = np.cross(x, columns[3:])
+    z /= np.linalg.norm(z)
+    return np.column_stack([x, np.cross(z, x), z])

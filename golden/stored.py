@@ -24,6 +24,11 @@ TOLERANCE = {"tools": 1e-9, "hands": 1e-9, "goals": 1e-9}  # m and no unit, rad,
 ALONG_BOUNDS = {**TOLERANCE, "goals": 1e-7}
 TOLERANCES = {"confidence-74fps": ALONG_BOUNDS}  # of recordings, where it is not TOLERANCE
 SHAPE = {"tools": 9, "hands": 4, "goals": 7}
+NAMES = {
+    "tools": ("x", "y", "z", *(f"{part} of its {axis} axis" for axis in "xy" for part in "xyz")),
+    "hands": ("index", "middle", "thumb", "spread"),
+    "goals": tuple(f"joint {i}" for i in range(1, 8)),
+}
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,8 @@ def differing(kind: str, old: Stored, new: Stored, tolerance: dict[str, float] =
     a, b = old.means[kind], new.means[kind]
     n = min(len(a), len(b))
     same = old.counts[kind][:n] == new.counts[kind][:n]
-    far = np.abs(a[:n] - b[:n]) > tolerance[kind]
+    # Not `apart > tolerance`: a number that is none is not greater than anything.
+    far = ~((np.abs(a[:n] - b[:n]) <= tolerance[kind]) | (np.isnan(a[:n]) & np.isnan(b[:n])))
     return np.concatenate([np.nonzero(~same | far.any(axis=1))[0], np.arange(n, max(len(a), len(b)))])
 
 
@@ -84,14 +90,21 @@ def differences(old: Stored, new: Stored, tolerance: dict[str, float] = TOLERANC
             continue
         a, b = old.means[kind], new.means[kind]
         common = blocks[blocks < min(len(a), len(b))]
-        apart = np.abs(a[common] - b[common])
-        largest = float(np.nanmax(apart)) if np.isfinite(apart).any() else float("nan")
-        when = f"block {blocks[0]}" + (f" ({blocks[0] * BLOCK[kind] * CYCLE_S:.2f} s)" if kind == "goals" else "")
-        sentences.append(
-            f"{kind}: {len(blocks)} of {max(len(a), len(b))} blocks differ, first {when}, by {largest:.3g} at most."
-        )
+        apart = np.abs(b[common] - a[common])
+        text = f"{kind}: {len(blocks)} of {max(len(a), len(b))} blocks differ, first {_when(kind, blocks[0])}"
+        if np.isfinite(apart).any():
+            row, column = np.unravel_index(np.nanargmax(apart), apart.shape)
+            before, now = a[common[row], column], b[common[row], column]
+            text += f"; most {NAMES[kind][column]}, from {before:.6g} to {now:.6g} in {_when(kind, common[row])}"
+        sentences.append(f"{text}.")
     if old.events != new.events:
         pairs = zip((*old.events, "the end"), (*new.events, "the end"))
         before, now = next(pair for pair in pairs if pair[0] != pair[1])
         sentences.append(f"events: stored {before!r}, now {now!r}.")
     return sentences
+
+
+def _when(kind: str, block: int) -> str:
+    if kind == "goals":
+        return f"block {block} ({block * BLOCK[kind] * CYCLE_S:.2f} s)"
+    return f"block {block} (frame {block * BLOCK[kind]})"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -30,6 +32,13 @@ def test_every_recording_has_something_to_compare():
         assert min(count.sum() for count in counts.values()) > 50, name
 
 
+def test_no_stored_number_is_none():
+    for name in RUNS:
+        old = Stored.read(name)
+        for kind, means in old.means.items():
+            assert np.all(np.isfinite(means) == (old.counts[kind] > 0)[:, None]), f"{name}: {kind}"
+
+
 @pytest.mark.parametrize("kind", ["tools", "hands", "goals"])
 def test_one_sample_that_differs_or_is_missing_is_noticed(kind):
     rng = np.random.default_rng(3)
@@ -37,12 +46,44 @@ def test_one_sample_that_differs_or_is_missing_is_noticed(kind):
     old = stored(trace)
     assert not differences(old, stored(trace))
     samples = getattr(trace, kind)
+    for number in range(len(samples[17])):
+        damaged = samples[17].copy()
+        damaged[number] = np.nan
+        none = replace(trace, **{kind: [*samples[:17], damaged, *samples[18:]]})
+        assert [kind in sentence for sentence in differences(old, stored(none))] == [True], f"number {number} is none"
     samples[17] = samples[17] + np.eye(len(samples[17]))[1] * 2e-6
     assert [kind in sentence for sentence in differences(old, stored(trace))] == [True]
     samples[17] = np.full(len(samples[17]), np.nan)
     assert [kind in sentence for sentence in differences(old, stored(trace))] == [True]
     del samples[-7:]
     assert kind in differences(old, stored(trace))[0]
+
+
+def test_a_sentence_says_what_differs_most_and_from_what_to_what():
+    goals = [np.zeros(7) for _ in range(200)]
+    old = stored(Trace(goals=goals))
+    (sentence,) = differences(old, stored(Trace(goals=goals[:150] + [-0.25 * np.eye(7)[3]] * 50)))
+    assert "first block 15 (0.60 s)" in sentence and "joint 4, from 0 to -0.25" in sentence
+
+
+def test_the_picture_marks_what_the_gate_says_differs(tmp_path, monkeypatch):
+    from golden import picture
+
+    asked = []
+    monkeypatch.setattr(picture, "differing", lambda kind, old, new, bounds: asked.append(bounds[kind]) or [])
+    trace = stored(Trace(goals=[np.zeros(7)] * 30))
+    picture.draw("run", trace, trace, tmp_path / "run.png", {"tools": 1.0, "hands": 2.0, "goals": 3.0})
+    assert asked == [1.0, 1.0, 2.0, 3.0] and (tmp_path / "run.png").stat().st_size > 1000
+
+
+def test_the_angle_of_the_picture_is_none_where_nothing_differs():
+    from golden.picture import angle
+
+    turned = [np.cos(0.1), np.sin(0.1), 0.0, -np.sin(0.1), np.cos(0.1), 0.0]
+    mean = np.mean([np.eye(3)[:2].ravel(), turned], axis=0)  # of a block in which the tool turns
+    assert angle(mean, mean) < 1e-6
+    assert angle(np.eye(3)[:2].ravel(), np.array(turned)) == pytest.approx(0.1)
+    assert angle(mean, np.array(turned)) == pytest.approx(0.05)
 
 
 def test_writing_and_reading_changes_nothing(tmp_path):
