@@ -1,7 +1,9 @@
 """Exports: rows for training, MCAP for mcap's reader, and a dataset for LeRobot's loader."""
 
+import gzip
 import json
 import os
+import struct
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +14,10 @@ from recordings import START, stored, write_recording
 
 from leap_rig.recording import read
 from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
-from leap_rig.recording.recording_files import RecordingFault, write_mcap
+from leap_rig.recording.recording_files import MessageKind, RecordingFault, StoredMessage, write_mcap
+from leap_rig.recording.ros1 import MessageFault, decoder
 from leap_rig.recording.run import between
+from leap_rig.recording.topics import RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
@@ -124,6 +128,57 @@ def test_mcap_is_read_by_its_own_library(tmp_path):
         write_mcap(file, [], {})
 
 
+def raw(topic, definition, data, kind="a/b"):
+    return StoredMessage(topic, MessageKind(kind, definition, "x"), START, data)
+
+
+GOALS = "time[] sent\nfloat64[] joints\nfloat64[] velocity\n"
+
+
+def goals(sent, joints, velocity):
+    return b"".join(struct.pack("<I", n) + bytes(8 * n) for n in (sent, joints, velocity))
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        raw(SENT_GOALS, "bool x\n", b"1"),
+        raw(SENT_GOALS, "string joints\ntime[] sent\nfloat64[] velocity\n", bytes(12)),
+        raw(SENT_GOALS, GOALS, goals(1, 8, 1)),
+        raw(SENT_GOALS, GOALS, goals(2, 14, 1)),
+        raw(SENT_GOALS, GOALS, goals(1, 14, 2)),
+        raw(RAW_FRAMES, "bool x\n", b"1"),
+        raw(RAW_FRAMES, "time received\nuint8[] text\n", bytes(12)),
+        raw(RAW_FRAMES, "uint64 received\nstring text\n", b"\xff" * 8 + bytes(4)),
+        raw("/reflex_takktile/radian_hand_command", "float32[] radian_commands\n", bytes(4)),
+        raw("/kuka/joint_positions", "bool header\n", b"1"),
+        raw("/tf", "string transforms\n", struct.pack("<I", 24) + b"kuka/tool_frame/desired "),
+    ],
+)
+def test_messages_of_another_kind_under_our_topics_are_refused_in_a_sentence(tmp_path, message):
+    folder = write_recording(tmp_path / "run", [message])
+    with pytest.raises(RecordingFault, match=message.topic):
+        read(folder)
+
+
+def test_a_definition_that_grows_is_read_in_no_time():
+    levels = "".join(f"===\nMSG: a/L{i}\n" + f"a/L{i + 1} x\na/L{i + 1} y\n" * 3 for i in range(18))
+    decode = decoder("a/b", f"a/L0 x\n{levels}===\nMSG: a/L18\n")
+    assert callable(decode)
+    empty = "a/L0[900] x\n" + "".join(f"===\nMSG: a/L{i}\na/L{i + 1}[900] x\n" for i in range(9))
+    with pytest.raises(MessageFault):
+        decoder("a/b", f"{empty}===\nMSG: a/L9\n")(bytes(1000))
+
+
+def test_rows_need_a_time_at_which_all_is_measured(run):
+    late = replace(run, hand_times=run.hand_times + 100.0)
+    with pytest.raises(RecordingFault, match="at no time"):
+        training_episode(late, 10)
+    with pytest.raises(RecordingFault, match="hours"):
+        times = np.append(0.0, run.joint_times[1:])
+        training_episode(replace(run, hand=np.zeros((0, 4)), hand_times=np.zeros(0), joint_times=times), 10)
+
+
 LOAD = """
 import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
@@ -159,3 +214,49 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert found["image"] == [3, 64, 96] and found["grey"] == pytest.approx(100 / 255, abs=0.03)
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
+
+
+def exported(*names, **options):
+    from leap_rig.recording.ros.export_program import _parser, export
+
+    arguments = [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    return export(_parser().parse_args([*map(str, names), *arguments]))
+
+
+@pytest.mark.ros
+def test_frames_are_counted_as_they_are_written(tmp_path, capsys):
+    import rospy
+
+    from leap_motion.msg import RawFrame
+
+    texts = ['{"hands":[]}', '{"event":{}}', '{"hands":["\udcff"]}', '{"hands":\n[1]}']
+    frames = [stored("/leap_motion/raw_frames", RawFrame(rospy.Time(0, START), text), 0.0) for text in texts[:2]]
+    frames += [stored("/leap_motion/raw_frames", RawFrame(rospy.Time(0, START), texts[3]), 0.0)]
+    frames += [replace(frames[0], data=frames[0].data.replace(b"[]}", b"\xff]}"))]
+    folder = write_recording(tmp_path / "run", frames)
+    assert exported(folder, frames=tmp_path / "f.jsonl.gz") == 0
+    with gzip.open(tmp_path / "f.jsonl.gz", "rb") as file:
+        lines = file.read().splitlines()
+    assert lines == [b'{"hands":[]}', b'{"hands": [1]}'] and "Wrote 2 frames" in capsys.readouterr().out
+
+
+@pytest.mark.ros
+def test_only_files_of_the_recording_leave_with_it(tmp_path):
+    from mcap.reader import make_reader
+
+    folder = session(tmp_path / "run", images=False)
+    (tmp_path / "secret.yaml").write_text("password: 1")
+    (folder / "more.yaml").symlink_to(tmp_path / "secret.yaml")
+    (folder / "other.json").write_text("{}")
+    assert exported(folder, mcap=tmp_path / "f.mcap") == 0
+    with open(tmp_path / "f.mcap", "rb") as stream:
+        names = {attachment.name for attachment in make_reader(stream).iter_attachments()}
+    assert names == {"manifest.json", "parameters.yaml"}
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("fps", ["0", "-5", "nan", "100000"])
+def test_an_impossible_rate_is_refused_at_once(tmp_path, capsys, fps):
+    with pytest.raises(SystemExit):
+        exported(tmp_path, lerobot=tmp_path / "set", fps=fps)
+    assert "--fps" in capsys.readouterr().err

@@ -1,10 +1,16 @@
 """The files of a recording: what is written is read, whatever ends the writing."""
 
+import contextlib
 import errno
 import os
+import resource
+import signal
+import tracemalloc
+import zlib
 from random import Random
 
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -134,12 +140,109 @@ def test_a_changed_file_is_refused(tmp_path, name):
     "manifest",
     ["", "[]", "{", "[" * 10**5, '{"format": "another"}', '{"format": "leap_rig recording", "version": 2}',
      '{"format": "leap_rig recording", "version": 1}',
-     '{"format": "leap_rig recording", "version": 1, "files": {"../a": "1"}}'],
+     '{"format": "leap_rig recording", "version": 1, "files": {"../a": "1"}}',
+     *(f'{{"format": "leap_rig recording", "version": 1, "files": {{"{name}": "1"}}}}'
+       for name in ("..", "", "a/../b", "a\\u0000b", "a\\ud800", "manifest.json")),
+     '{"format": "leap_rig recording", "version": true, "files": {}}',
+     '{"format": "leap_rig recording", "version": 1, "files": {"a": 1}}',
+     '{"format": "leap_rig recording", "version": 1, "files": {}, "task": 1}',
+     '{"format": "leap_rig recording", "version": 1, "files": {}, "robot": []}',
+     '{"format": "leap_rig recording", "version": 1, "files": {}, "dropped": []}'],
 )  # fmt: skip
 def test_a_manifest_of_something_else_is_refused(tmp_path, manifest):
     (tmp_path / MANIFEST).write_text(manifest)
     with pytest.raises(RecordingFault):
         verify(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../x.yaml", "/{}/x.yaml", "a/b.yaml", MANIFEST, MESSAGES, ""])
+def test_a_file_is_written_only_into_its_folder(tmp_path, name):
+    folder = tmp_path / "run"
+    with pytest.raises(RecordingFault, match="name"):
+        writer_in(folder, **{name.format(tmp_path): b"x: 1"})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", [MANIFEST, MESSAGES, "a"])
+@pytest.mark.parametrize("kind", ["pipe", "endless"])
+def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path, name, kind):
+    write(tmp_path / "run", [few(2)]).close(9, "the test", {})
+    file = tmp_path / "run" / name
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    else:
+        file.symlink_to("/dev/zero")
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(
+        resource.RLIMIT_AS, (8 * 2**30, limits[1])
+    )  # so that an endless file fails instead of the machine
+    try:
+        with within(5.0), pytest.raises(RecordingFault, match=name):
+            verify(tmp_path / "run")
+        with within(5.0), pytest.raises(RecordingFault, match=name):
+            list(messages(file))
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+@contextlib.contextmanager
+def within(seconds):
+    """Interrupts what does not end."""
+
+    def late(*_):
+        raise AssertionError(f"not done within {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def file_of(path, data, compression="zstd", claimed=None):
+    """Writes an MCAP file with one chunk of such bytes, with its right checksum."""
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Chunk, Header
+
+    builder = RecordBuilder()
+    Header(profile="ros1", library="").write(builder)
+    packed = zstandard.compress(data) if compression == "zstd" else data
+    size = len(data) if claimed is None else claimed
+    Chunk(compression, packed, 0, 0, zlib.crc32(data), size).write(builder)
+    path.write_bytes(b"\x89MCAP0\r\n" + builder.end())
+    return path
+
+
+@pytest.mark.parametrize("claimed", [None, 10, 2**40])
+def test_a_chunk_that_grows_too_much_is_left_out(tmp_path, monkeypatch, claimed):
+    monkeypatch.setattr(files, "LARGEST_CHUNK", 2**22)
+    file = file_of(tmp_path / "bomb", bytes(2 * files.LARGEST_CHUNK), claimed=claimed)
+    assert file.stat().st_size < 10**5
+    tracemalloc.start()
+    try:
+        assert list(messages(file)) == []
+        assert tracemalloc.get_traced_memory()[1] < files.LARGEST_CHUNK
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd ", "x"])
+def test_a_chunk_of_another_compression_is_left_out(tmp_path, compression):
+    assert list(messages(file_of(tmp_path / "other", b"garbage", compression))) == []
+
+
+def test_a_definition_that_is_no_text_is_no_traceback(tmp_path):
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Channel, Message, Schema
+
+    builder = RecordBuilder()
+    Schema(data=b"\xff\xfe", encoding="ros1msg", id=1, name="a/b").write(builder)
+    Channel(id=1, topic="/a", message_encoding="ros1", metadata={}, schema_id=1).write(builder)
+    Message(channel_id=1, log_time=5, data=b"1", publish_time=5, sequence=0).write(builder)
+    assert [m.data for m in messages(file_of(tmp_path / "file", builder.end()))] == [b"1"]
 
 
 def test_no_recording_is_overwritten(tmp_path):

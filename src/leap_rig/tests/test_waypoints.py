@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from common.poses import pose
 from common.rotations import rotation_from_zyx, scaled_rotation
+from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.waypoints import OFF_M, distance, lines_along, streamed_motions
 
 SLACK = 1.6 * OFF_M  # the path is sampled, and a sample between two kept ones may be off a little more
@@ -76,3 +77,31 @@ def test_a_short_ptp_motion_parts_two_streams():
     times, goals = 0.1 * np.arange(5), np.repeat(np.array(x)[:, None], 7, axis=1)
     motions = streamed_motions(times, goals, velocities, lambda q: pose(p=(q[0], 0.0, 0.0)))
     assert [motion.q_start[0] for motion in motions] == [0.0, 0.5]
+
+
+def half_circle(count):
+    angles = np.linspace(0.0, np.pi, count)
+    return np.pad(0.1 * np.array([np.cos(angles), np.sin(angles)]).T, ((0, 0), (0, 5)))
+
+
+def moved(times, goals):
+    motions = streamed_motions(times, goals, np.zeros(len(times)), lambda q: pose(p=(q[0], q[1], 0.0)))
+    for motion in motions:
+        lines = lines_along(motion.times, motion.poses, 1.0, 0.3)
+        yield from [motion.poses[0], *(line.T_base_tool for line in lines)]
+
+
+@pytest.mark.parametrize("step", [-3600.0, -10.0, -0.3, 10.0])
+def test_a_clock_that_was_set_while_the_arm_moved_gives_no_short_cut(step):
+    times, goals = np.linspace(0.0, 2.0, 100), half_circle(100)
+    times[50:] += step
+    ends = list(moved(times, goals))
+    for q in goals:
+        assert min(near(pose(p=(q[0], q[1], 0.0)), a, b) for a, b in zip(ends, ends[1:])) < 2.0 * SLACK
+
+
+def test_a_goal_that_is_no_number_is_refused_instead_of_cut_off():
+    goals = half_circle(100)
+    goals[40, 1] = np.nan
+    with pytest.raises(RecordingFault, match="not finite"):
+        list(moved(np.linspace(0.0, 2.0, 100), goals))

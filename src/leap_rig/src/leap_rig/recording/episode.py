@@ -10,6 +10,7 @@ import numpy as np
 from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.run import RecordedRun
 
+LONGEST_S = 86400.0  # of an episode
 FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
 ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 HAND = ("index", "middle", "thumb", "spread")
@@ -39,6 +40,10 @@ def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
     if not len(run.joints):
         raise RecordingFault("The recording has no measured joints, so there is nothing to learn from.")
     begin, end = max(times[0] for times, _ in parts), min(times[-1] for times, _ in parts)
+    if begin > end:
+        raise RecordingFault("Arm and hand were measured at no time together, so there is nothing to learn from.")
+    if end - begin > LONGEST_S:
+        raise RecordingFault(f"The recording spans {(end - begin) / 3600.0:.0f} hours: a clock was set while it ran.")
     times = begin + np.arange(int((end - begin) * fps) + 1) / fps
     later = times + 1.0 / fps
     state = np.hstack([_newest(*part, times)[0] for part in parts])

@@ -11,9 +11,12 @@ a power cut, loses what came after. The manifest is replaced as a whole, so ther
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
+import stat
 import struct
 import tempfile
 from collections import Counter
@@ -32,11 +35,15 @@ from common.errors import RigError
 from common.ros.files import FILE_NAME, write_whole
 
 FORMAT, VERSION = "leap_rig recording", 1
+KINDS = {"task": str, "robot": dict, "dropped": dict}  # of the manifest's values that are read
 MANIFEST, MESSAGES, PARAMETERS = "manifest.json", "messages.mcap", "parameters.yaml"
 HOME = "leap_rig/recordings"  # in ROS's home, ~/.ros
 RESERVE_BYTES = 16 * 2**20  # kept free while a recording runs, for the last chunk and the index on a full disk
 UNBOUNDED = 2**62  # bytes of a chunk: time ends it, not its size
 CHUNK_BYTES = READ_BYTES = 2**20
+STORED_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", re.ASCII)  # of a file beside manifest and messages
+LARGEST_MANIFEST = 2**22  # bytes
+LARGEST_CHUNK = 2**28  # a chunk of a damaged or foreign file that would be larger ends the reading
 
 
 class RecordingFault(RigError):
@@ -158,6 +165,9 @@ class RecordingWriter:
         self, folder: Path, about: Mapping[str, Any], files: Mapping[str, bytes], now: int, reserve: int = RESERVE_BYTES
     ) -> None:
         self._folder = folder
+        wrong = [name for name in files if not is_stored_name(name)]
+        if wrong:
+            raise RecordingFault(f"No file of a recording can have the name {wrong[0]!r}.")
         try:
             folder.mkdir(parents=True)
         except FileExistsError as error:
@@ -226,7 +236,9 @@ class RecordingWriter:
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Returns the manifest; raises RecordingFault if it does not have this format."""
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        with open_regular(folder / MANIFEST) as file:
+            text = file.read(LARGEST_MANIFEST)
+        manifest = json.loads(text.decode("utf-8"))
     except OSError as error:
         raise RecordingFault(
             f"There is no recording {folder}: {MANIFEST} cannot be read ({error.strerror})."
@@ -235,11 +247,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise RecordingFault(f"{folder / MANIFEST} is not JSON: {error}.") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         raise RecordingFault(f"{folder / MANIFEST} is not of a recording of this rig.")
-    if manifest.get("version") != VERSION:
+    if manifest.get("version") is True or manifest.get("version") != VERSION:
         raise RecordingFault(f"{folder} has format version {manifest.get('version')!r}, but {VERSION} is read here.")
     files = manifest.get("files")
-    if not isinstance(files, dict) or not all(Path(str(name)).name == name for name in files):
+    if not isinstance(files, dict) or not all(
+        (name == MESSAGES or is_stored_name(name)) and isinstance(digest, str) for name, digest in files.items()
+    ):
         raise RecordingFault(f"{folder / MANIFEST} has no valid list of files.")
+    for key, kind in KINDS.items():
+        if not isinstance(manifest.get(key, kind()), kind):
+            raise RecordingFault(f"{folder / MANIFEST} has {key}: {manifest[key]!r}, which record.py does not write.")
     return manifest
 
 
@@ -283,9 +300,27 @@ def write_mcap(path: Path, stored: Iterable[StoredMessage], attachments: Mapping
     return count
 
 
+def is_stored_name(name: str) -> bool:
+    """Returns whether a further file of a recording may have this name: one in its folder."""
+    return STORED_NAME.fullmatch(name) is not None and name not in (MANIFEST, MESSAGES)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Opens a file for reading; OSError also for a pipe or a device, which would be waited for or never end."""
+    return open(path, "rb", opener=_open_regular)
+
+
+def _open_regular(path: str, flags: int) -> int:
+    handle = os.open(path, flags | os.O_NONBLOCK)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError(errno.EINVAL, "it is not a regular file", path)
+    return handle
+
+
 def _sha256(path: Path) -> str:
     sha = hashlib.sha256()
-    with open(path, "rb") as file:
+    with open_regular(path) as file:
         for part in iter(lambda: file.read(READ_BYTES), b""):
             sha.update(part)
     return sha.hexdigest()
@@ -299,7 +334,7 @@ def messages(path: Path) -> Iterator[StoredMessage]:
     schemas: dict[int, Schema] = {}
     channels: dict[int, tuple[str, MessageKind]] = {}
     try:
-        file = open(path, "rb")  # noqa: SIM115
+        file = open_regular(path)
     except OSError as error:
         raise RecordingFault(f"{path} cannot be read: {error.strerror}.") from error
     with file:
@@ -309,7 +344,10 @@ def messages(path: Path) -> Iterator[StoredMessage]:
             elif isinstance(record, Channel) and record.schema_id in schemas:
                 schema, known = schemas[record.schema_id], record.metadata
                 md5sum, latching = known.get("md5sum", ""), known.get("latching") == "1"
-                channels[record.id] = record.topic, MessageKind(schema.name, schema.data.decode(), md5sum, latching)
+                channels[record.id] = (
+                    record.topic,
+                    MessageKind(schema.name, schema.data.decode("utf-8", "replace"), md5sum, latching),
+                )
             elif isinstance(record, Message) and record.channel_id in channels:
                 yield StoredMessage(*channels[record.channel_id], record.log_time, record.data)
 
@@ -329,8 +367,18 @@ def _records(file: BinaryIO) -> Iterator[Any]:
     try:
         for record in StreamReader(cast(Any, _Capped(file)), emit_chunks=True).records:
             if isinstance(record, Chunk):
+                if not _is_modest(record):
+                    return
                 yield from breakup_chunk(record, validate_crc=True)
             elif isinstance(record, Footer):
                 return
     except (McapError, ValueError, struct.error, zstandard.ZstdError, OSError, MemoryError, OverflowError):
         return
+
+
+def _is_modest(chunk: Chunk) -> bool:
+    """Returns whether a chunk is compressed as ours are, and not larger than it may be, whatever it claims."""
+    if chunk.compression != "zstd":
+        return False
+    size = zstandard.frame_content_size(chunk.data)  # -1 where the frame does not say it; then the claim bounds it
+    return max(chunk.uncompressed_size, size) <= LARGEST_CHUNK

@@ -39,7 +39,7 @@ def decoder(kind: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
     for part in re.split(r"^=+\n", definition, flags=re.MULTILINE):
         named = re.match(r"MSG: (\S+)\n", part)
         texts[named.group(1) if named else kind] = part[named.end() if named else 0 :]
-    read = _message(kind, texts, 0)
+    read = _message(kind, texts, 0, {})
 
     def decode(data: bytes) -> dict[str, Any]:
         try:
@@ -53,7 +53,10 @@ def decoder(kind: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
     return decode
 
 
-def _message(kind: str, texts: Mapping[str, str], depth: int) -> Reader:
+def _message(kind: str, texts: Mapping[str, str], depth: int, known: dict[str, Reader]) -> Reader:
+    """Returns the reader of a message; `known` holds those that were made before, each only once."""
+    if kind in known:
+        return known[kind]
     if depth > DEEPEST or kind not in texts:
         raise MessageFault(f"The definition of {kind} is missing or contains itself.")
     fields: list[tuple[str, Reader]] = []
@@ -64,7 +67,7 @@ def _message(kind: str, texts: Mapping[str, str], depth: int) -> Reader:
         name, length, field, _ = found.groups()
         if name not in NUMBERS and name not in SECONDS and name != "string" and "/" not in name:
             name = "std_msgs/Header" if name == "Header" else f"{kind.partition('/')[0]}/{name}"
-        fields.append((field, _field(name, length, texts, depth)))
+        fields.append((field, _field(name, length, texts, depth, known)))
 
     def read(data: bytes, at: int) -> tuple[dict[str, Any], int]:
         values = {}
@@ -72,10 +75,11 @@ def _message(kind: str, texts: Mapping[str, str], depth: int) -> Reader:
             values[field], at = read_field(data, at)
         return values, at
 
+    known[kind] = read
     return read
 
 
-def _field(name: str, length: str | None, texts: Mapping[str, str], depth: int) -> Reader:
+def _field(name: str, length: str | None, texts: Mapping[str, str], depth: int, known: dict[str, Reader]) -> Reader:
     """Returns the reader of a field; `length`: None for a single value, empty for an array of any length."""
     if length is not None and (name in NUMBERS or name in SECONDS):
         return _array(name, length)
@@ -83,7 +87,7 @@ def _field(name: str, length: str | None, texts: Mapping[str, str], depth: int) 
         return _number(LONG.get(name) or np.dtype(NUMBERS[name]).char)
     if name in SECONDS:
         return _time("<II" if name == "time" else "<ii")
-    one = _string if name == "string" else _message(name, texts, depth + 1)
+    one = _string if name == "string" else _message(name, texts, depth + 1, known)
     if length is None:
         return one
 
@@ -91,8 +95,11 @@ def _field(name: str, length: str | None, texts: Mapping[str, str], depth: int) 
         count, at = _count(data, at, length)
         values = []
         for _ in range(count):
-            value, at = one(data, at)
+            value, end = one(data, at)
+            if end == at:
+                raise ValueError(f"an array of {count} messages {name} without content")
             values.append(value)
+            at = end
         return values, at
 
     return read

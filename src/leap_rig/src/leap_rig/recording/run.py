@@ -13,7 +13,14 @@ from common.frames import BASE, TOOL_DESIRED
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from leap_rig.recording import topics
-from leap_rig.recording.recording_files import MESSAGES, MessageKind, StoredMessage, messages, verify
+from leap_rig.recording.recording_files import (
+    MESSAGES,
+    MessageKind,
+    RecordingFault,
+    StoredMessage,
+    messages,
+    verify,
+)
 from leap_rig.recording.ros1 import decoder
 
 ENCODED_DESIRED = TOOL_DESIRED.encode()
@@ -77,35 +84,58 @@ def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> Recorde
     manifest, remark = verify(folder)
     decode = MessageDecoders()
     found: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in READ}
-    velocities: list[float] = []
     for message in between(folder, READ, start, end):
         if message.topic == topics.TF and ENCODED_DESIRED not in message.data:
             continue
-        value, rows = decode(message), found[message.topic]
-        if message.topic == topics.RAW_FRAMES:
-            rows.append((value["received"], value["text"]))
-        elif message.topic == topics.SENT_GOALS:
-            rows.extend(zip(value["sent"].tolist(), value["joints"].reshape(-1, 7)))
-            velocities.extend(value["velocity"].tolist())
-        elif message.topic == topics.JOINTS:
-            rows.append((value["header"]["stamp"], [value[f"joint_{i}"] for i in range(1, 8)]))
-        elif message.topic == topics.HAND_STATE:
-            rows.append((message.received, [motor["joint_angle"] for motor in value["motor"]]))
-        elif message.topic == topics.HAND_COMMAND:
-            rows.append((message.received, value["radian_commands"]))
-        else:
-            rows.extend(pose_in_base(value["transforms"], TOOL_DESIRED))
+        try:
+            rows = _rows(message.topic, message.received, decode(message))
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+            raise RecordingFault(f"A message on {message.topic} is not one of this rig: {error!r}.") from error
+        found[message.topic].extend(rows)
 
     def arrays(topic: str, *shape: int) -> tuple[np.ndarray, np.ndarray]:
         values = np.array([row for _, row in found[topic]], dtype=float).reshape(-1, *shape)
         return values, _seconds([time for time, _ in found[topic]])
 
     frames = found[topics.RAW_FRAMES]
+    goals, goal_times = arrays(topics.SENT_GOALS, 8)
     return RecordedRun(
         manifest, remark, tuple(text for _, text in frames), _seconds([time for time, _ in frames]),
-        *arrays(topics.TF, 4, 4), *arrays(topics.SENT_GOALS, 7), np.array(velocities, dtype=float),
+        *arrays(topics.TF, 4, 4), goals[:, :7], goal_times, goals[:, 7],
         *arrays(topics.JOINTS, 7), *arrays(topics.HAND_STATE, 4), *arrays(topics.HAND_COMMAND, 4),
     )  # fmt: skip
+
+
+def _rows(topic: str, received: int, value: dict[str, Any]) -> list[tuple[int, Any]]:
+    """Returns what a message holds: times [ns] and what was then; for a goal its joints and velocity. Raises whatever a
+    message with other fields makes.
+    """
+    if topic == topics.RAW_FRAMES:
+        if not isinstance(value["text"], str):
+            raise TypeError("the text is none")
+        rows: list[tuple[int, Any]] = [(value["received"], value["text"])]
+    elif topic == topics.SENT_GOALS:
+        sent, joints, velocity = value["sent"].tolist(), value["joints"].reshape(-1, 7), value["velocity"]
+        if not len(sent) == len(joints) == len(velocity):
+            raise ValueError(f"{len(sent)} times, {len(joints)} goals and {len(velocity)} velocities")
+        rows = list(zip(sent, np.column_stack([joints, velocity])))
+    elif topic == topics.JOINTS:
+        rows = [(value["header"]["stamp"], _numbers([value[f"joint_{i}"] for i in range(1, 8)], 7))]
+    elif topic == topics.HAND_STATE:
+        rows = [(received, _numbers([motor["joint_angle"] for motor in value["motor"]], 4))]
+    elif topic == topics.HAND_COMMAND:
+        rows = [(received, _numbers(value["radian_commands"], 4))]
+    else:
+        rows = pose_in_base(value["transforms"], TOOL_DESIRED)
+    _seconds([time for time, _ in rows])
+    return rows
+
+
+def _numbers(values: Any, count: int) -> np.ndarray:
+    numbers = np.array(values, dtype=float)
+    if numbers.shape != (count,):
+        raise ValueError(f"{numbers.shape} numbers instead of {count}")
+    return numbers
 
 
 def _seconds(nanoseconds: list[int]) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.rotations import rotation_angle, scaled_rotation
+from leap_rig.recording.recording_files import RecordingFault
 
 LEVER_M = 0.2  # a turn of the tool counts as a way of so much for each rad [m]
 OFF_M = 0.005  # the lines stay within this of the path [m]
@@ -39,8 +40,14 @@ def streamed_motions(
 ) -> list[StreamedMotion]:
     """Returns the streams among the goals that were sent: at `times`, shape (n,) [s], joints, shape (n, 7) [rad], and
     `velocities` of PTP motions, shape (n,), 0 for servo goals. `forward` returns the tool pose of joints.
+
+    A clock that was set back parts two streams too. Raises RecordingFault for a goal that is not finite.
     """
-    ends = np.flatnonzero((velocities[:-1] != 0.0) | (np.diff(times) > PAUSE_S)) + 1
+    bad = np.flatnonzero(~np.isfinite(goals).all(axis=1) | ~np.isfinite(velocities))
+    if len(bad):
+        raise RecordingFault(f"Goal {bad[0]} of the recording is not finite: {goals[bad[0]].tolist()}.")
+    steps = np.diff(times)
+    ends = np.flatnonzero((velocities[:-1] != 0.0) | (steps > PAUSE_S) | (steps < 0.0)) + 1
     motions = []
     for part in np.split(np.arange(len(times)), ends):
         part = part[velocities[part] == 0.0]

@@ -15,12 +15,13 @@ import rospy
 import common.errors
 from common.ros.node import run_program
 from leap_rig.recording import lerobot_export, topics
-from leap_rig.recording.recording_files import RecordingFault, folder_of, verify, write_mcap
+from leap_rig.recording.recording_files import MANIFEST, MESSAGES, RecordingFault, folder_of, verify, write_mcap
 from leap_rig.recording.run import between, read
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
 ERRORS = (common.errors.RigError, OSError)
+MOST_FPS = 1000
 WORKSPACE = Path(__file__).resolve().parents[6]
 
 
@@ -34,7 +35,7 @@ def export(options: argparse.Namespace) -> int:
     """Exports and returns the exit code."""
     folders = [folder_of(name) for name in options.names]
     for folder in folders:
-        _, remark = verify(folder)
+        manifest, remark = verify(folder)
         if remark:
             print(remark, file=sys.stderr)
     if options.lerobot is not None:
@@ -43,16 +44,26 @@ def export(options: argparse.Namespace) -> int:
         raise RecordingFault("One file holds one recording; name one.")
     (folder,) = folders
     if options.frames is not None:
-        frames = read(folder, options.start, options.end).frames
-        with gzip.open(options.frames, "xt", encoding="utf-8") as lines:
-            lines.writelines(f"{text}\n" for text in frames if '"hands"' in text)
+        texts = read(folder, options.start, options.end).frames
+        frames = [line for text in texts if '"hands"' in text and (line := _line(text)) is not None]
+        with gzip.open(options.frames, "xb") as file:
+            file.writelines(frames)
         print(f"Wrote {len(frames)} frames to {options.frames}.")
         return 0
     wanted = topics.recorded("rgbd") if options.topic is None else options.topic
-    files = {file.name: file.read_bytes() for file in sorted(folder.glob("*.[yj]*"))}
+    names = [MANIFEST, *sorted(name for name in manifest["files"] if name != MESSAGES)]
+    files = {name: (folder / name).read_bytes() for name in names}
     count = write_mcap(options.mcap, between(folder, wanted, options.start, options.end), files)
     print(f"Wrote {count} messages to {options.mcap}.")
     return 0
+
+
+def _line(text: str) -> bytes | None:
+    """Returns a frame as a line of its own; None for what is no text, and so no frame."""
+    try:
+        return (text.translate({ord("\n"): " ", ord("\r"): " "}) + "\n").encode()
+    except UnicodeEncodeError:
+        return None
 
 
 def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
@@ -82,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
-    parser.add_argument("--fps", type=int, default=30, help="rows a second of the dataset (default: 30)")
+    parser.add_argument("--fps", type=_fps, default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
     parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)
@@ -92,3 +103,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, in seconds")
     return parser
+
+
+def _fps(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= MOST_FPS:
+        raise argparse.ArgumentTypeError(f"{text} is not between 1 and {MOST_FPS}")
+    return value
