@@ -106,3 +106,62 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
     killed = read(tmp_path / "killed")
     assert "not completed" in killed.remark and killed.frame_times[-1] > killed_at - 1.0 * 3.0
     assert again.wait(20.0) == 1 and "exists already" in again.log_path.read_text()
+
+
+def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
+    from leap_rig.recording.recording_files import RecordingWriter
+    from leap_rig.recording.ros.record_program import _files
+
+    source = tmp_path / "calibration.yaml"
+    source.write_text("a: 1")
+    names = ["../../victim", str(tmp_path / "victim"), "a/b", "manifest", "messages", "", "x" * 300, "ü"]
+    parameters = {**{name: str(source) for name in names}, "deep": {"../victim": str(source), "good": str(source)}}
+    files = _files({**parameters, "manifest": str(source.with_suffix(".json"))})
+    source.with_suffix(".json").write_text("{}")
+    files |= _files({"manifest": str(source.with_suffix(".json"))})
+    assert set(files) <= {"deep.good.yaml", "messages.yaml", "parameters.yaml"} and "deep.good.yaml" in files
+    assert "left out" in capsys.readouterr().err
+    RecordingWriter(tmp_path / "home" / "run", {}, files, 1, 4096)
+    assert not list(tmp_path.rglob("victim*"))
+
+
+def test_secrets_and_bytes_among_the_parameters(tmp_path):
+    from xmlrpc.client import Binary, DateTime
+
+    import yaml
+
+    from leap_rig.recording.ros.record_program import _files
+
+    parameters = {
+        "leap_driver": {"code": "123456", "list": [{"code": "123456"}, [{"password": "123456"}]]},
+        "picture": Binary(b"\x00\xff"), "when": DateTime(0), "fine": [1.5, "x"],
+    }  # fmt: skip
+    (content,) = _files(parameters).values()
+    assert b"123456" not in content
+    assert yaml.safe_load(content)["fine"] == [1.5, "x"]
+
+
+@pytest.mark.parametrize("seconds", ["nan", "-1", "0", "x"])
+def test_an_impossible_duration_is_refused_before_anything_is_made(tmp_path, seconds, capsys):
+    from leap_rig.recording.ros.record_program import _parser
+
+    with pytest.raises(SystemExit):
+        _parser().parse_args([f"{tmp_path}/run", f"--seconds={seconds}"])
+    assert "--seconds" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("moment", ["_subscribe", "RecordingWriter"])
+def test_an_interruption_while_the_recorder_starts_leaves_a_completed_recording(ros, tmp_path, monkeypatch, moment):
+    from leap_rig.recording.ros import record_program
+
+    real = getattr(record_program, moment)
+    monkeypatch.setattr(record_program.rospy, "init_node", lambda *_, **__: None)
+    monkeypatch.setattr(record_program, moment, lambda *given: (os.kill(os.getpid(), signal.SIGINT), real(*given))[1])
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert record_program.record(record_program._parser().parse_args([f"{tmp_path}/run"])) == 0
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    run = read(tmp_path / "run")
+    assert not run.remark and run.manifest["ended_by"] == "Ctrl-C"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from recordings import START, stored, write_recording
 
+from common.errors import RigError
 from leap_motion.client import LeapClient
 from leap_rig.recording import read
 from leap_rig.recording.fingerprint import fingerprint
@@ -157,3 +158,113 @@ def test_a_changed_recording_is_refused(ros, session):
     file.write_bytes(file.read_bytes()[:-1])
     program = ros.run("leap_rig", "replay.py", str(session), "--tracker", "--port", "0")
     assert program.wait(20.0) == 1 and "was changed" in program.log_path.read_text()
+
+
+def test_a_name_in_a_recording_imports_nothing(ros, tmp_path, capsys, monkeypatch):
+    import rospy
+    from std_msgs.msg import String
+    from tf2_msgs.msg import TFMessage
+
+    from leap_rig.recording.ros.replay_program import _Player
+
+    (tmp_path / "harmful.py").write_text("raise SystemExit('imported')")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    good = stored("/kuka/workspace", String("x"), 0.0)
+    player = _Player(1.0)
+    for i, name in enumerate(("harmful/msg", "String", "a/b/c", "", "../harmful/x", "harmful.msg/x")):
+        player.publish(replace(good, topic=f"/t{i}", kind=replace(good.kind, name=name)))
+    assert capsys.readouterr().err.count("left out") == 6
+    player.publish(replace(good, topic="/torn", data=good.data[:3]))
+    player.publish(replace(stored("/tf", TFMessage(), 0.0), topic="/torn tf", data=b"\xff" * 9))
+    assert capsys.readouterr().err.count("left out") == 2
+    assert not rospy.is_shutdown()
+
+
+def test_a_stamp_from_another_age_ends_no_view(ros, capsys):
+    import rospy
+    from std_msgs.msg import Header
+
+    from leap_rig.recording.ros.replay_program import _Player
+
+    for rate in (0.1, 10.0):
+        player = _Player(rate)
+        for seconds in (1_700_000_000, 1, 2**32 - 1):
+            header = Header(0, rospy.Time(seconds), "")
+            player._restamp(header)
+            assert 0 <= header.stamp.to_sec() < 2**32
+
+
+@pytest.mark.parametrize("frame", [*DRIVING, *(f"/{frame}" for frame in DRIVING), *(f"//{frame}" for frame in DRIVING)])
+def test_no_spelling_of_a_frame_that_steers_is_published(frame):
+    from leap_rig.recording.ros.replay_program import _harmless
+
+    assert _harmless(frame).strip("/") not in DRIVING
+
+
+@pytest.mark.parametrize("time", ["1e999", "-1e999", "NaN", "9" * 400, "true", "null", '"1"', "[]"])
+def test_a_frame_whose_time_is_none_is_sent_as_it_is(time):
+    from leap_rig.recording.ros.replay_program import _at_pace
+
+    text = f'{{"timestamp":{time}, "hands":[]}}'
+    assert _at_pace(text, 0.5) == text
+
+
+def test_receive_times_that_jump_hold_no_replay_up(monkeypatch):
+    from types import SimpleNamespace
+
+    from leap_rig.recording.ros import replay_program
+
+    clock = SimpleNamespace(now=0.0)
+    sent = []
+
+    def sleep(seconds):
+        assert 0.0 <= seconds <= replay_program.LONGEST_WAIT_S / 0.5
+        clock.now += seconds
+
+    monkeypatch.setattr(replay_program, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=sleep))
+    times = np.array([0.0, 9e9, 0.0, 0.1, 0.2, -10.0, -9.9])
+    run = SimpleNamespace(frames=("a",) * len(times), frame_times=times)
+    replay_program._send(run, SimpleNamespace(offer=lambda text: sent.append(clock.now)), 0.5)
+    longest = replay_program.LONGEST_WAIT_S / 0.5
+    np.testing.assert_allclose(np.diff(sent), [longest, 0.0, 0.2, 0.2, 0.0, 0.2], atol=1e-6)
+
+
+def test_the_first_pass_is_slow_also_to_where_a_stream_begins():
+    from leap_rig.recording.ros.replay_program import _move_goals
+    from leap_rig.recording.waypoints import StreamedMotion
+
+    poses = np.array([np.eye(4)] * 2)
+    poses[1, 0, 3] = 0.1
+    motion = StreamedMotion(np.zeros(7), np.array([0.0, 1.0]), poses)
+    for rate, usual, expected in ((0.2, 0.15, 0.03), (1.0, 0.15, 0.15), (0.1, 0.05, 0.01), (0.2, 0.005, 0.005)):
+        ptp, line = _move_goals(motion, rate, 0.25, usual)
+        assert ptp.velocity == pytest.approx(expected) and line.velocity == pytest.approx(0.1 * rate)
+
+
+def test_a_recording_without_all_its_goals_moves_no_robot(tmp_path):
+    from leap_rig.recording.recording_files import RecordingFault
+    from leap_rig.recording.ros.replay_program import move
+
+    manifest = {"robot": {"model": {"robot": "x"}}, "dropped": {"/kuka/sent_goals": 7, "/tf": 1}}
+    with pytest.raises(RecordingFault, match="7 messages"):
+        move(tmp_path, manifest, None)
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe", b"a: [", b"{a: " * 999, b"!!python/object:os.x {}"])
+def test_parameters_that_cannot_be_read_end_a_view_in_a_sentence(ros, tmp_path, content):
+    from leap_rig.recording.ros.replay_program import _describe
+
+    if content is not None:
+        (tmp_path / "parameters.yaml").write_bytes(content)
+    with pytest.raises(RigError, match="parameters.yaml"):
+        _describe(tmp_path)
+
+
+@pytest.mark.parametrize("definition", ["bool x\n", "string[] status\n", "a/S[] status\n===\nMSG: a/S\nbool name\n"])
+def test_diagnostics_of_another_kind_end_no_replay(tmp_path, definition):
+    from leap_rig.recording.recording_files import MessageKind, StoredMessage
+    from leap_rig.recording.ros.replay_program import _service
+
+    message = StoredMessage("/diagnostics", MessageKind("a/b", definition), START, b"\1\0\0\0\0\0\0\0"[:8])
+    with pytest.raises(RigError):
+        _service(write_recording(tmp_path / "run", [message]))

@@ -41,7 +41,7 @@ HOME = "leap_rig/recordings"  # in ROS's home, ~/.ros
 RESERVE_BYTES = 16 * 2**20  # kept free while a recording runs, for the last chunk and the index on a full disk
 UNBOUNDED = 2**62  # bytes of a chunk: time ends it, not its size
 CHUNK_BYTES = READ_BYTES = 2**20
-STORED_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", re.ASCII)  # of a file beside manifest and messages
+STORED_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}", re.ASCII)  # of a file beside manifest and messages
 LARGEST_MANIFEST = 2**22  # bytes
 LARGEST_CHUNK = 2**28  # a chunk of a damaged or foreign file that would be larger ends the reading
 

@@ -32,6 +32,7 @@ from leap_rig.recording.recording_files import (
     RecordingWriter,
     StoredMessage,
     folder_of,
+    is_stored_name,
 )
 from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
 from leap_rig.ros.live_status import CLEAR_LINE
@@ -41,6 +42,7 @@ QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped
 READ_BYTES = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
 LARGEST_FILE = 2**20  # a larger file is no calibration
 SUFFIXES = (".yaml", ".yml", ".json")
+PLAIN = (bool, int, float, str)  # of parameters; XML-RPC also knows bytes and dates
 SECRETS = ("code", "password", "token")
 PACKAGES = ("leap_rig", "kuka_control", "leap_kuka", "leap_hand", "leap_motion", "reflex", "vision", "grasping")
 LINE_S = 5.0  # between two lines where the output is no terminal
@@ -93,14 +95,14 @@ def record(options: argparse.Namespace) -> int:
     rospy.init_node("leap_rig_record", anonymous=True, disable_signals=True)
     parameters = rospy.get_param("/")
     inbox = Inbox()
-    writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
-    for topic in dict.fromkeys((*recorded(options.camera), *map(_absolute, options.topic))):
-        _subscribe(topic, inbox)
-    live, ended_by, began = _LiveLine(inbox, writer), "", time.monotonic()
     interrupted = threading.Event()
     # An exception in the midst of a write would leave a file that differs from its hash.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
+    writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
+    for topic in dict.fromkeys((*recorded(options.camera), *map(_absolute, options.topic))):
+        _subscribe(topic, inbox)
+    live, ended_by, began = _LiveLine(inbox, writer), "", time.monotonic()
     try:
         while not ended_by:
             if interrupted.wait(FLUSH_S):
@@ -230,9 +232,13 @@ def _files(parameters: dict[str, Any]) -> dict[str, bytes]:
     for name, value in _leaves("", parameters):
         path = registration_of(value) if name.endswith(".registration") else Path(value)
         if path is not None and path.is_absolute() and path.suffix in SUFFIXES:
+            stored = f"{name}{path.suffix}"
+            if not is_stored_name(stored):
+                print(f"record: {path} is left out: no file can have the name {stored!r}.", file=sys.stderr)
+                continue
             try:
                 if path.is_file() and path.stat().st_size <= LARGEST_FILE:
-                    files[f"{name}{path.suffix}"] = path.read_bytes()
+                    files[stored] = path.read_bytes()
             except OSError as error:
                 print(f"record: {path} is left out: {error.strerror}.", file=sys.stderr)
     files[PARAMETERS] = yaml.safe_dump(_without_secrets(parameters)).encode()
@@ -256,15 +262,24 @@ def _leaves(name: str, value: Any) -> list[tuple[str, str]]:
 def _without_secrets(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: "(left out)" if k in SECRETS and v else _without_secrets(v) for k, v in value.items()}
-    return value
+    if isinstance(value, (list, tuple)):
+        return [_without_secrets(item) for item in value]
+    return value if isinstance(value, PLAIN) else f"({type(value).__name__}, left out)"
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="record.py", description="Records a run of the rig; Ctrl-C ends it.")
     parser.add_argument("name", help="of the recording, in ~/.ros/leap_rig/recordings; or a path, with a slash")
     parser.add_argument("--camera", choices=CAMERA, default="off", help="images to record (default: off)")
-    parser.add_argument("--seconds", type=float, help="record for so long; without it until Ctrl-C")
+    parser.add_argument("--seconds", type=_seconds, help="record for so long; without it until Ctrl-C")
     parser.add_argument("--task", default="", help="what is done, in a sentence; exports to LeRobot need it")
     parser.add_argument("--topic", nargs="*", default=[], help="further topics")
     parser.add_argument("--reserve", type=int, default=16 * 2**20, help=argparse.SUPPRESS)
     return parser
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not value > 0.0:  # nor NaN
+        raise argparse.ArgumentTypeError(f"{text} is no time")
+    return value

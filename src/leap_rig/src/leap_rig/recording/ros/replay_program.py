@@ -11,17 +11,20 @@ import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+import genpy
+import numpy as np
 import rosgraph
 import roslib.message
 import rospy
-import yaml
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from common.errors import RigError
 from common.frames import BASE
 from common.ros.conversions import stamped_pose
+from common.ros.files import read_yaml
 from common.ros.node import run_program
+from kuka_control.loop.moves import LEAST_PTP
 from kuka_control.model.rig import Rig
 from kuka_control.ros.move_program import carry_out
 from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, master_of_this_graph, parameters
@@ -32,7 +35,7 @@ from leap_rig.recording.fingerprint import controller_config, differences, finge
 from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, folder_of, verify
 from leap_rig.recording.ros.record_program import file_hash
 from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
-from leap_rig.recording.topics import CAMERA, DRIVING, VIEW
+from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
 
 SLOWLY = 0.2  # rate of the first pass on the robot
@@ -41,6 +44,9 @@ CHECK_S = 0.5  # a controller that starts during --view is seen after this time
 CLIENT_S = 60.0  # a driver is waited for so long
 AFTER_S = 0.5  # the service sends nothing for so long before it ends
 POLL_S = 0.05
+LONGEST_WAIT_S = 3600.0  # between two frames
+LATEST_NS = (2**32 - 1) * 10**9  # of ROS time
+KIND = re.compile(r"(geometry_msgs|sensor_msgs|std_msgs|tf2_msgs|visualization_msgs)/\w+", re.ASCII)
 MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", "/reflex_takktile/disable_torque")
 """Services of what moves an arm or a hand."""
 DESCRIPTION = "robot_description"
@@ -115,7 +121,7 @@ def _refuse_movers(master: rosgraph.Master) -> None:
 def _describe(folder: Path) -> None:
     """Sets the robot description of the recording for RViz, unless one is set already."""
     if not rospy.has_param(DESCRIPTION):
-        recorded = yaml.safe_load((folder / PARAMETERS).read_text(encoding="utf-8"))
+        recorded = read_yaml(folder / PARAMETERS)
         if isinstance(recorded, dict) and isinstance(recorded.get(DESCRIPTION), str):
             rospy.set_param(DESCRIPTION, recorded[DESCRIPTION])
 
@@ -134,17 +140,20 @@ class _Player:
         """Publishes one message; a topic whose type is not this workspace's is left out, with a sentence."""
         topic, kind = message.topic, message.kind
         if topic not in self._publishers:
-            found = roslib.message.get_message_class(kind.name)
+            found = self._class(kind.name)
             if found is None or found._md5sum != kind.md5sum:
-                print(f"replay: {topic} is left out: {kind.name} is another message here.", file=sys.stderr)
-                self._publishers[topic] = None
+                self._leave_out(topic, f"{kind.name} is another message here")
             else:
                 publisher = rospy.Publisher(topic, found, latch=kind.is_latched, queue_size=100)
                 self._publishers[topic] = publisher
         publisher = self._publishers[topic]
         if publisher is None:
             return
-        value = publisher.data_class().deserialize(message.data)
+        try:
+            value = publisher.data_class().deserialize(message.data)
+        except genpy.DeserializationError as error:
+            self._leave_out(topic, f"a message cannot be read: {error}")
+            return
         self._restamp(value)
         if isinstance(value, TFMessage):
             for transform in value.transforms:
@@ -155,12 +164,20 @@ class _Player:
                 value = TFMessage(list(self._static.values()))
         publisher.publish(value)
 
+    def _class(self, kind: str) -> type | None:
+        """Returns the class of a message that RViz draws. The library would import a module of any name."""
+        return roslib.message.get_message_class(kind) if KIND.fullmatch(kind) else None
+
+    def _leave_out(self, topic: str, reason: str) -> None:
+        print(f"replay: {topic} is left out: {reason}.", file=sys.stderr)
+        self._publishers[topic] = None
+
     def _restamp(self, value: object) -> None:
         if isinstance(value, Header):
             if value.stamp:
                 self._first = self._first or value.stamp
-                after = (value.stamp - self._first).to_sec() / self._rate
-                value.stamp = self._begin + rospy.Duration.from_sec(after)
+                after = (value.stamp - self._first).to_nsec() / self._rate
+                value.stamp = rospy.Time(0, min(max(self._begin.to_nsec() + round(after), 1), LATEST_NS))
         elif isinstance(value, list):
             if value and hasattr(value[0], "__slots__"):
                 for item in value:
@@ -171,7 +188,8 @@ class _Player:
 
 
 def _harmless(frame: str) -> str:
-    return f"recorded/{frame}" if frame in DRIVING else frame
+    name = frame.strip("/")  # tf takes /a for a
+    return f"recorded/{name}" if name in DRIVING else frame
 
 
 # Tracker
@@ -204,9 +222,10 @@ def serve(folder: Path, options: argparse.Namespace) -> int:
 
 
 def _send(run: RecordedRun, service: LeapService, rate: float) -> None:
-    begin = time.monotonic()
-    for text, received in zip(run.frames, run.frame_times):
-        time.sleep(max(begin + (received - run.frame_times[0]) / rate - time.monotonic(), 0.0))
+    due = time.monotonic()
+    for text, step in zip(run.frames, np.diff(run.frame_times, prepend=run.frame_times[0])):
+        due += min(max(float(step), 0.0), LONGEST_WAIT_S) / rate  # a clock that was set back makes no burst
+        time.sleep(max(due - time.monotonic(), 0.0))
         event = _event(text)
         if event is not None:
             service.plug(event.attached)
@@ -228,8 +247,10 @@ def _at_pace(text: str, rate: float) -> str:
     """Returns the frame with its device time slowed; a text that is no frame as it is."""
     try:
         frame = json.loads(text)
+        if type(frame["timestamp"]) not in (int, float):
+            return text
         return json.dumps({**frame, "timestamp": int(frame["timestamp"] / rate)}, separators=(",", ":"))
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
         return text
 
 
@@ -237,9 +258,12 @@ def _service(folder: Path) -> tuple[str, str]:
     """Returns version and serial of the service, as the driver reported them; empty where it did not know."""
     decode, known = MessageDecoders(), {}
     for message in between(folder, ["/diagnostics"], 0.0, float("inf")):
-        for status in decode(message)["status"]:
-            if status["name"] == "leap_motion":
-                known.update((pair["key"], pair["value"]) for pair in status["values"])
+        try:
+            for status in decode(message)["status"]:
+                if status["name"] == "leap_motion":
+                    known.update((pair["key"], str(pair["value"])) for pair in status["values"])
+        except (KeyError, TypeError) as error:
+            raise RecordingFault(f"A message on /diagnostics is not one of this rig: {error!r}.") from error
     version, serial = known.get("service_version", ""), known.get("serial", "")
     return version if re.match(r"\d", version) else "", "" if serial == "unknown" else serial
 
@@ -249,6 +273,12 @@ def _service(folder: Path) -> tuple[str, str]:
 
 def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     """Moves the robot along the recorded path by kuka/move: first slowly, then at the rate; each pass is agreed to."""
+    lost = manifest.get("dropped", {}).get(SENT_GOALS, 0)
+    if lost:
+        raise RecordingFault(
+            f"Nothing moves: {lost} messages with goals are missing, because the disk was too slow for the recording; "
+            "the arm would take short cuts."
+        )
     values = parameters("kuka")
     found = differences(manifest.get("robot"), fingerprint(values, file_hash))
     if found:
@@ -257,6 +287,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     fastest = SHARE * getattr(config, "tcp_speed", 0.0)
     if not fastest:
         raise RecordingFault("Nothing moves: straight lines need the real-time controller.")
+    usual = config.velocity_ptp_slow
     run = read(folder, options.start, options.end)
     kinematics = Rig.of(config, dh_deviations(config), guard_obstacles(config)).kinematics
     motions = streamed_motions(run.goal_times, run.goals, run.goal_velocities, kinematics.forward)
@@ -265,7 +296,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
     print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
     for rate in sorted({min(SLOWLY, options.rate), min(options.rate, 1.0)}):
-        goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest)]
+        goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest, usual)]
         print(
             f"The arm carries out {len(goals)} motions, at {rate:g} of the recorded pace; PTP to where a stream began."
         )
@@ -282,8 +313,12 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     return 0
 
 
-def _move_goals(motion: StreamedMotion, rate: float, fastest: float) -> list[MoveGoal]:
-    goals = [MoveGoal(kind=MoveGoal.JOINTS, joints=motion.q_start.tolist())]
+def _move_goals(motion: StreamedMotion, rate: float, fastest: float, usual: float) -> list[MoveGoal]:
+    """Returns the motion to where a stream began, at the `rate` of the `usual` fraction of the joint speed, since
+    nothing can stop it, and the lines along it.
+    """
+    velocity = max(rate * usual, min(LEAST_PTP, usual))
+    goals = [MoveGoal(kind=MoveGoal.JOINTS, joints=motion.q_start.tolist(), velocity=velocity)]
     for line in lines_along(motion.times, motion.poses, rate, fastest):
         pose = stamped_pose(line.T_base_tool, BASE, rospy.Time(0))
         goals.append(MoveGoal(kind=MoveGoal.POSE, pose=pose, straight=True, velocity=line.velocity))
