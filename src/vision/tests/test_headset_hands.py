@@ -183,3 +183,19 @@ def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken
         assert evaluate("drive.socket !== null")
         evaluate("drive.session.end(); 0")
         wait_until(lambda: "No headset drives" in node.log_path.read_text(), 30.0, "the end of the drive")
+
+
+def test_the_code_stands_on_the_terminal_and_not_in_the_log(monkeypatch, capsys):
+    """The log goes to /rosout, and with it into every recording."""
+    from vision.ros.stereo import headset_hands
+    from vision.stereo.view import WebConfig
+
+    logged = []
+    monkeypatch.setattr(headset_hands, "RigScene", lambda: None)
+    monkeypatch.setattr(headset_hands.rospy, "logwarn", lambda *text: logged.append(str(text)))
+    hands = headset_hands.HeadsetHands(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35))
+    try:
+        code = hands._endpoint._access.code
+        assert code in capsys.readouterr().out and not any(code in text for text in logged)
+    finally:
+        hands.close()

@@ -184,6 +184,37 @@ def test_a_client_of_another_machine_is_served_with_the_code_only(start, offerin
             client.close()
 
 
+HOSTILE = (
+    "https://evil.example",
+    "http://127.0.0.1.evil.example",
+    "null",
+    "file://",
+    "http://[",
+    "x",
+    "",
+    "http://10.0.0.1",
+)
+
+
+@pytest.mark.parametrize("origin", HOSTILE)
+@pytest.mark.parametrize("service", ["2.3", "gemini"])
+def test_a_web_page_of_another_site_gets_no_hands_and_takes_none(start, origin, service):
+    served = start(service=service)
+    with pytest.raises(Exception, match="403"), connect(
+        f"ws://127.0.0.1:{served.port}/v6.json", compression=None, additional_headers={"Origin": origin}
+    ):
+        pass
+    assert served.clients == 0
+
+
+@pytest.mark.parametrize("origin", ["http://localhost:8080", "http://127.0.0.1", "https://[::1]:1"])
+def test_a_web_page_of_this_computer_is_served(start, origin):
+    served = start()
+    headers = {"Origin": origin}
+    with connect(f"ws://127.0.0.1:{served.port}/v6.json", compression=None, additional_headers=headers) as page:
+        assert "version" in page.recv(5.0)
+
+
 @given(st.lists(st.text(), max_size=20))
 def test_after_too_many_wrong_codes_none_is_accepted(tries):
     code = AccessCode("right one")

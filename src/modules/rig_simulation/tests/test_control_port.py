@@ -68,6 +68,21 @@ def test_what_is_no_request_is_refused(port, line):
     assert answer["error"].endswith(".")
 
 
+@pytest.mark.parametrize(
+    "head", [b"POST / HTTP/1.1\r\nHost: x\r\n\r\n", b"GET / HTTP/1.1\r\n", b"\x16\x03\x01\n", b"[]\n"]
+)
+def test_a_web_page_cannot_hide_a_request_in_its_own(head):
+    done = []
+    with ControlPort({"push": lambda: done.append(1)}) as port:
+        with socket.create_connection((port.host, port.port), 5.0) as s:
+            s.sendall(head + b'{"do": "push"}\n')
+            answers = s.makefile("rb").read().splitlines()
+        assert not done and len(answers) == 1 and json.loads(answers[0])["ok"] is False
+        with ControlClient(port.host, port.port, 5.0) as client:
+            client.ask("push")
+    assert done
+
+
 def test_wire_text(port):
     with socket.create_connection((port.host, port.port), 5.0) as s:
         s.sendall(b'{"do": "double", "value": 1.5}\n')

@@ -89,6 +89,8 @@ class ControlPort(contextlib.AbstractContextManager):
                         return
                     if line.strip():
                         client.sendall(self._answer(line))
+                        if not line.lstrip().startswith(b"{"):
+                            return  # a web page can send requests too, but only behind the first lines of HTTP
         finally:
             with self._lock:
                 self._clients.pop(client)

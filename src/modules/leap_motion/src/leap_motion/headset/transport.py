@@ -49,7 +49,8 @@ class Scene(NamedTuple):
 
 class HandsEndpoint:
     """Takes the hands of one headset at a time. `scene` is asked for with each message, `say` gets sentences for the
-    person at the terminal. `driven` is whether a headset drives.
+    person at the terminal, `say_code` the one with the code, which belongs into no log; without it `say` gets that too.
+    `driven` is whether a headset drives.
     """
 
     def __init__(
@@ -58,8 +59,10 @@ class HandsEndpoint:
         served: Served,
         scene: Callable[[], Scene],
         say: Callable[[str], None],
+        say_code: Callable[[str], None] | None = None,
     ) -> None:
         self._stream, self._served, self._scene, self._say = stream, served, scene, say
+        self._say_code = say_code or say
         self._access = Access()
         self._lock = threading.Lock()
         self._driver: tuple[str, ServerConnection] | None = None
@@ -116,7 +119,7 @@ class HandsEndpoint:
         return key
 
     def _tell_code(self) -> None:
-        self._say(f"The code for the next headset is {self._access.code}.")
+        self._say_code(f"The code for the next headset is {self._access.code}.")
 
     def _seated(self, key: str, connection: ServerConnection) -> bool:
         """Gives the page the driver's seat if it is free, or its own from before its connection was lost."""

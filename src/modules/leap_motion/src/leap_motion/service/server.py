@@ -76,7 +76,9 @@ class LeapClientLink:
 class LeapService:
     """Sends the offered frames to all clients; port 0 takes any free one, see the attributes.
 
-    A `host` that is no loopback address makes other machines clients: they are served at /v6.json?code=CODE only.
+    A `host` that is no loopback address makes other machines clients: they are served at /v6.json?code=CODE only. A
+    web page is served if this machine served it: else any page that somebody opens here would see the hands, and take
+    every second frame of a "gemini".
     Raises LeapServiceError if a port is taken or such a host has no code.
     """
 
@@ -177,6 +179,8 @@ class LeapService:
         )
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
+        if not all(_is_of_this_machine(origin) for origin in request.headers.get_all("Origin")):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "Pages of other sites get no hands.\n")
         if is_loopback(connection.remote_address[0]):
             return None
         given = parse_qs(urlsplit(request.path).query).get("code", [""])[0]
@@ -226,6 +230,14 @@ class LeapService:
                 for frame in frames:
                     await client.connection.send(frame)
                     self.sent += 1
+
+
+def _is_of_this_machine(origin: str) -> bool:
+    """Returns whether a web page, by the Origin that its browser states, was served by this machine."""
+    try:
+        return is_loopback(urlsplit(origin).hostname or "")
+    except ValueError:
+        return False
 
 
 def is_loopback(host: str) -> bool:

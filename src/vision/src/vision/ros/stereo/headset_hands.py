@@ -77,7 +77,7 @@ class HeadsetHands:
         self._frames = 0
         self._scene = RigScene()
         stream = HandStream(config.box_ahead, config.box_below)
-        self._endpoint = HandsEndpoint(stream, self, self._scene, lambda sentence: rospy.logwarn("%s", sentence))
+        self._endpoint = HandsEndpoint(stream, self, self._scene, lambda text: rospy.logwarn("%s", text), _show)
         self.converse = self._endpoint.converse
         self._thread = threading.Thread(target=self._service.run, name="leap service", daemon=True)
         self._thread.start()
@@ -100,3 +100,8 @@ class HeadsetHands:
         """Stops the service."""
         self._service.stop()
         self._thread.join(CLOSE_S)
+
+
+def _show(sentence: str) -> None:
+    """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings."""
+    print(sentence, flush=True)
