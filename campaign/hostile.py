@@ -218,6 +218,7 @@ def at_home_and_while_following(trial: Any, attacks: list[Attack]) -> None:
     trial.check("the controller stays at home", rig.mode == "home" and set(rig.modes) <= {"home"}, str(rig.modes))
     rig.control(False)
     trial.operator()
+    rig.watch(1.5)  # so long the node before counts as a second publisher of its frames
     trial.follow()
     rig.modes.clear()
     attack(trial, attacks, following=True)

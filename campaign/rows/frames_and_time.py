@@ -234,7 +234,7 @@ def two_publishers(trial):
         rig.watch(2.0)
 
 
-@row(28, "tf extrapolation into the future", "H", within=1.0)
+@row(28, "tf extrapolation into the future", "H", within=1.0, limits=ON_ITS_WAY)
 def extrapolation(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -291,7 +291,7 @@ def skew(trial):
 
 
 @row(30, "ROS time goes backwards (bag loop)", "DL", within=1.0, named_by="went back by", operator=True,
-     variant=SIMULATED)  # fmt: skip
+     limits=ON_ITS_WAY, variant=SIMULATED)  # fmt: skip
 def backwards(trial):
     trial.follow()
     trial.begins()
