@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
+import time
 
 import numpy as np
 import pytest
@@ -80,6 +81,7 @@ def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, track
     program = rig.run("leap_rig", "replay.py", str(folder), "--tracker", "--port", str(port))
     rig.wait_for_modes("pick_up", "servo")
     rig.wait(lambda: program.poll() is not None, "the end of the replay", LONG_S)
+    ended = time.monotonic()
     assert program.returncode == 0, program.log_path.read_text()
     replayed = np.array(rig.desired)
     assert len(replayed) > 0.7 * len(recorded)
@@ -88,4 +90,7 @@ def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, track
     samples = rig.arm.since(since)
     assert max(sample.tool_speed for sample in samples) < 0.71 and rig.arm.now.safety_stop is None
     followed = np.array([sample.T_base_tool for sample in samples])
-    assert np.quantile(nearest(recorded, followed), 0.9) < ARM_NEAR_M, "the arm goes where it went"
+    # A machine that pauses may end the stream of goals; then the arm leaves the hand, as it should, and misses a part.
+    if {mode for when, mode, _ in rig.statuses if ended - SECONDS / 2.0 - 1.0 < when < ended} == {"servo"}:
+        missed = np.quantile(nearest(recorded, followed), 0.9)
+        assert missed < ARM_NEAR_M, f"the arm missed where it went by {missed:.3f} m{rig.situation}"
