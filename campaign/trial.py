@@ -30,7 +30,7 @@ import numpy as np
 import pytest
 
 from campaign.clocks import SHIFTED, SIMULATED
-from campaign.judge import REST, Evidence, Expected, Limits, Verdict, judge
+from campaign.judge import Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
 
 VARIANTS: dict[str, dict[str, str]] = {
@@ -48,8 +48,9 @@ shipped, all as shipped, or patient with objects, a camera and the nodes that pr
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """
 
-STOOD_S = 0.1
-"""An arm that rests so long has stopped; one that turns back on its way rests for less [s]."""
+STOOD_S, CREEPS = 0.2, 0.03
+"""An arm that rests so long has stopped [s], one that turns back on its way rests for less; in servo mode it creeps to
+its goal, its fastest joint below this speed [rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ class Trial:
 
         def rested() -> bool:
             steps = [step for step in list(self.rig.arm.steps) if step[0] >= self._fault]
-            moving = [step[0] for step in steps if max(map(abs, step[8:15])) > REST]
+            moving = [step[0] for step in steps if max(map(abs, step[8:15])) > CREEPS]
             pairs = zip([self._fault, *moving], [*moving, self.rig.arm.now.time])
             found[:] = [before - self._fault for before, after in pairs if after - before > STOOD_S][:1]
             return bool(found)

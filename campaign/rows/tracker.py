@@ -17,7 +17,7 @@ TOOL_SPEED = 0.65  # limit of the stream as shipped [m/s]
 FULL_SPEED_HZ = 60.0  # down to this frame rate it holds
 DRIVES = 1.1  # what drives that lag unevenly add to the speed of the tool
 BUSY = Limits.of_the_drives()
-"""Of rows in which the arm follows on: goals that come late from a busy machine make its drives brake between them."""
+"""Of an arm that follows a hand: goals that come late from a busy machine make its drives brake between them."""
 
 
 def follow_up_and_down(trial):
@@ -75,7 +75,7 @@ def not_running(trial):
 
 
 @row(44, "Tracker unplugged while tracking", "D", within=1.6, named_by="unplugged|no tracking frames", operator=True,
-     variant="tracker")  # fmt: skip
+     limits=BUSY, variant="tracker")  # fmt: skip
 def unplugged(trial):
     trial.follow()
     trial.fault("leap", "unplugged", duration=2.5)
@@ -85,7 +85,7 @@ def unplugged(trial):
     trial.recovers()
 
 
-@row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True, variant="tracker",
+@row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker",
      dangerous="the commonest end of a stream, in any motion")  # fmt: skip
 def hand_leaves(trial):
     trial.follow()
@@ -97,7 +97,7 @@ def hand_leaves(trial):
 
 
 @row(46, "Hand re-appears with a new id elsewhere", "D", within=1.6, named_by="was lost", operator=True,
-     variant="tracker", dangerous="an arm that goes to where the new hand is")  # fmt: skip
+     limits=BUSY, variant="tracker", dangerous="an arm that goes to where the new hand is")  # fmt: skip
 def hand_elsewhere(trial):
     follow_up_and_down(trial)
     since = trial.rig.arm.now.time
@@ -110,7 +110,7 @@ def hand_elsewhere(trial):
     trial.recovers()
 
 
-@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True, variant="tracker")
+@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker")
 def swapped(trial):
     follow_up_and_down(trial)
     since = trial.rig.arm.now.time
@@ -124,7 +124,7 @@ def swapped(trial):
 
 
 @row(48, "Second hand or another person appears", "D", within=1.6, named_by="was lost", operator=True,
-     variant="tracker", dangerous="an arm that follows a person who does not expect it")  # fmt: skip
+     limits=BUSY, variant="tracker", dangerous="an arm that follows a person who does not expect it")  # fmt: skip
 def another_person(trial):
     rig = trial.rig
     follow_up_and_down(trial)
@@ -181,7 +181,7 @@ def outliers(trial):
 
 
 @row(50, "Tracker frozen: same frame repeated", "D", within=1.6, named_by="came twice|repeats frame|no tracking frames",
-     operator=True, variant="tracker")  # fmt: skip
+     operator=True, limits=BUSY, variant="tracker")  # fmt: skip
 def frozen(trial):
     trial.follow()
     trial.fault("leap", "frozen", duration=2.5)
@@ -257,8 +257,8 @@ def bursts(trial):
     trial.recovers()
 
 
-@row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True, variant="tracker",
-     argued="poorly-seen-hand.md")  # fmt: skip
+@row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True, limits=BUSY,
+     variant="tracker", argued="poorly-seen-hand.md")  # fmt: skip
 def low_confidence(trial):
     trial.follow()
     trial.fault("leap", "low_confidence", duration=2.0)
