@@ -354,11 +354,11 @@ def nagle(trial):
         found = connections(rig.pid(node))
         for number, topic, reader in rig.streams_of(node):
             trial.check(f"TCP_NODELAY of {topic} from {node} to {reader}", found[number].no_delay)
-    rates = []
-    for _ in range(2):
-        began, goals = rig.arm.now.time, rig.arm.now.goals
-        moves_on(trial, "with such a server" if rates else "before", 3.0)
-        rates.append((rig.arm.now.goals - goals) / (rig.arm.now.time - began))
-        trial.fault("arm", "nagle")  # as the published server, whose socket has no option
-    trial.check("no goal waits for an acknowledgement", rates[1] > 0.7 * rates[0], f"{rates} goals a second")
+    trial.fault("arm", "nagle")  # as the published server, whose socket has no option
+    since = rig.arm.now.time
+    moves_on(trial, "with such a server", 3.0)
+    # An acknowledgement that is waited for comes after 40 ms; the best half second leaves out a busy machine's pauses.
+    seen = [(sample.time, sample.goals) for sample in rig.arm.since(since)]
+    best = max((g - g0) / (t - t0) for t0, g0 in seen for t, g in seen if 0.4 < t - t0 < 0.6)
+    trial.check("no goal waits for an acknowledgement", best > 30.0, f"{best:.0f} goals a second at best")
     trial.mend("arm", "nagle")
