@@ -11,6 +11,7 @@ import sys
 import time
 import xmlrpc.client
 from pathlib import Path
+from typing import Any
 
 import actionlib
 import numpy as np
@@ -37,10 +38,13 @@ from rig_msgs.srv import CheckToolPose, HoldTool
 from rig_simulation.control_port import ControlClient
 
 CONTROLLER, DRIVER, TELEOP = "kuka_real_time_node", "leap_driver", "leap_kuka_node"
+HAND, HAND_DRIVER = "leap_hand_node", "reflex_takktile_driver"
 PROGRAMS = {
     CONTROLLER: ("kuka_control", "real_time_controller.py"),
     DRIVER: ("leap_motion", "leap_driver.py"),
     TELEOP: ("leap_rig", "patient_leap_kuka_node.py"),
+    HAND: ("leap_hand", "leap_hand_node.py"),
+    HAND_DRIVER: ("reflex", "reflex_takktile_driver.py"),
 }
 START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
 """Longest waits [s]: for the rig to start, for a motion, for a message."""
@@ -69,11 +73,12 @@ class RigUnderTest:
         shared: the module conftest of the project, for its processes and waits.
         folder: for the output of the programs.
         wire: a link that may become bad, of the arm, the Leap or ROS (see worker.master); else they meet on loopback.
+        core: the ROS master (worker.Core), for rows that kill it.
         arguments: of rig.launch, besides the ports.
     """
 
-    def __init__(self, shared, folder: Path, wire: Wire | None = None, **arguments: str) -> None:
-        self.wire = wire
+    def __init__(self, shared, folder: Path, wire: Wire | None = None, core: Any = None, **arguments: str) -> None:
+        self.wire, self.core = wire, core
         self.clock: Clock | None = None
         self._shared = shared
         self._arguments = arguments
@@ -81,6 +86,8 @@ class RigUnderTest:
         self.camera: ControlClient | None = None
         self._processes = shared.Processes(folder)
         self._started = {}
+        self._subscribers: list[rospy.Subscriber] = []
+        self._marks: dict[Path, int] = {}  # sizes of the programs' outputs at the last `calm`
         self._counts: dict[str, dict[str, str]] = {}
         self.mode = ""
         self.status: KukaStatus | None = None
@@ -104,6 +111,30 @@ class RigUnderTest:
         )
         self.hand = PuppetClient(int(ready[3]))
         self.leap = ControlClient(leap_host, int(ready[2]))
+        self.listen()
+        robot, hand = self._shared.free_port(), self._shared.free_port()
+        self._arguments = {
+            **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
+            **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
+            **{"leap_port": ready[1], "leap_host": leap_ip, "robot_host": robot_host, "robot_ip": robot_ip},
+            **self._arguments,
+        }
+        if self._sees:
+            self._arguments.update(world_port=self._shared.free_port(), camera_control_port=self._shared.free_port())
+        self.launch()
+        self.arm = ArmTrace(robot_host, robot)
+        self.robot_hand = ControlClient("127.0.0.1", hand)
+        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        if self._sees:
+            self.camera = ControlClient("127.0.0.1", self._arguments["camera_control_port"])
+            self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
+        self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
+
+    def listen(self) -> None:
+        """Listens to the nodes, anew if the master is another one now."""
+        for subscriber in self._subscribers:
+            with contextlib.suppress(OSError):
+                subscriber.unregister()
         self._subscribers = [
             rospy.Subscriber(topic, kind, take, queue_size=1000, tcp_nodelay=True)
             for topic, kind, take in (
@@ -115,26 +146,18 @@ class RigUnderTest:
                 ("/rosout_agg", Log, lambda log: self.hear("rosout", f"{log.name}: {log.msg}")),
             )
         ]
-        robot, hand = self._shared.free_port(), self._shared.free_port()
-        arguments = {
-            **{"robot_port": self._shared.free_port(), "robot_control_port": robot},
-            **{"hand_port": self._shared.free_port(socket.SOCK_DGRAM), "hand_control_port": hand},
-            **{"leap_port": ready[1], "leap_host": leap_ip, "robot_host": robot_host, "robot_ip": robot_ip},
-            **self._arguments,
-        }
-        if self._sees:
-            arguments.update(world_port=self._shared.free_port(), camera_control_port=self._shared.free_port())
+
+    def launch(self, devices: bool = True) -> None:
+        """Starts the nodes, and with `devices` the simulated arm and hand, by rig.launch."""
+        arguments = {**self._arguments, "devices": str(devices).lower()}
         self._launch = self._processes.start(
             "roslaunch", "--wait", str(Path(__file__).with_name("rig.launch")),
             *(f"{k}:={v}" for k, v in arguments.items()),
         )  # fmt: skip
-        self.arm = ArmTrace(robot_host, robot)
-        self.robot_hand = ControlClient("127.0.0.1", hand)
-        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
-        if self._sees:
-            self.camera = ControlClient("127.0.0.1", arguments["camera_control_port"])
-            self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
-        self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
+
+    def interrupt_launch(self) -> None:
+        """Ends the launch file that was started last, as Ctrl-C does."""
+        self._launch.send_signal(signal.SIGINT)
 
     def _addresses(self, device: str) -> tuple[str, str]:
         """Returns where a device listens, and where it is reached."""
@@ -150,10 +173,11 @@ class RigUnderTest:
         self.arm.close()
         for port in (self.hand, self.leap, self.robot_hand, *([self.camera] if self.camera else [])):
             port.close()
-        for name in rospy.get_param_names():
-            if not name.startswith(("/ros", "/run_id")):
-                with contextlib.suppress(KeyError):
-                    rospy.delete_param(name)
+        with contextlib.suppress(OSError):  # a row has killed the master
+            for name in rospy.get_param_names():
+                if not name.startswith(("/ros", "/run_id")):
+                    with contextlib.suppress(KeyError):
+                        rospy.delete_param(name)
 
     def calm(self) -> None:
         """Brings the rig to rest: no faults, all nodes run, no hand, controls off, no safety stop, the arm at home."""
@@ -191,6 +215,7 @@ class RigUnderTest:
             self._last_said,
         ):
             record.clear()
+        self._marks = {path: path.stat().st_size for path in self._logs}
         self.arm.forget()
 
     def devices(self) -> dict:
@@ -239,11 +264,20 @@ class RigUnderTest:
             package, program = "leap_kuka", self._arguments["teleop"]
         self._started[name] = self._processes.start("rosrun", package, program, f"__name:={name}")
 
-    def run(self, package: str, program: str, *arguments: str):
+    def run(self, package: str, program: str, *arguments: str) -> Any:
         """Starts a program with rosrun and returns its process, which has the attribute log_path."""
-        return self._processes.start("rosrun", package, program, *arguments)
+        return self.run_command("rosrun", package, program, *arguments)
 
-    def end_program(self, process) -> int:
+    def run_command(self, *command: str) -> Any:
+        """Starts a command beside the rig, as `run`; it ends with the rig at the latest."""
+        return self._processes.start(*command)
+
+    def finish(self, process: Any, seconds: float = MOVE_S) -> str:
+        """Waits until a program ends by itself, and returns what it printed."""
+        self.wait(lambda: process.poll() is not None, f"the end of {process.args[0]}", seconds)
+        return process.log_path.read_text(errors="replace")
+
+    def end_program(self, process: Any) -> int:
         """Interrupts a program as Ctrl-C does and returns its exit code."""
         return self._processes.end(process)
 
@@ -437,7 +471,17 @@ class RigUnderTest:
     @property
     def log(self) -> str:
         """What the launch file and the nodes that were started later printed so far."""
-        return "".join(path.read_text(errors="replace") for path in sorted(self._launch.log_path.parent.glob("*.log")))
+        return "".join(path.read_text(errors="replace") for path in self._logs)
+
+    @property
+    def log_since_calm(self) -> str:
+        """What of that they printed since the last `calm`."""
+        texts = ((path, path.read_bytes()) for path in self._logs)
+        return "".join(text[self._marks.get(path, 0) :].decode(errors="replace") for path, text in texts)
+
+    @property
+    def _logs(self) -> list[Path]:
+        return sorted(self._launch.log_path.parent.glob("*.log"))
 
     def _take_status(self, status: KukaStatus) -> None:
         self.status = status

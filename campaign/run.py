@@ -88,9 +88,12 @@ class Rig:
 
     def _line(self, timeout: float) -> str:
         try:
-            return self._lines.get(timeout=timeout)
+            line = self._lines.get(timeout=timeout)
         except queue.Empty:
             return ""
+        if not line:  # the worker has ended: there is nothing to wait for any more
+            self._lines.put("")
+        return line
 
     def _end_of_log(self) -> str:
         self._log.flush()

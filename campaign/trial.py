@@ -22,7 +22,7 @@ import re
 import signal
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,11 @@ VARIANTS: dict[str, dict[str, str]] = {
     "seeing": {"world": "true"},
     SHIFTED: {},
     SIMULATED: {},
+    "deaf": {"robot_args": "--deaf-after-lost-client"},
 }
 """The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, only leap_kuka as
-shipped, all as shipped, or patient with objects, a camera and the nodes that propose grasps, or with another clock
-(campaign.clocks).
+shipped, all as shipped, or patient: with objects, a camera and the nodes that propose grasps, with another clock
+(campaign.clocks), or with a server that is deaf after it has lost its client, as the published one is.
 
 Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
 """
@@ -180,6 +181,22 @@ class Trial:
             return any(re.search(pattern, text) for when, _, text in list(self.rig.said) if when >= self._fault)
 
         self.rig.wait(said, f"a message with /{pattern}/", timeout)
+
+    def reads(self, pattern: str, timeout: float = 5.0) -> str:
+        """Waits until the rig's log says what a regular expression describes, since the rig was at rest; returns the
+        line. For programs that say so on their terminal alone, and while no node passes the log on.
+        """
+        find = re.compile(rf".*(?:{pattern}).*").search
+        line = self.rig.wait(lambda: find(self.rig.log_since_calm), f"a line with /{pattern}/ in the log", timeout)[0]
+        self.rig.hear("log", line.strip())
+        return line
+
+    def part(self, name: str, expected: Expected) -> None:
+        """Judges what was seen since the fault as one of the row's parts; the next fault begins the next part."""
+        verdict = judge(expected, replace(self.evidence([]), checks=[]))
+        for fault in verdict.faults if verdict.result == "failed" else ():
+            self.check(f"{name}: {fault}", False)
+        self._fault = self._mended = self._operator = None
 
     def stays_away(self, seconds: float) -> None:
         """Lets time pass on the arm's clock, in which nothing may follow the hand; the judge looks at it."""

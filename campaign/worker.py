@@ -15,6 +15,7 @@ import sys
 import tempfile
 import time
 import traceback
+import xmlrpc.client
 from pathlib import Path
 
 import conftest as shared
@@ -40,10 +41,10 @@ def main(variant: str, traces: Path | None = None) -> None:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="campaign-"))
         wire = stack.enter_context(Wire(name)) if name else None
         clock = clock_of(kind, Path(folder))
-        stack.enter_context(master(Path(folder), wire.far if wire and name == "ros" else "localhost"))
+        core = stack.enter_context(master(Path(folder), wire.far if wire and name == "ros" else "localhost"))
         stack.callback(clock.stop)
         clock.start()
-        rig = RigUnderTest(shared, Path(folder, "rig"), wire, **trial.VARIANTS[kind])
+        rig = RigUnderTest(shared, Path(folder, "rig"), wire, core, **trial.VARIANTS[kind])
         rig.clock = clock
         try:
             Path(folder, "rig").mkdir()
@@ -67,6 +68,41 @@ def main(variant: str, traces: Path | None = None) -> None:
             rig.end()
 
 
+class Core:
+    """The ROS master on a port of its own, which a row may kill and start again."""
+
+    def __init__(self, folder: Path, port: int) -> None:
+        self._programs = shared.Processes(folder)
+        self._port, self._uri = port, f"http://localhost:{port}"
+
+    def start(self) -> None:
+        """Starts roscore and waits until the master answers."""
+        self._roscore = self._programs.start("roscore", "-p", str(self._port), env={"ROS_MASTER_URI": self._uri})
+        shared.wait_until(lambda: shared._master_answers(self._uri), 30.0, "the ROS master")
+
+    def kill(self) -> None:
+        """Kills roscore, the master and rosout, which say goodbye to nobody."""
+        master = xmlrpc.client.ServerProxy(self._uri)
+        rosout = xmlrpc.client.ServerProxy(master.lookupNode("/campaign", "/rosout")[2])
+        for pid in (self._roscore.pid, rosout.getPid("/campaign")[2], master.getPid("/campaign")[2]):
+            os.kill(pid, signal.SIGKILL)
+        self._roscore.wait(5.0)
+
+    @contextlib.contextmanager
+    def hanging(self):
+        """Lets the master stand still for a while."""
+        pid = xmlrpc.client.ServerProxy(self._uri).getPid("/campaign")[2]
+        shared.suspend(pid)
+        try:
+            yield
+        finally:
+            os.kill(pid, signal.SIGCONT)
+
+    def end(self) -> None:
+        """Ends whatever of it runs."""
+        self._programs.end_all()
+
+
 @contextlib.contextmanager
 def master(folder: Path, address: str):
     """Starts a ROS master on a free port; this process is a node of it. All nodes meet under the address."""
@@ -80,15 +116,14 @@ def master(folder: Path, address: str):
         ROS_HOSTNAME=address,
         LEAP_RIG_NICENESS="0",
     )
-    programs = shared.Processes(folder)
+    core = Core(folder, port)
     try:
-        programs.start("roscore", "-p", str(port), env={"ROS_MASTER_URI": f"http://localhost:{port}"})
-        shared.wait_until(lambda: shared._master_answers(os.environ["ROS_MASTER_URI"]), 30.0, "the ROS master")
+        core.start()
         rospy.init_node("campaign", anonymous=True, disable_signals=True)
-        yield
+        yield core
     finally:
         rospy.signal_shutdown("the campaign is over")
-        programs.end_all()
+        core.end()
 
 
 if __name__ == "__main__":

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import subprocess
 import sys
+import xmlrpc.client
 
 import pytest
 
@@ -134,3 +137,71 @@ def test_a_node_whose_log_the_full_disk_does_not_take_works_on(ros, processes, w
     process = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     assert process.returncode == 0 and ros_has("went_on"), process.log_path.read_text()
+
+
+LEAVING = """
+import rospy
+from common.ros.node import run
+
+def main():
+    rospy.set_param("started", rospy.get_param("started", 0) + 1)
+    while not rospy.core.is_shutdown_requested():
+        rospy.sleep(0.01)
+    rospy.loginfo("The node has ended.")
+
+run("twin", main)
+"""
+
+
+def test_of_two_nodes_with_one_name_the_newer_one_stays(ros, processes, wait_until):
+    """What the older one logs at its end is no reason for the master to end the newer one."""
+    import rospy
+
+    twins = []
+    for number in (1, 2):
+        twins.append(processes.start(sys.executable, "-c", LEAVING))
+        wait_until(lambda number=number: rospy.get_param("/started", 0) == number, 20.0, "the node")
+    older, newer = twins
+    wait_until(lambda: older.poll() is not None, 20.0, "the end of the older one")
+    assert older.returncode == 0 and "The node has ended." in older.log_path.read_text()
+    with pytest.raises(subprocess.TimeoutExpired):
+        newer.wait(0.5)
+
+
+def test_a_node_logs_while_the_master_hangs(ros_master, processes, tmp_path, free_port, suspend, wait_until):
+    """Else a controller would hang with it, in the midst of a motion."""
+    uri = f"http://localhost:{free_port()}"
+    core = processes.start("roscore", "-p", uri.rpartition(":")[2], env={"ROS_MASTER_URI": uri})
+    master = xmlrpc.client.ServerProxy(uri)
+    pid = wait_until(lambda: pid_of(master), 20.0, "the master")
+    go_on = tmp_path / "go_on"
+    logging = f"""
+import os, time
+import rospy
+from common.ros.node import run
+
+def main():
+    print("started")
+    while not os.path.exists({str(go_on)!r}):
+        time.sleep(0.01)
+    rospy.loginfo("a line")
+    print("went on")
+
+run("talkative", main)
+"""
+    node = processes.start(sys.executable, "-c", logging, env={"ROS_MASTER_URI": uri})
+    wait_until(lambda: "started" in node.log_path.read_text(), 20.0, "the node")
+    suspend(pid)
+    try:
+        go_on.touch()
+        wait_until(lambda: "went on" in node.log_path.read_text(), 5.0, "what follows the line")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert core.poll() is None
+
+
+def pid_of(master):
+    try:
+        return master.getPid("/test")[2]
+    except OSError:
+        return None

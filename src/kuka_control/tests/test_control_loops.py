@@ -716,6 +716,7 @@ def test_a_stall_of_the_loop_costs_no_pick_up_and_no_return_home():
         assert np.max(np.abs(np.diff(speeds, axis=0) / DT)) <= 1.01 * 12.0 * 1.84
     world.run(1.0, tool)
     assert world.arm.told == [] and world.loop.counts["jumps"] == 0 and reached(world, tool(0.0))
+    assert world.loop.counts["goal_gaps"] == 3
 
 
 def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped():

@@ -13,11 +13,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import rospy
+from rospy.impl.paramserver import get_param_server_cache
 
 from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
 
 CLOCK_S = 10.0
+LOG_TOPICS = "/rosout_disable_topics_generation"
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
 REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
@@ -36,6 +38,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     except rospy.exceptions.ROSInitException:
         sys.exit(1)  # interrupted before it began
     _shut_down_beside_the_main_thread(disposable)
+    _log_without_the_master()
     logging.getLogger("rosout").addFilter(RepeatedExceptions())
     _log_as_far_as_possible()
     master.watch.start()
@@ -91,6 +94,15 @@ class RepeatedExceptions(logging.Filter):
             return False
         self._logged[reason] = now
         return True
+
+
+def _log_without_the_master() -> None:
+    """Looks up once whether messages of the log name the node's topics; rospy asks the master with each message.
+
+    Then a node hangs where it logs while its master hangs. And the question also registers the node: one that logs
+    after a newer node of its name has begun has the master end the newer one.
+    """
+    get_param_server_cache().set(LOG_TOPICS, bool(rospy.get_param(LOG_TOPICS, False)))
 
 
 def _log_as_far_as_possible() -> None:

@@ -30,6 +30,7 @@ from kuka_control.limits.speed_change import (
     approach_speed,
 )
 
+LATE_GOAL = "gap between goals"  # what limits the first goal after a longer gap than GAP_S
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
 LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
 BRAKING_FRACTION = 0.4  # of the acceleration limit, with which braking is planned; the jerk limit costs the rest
@@ -125,7 +126,7 @@ class MotionLimits:
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
             cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself.
         """
-        gap = "gap between goals" if dt > GAP_S else None
+        gap = LATE_GOAL if dt > GAP_S else None
         dt = self._after(dt)
         own = [0.0] * 7 if speed is None else speed.tolist()
         q, v, ahead = self._now.q, self._now.v, target.tolist()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kuka_control.limits.line_plan import LineLimits
-from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import LATE_GOAL, LimitedGoal, MotionLimits, Unlimited
 from kuka_control.limits.speed_change import GuardedRoom, GuardError, ShapeLimits
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
@@ -185,6 +185,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
         if goal.limited_by is not None:
             self.counts["limited_goals"] += 1
+            self.counts["goal_gaps"] += goal.limited_by == LATE_GOAL
             self._limited_by = (goal.limited_by,)
         self.counts["goals_sent"] += 1
         return Servo(goal.q, stamp)

@@ -54,7 +54,7 @@ BARRED_BY_MOVE = (
 )
 
 COUNTED = (
-    *("goals_sent", "limited_goals", "workspace_clips", "ik_failures", "refused_frames"),
+    *("goals_sent", "limited_goals", "goal_gaps", "workspace_clips", "ik_failures", "refused_frames"),
     *("pickups", "returns", "ptp_motions", "moves", "jumps", "flips", "faults"),
 )
 """The names of the counters; all are there from the start."""

@@ -1,0 +1,360 @@
+"""Rows 33 to 42: the master, the nodes, their queues and their processor, and the disk."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import xmlrpc.client
+from pathlib import Path
+
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from campaign.judge import FOLLOWING, Expected, Limits
+from campaign.rig import CONTROLLER, DRIVER, HAND, HAND_DRIVER, TELEOP
+from campaign.trial import row
+
+ROBOT_BRAKES = Limits.of_the_drives()
+"""Where goals fail to come in time the drives brake by themselves: a node dies, stands still, or waits for a processor
+on which programs start.
+"""
+POSE = ("0.42", "-0.42", "0.5", "135", "0", "180")  # in the workspace [m, deg]
+STALE_S = 0.5  # a desired tool frame older than this when it is published comes out of a queue [s]
+
+
+def moves(trial) -> bool:
+    """Returns whether the arm follows the swaying hand within the next seconds."""
+    return bool(trial.rig.wait(lambda: trial.rig.mode == "servo" and trial.rig.arm.now.tool_speed > 0.05, "the arm"))
+
+
+def pause(rig, node: str, seconds: float) -> None:
+    """Lets a node stand still for so long."""
+    pid = rig.pid(node)  # which nobody answers while it does
+    rig.suspend(node)
+    try:
+        rig.watch(seconds)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+@row(33, "roscore killed", "D", within=1.5, named_by="ROS master .* is gone", operator=True, limits=ROBOT_BRAKES,
+     spoils=True, dangerous="no service reaches the controller any more")  # fmt: skip
+def master_killed(trial):
+    rig = trial.rig
+    trial.follow()
+    # A master that hangs: nobody waits for it, and the hand still lets go of the arm.
+    trial.begins()
+    with rig.core.hanging():
+        rig.watch(1.0)
+        trial.check("the arm follows on while the master hangs", rig.mode in FOLLOWING, rig.mode)
+        rig.hand.hide()
+        rig.wait_for_modes("returning", "home")
+    trial.part("the master hangs", Expected("D", 4.0, limits=ROBOT_BRAKES))
+    trial.follow()
+    trial.killed.add("/rosout")
+    trial.begins()
+    rig.core.kill()
+    trial.reads("ROS master at .* is gone")
+    trial.stays_away(4.0)  # with the hand in the box all the time
+    trial.check("control is off", not rig.status.control_on, rig.status.reason)
+    trial.check("the arm is at home", rig.mode == "home", rig.mode)
+
+
+@row(34, "roscore restarted", "DS", within=1.5, named_by="started anew", operator=True, spoils=True)
+def master_restarted(trial):
+    rig = trial.rig
+    trial.follow()
+    nodes = (CONTROLLER, DRIVER, TELEOP, HAND, HAND_DRIVER)
+    pids = {name: rig.pid(name) for name in nodes}
+    trial.killed.update(f"/{name}" for name in (*nodes, "rosout"))
+    trial.begins()
+    rig.core.kill()
+    trial.reads("ROS master at .* is gone")
+    rig.core.start()
+    trial.reads("started anew")
+    for name in nodes:
+        trial.check(f"{name} exits for a new start", rig.exit_code(name) == 1)
+    rig.wait(lambda: not rig.arm.now.connected, "the end of the connection")
+    trial.check("the robot got `end`", any("received end" in text for _, text in list(rig.arm.events)))
+    rig.status, rig.mode = None, ""
+    rig.listen()
+    rig.launch(devices=False)
+    rig.wait(lambda: rig.mode == "home", "the rig that was started again", 60.0)
+    trial.check("all are new", not set(pids.values()) & {rig.pid(name) for name in nodes})
+    trial.check("control is off", not rig.status.control_on)
+    stood = rig.arm.now.time
+    trial.stays_away(3.0)  # the hand has been in the box all the time
+    trial.check("no hand moves the arm", rig.arm.way(stood) < 2e-3, f"{rig.arm.way(stood):.4f} rad")
+    trial.recovers()
+
+
+@row(35, "Any of our nodes killed (-9)", "H", within=1.5, named_by=f"{CONTROLLER}.*process has died", operator=True,
+     limits=ROBOT_BRAKES, spoils=True, dangerous="a program that crashed sends no stop")  # fmt: skip
+def node_killed(trial):
+    rig = trial.rig
+    trial.follow()
+    # The robot hand is another device: its nodes take the arm nothing.
+    for name in (HAND, HAND_DRIVER):
+        trial.signal(name, signal.SIGKILL)
+        trial.reads(f"{name}.*process has died")
+        trial.check(f"the arm follows on without {name}", moves(trial), rig.mode)
+        trial.part(name, Expected("", 1.5, limits=ROBOT_BRAKES, named_by=f"{name}.*process has died"))
+    trial.check("leap_hand_node was not alone", rig.pid(HAND) is None and rig.pid(HAND_DRIVER) is None)
+    # Without tracker or teleoperation the stream ends.
+    for name in (DRIVER, TELEOP):
+        rig.modes.clear()
+        trial.signal(name, signal.SIGKILL)
+        trial.reads(f"{name}.*process has died")
+        rig.wait_for_modes("returning", "home")
+        trial.stays_away(1.0)
+        trial.part(name, Expected("D", 4.0, f"{name}.*process has died", operator=True, limits=ROBOT_BRAKES))
+        rig.hand.hide()
+        rig.start(name)
+        rig.wait(lambda: rig.stream_state == "waiting", "the stream to wait")
+        trial.follow()
+    # Without the controller the robot's own one brakes.
+    trial.signal(CONTROLLER, signal.SIGKILL)
+    trial.reads(f"{CONTROLLER}.*process has died")
+    trial.stays_away(2.0)
+
+
+@row(36, "Node started twice (same name)", "DS", within=10.0, named_by="new node registered with same name",
+     operator=True, limits=ROBOT_BRAKES, dangerous="two controllers, each with goals of its own")  # fmt: skip
+def started_twice(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.killed.add(f"/{CONTROLLER}")
+    old = rig.pid(CONTROLLER)
+    rig.start(CONTROLLER)
+    bumped = "new node registered with same name"
+    rig.wait(lambda: bumped in rig.log_since_calm, "the older one to be asked to end", 15.0)
+    trial.begins()
+    trial.reads(bumped)
+    rig.wait(lambda: not os.path.exists(f"/proc/{old}"), "the end of the older one")
+    rig.watch(3.0)
+    os.system(f"rm -rf /tmp/programs/log36; cp -rL {os.environ['ROS_LOG_DIR']} /tmp/programs/log36")
+    left = [when - trial.begins() for when, text in list(rig.arm.events) if "stopDirectServoJoints" in text]
+    trial.check("the older one has left servo mode at once", left and 0.0 < left[-1] < 1.5, left)
+    rig.wait_for_mode("home")  # only the newer one says so, once it is connected
+    trial.stays_away(2.0)
+    trial.check("the newer one is alone", rig.pid(CONTROLLER) not in (None, old))
+    trial.check("and waits with control off", not rig.status.control_on, rig.status.reason)
+    trial.recovers()
+
+
+@row(37, "Two command sources at once", "R", within=10.0, named_by="A program may move the arm at home",
+     limits=ROBOT_BRAKES, dangerous="a program moves the arm while a person steers it")  # fmt: skip
+def two_sources(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.begins()
+    # A program while a hand steers: the hand keeps the arm.
+    text = rig.finish(program := rig.run("kuka_control", "move.py", "home"))
+    trial.check("move.py is refused", program.returncode == 1 and "mode is servo" in text, text)
+    text = rig.finish(program := rig.run("kuka_control", "simple_controller.py", "zero", "--yes"))
+    trial.check("simple_controller.py is refused", program.returncode not in (0, None), text)
+    trial.check("the arm follows on", moves(trial), rig.modes[-5:])
+    trial.check("and did so ever since", {mode for _, mode, _ in rig.statuses[-20:]} <= set(FOLLOWING))
+    # A hand and another program while a program moves: the first program keeps it.
+    rig.hand.hide()
+    rig.wait_for_modes("returning", "home")
+    first = rig.run("kuka_control", "move.py", "pose", *POSE, "--straight", "--velocity", "0.02")
+    rig.wait_for_mode("moving")
+    rig.hand.show(right=-0.05)
+    text = rig.finish(program := rig.run("kuka_control", "move.py", "zero"))
+    trial.check("the second program is refused", program.returncode == 1 and "has not ended" in text, text)
+    text = rig.finish(first, 30.0)
+    trial.check("the first program ends as it should", first.returncode == 0, text)
+    rig.wait(lambda: "holding" in rig.modes, "the end of the motion")
+    by_program = rig.modes[rig.modes.index("moving") :]
+    trial.check("no hand moved the arm meanwhile", by_program[: by_program.index("holding")] == ["moving"], by_program)
+
+
+class DeafSubscriber:
+    """A subscriber of a topic with a small buffer, which never reads a message."""
+
+    def __init__(self, topic: str, node: str) -> None:
+        master = xmlrpc.client.ServerProxy(os.environ["ROS_MASTER_URI"])
+        uri = master.lookupNode(rospy.get_name(), f"/{node}")[2]
+        _, _, (_, host, port) = xmlrpc.client.ServerProxy(uri).requestTopic("/deaf", topic, [["TCPROS"]])
+        self._connection = socket.socket()
+        self._connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        self._connection.connect((host, port))
+        fields = [f"callerid=/deaf_{os.getpid()}", f"topic={topic}", "md5sum=*", "type=*", "tcp_nodelay=1"]
+        header = b"".join(len(field).to_bytes(4, "little") + field.encode() for field in fields)
+        self._connection.sendall(len(header).to_bytes(4, "little") + header)
+
+    def close(self) -> None:
+        self._connection.close()
+
+
+@row(38, "Subscriber queue builds up", "H", within=0.8, limits=ROBOT_BRAKES)
+def queue_builds_up(trial):
+    rig = trial.rig
+    ages: list[float] = []
+    subscriber = rospy.Subscriber("/tf", TFMessage, lambda message: ages.extend(
+        rospy.get_time() - t.header.stamp.to_sec()
+        for t in message.transforms if t.child_frame_id == "kuka/tool_frame/desired"
+    ), queue_size=1000)  # fmt: skip
+    # Subscribers that never read, of all that stands between hand and arm: the nodes do not wait for them.
+    deaf = [
+        DeafSubscriber(topic, node)
+        for topic, node in (
+            ("/leap_motion/leap_device", DRIVER), ("/tf", TELEOP), ("/leap_kuka/stream", TELEOP),
+            ("/tf", CONTROLLER), ("/kuka/status", CONTROLLER), ("/kuka/joint_positions", CONTROLLER),
+            ("/reflex_takktile/hand_state", HAND_DRIVER),
+        )
+    ]  # fmt: skip
+    try:
+        trial.follow()
+        rig.watch(3.0)
+        trial.check("nobody waits for those who do not read", moves(trial), rig.modes[-5:])
+        # The hand moves on while the teleoperation stands still: then the newest frame counts, not those that waited.
+        ages.clear()
+        began = trial.begins()
+        pause(rig, TELEOP, 0.9)
+        trial.ends()
+        held = len(ages)
+        rig.wait(lambda: len(ages) > held + 20, "the frames after the pause")
+        old = [age for age in ages[held:] if age > STALE_S]
+        trial.check("no frame comes out of a queue but the one that was at work", len(old) <= 1, old)
+        trial.check("the arm follows on", moves(trial), f"{rig.modes[-5:]} {time.monotonic() - began:.1f} s after")
+        trial.part("the teleoperation stands still", Expected("H", 0.8, limits=ROBOT_BRAKES))
+        # Likewise the controller, which takes the newest frame and catches up within the limits.
+        trial.begins()
+        pause(rig, CONTROLLER, 0.9)
+        trial.ends()
+        rig.watch(2.0)
+        trial.check("the arm is not where it stood", moves(trial), rig.modes[-5:])
+    finally:
+        subscriber.unregister()
+        for connection in deaf:
+            connection.close()
+
+
+@row(39, "Callback raises", "D", within=4.0, named_by="bad callback|no tracking frames", operator=True)
+def callback_raises(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.begins()
+    rig.signal(TELEOP, signal.SIGUSR1)  # from now on each frame raises an exception, see patient_leap_kuka_node.py
+    trial.says("no tracking frames", 10.0)
+    rig.wait_for_modes("returning", "home")
+    rig.signal(TELEOP, signal.SIGUSR1)
+    trial.ends()
+    trial.stays_away(1.0)
+    tracebacks = rig.log_since_calm.count("RuntimeError: planted")
+    trial.check("the exception is logged once, with its traceback", tracebacks == 1, tracebacks)
+    trial.check("and its node lives", rig.pid(TELEOP) is not None)
+    trial.recovers()
+
+
+@row(40, "Control tick overrun", "", limits=ROBOT_BRAKES)
+def tick_overrun(trial):
+    """Each cycle of 10 ms takes 60 ms: the goals start from rest after each, so the arm all but stands."""
+    rig = trial.rig
+    trial.follow()
+    before = rig.count("kuka_control", "goal_gaps")
+    pid = rig.pid(CONTROLLER)
+    began = trial.begins()
+    while time.monotonic() - began < 2.0:
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.06)
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.012)
+    trial.ends()
+    ended = time.monotonic()
+    rig.wait(lambda: rig.count("kuka_control", "goal_gaps") > before + 10, "the late cycles to be counted")
+    way = 1e-3 * sum(speed for when, *_, speed in list(rig.arm.steps) if began < when < ended)
+    trial.check("the arm is slow meanwhile", way / (ended - began) < 0.06, f"{way:.3f} m, the hand: 0.12 m/s")
+    trial.check("and follows again", moves(trial), rig.modes[-5:])
+
+
+@row(41, "GC / swap / CPU starvation 300 ms", "H", within=0.7, limits=ROBOT_BRAKES,
+     dangerous="nothing on the PC can act while the PC does not run")  # fmt: skip
+def starvation(trial):
+    rig = trial.rig
+    trial.follow()
+    # As long as the catalogue says: the arm may come to rest, and goes on within its limits.
+    trial.begins()
+    pause(rig, CONTROLLER, 0.3)
+    trial.ends()
+    trial.check("the arm follows on after 0.3 s", moves(trial), rig.modes[-5:])
+    trial.part("0.3 s", Expected("", 1.0, limits=ROBOT_BRAKES))
+    # A processor that many share: the controller is late again and again.
+    pid, core = rig.pid(CONTROLLER), min(os.sched_getaffinity(0))
+    trial.begins()
+    with burners(16, core), bound(pid, core):
+        rig.watch(2.0)
+    trial.ends()
+    rig.watch(1.0)
+    trial.part("a crowded processor", Expected("", 1.0, limits=ROBOT_BRAKES))
+    if rig.mode != "servo":
+        trial.recovers()
+        trial.operator()
+        trial.part("after it", Expected("", 1.0, limits=ROBOT_BRAKES))
+        rig.hand.sway(1.0, right=0.06)
+    # Longer: the robot's own controller is the watchdog, which holds where the goals end.
+    moves(trial)
+    trial.begins()
+    pause(rig, CONTROLLER, 1.5)
+    trial.ends()
+    rig.watch(2.0)
+
+
+@contextlib.contextmanager
+def burners(count: int, core: int):
+    """So many processes that do nothing but calculate, all on one core."""
+    work = f"import os\nos.sched_setaffinity(0, [{core}])\nwhile True: pass"
+    running = [subprocess.Popen([sys.executable, "-c", work]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def bound(pid: int, core: int):
+    """Binds all threads of a process to one core."""
+    threads = {int(task.name): os.sched_getaffinity(int(task.name)) for task in Path(f"/proc/{pid}/task").iterdir()}
+    for thread in threads:
+        os.sched_setaffinity(thread, [core])
+    try:
+        yield
+    finally:
+        for thread, cores in threads.items():
+            with contextlib.suppress(ProcessLookupError):
+                os.sched_setaffinity(thread, cores)
+
+
+DISK = """
+set -e
+mount -t tmpfs -o size=400k tmpfs {folder}
+exec rosrun leap_rig record.py {folder}/run --reserve 65536
+"""
+
+
+@row(42, "Disk full while recording", "", limits=ROBOT_BRAKES, named_by="No space left on device")
+def disk_full(trial):
+    rig = trial.rig
+    trial.follow()
+    trial.begins()
+    with tempfile.TemporaryDirectory(prefix="full-disk-") as folder:
+        alone = ["unshare", "-m"] if os.getuid() == 0 else ["unshare", "-rm"]
+        recorder = rig.run_command(*alone, "bash", "-c", DISK.format(folder=folder))
+        text = rig.finish(recorder, 30.0)
+    for line in text.splitlines():
+        rig.hear("record.py", line)
+    trial.check("the recording ends with 1", recorder.returncode == 1, text)
+    trial.check("and with what was recorded", "Recorded " in text, text)
+    modes = {mode for when, mode, _ in rig.statuses if when > trial.begins()}
+    trial.check("control went on", modes <= set(FOLLOWING), modes)
+    trial.check("the arm follows on", moves(trial), rig.modes[-5:])
