@@ -348,3 +348,14 @@ def test_a_goal_whose_planning_fails_is_rejected_by_a_sentence(monkeypatch):
     server, handle = moves.MoveServer(Planner(), lambda: (step, HOME.q)), Handle()
     server._goal(handle)
     assert "cannot be planned" in handle.rejected and "by nothing" in handle.rejected and server.move is None
+
+
+def test_a_hand_that_came_in_while_a_program_moved_the_arm_does_not_count_afterwards():
+    world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True)
+    world.run(0.3)
+    hand = shifted(0.03, 0.05, 0.1)
+    world.until_state(State.AT_GOAL, hand)
+    world.run(1.0, hand)
+    assert world.state is State.AT_GOAL
+    world.run(1.0)
+    world.until_state(State.SERVO, hand)
