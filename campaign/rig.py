@@ -238,11 +238,13 @@ class RigUnderTest:
 
     def streams_of(self, name: str) -> list[tuple[int, str, str]]:
         """Returns the streams of messages from a node to the nodes of PROGRAMS, as (socket, topic, node)."""
-        uri = rosgraph.Master("/test").lookupNode(f"/{name}")
+        master = rosgraph.Master("/test")
+        uri, topics = master.lookupNode(f"/{name}"), {topic for topic, _ in master.getSystemState()[0]}
         found = []
         for _, peer, direction, kind, topic, connected, *how in xmlrpc.client.ServerProxy(uri).getBusInfo("/test")[2]:
             number = re.search(r"on socket (\d+)", how[0]) if how else None
-            if direction == "o" and kind == "TCPROS" and connected and number and peer.lstrip("/") in PROGRAMS:
+            is_stream = direction == "o" and kind == "TCPROS" and connected and topic in topics  # else a service's
+            if is_stream and number and peer.lstrip("/") in PROGRAMS:
                 found.append((int(number[1]), topic, peer.lstrip("/")))
         return found
 

@@ -271,14 +271,15 @@ def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
         entry.provoke(trial)
     except (pytest.fail.Exception, AssertionError) as failure:
         trial.check(str(getattr(failure, "msg", failure)).strip(), False)
-    died = [name for name, pid in before.items() if name not in trial.killed and not _runs(pid)]
+    died = [name for name, pid in before.items() if name not in trial.killed and not runs(pid)]
     seen = trial.evidence(died)
     if traces is not None:
         (traces / f"row_{entry.number}.json").write_text(json.dumps({**vars(seen), "steps": seen.steps.tolist()}))
     return judge(entry.expected, seen)
 
 
-def _runs(pid: int) -> bool:
+def runs(pid: int) -> bool:
+    """Returns whether a process runs; one that has ended and waits for its parent does not."""
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rsplit(")", 1)[1].split()[0] not in "ZX"

@@ -9,7 +9,7 @@ import threading
 
 from campaign.judge import FOLLOWING, Expected, Limits
 from campaign.rig import CONTROLLER
-from campaign.trial import Trial, row
+from campaign.trial import Trial, row, runs
 from kuka_msgs.srv import setGripperControl, setKukaControl, setPayload, setScalingFactor
 
 ROBOT_BRAKES = Limits.of_the_drives()
@@ -196,7 +196,7 @@ def interrupted(trial):
     trial.begins()
     rig.interrupt_launch()
     ends_in_order(trial)
-    rig.wait(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in pids.values()), "the end of all nodes", 30.0)
+    rig.wait(lambda: not any(map(runs, pids.values())), "the end of all nodes", 30.0)
 
 
 def ends_in_order(trial: Trial) -> None:

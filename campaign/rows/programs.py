@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 
 from campaign.judge import FOLLOWING, Expected, Limits
 from campaign.rig import CONTROLLER, DRIVER, HAND, HAND_DRIVER, TELEOP
-from campaign.trial import row
+from campaign.trial import row, runs
 
 ROBOT_BRAKES = Limits.of_the_drives()
 """Where goals fail to come in time the drives brake by themselves: a node dies, stands still, or waits for a processor
@@ -136,9 +136,8 @@ def started_twice(trial):
     rig.wait(lambda: bumped in rig.log_since_calm, "the older one to be asked to end", 15.0)
     trial.begins()
     trial.reads(bumped)
-    rig.wait(lambda: not os.path.exists(f"/proc/{old}"), "the end of the older one")
+    rig.wait(lambda: not runs(old), "the end of the older one")
     rig.watch(3.0)
-    os.system(f"rm -rf /tmp/programs/log36; cp -rL {os.environ['ROS_LOG_DIR']} /tmp/programs/log36")
     left = [when - trial.begins() for when, text in list(rig.arm.events) if "stopDirectServoJoints" in text]
     trial.check("the older one has left servo mode at once", left and 0.0 < left[-1] < 1.5, left)
     rig.wait_for_mode("home")  # only the newer one says so, once it is connected
