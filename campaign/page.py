@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
+from pathlib import Path
+from typing import Any
 
 from campaign.trial import Row
+
+ROOT = str(Path(__file__).parents[1])
+OF_THE_RUN = re.compile(rf"\x1b\[\d*m|\[\d+\.\d+\]:? ?|{re.escape(ROOT)}/|/tmp/[^\s\"']*/")
+"""What a message says of the run alone: colours, times of the log, folders."""
 
 HEAD = """# The campaign
 
@@ -97,4 +104,9 @@ def _quoted(text: str) -> str:
 
 
 def _rounded(result: dict) -> dict:
-    return {key: round(value, 3) if isinstance(value, float) else value for key, value in result.items()}
+    def plain(value: Any) -> Any:
+        if isinstance(value, str):
+            return OF_THE_RUN.sub("", value)
+        return round(value, 3) if isinstance(value, float) else value
+
+    return {key: plain(value) for key, value in result.items()}

@@ -201,3 +201,10 @@ class TestRows:
         assert f"| {first.number} | {first.fault} | {' '.join(first.expected.reactions)} | not run |" in page.page(
             {first.number: dataclasses.replace(first)}, {}
         )
+
+
+def test_what_a_message_says_of_the_run_alone_is_left_out():
+    said = f"log: \x1b[31m[ERROR] [1795450883.424379]: {page.ROOT}/devel/lib/a.py and /tmp/pytest-1/b.log ended"
+    assert (
+        json.loads(page.as_json({"1": {"named": said}}))["1"]["named"] == "log: [ERROR] devel/lib/a.py and b.log ended"
+    )

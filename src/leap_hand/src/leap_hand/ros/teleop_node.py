@@ -52,7 +52,7 @@ class HandTeleopNode:
     def run(self, subscribe: Subscribe) -> None:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
         self._state_received.wait(FIRST_STATE_S)
-        rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1)
+        rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
         subscribe(self._on_frame, ReceivedHuman)
         while not rospy.is_shutdown():
