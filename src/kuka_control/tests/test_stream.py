@@ -79,6 +79,16 @@ def test_old_and_future_stamps_are_refused_with_the_measured_skew_once(skew, sid
     assert stream.take(desired(CLOCK + skew), CLOCK, 0.03).refused is not None
 
 
+def test_each_reason_among_frames_refused_in_a_row_is_said_once():
+    stream = DesiredStream()
+    refused = []
+    for k in range(12):
+        frame = DesiredFrame(np.eye(4), CLOCK + k, refused="it is not finite") if k % 3 else desired(CLOCK - 2.0 - k)
+        refused.append(stream.take(frame, CLOCK + k, 0.01 * k).refused)
+    assert [sentence is not None for sentence in refused] == [True, True] + 10 * [False]
+    assert "behind" in refused[0] and refused[1] == "it is not finite"
+
+
 @pytest.mark.parametrize(
     "frame, word",
     [

@@ -57,7 +57,12 @@ def test_each_frame_reaches_arm_and_hand_and_the_topics_are_there(ros, rig, wait
     wait_until(
         lambda: frames_of("leap_motion") & frames_of("leap_kuka") & frames_of("leap_hand"), 60.0, "one frame in all"
     )
-    assert commands and {human.header.stamp for human in humans} & {t.header.stamp for m in tf for t in m.transforms}
+    wait_until(lambda: commands, 20.0, "a command to the hand")
+    wait_until(
+        lambda: {human.header.stamp for human in humans} & {t.header.stamp for m in tf for t in m.transforms},
+        20.0,
+        "a frame on both topics",
+    )
     node.send_signal(signal.SIGINT)
     assert node.wait(20.0) == 0, node.log_path.read_text()
     assert "Traceback" not in node.log_path.read_text()

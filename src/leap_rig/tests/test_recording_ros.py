@@ -95,7 +95,8 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
     run = read(tmp_path / "ended")
     assert not run.remark and run.manifest["ended_by"] == "Ctrl-C" and run.manifest["task"] == "a test"
     assert "Recorded" in programs[0].log_path.read_text()
-    assert len(run.frames) > 50 and run.frames == tuple(text for text in tracker.sent if text in set(run.frames))
+    frames = [text for text in run.frames if '"event"' not in text]  # the driver may connect while it is recorded
+    assert len(frames) > 50 and frames == [text for text in tracker.sent if text in set(frames)]
     assert np.all(np.diff(run.frame_times) > 0) and abs(run.frame_times[-1] - killed_at) < 30.0
     assert len(run.goals) >= 3 and not len(run.goals) % 3
     np.testing.assert_array_equal(run.goals[-3:], GOALS)

@@ -7,6 +7,7 @@ look like a time-out.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -171,7 +172,7 @@ class StreamUpdate:
     """The verdict on the newest desired tool frame."""
 
     fresh: DesiredFrame | None = None  # the frame, if it is new and accepted; its stamp is one of SteadyStamps
-    refused: str | None = None  # why it is refused, a sentence, for the first refused frame in a row
+    refused: str | None = None  # why it is refused, a sentence, once for each reason among those refused in a row
     conflict: str | None = None  # why the whole stream must not be followed any longer, a sentence
 
 
@@ -190,7 +191,7 @@ class DesiredStream:
         self._period = 0.0  # between the last two frames [s]
         self._silence = float("inf")  # since the last accepted frame [s]
         self._stalled = 0.0  # since then, in stalls of the control loop [s]
-        self._refusing = False
+        self._reported: set[str] = set()  # what the frames refused in a row were refused for, without the numbers
         self._refusal: tuple[str, float] | None = None
         self._stamps = SteadyStamps()
 
@@ -213,11 +214,13 @@ class DesiredStream:
         self._pause = 0.0
         fault = _fault(newest, clock)
         if fault is None:
-            self._refusing = False
+            self._reported.clear()
             self._refusal = None
             self._silence = self._stalled = 0.0
             return StreamUpdate(replace(newest, stamp=self._stamps.take(newest.stamp, now)))
-        reported, self._refusing = self._refusing, True
+        kind = re.sub(r"\d", "", fault)
+        reported = kind in self._reported
+        self._reported.add(kind)
         self._refusal = (fault, now)
         return StreamUpdate(refused=None if reported else fault, conflict=newest.conflict)
 
