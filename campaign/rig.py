@@ -379,7 +379,9 @@ class RigUnderTest:
 
         for _ in range(ENGAGEMENTS):
             self.bring_hand(**at)
+            self.wait(lambda: lost() or self.mode == "servo", "servo mode", MOVE_S)
             self.wait(lambda: lost() or self.hand.still, "the hand to stand still", MOVE_S)
+            self.see(20)
             self.wait(lambda: lost() or self._stands_in_servo_mode(), "the arm to stand still in servo mode", MOVE_S)
             if not lost():
                 return
