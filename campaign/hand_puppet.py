@@ -107,7 +107,7 @@ class HandPuppet:
             self._glitch = replace(self._hand, **to)
 
     def state(self) -> dict:
-        """Returns how many frames with a hand were made so far, and whether the last movement goes on."""
+        """Returns how many frames with a hand were made so far, and whether the last movement still runs."""
         with self._lock:
             return {"seen": self._seen, "moving": self._moving}
 

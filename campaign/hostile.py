@@ -59,7 +59,7 @@ class FrameStream:
     """Publishes frames on /tf from a thread of its own, as another node does.
 
     Args:
-        path: the frames at a time since the start [s]; none are published where there are none. May be replaced.
+        path: returns the frames to publish at a time since the start [s]. May be replaced.
         silent: whether none are published until this changes.
     """
 
@@ -210,7 +210,7 @@ def counted(trial: Any, node: str, *names: str) -> None:
 
 
 def at_home_and_while_following(trial: Any, attacks: list[Attack]) -> None:
-    """Sends bad input while control is on and the arm at home, and again while it follows a hand, which goes on."""
+    """Sends bad input while control is on and the arm at home, and again while it follows a hand, which it must continue to do."""
     rig = trial.rig
     assert rig.control(True).success
     trial.begins()

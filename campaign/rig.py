@@ -200,7 +200,7 @@ class RigUnderTest:
         self.control(False)
         if self.mode == "stopped":
             self.control(True)
-            self.wait(lambda: self.mode != "stopped", "the controller to go on", MOVE_S)
+            self.wait(lambda: self.mode != "stopped", "the controller to leave `stopped`", MOVE_S)
             self.control(False)
         self.wait(lambda: self.mode == "home" and not self.status.control_on, "the arm at home", MOVE_S)
         self.wait(lambda: self.stream_state == "waiting", "the stream to end")

@@ -40,7 +40,7 @@ def connections(pid: int) -> dict[int, Connection]:
 
 
 def _connection(pidfd: int, number: int) -> Connection | None:
-    """Returns the connection of a descriptor, None if it is none.
+    """Returns the connection of a descriptor; None if the descriptor is not a TCP connection.
 
     No Python socket is made of the duplicate: it would change the mode of the other process's socket, too.
     """

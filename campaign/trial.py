@@ -228,7 +228,7 @@ class Trial:
         self.operator()
         rig = self.rig
         rig.hand.hide()
-        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", 20.0)
+        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to be on again", 20.0)
         rig.wait_for_mode("home")
         rig.modes.clear()
         rig.engage(right=-0.04)

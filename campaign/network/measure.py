@@ -15,7 +15,7 @@ from campaign.network.link import CLEAR, CONDITIONS
 STEADY_GOALS = 200.0
 """With fewer goals a second than this the robot's own drives bring the arm to each of them, as fast as they may."""
 ITSELF_S, OPERATOR_S = 3.0, 20.0
-"""How long the arm may take to follow by itself, and control to go on [s]."""
+"""How long the arm may take to follow by itself, and control to be switched on again [s]."""
 
 
 def run_cell(rig, cell: Cell) -> CellResult:
@@ -98,7 +98,7 @@ def _recover(rig) -> tuple[str, float]:
 
     def control_off_and_on() -> None:
         rig.hand.hide()
-        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", OPERATOR_S)
+        rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to be on again", OPERATOR_S)
         rig.wait_for_mode("home")
         hand_in_again()
 

@@ -89,11 +89,11 @@ def shifted(trial):
     rig.wait_for_mode("stopped", "servo")
     trial.check("no stream begins after a pick-up with wrong joints", rig.mode == "stopped", rig.modes)
     rig.hand.hide()
-    # They are still wrong when control goes on: a planned motion home, and nothing else.
-    rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to go on", 20.0)
+    # They are still wrong when control is switched on: a planned motion home, and nothing else.
+    rig.wait(lambda: rig.control(False).success and rig.control(True).success, "control to be on again", 20.0)
     rig.modes.clear()
     rig.wait_for_modes("homing", "stopped")
-    trial.check("no stream begins where control goes on with wrong joints", "servo" not in rig.modes, rig.modes)
+    trial.check("no stream begins where control is switched on with wrong joints", "servo" not in rig.modes, rig.modes)
     trial.mend("arm", "shifted")
     trial.recovers()
 
@@ -125,7 +125,7 @@ def never_answers(trial):
     began = time.monotonic()
     answer = rig.control(True)
     trial.check("no thread is blocked: a service answers", time.monotonic() - began < 2.0, answer.message)
-    trial.check("control cannot go on", not answer.success, answer.message)
+    trial.check("control cannot be switched on", not answer.success, answer.message)
     rig.arm.ask("fault", name="cut", duration=0.3)  # and the next connection is accepted and never answered
     trial.says("silent for .* another client", 20.0)
     trial.mend("arm", "silent")

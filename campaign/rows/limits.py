@@ -1,6 +1,6 @@
 """Rows 57 to 63: the bounds of the workspace, the reach, singular poses, joint ranges and collisions.
 
-Rows without a letter are no faults that stop the arm: it must go on, more slowly or elsewhere.
+Rows without a letter are no faults that stop the arm: it must continue, more slowly or elsewhere.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ def joint_limit(trial):
     trial.check("joint 7 is not at its limit", at_limit[6] < np.radians(-169.0), np.degrees(at_limit[6]))
     rig.hand.glide(1.0, right=0.05)
     rig.settle()
-    trial.check("the other joints do not go on", off(trial) < 2e-3, off(trial))
+    trial.check("the other joints stop, too", off(trial) < 2e-3, off(trial))
     trial.check("the tool is not as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
     trial.check("the elbow stays", abs(at_limit[2]) > np.radians(5.0), np.degrees(at_limit[2]))
     rig.hand.glide(1.5, yaw=0.0)

@@ -280,7 +280,7 @@ def tick_overrun(trial):
 def starvation(trial):
     rig = trial.rig
     trial.follow()
-    # As long as the catalogue says: the arm may come to rest, and goes on within its limits.
+    # As long as the catalogue says: the arm may come to rest, and continues within its limits.
     trial.begins()
     pause(rig, CONTROLLER, 0.3)
     trial.ends()

@@ -64,7 +64,7 @@ def unplugged(trial):
 
 
 @row(68, "Hand motor overload / hot", "", named_by="Motor f1 is overloaded", limits=FOLLOWS,
-     dangerous="fingers that go on closing crush what they hold, or a person's fingers")  # fmt: skip
+     dangerous="fingers that keep closing crush what they hold, or a person's fingers")  # fmt: skip
 def overloaded(trial):
     rig = trial.rig
     grips(trial, 0.4)
@@ -75,8 +75,8 @@ def overloaded(trial):
     loosened = angles(trial)
     bends(trial, 0.8)
     after = angles(trial)
-    trial.check("the index closed further", after[INDEX] < loosened[INDEX] + HELD_RAD, (loosened, after))
-    trial.check("the others did not follow", after[MIDDLE] > before[MIDDLE] + 0.2, (before, after))
+    trial.check("the index does not close further", after[INDEX] < loosened[INDEX] + HELD_RAD, (loosened, after))
+    trial.check("the others close", after[MIDDLE] > before[MIDDLE] + 0.2, (before, after))
     opens(trial)
     trial.mend("hand", "overloaded")
     rig.watch(1.0)
@@ -94,8 +94,8 @@ def taxel_stuck(trial):
     trial.says("index is not closed further")
     bends(trial, 0.8)
     after = angles(trial)
-    trial.check("the index closed further", after[INDEX] < before[INDEX] + HELD_RAD, (before, after))
-    trial.check("the others did not follow", after[MIDDLE] > before[MIDDLE] + 0.2, (before, after))
+    trial.check("the index does not close further", after[INDEX] < before[INDEX] + HELD_RAD, (before, after))
+    trial.check("the others close", after[MIDDLE] > before[MIDDLE] + 0.2, (before, after))
     opens(trial)
     # The operator has the taxels zeroed: what they say now counts as nothing.
     rig.call("reflex_takktile/calibrate_tactile", Empty)

@@ -51,6 +51,30 @@ def fastest(trial, since):
     return float(np.max(steps / (times[later[whole]] - times[whole]), initial=0.0))
 
 
+def loses_its_hand(trial, fault, lasts, away, stands=0.5, says=""):
+    """The arm follows a hand, the tracker fails for so long, and nothing follows in the time `away` [s]."""
+    trial.follow()
+    trial.fault("leap", fault, duration=lasts)
+    trial.stands(stands)
+    if says:
+        trial.says(says)
+    trial.stays_away(away)
+    trial.recovers()
+
+
+def sees_another_hand(trial, fault, says, value=None):
+    """The arm follows a hand up and down, for which the tracker takes another one; the arm must not go sideways."""
+    follow_up_and_down(trial)
+    since = trial.rig.arm.now.time
+    trial.fault("leap", fault, value=value, duration=2.5)
+    trial.stands(0.5)
+    sideways = way(tools(trial, since), LEFT)
+    trial.check("the arm does not go to the other hand", sideways < 0.005, f"{sideways:.3f} m sideways")
+    trial.says(says)
+    trial.stays_away(4.0)
+    trial.recovers()
+
+
 @row(43, "Tracker service not running", "R", within=10.0, named_by="No Leap service answers", still=True,
      variant="tracker")  # fmt: skip
 def not_running(trial):
@@ -60,7 +84,7 @@ def not_running(trial):
     rig.exit_code(DRIVER)
     trial.fault("leap", "restarted")
     rig.start(DRIVER)
-    trial.check("control goes on without a tracker", rig.control(True).success)
+    trial.check("control may be switched on without a tracker", rig.control(True).success)
     rig.hand.show()
     trial.says("No Leap service answers", 15.0)
     trial.stays_away(2.0)
@@ -77,50 +101,24 @@ def not_running(trial):
 @row(44, "Tracker unplugged while tracking", "D", within=1.6, named_by="unplugged|no tracking frames", operator=True,
      limits=BUSY, variant="tracker")  # fmt: skip
 def unplugged(trial):
-    trial.follow()
-    trial.fault("leap", "unplugged", duration=2.5)
-    trial.stands(0.5)
-    trial.says("unplugged|no tracking frames")
-    trial.stays_away(4.0)
-    trial.recovers()
+    loses_its_hand(trial, "unplugged", 2.5, away=4.0, says="unplugged|no tracking frames")
 
 
 @row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker",
      dangerous="the commonest end of a stream, in any motion")  # fmt: skip
 def hand_leaves(trial):
-    trial.follow()
-    trial.fault("leap", "hand_lost", duration=2.0)
-    trial.stands(0.5)
-    trial.says("was lost")
-    trial.stays_away(3.5)
-    trial.recovers()
+    loses_its_hand(trial, "hand_lost", 2.0, away=3.5, says="was lost")
 
 
 @row(46, "Hand re-appears with a new id elsewhere", "D", within=1.6, named_by="was lost", operator=True,
      limits=BUSY, variant="tracker", dangerous="an arm that goes to where the new hand is")  # fmt: skip
 def hand_elsewhere(trial):
-    follow_up_and_down(trial)
-    since = trial.rig.arm.now.time
-    trial.fault("leap", "hand_moved", value=100.0, duration=2.5)
-    trial.stands(0.5)
-    sideways = way(tools(trial, since), LEFT)
-    trial.check("the arm does not go to the new place", sideways < 0.005, f"{sideways:.3f} m towards it")
-    trial.says("out of the box and back in")
-    trial.stays_away(4.0)
-    trial.recovers()
+    sees_another_hand(trial, "hand_moved", "out of the box and back in", value=100.0)
 
 
 @row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker")
 def swapped(trial):
-    follow_up_and_down(trial)
-    since = trial.rig.arm.now.time
-    trial.fault("leap", "hand_swapped", duration=2.5)
-    trial.stands(0.5)
-    sideways = way(tools(trial, since), LEFT)
-    trial.check("the arm does not follow the other side", sideways < 0.005, f"{sideways:.3f} m sideways")
-    trial.says("left hand .*out of the box and back in")
-    trial.stays_away(4.0)
-    trial.recovers()
+    sees_another_hand(trial, "hand_swapped", "left hand .*out of the box and back in")
 
 
 @row(48, "Second hand or another person appears", "D", within=1.6, named_by="was lost", operator=True,
@@ -135,7 +133,7 @@ def another_person(trial):
     sideways = way(tools(trial, since), LEFT)
     trial.check("the arm follows the first hand alone", rig.mode == "servo" and sideways < 0.005, f"{sideways:.3f} m")
     heights = np.array(rig.desired[desired:])[:, 2, 3]
-    trial.check("and goes on to follow it", np.ptp(heights) > 0.05, f"{np.ptp(heights):.3f} m up and down")
+    trial.check("and continues to follow it", np.ptp(heights) > 0.05, f"{np.ptp(heights):.3f} m up and down")
     trial.begins()
     rig.hand.leave()
     trial.stands(0.6)
@@ -183,11 +181,7 @@ def outliers(trial):
 @row(50, "Tracker frozen: same frame repeated", "D", within=1.6, named_by="came twice|repeats frame|no tracking frames",
      operator=True, limits=BUSY, variant="tracker")  # fmt: skip
 def frozen(trial):
-    trial.follow()
-    trial.fault("leap", "frozen", duration=2.5)
-    trial.stands(0.5)
-    trial.stays_away(4.0)
-    trial.recovers()
+    loses_its_hand(trial, "frozen", 2.5, away=4.0)
 
 
 @row(51, "Tracker rate drops to 10 Hz", "H", within=1.0, named_by="frames per second", limits=BUSY,
@@ -260,9 +254,4 @@ def bursts(trial):
 @row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True, limits=BUSY,
      variant="tracker", argued="poorly-seen-hand.md")  # fmt: skip
 def low_confidence(trial):
-    trial.follow()
-    trial.fault("leap", "low_confidence", duration=2.0)
-    trial.stands(0.6)
-    trial.says("confidence is 0.0")
-    trial.stays_away(3.5)
-    trial.recovers()
+    loses_its_hand(trial, "low_confidence", 2.0, away=3.5, stands=0.6, says="confidence is 0.0")

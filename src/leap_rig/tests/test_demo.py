@@ -15,6 +15,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from campaign.trial import runs
+
 pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.timeout(400)]
 
 WITHOUT_WORLD = {"world": "false"}
@@ -207,14 +209,6 @@ def test_a_recording_is_played_from_a_folder_with_a_space_in_its_name_until_an_i
     assert summary["faults"] == [] and summary["safety_stops"] == 0, process.log_path.read_text()
     assert summary["streams"] and summary["frames_received"] > 500 and summary["servo_goals_sent"] > 0
     assert 0.0 < summary["largest_tcp_speed_mm_s"] < 800.0
-
-
-def runs(pid: int) -> bool:
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rsplit(")", 1)[1].split()[0] not in "ZX"
-    except OSError:
-        return False
 
 
 @pytest.mark.alone

@@ -24,7 +24,7 @@ import hppfcl
 import numpy as np
 
 from iiwa_kinematics import Kinematics
-from iiwa_kinematics.chain import Vector, combination, cross, joint_frames
+from iiwa_kinematics.chain import Vector, combination, cross, joint_frames, pose_of_axes
 from kuka_control.limits.speed_change import GuardError, approach_speed
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table, travel
@@ -452,13 +452,7 @@ class _Posture:
     def matrix(self, link: int) -> np.ndarray:
         """Returns the pose of link 0 to 7 in the base, shape (4, 4) [m]."""
         y, z, p = self._frames[link]
-        x = cross(y, z)
-        return np.array([
-            [x[0], y[0], z[0], p[0]],
-            [x[1], y[1], z[1], p[1]],
-            [x[2], y[2], z[2], p[2]],
-            [0.0, 0.0, 0.0, 1.0],
-        ])  # fmt: skip
+        return pose_of_axes(cross(y, z), y, z, p)
 
     def placed(self, number: int, link: int, local: hppfcl.Transform3f) -> hppfcl.Transform3f:
         """Returns the pose of the body `number` in the base, which stands at `local` in its link."""

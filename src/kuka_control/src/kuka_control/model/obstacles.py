@@ -5,6 +5,7 @@ Lengths in m, angles in deg. Poses are in kuka/base_frame, or in kuka/flange for
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -41,7 +42,7 @@ class ConvexBody:
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Obstacle(ABC):
     """Common keys of all obstacles."""
 
     position: np.ndarray = vector(3, "m", low=-3.0, high=3.0, doc="of the middle, in its frame")
@@ -49,9 +50,9 @@ class Obstacle:
     frame: str = choice("base", "flange", doc="what it is mounted to", absent="base")
 
     @property
+    @abstractmethod
     def shape(self) -> ConvexShape:
         """Its shape."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def _rows(topic: str, received: int, value: dict[str, Any]) -> list[tuple[int, A
     """
     if topic == topics.RAW_FRAMES:
         if not isinstance(value["text"], str):
-            raise TypeError("the text is none")
+            raise TypeError("the text is not a string")
         rows: list[tuple[int, Any]] = [(value["received"], value["text"])]
     elif topic == topics.SENT_GOALS:
         sent, joints, velocity = value["sent"].tolist(), value["joints"].reshape(-1, 7), value["velocity"]

@@ -42,15 +42,20 @@ def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
-    """Returns the pose of the flange in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
-    _, _, _, _, p, (x, y, z) = joint_frames(model, q)
+def pose_of_axes(x: Vector, y: Vector, z: Vector, p: Vector) -> np.ndarray:
+    """Returns the pose with these unit axes at p, shape (4, 4) [m]."""
     return np.array([
         [x[0], y[0], z[0], p[0]],
         [x[1], y[1], z[1], p[1]],
         [x[2], y[2], z[2], p[2]],
         [0.0, 0.0, 0.0, 1.0],
     ])  # fmt: skip
+
+
+def forward(model: RobotModel, q: np.ndarray) -> np.ndarray:
+    """Returns the pose of the flange in the base, shape (4, 4) [m], at joints q, shape (7,) [rad]."""
+    _, _, _, _, p, (x, y, z) = joint_frames(model, q)
+    return pose_of_axes(x, y, z, p)
 
 
 def arm_points(model: RobotModel, q: np.ndarray) -> np.ndarray:

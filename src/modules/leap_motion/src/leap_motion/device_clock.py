@@ -20,9 +20,8 @@ class DeviceClock:
     def __init__(self) -> None:
         self._device = -math.inf  # time of the newest frame on the device's clock [s]
         self._taken = -math.inf  # the same on the receiver's [s]
-        self._ahead: deque[tuple[float, float]] = (
-            deque()
-        )  # times of receipt, and how far they are ahead of the device's
+        # Times of receipt [s], and how far they are ahead of the device's [s].
+        self._ahead: deque[tuple[float, float]] = deque()
 
     def waited(self, timestamp_us: int, received: float) -> float:
         """Returns how long a frame waited, `timestamp_us` by the device and `received` [s] by the receiver [s].

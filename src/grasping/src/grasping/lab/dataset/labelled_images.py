@@ -98,7 +98,7 @@ def folded(angle: float) -> float:
 def read_depth(path: Path) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], of a .npy or .tiff file in metres or a 16-bit image in millimetres.
 
-    Raises RigError if it is none.
+    Raises RigError if the file is not a depth image.
     """
     try:
         if path.suffix == ".npy":

@@ -26,6 +26,28 @@ def split(image: LabelledImage, validation: float) -> str:
     return "validation" if number < validation * 2**32 else "train"
 
 
+class Shards:
+    """Files of at most SHARD samples each, called after the number of samples before them."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._folder, self._name = folder, name
+        self._samples: list[Sample] = []
+        self.written = 0
+
+    def add(self, sample: Sample) -> None:
+        """Takes a sample; writes a shard that is full."""
+        self._samples.append(sample)
+        if len(self._samples) == SHARD:
+            self.write()
+
+    def write(self) -> None:
+        """Writes what was not written yet."""
+        if self._samples:
+            write_shard(self._folder / f"{self._name}_{self.written:06d}.npz", self._samples)
+            self.written += len(self._samples)
+            self._samples = []
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("source", type=Path, help="folder of the labelled images")
@@ -46,35 +68,25 @@ def main() -> None:
         arguments.folder.mkdir(parents=True, exist_ok=True)
         for old in arguments.folder.glob(f"*_{arguments.name}_*.npz"):
             old.unlink()
-        made: dict[str, list[Sample]] = {"train": [], "validation": []}
-        counts, left_out = dict.fromkeys(made, 0), 0
-
-        def store(kind: str) -> None:
-            name = f"{kind}_{arguments.name}_{counts[kind]:06d}.npz"
-            write_shard(arguments.folder / name, made[kind])
-            counts[kind] += len(made[kind])
-            made[kind].clear()
-
+        shards = {kind: Shards(arguments.folder, f"{kind}_{arguments.name}") for kind in ("train", "validation")}
+        left_out = 0
         for image in tqdm(images, unit="image"):
             try:
                 found = sample(image, arguments.window)
             except RigError as error:
                 sys.stderr.write(f"Left out: {error}\n")
                 left_out += 1
-                continue
-            kind = split(image, arguments.validation)
-            made[kind].append(found)
-            if len(made[kind]) == SHARD:
-                store(kind)
-        for kind in made:
-            if made[kind]:
-                store(kind)
+            else:
+                shards[split(image, arguments.validation)].add(found)
+        for one in shards.values():
+            one.write()
     except RigError as error:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename or arguments.folder}: {error.strerror}.")
     things = len({image.thing for image in images})
-    text = f"{counts['train']} images for training, {counts['validation']} for validation, of {things} things"
+    counts = [one.written for one in shards.values()]
+    text = f"{counts[0]} images for training, {counts[1]} for validation, of {things} things"
     sys.stdout.write(text + (f"; {left_out} left out.\n" if left_out else ".\n"))
-    if not all(counts.values()):
+    if not all(counts):
         sys.stdout.write("Training needs both: label more things, or change --validation.\n")

@@ -187,9 +187,9 @@ class NetworkTraining:
 def network_trainer(
     settings: NetworkTraining, device: torch.device = CPU, start: nn.Module | None = None
 ) -> MeanTrainer[nn.Module]:
-    """Returns the training of a grasp network, which begins with the weights of `start`, or random ones; its metric:
+    """Returns the training of a grasp network from the weights of `start`, or from random ones.
 
-    the fraction of whole images whose best pixel is a grasp.
+    Its metric is the fraction of whole images whose best pixel is a grasp.
     """
     s = settings
     torch.manual_seed(s.seed)
