@@ -210,7 +210,7 @@ def counted(trial: Any, node: str, *names: str) -> None:
 
 
 def at_home_and_while_following(trial: Any, attacks: list[Attack]) -> None:
-    """Sends bad input while control is on and the arm at home, and again while it follows a hand, which it must continue to do."""
+    """Sends bad input with control on: at home, and while the arm follows a hand, which it must continue to do."""
     rig = trial.rig
     assert rig.control(True).success
     trial.begins()

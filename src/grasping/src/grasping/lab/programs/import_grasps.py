@@ -27,12 +27,14 @@ def split(image: LabelledImage, validation: float) -> str:
 
 
 class Shards:
-    """Files of at most SHARD samples each, called after the number of samples before them."""
+    """Files of at most SHARD samples each, called after the number of samples before them; older ones go."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._folder, self._name = folder, name
         self._samples: list[Sample] = []
         self.written = 0
+        for old in folder.glob(f"{name}_*.npz"):
+            old.unlink()
 
     def add(self, sample: Sample) -> None:
         """Takes a sample; writes a shard that is full."""
@@ -66,8 +68,6 @@ def main() -> None:
     try:
         images = read(arguments.source)
         arguments.folder.mkdir(parents=True, exist_ok=True)
-        for old in arguments.folder.glob(f"*_{arguments.name}_*.npz"):
-            old.unlink()
         shards = {kind: Shards(arguments.folder, f"{kind}_{arguments.name}") for kind in ("train", "validation")}
         left_out = 0
         for image in tqdm(images, unit="image"):
