@@ -194,3 +194,13 @@ def test_what_is_no_depth_image_is_refused_by_name(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RigError, match=name):
         li.read_depth(tmp_path / name)
+
+
+@given(st.integers(60, 420), st.integers(60, 580), st.integers(200, 480))
+def test_a_label_lies_on_what_it_was_drawn_on(row, column, side):
+    depth = np.full((480, 640), 0.7, np.float32)
+    depth[row - 20 : row + 21, column - 20 : column + 21] = 0.65
+    grasp = li.GraspRectangle(float(row), float(column), 0.0, 60.0, 30.0)
+    made = li.sample(li.LabelledImage("square", "square", lambda: depth, (grasp,)), side)
+    square, label = (np.argwhere(mask).mean(axis=0) for mask in (made.depth < -0.02, made.quality > 0))
+    np.testing.assert_allclose(label, square, atol=0.8)
