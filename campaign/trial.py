@@ -139,9 +139,9 @@ class Trial:
         else:
             self.ends()
 
-    def begins(self) -> float:
-        """Notes that the fault begins now, unless it began before; returns when it began [s]."""
-        self._fault = self._fault or time.monotonic()
+    def begins(self, at: float | None = None) -> float:
+        """Notes that the fault begins now, or began `at`, unless it began before; returns when it began [s]."""
+        self._fault = self._fault or at or time.monotonic()
         return self._fault
 
     def ends(self) -> None:

@@ -133,8 +133,14 @@ def started_twice(trial):
     old = rig.pid(CONTROLLER)
     rig.start(CONTROLLER)
     bumped = "new node registered with same name"
-    rig.wait(lambda: bumped in rig.log_since_calm, "the older one to be asked to end", 15.0)
-    trial.begins()
+    looked = [time.monotonic()]
+
+    def asked_to_end() -> bool:
+        looked.append(time.monotonic())
+        return bumped in rig.log_since_calm
+
+    rig.wait(asked_to_end, "the older one to be asked to end", 60.0)
+    trial.begins(looked[-2])  # it may have ended before it was seen to be asked
     trial.reads(bumped)
     rig.wait(lambda: not runs(old), "the end of the older one")
     rig.watch(3.0)

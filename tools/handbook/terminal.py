@@ -22,6 +22,10 @@ POLL_S, LONG_S, SOON_S = 0.3, 300.0, 45.0
 """How often is looked, and the longest waits [s], on a busy machine: for a command, its start or its end; for what it
 started to end after it."""
 
+SETTLED_S = 1.0
+"""A node has started when its topics and services have not changed for so long: rospy hangs on a Ctrl-C that comes
+while its main thread asks the master."""
+
 DRAINED_S = 1.0
 """The longest wait for the rest of what an ended command printed; what it left behind may keep the terminal open."""
 
@@ -57,6 +61,7 @@ class Terminal:
         name, _, value = self._mark.partition("=")
         self._environment = {**os.environ, **environment, name: value}
         self._pids: dict[str, tuple[str, int]] = {}
+        self._registered: dict[str, tuple[set[tuple[int, str]], float]] = {}
         self._keyboard, inside = os.openpty()
         self._process = subprocess.Popen(
             ["bash", "-euo", "pipefail", "-c", command],
@@ -125,19 +130,23 @@ class Terminal:
         return bool(nodes) and own >= {name for name, program in nodes.items() if program not in DEVICES | absent}
 
     def _nodes(self) -> set[str]:
-        """Returns the nodes on the master that are processes of this terminal."""
+        """Returns the nodes on the master that are processes of this terminal and have settled."""
         own = self._processes()
         master = xmlrpc.client.ServerProxy(self._environment["ROS_MASTER_URI"])
         try:
             state = cast("list", master.getSystemState("/handbook"))[2]
             for node in {node for kind in state for _, nodes in kind for node in nodes}:
+                names = {(k, name) for k, kind in enumerate(state) for name, nodes in kind if node in nodes}
+                if names != self._registered.get(node, (set(), 0.0))[0]:
+                    self._registered[node] = names, time.monotonic()
                 uri = str(cast("list", master.lookupNode("/handbook", node))[2])
                 if uri not in self._pids:
                     with contextlib.suppress(OSError):  # a node that ends
                         self._pids[uri] = node, int(cast("list", xmlrpc.client.ServerProxy(uri).getPid("/handbook"))[2])
         except OSError:
             return set()
-        return {node for node, pid in self._pids.values() if pid in own}
+        settled = time.monotonic() - SETTLED_S
+        return {node for node, pid in self._pids.values() if pid in own and self._registered[node][1] < settled}
 
     def _windows(self) -> bool:
         """Whether a window of this terminal's processes is on the screen."""

@@ -47,6 +47,35 @@ def test_a_node_that_is_interrupted_while_it_publishes_ends(ros, processes, wait
     assert process.returncode == 0 and "Traceback" not in log, log
 
 
+STARTING = """
+import os, threading
+import rospy
+from rospy.core import _LockedServerProxy
+from common.ros.node import run
+
+request = _LockedServerProxy._ServerProxy__request
+
+def interrupted_request(proxy, method, parameters):
+    if method == "{method}" and threading.current_thread() is threading.main_thread():
+        with proxy._lock:  # as while it waits for the master's answer
+            os.kill(os.getpid(), {signal})
+    return request(proxy, method, parameters)
+
+_LockedServerProxy._ServerProxy__request = interrupted_request
+run("starter", rospy.spin)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("method", ["getParam", "registerService"])
+def test_a_node_that_is_interrupted_while_it_starts_ends(ros, processes, wait_until, name, method):
+    number = int(getattr(signal, name))
+    process = processes.start(sys.executable, "-c", STARTING.format(signal=number, method=method))
+    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
+    log = process.log_path.read_text()
+    assert process.returncode in (0, 1) and "Traceback" not in log, log
+
+
 DISPOSABLE = """
 import atexit, sys, threading
 import rospy

@@ -414,6 +414,7 @@ def test_a_server_that_was_given_up_hears_the_farewell(server, connect):
 def test_a_lost_link_stays_lost_and_closing_is_quiet(server, connect, reset):
     client = connect()
     server.end(reset)
+    assert server.wait_for_end()
     for _ in range(3):
         with pytest.raises(ConnectionLost):
             client.joints()

@@ -33,11 +33,11 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
     main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
+    _shut_down_beside_the_main_thread(disposable)
     try:
-        rospy.init_node(name)
+        rospy.init_node(name, disable_signals=True)
     except rospy.exceptions.ROSInitException:
         sys.exit(1)  # interrupted before it began
-    _shut_down_beside_the_main_thread(disposable)
     _log_without_the_master()
     logging.getLogger("rosout").addFilter(RepeatedExceptions())
     _log_as_far_as_possible()
@@ -164,7 +164,7 @@ def _wait_for_clock() -> None:
 
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
-    is publishing, it holds the lock that the handler waits for, and the node hangs.
+    is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs.
     With `leave` the process exits afterwards.
     """
 
