@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -144,6 +145,19 @@ def test_the_person_makes_good_what_the_proposal_lacks(dx, dy, turned, off):
     assert grasp.lifted == pytest.approx(PLAN.lift, abs=2 * PLAN.tolerance)
     np.testing.assert_allclose(rig.top, TOP, atol=3 * PLAN.tolerance)
     assert rig.requests == [EXECUTE, SHOW, HIDE]
+
+
+class LateRig(Rig):
+    """Where the arm is comes late: as long as it waits for the hand, the person still sees it at home."""
+
+    def scene(self):
+        scene = super().scene()
+        return replace(scene, grip=HOME) if self.execution == "waiting_for_hand" else scene
+
+
+def test_the_correction_counts_from_where_the_hand_took_over():
+    _, _, ended = work(LateRig((0.02, 0.0, 0.0)))
+    assert ended[1].correction == pytest.approx(0.02, abs=2 * PLAN.tolerance)
 
 
 def test_the_hand_comes_in_only_above_the_proposal():

@@ -105,7 +105,7 @@ class AssistedStep(PickStep):
 
 @dataclass
 class _Attempt:
-    """One attempt of a round: the work by hand, and the pose of the tool at its start."""
+    """One attempt of a round: the work by hand, and the pose of the tool when the hand took over."""
 
     work: PickAndPlace
     grip: np.ndarray
@@ -187,6 +187,8 @@ class AssistedGrasp:
         seen, attempt = scene.objects[self._round.object], self._attempt
         assert attempt is not None  # `_approach` begins one
         if scene.following:
+            if attempt.followed is None:
+                attempt.grip, attempt.heading = scene.grip, scene.heading
             attempt.followed = now
         elif attempt.followed is not None and now - attempt.followed > self._habits.lost:
             return self._again(f"the arm stopped following the hand: {scene.reason}", now, HIDE)
