@@ -58,25 +58,44 @@ def test_showing_a_state_asks_for_nothing(panel):
 
 
 def test_the_slider_has_the_range_of_the_scaling_factor(panel):
-    assert (panel.scaling.minimum(), panel.scaling.maximum()) == (1, 15)
-    assert panel.scaling_label.text() == "Scaling Factor: 1.0"
+    assert (panel.scaling.minimum(), panel.scaling.maximum()) == (10, 150)
+    assert panel.scaling_label.text() == "Scaling Factor: 1.00"
 
 
-def test_keys_move_the_slider_by_a_tenth(panel):
+@pytest.mark.parametrize(("key", "factor"), [("Key_Left", 0.99), ("Key_Right", 1.01), ("Key_PageDown", 0.9)])
+def test_keys_move_the_slider_by_a_hundredth_or_a_tenth(panel, key, factor):
     from python_qt_binding.QtCore import Qt
     from python_qt_binding.QtTest import QTest
 
     asked = emitted(panel.scaling_requested)
-    QTest.keyClick(panel.scaling, Qt.Key_Left)
-    assert asked == [(0.9,)] and panel.scaling_label.text() == "Scaling Factor: 0.9"
+    QTest.keyClick(panel.scaling, getattr(Qt, key))
+    assert asked == [(factor,)] and panel.scaling_label.text() == f"Scaling Factor: {factor:.2f}"
+
+
+@pytest.mark.parametrize("steps", [10, 37, 99, 101, 150])
+def test_every_hundredth_can_be_dragged_to(panel, steps):
+    asked = emitted(panel.scaling_requested)
+    panel.scaling.setSliderDown(True)
+    panel.scaling.setSliderPosition(steps)
+    panel.scaling.setSliderDown(False)
+    assert asked == [(steps / 100,)]
+
+
+def test_a_factor_between_two_steps_is_shown_exactly_and_not_rounded_by_a_touch(panel):
+    asked = emitted(panel.scaling_requested)
+    panel.show_state(state(scaling_factor=0.3337))
+    assert panel.scaling_label.text() == "Scaling Factor: 0.3337" and panel.scaling.value() == 33
+    panel.scaling.setSliderDown(True)
+    panel.scaling.setSliderDown(False)
+    assert asked == [] and panel.scaling_label.text() == "Scaling Factor: 0.3337"
 
 
 def test_dragging_asks_once_at_its_end(panel):
     asked = emitted(panel.scaling_requested)
     panel.scaling.setSliderDown(True)
-    panel.scaling.setSliderPosition(5)
+    panel.scaling.setSliderPosition(50)
     panel.show_state(state(scaling_factor=1.0))
-    assert asked == [] and panel.scaling_label.text() == "Scaling Factor: 0.5"
+    assert asked == [] and panel.scaling_label.text() == "Scaling Factor: 0.50"
     panel.scaling.setSliderDown(False)
     assert asked == [(0.5,)]
 
@@ -92,6 +111,25 @@ def test_scaling_is_locked_while_control_is_on(panel):
     panel.show_state(state(control_on=True, scaling_enabled=False))
     click(panel.reset)
     assert asked == [] and not panel.scaling.isEnabled()
+
+
+def test_the_lock_is_said_beside_the_slider_and_moves_nothing(panel, application):
+    application.processEvents()
+    panel.resize(panel.minimumSizeHint())
+    application.processEvents()
+    before = [widget.geometry() for widget in (panel.scaling, panel.reset, panel.emergency)]
+    size = panel.minimumSizeHint()
+    assert panel.scaling_lock.text() == ""
+    panel.show_state(state(control_on=True, scaling_enabled=False))
+    application.processEvents()
+    assert "locked" in panel.scaling_lock.text() and panel.scaling_lock.isVisible()
+    assert panel.scaling_lock.mapTo(panel, panel.scaling_lock.rect().topLeft()).y() >= panel.scaling.geometry().bottom()
+    assert [widget.geometry() for widget in (panel.scaling, panel.reset, panel.emergency)] == before
+    assert panel.minimumSizeHint() == size
+    lock = panel.scaling_lock
+    assert lock.fontMetrics().horizontalAdvance(lock.text()) <= lock.contentsRect().width(), "it is cut"
+    panel.show_state(state(present=False, scaling_enabled=False))
+    assert panel.scaling_lock.text() == ""
 
 
 def test_without_a_controller_only_the_emergency_stop_works(panel):

@@ -147,14 +147,14 @@ def test_the_slider_stays_where_the_keys_put_it(panel, start, see):
     see(panel.scaling.isEnabled, "the controller")
     for steps in range(1, 6):
         QTest.keyClick(panel.scaling, Qt.Key_Left)
-        assert panel.scaling.value() == 10 - steps
+        assert panel.scaling.value() == 100 - steps
         see(lambda: True, "Qt's events")
     seen = set()
-    see(lambda: seen.add(panel.scaling.value()) or abs(now_scale() - 0.5) < 1e-6, "the scaling factor")
-    see(lambda: "0.5" in panel.answer.full, "the answer")
-    assert seen == {5} and panel.scaling_label.text() == "Scaling Factor: 0.5"
+    see(lambda: seen.add(panel.scaling.value()) or abs(now_scale() - 0.95) < 1e-6, "the scaling factor")
+    see(lambda: "0.95" in panel.answer.full, "the answer")
+    assert seen == {95} and panel.scaling_label.text() == "Scaling Factor: 0.95"
     click(panel.reset)
-    see(lambda: panel.scaling.value() == 10 and abs(now_scale() - 1.0) < 1e-6, "the default")
+    see(lambda: panel.scaling.value() == 100 and abs(now_scale() - 1.0) < 1e-6, "the default")
 
 
 def test_the_scaling_factor_is_locked_while_control_is_on(panel, controller, see):
@@ -162,8 +162,14 @@ def test_the_scaling_factor_is_locked_while_control_is_on(panel, controller, see
     see(lambda: not panel.scaling.isEnabled(), "the lock")
     panel.scaling_requested.emit(0.3)  # as if it was asked for just before
     see(lambda: "stays 1: it cannot change while control is on" in panel.answer.full, "the refusal")
-    see(lambda: panel.scaling.value() == 10, "the slider where it was")
+    see(lambda: panel.scaling.value() == 100, "the slider where it was")
     assert panel.answer.property("tone") == "warning"
+
+
+def test_a_factor_set_by_the_service_is_shown_exactly(panel, controller, see):
+    see(panel.scaling.isEnabled, "the controller")
+    assert call("scaling_factor", "setScalingFactor", 0.3337).success
+    see(lambda: panel.scaling_label.text() == "Scaling Factor: 0.3337", "the factor")
 
 
 def test_a_refusal_is_shown(panel, controller, see):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, Tone, panel_state
+from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, Tone, factor_text, panel_state
 
 STATUS = ControllerStatus(10.0, True, True, 0.7, "servo", "the hand steers the arm", ("z lower limit",))
 
@@ -27,6 +28,14 @@ def test_what_the_controller_says_is_shown():
 def test_the_scaling_factor_is_locked_while_control_is_on():
     assert not panel_state(STATUS, 10.0).scaling_enabled
     assert panel_state(ControllerStatus(10.0, False, False, 1.0, "home", ""), 10.0).scaling_enabled
+
+
+@given(st.integers(100_000, 1_500_000), st.booleans())
+def test_a_factor_is_shown_with_two_decimals_and_all_that_it_has(millionths, as_float32):
+    factor = millionths / 1e6
+    text = factor_text(float(np.float32(factor)) if as_float32 else factor)
+    assert float(text) == factor and len(text.partition(".")[2]) >= 2
+    assert len(text) == 4 or not text.endswith("0")
 
 
 @given(st.floats(0.0, 1e4))

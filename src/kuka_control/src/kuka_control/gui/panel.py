@@ -26,7 +26,7 @@ from python_qt_binding.QtWidgets import (
 
 from common.operator_rows import SILENT, Row
 from kuka_control.gui.panel_rows import OperatorRows
-from kuka_control.gui.panel_state import PanelState, Tone
+from kuka_control.gui.panel_state import PanelState, Tone, factor_text
 from kuka_control.model.switches import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
 GREEN = "#2e9e44"
@@ -83,9 +83,10 @@ ControlPanel QLabel[tone="fault"] {{ background-color: #fde3e3; border-color: #d
 FRAME_PX = 18  # height of frame and padding above and below the text
 UNBOUNDED_PX = 10_000
 OPERATOR_PX = 40  # height of the operator's view in the smallest panel; it scrolls
-STEPS_PER_UNIT = 10  # the slider moves in tenths
+STEPS_PER_UNIT = 100  # the slider moves in hundredths
 EXIT_TIP = "The arm goes to the zero position, then the controller exits."
 LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
+LOCKED = "locked: control is on"
 
 
 class Sentence(QLabel):
@@ -180,9 +181,13 @@ class ControlPanel(QWidget):
         self.gripper.setAccessibleName("ROS Control of the gripper")
         self.scaling_label = label()
         self.scaling_label.setAlignment(Qt.AlignHCenter)
+        self.scaling_lock = label(name="end")
+        self.scaling_lock.setAlignment(Qt.AlignHCenter)
+        self.scaling_lock.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Fixed)  # its text moves nothing
+        self._held_at = 0  # where the slider was when the operator took it [steps]
         self.scaling = QSlider(Qt.Horizontal)
         self.scaling.setRange(round(SCALING_MIN * STEPS_PER_UNIT), round(SCALING_MAX * STEPS_PER_UNIT))
-        self.scaling.setPageStep(1)
+        self.scaling.setPageStep(STEPS_PER_UNIT // 10)
         self.scaling.setFocusPolicy(Qt.TabFocus)
         self.scaling.setMinimumHeight(32)
         self.reset = _button("Reset Scaling Factor", 40)
@@ -207,11 +212,12 @@ class ControlPanel(QWidget):
         for widget in (self.scaling, self.reset, self.scaling_label):
             widget.setEnabled(state.scaling_enabled)
             widget.setToolTip(LOCKED_TIP if state.present and not state.scaling_enabled else "")
+        self.scaling_lock.setText(LOCKED if state.present and not state.scaling_enabled else "")
         if not self.scaling.isSliderDown():
             self.scaling.blockSignals(True)
             self.scaling.setValue(round(state.scaling_factor * STEPS_PER_UNIT))
             self.scaling.blockSignals(False)
-            self.scaling_label.setText(f"Scaling Factor: {state.scaling_factor:.1f}")
+            self.scaling_label.setText(f"Scaling Factor: {factor_text(state.scaling_factor)}")
         self.status.show_text(state.status_line, state.tone)
 
     def show_answer(self, text: str, tone: Tone = Tone.NORMAL) -> None:
@@ -225,7 +231,7 @@ class ControlPanel(QWidget):
     def _arrange(self) -> None:
         scale_ends = QHBoxLayout()
         scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
-        scale_ends.addStretch()
+        scale_ends.addWidget(self.scaling_lock, 1)
         scale_ends.addWidget(label(f"{SCALING_MAX:.1f}", "end"))
         grid = QGridLayout(self)
         grid.setSpacing(10)
@@ -254,7 +260,8 @@ class ControlPanel(QWidget):
         # clicked comes from the operator only; show_state never triggers it.
         self.control.clicked.connect(lambda on: self._ask(self.control, self.control_requested, on))
         self.gripper.clicked.connect(lambda on: self._ask(self.gripper, self.gripper_requested, on))
-        self.scaling.sliderReleased.connect(self._ask_scaling)
+        self.scaling.sliderPressed.connect(self._scaling_held)
+        self.scaling.sliderReleased.connect(self._scaling_released)
         self.scaling.valueChanged.connect(self._scaling_moved)
         self.reset.clicked.connect(lambda: self.scaling_requested.emit(SCALING_DEFAULT))
         self.exit.clicked.connect(lambda: self.exit_requested.emit())
@@ -269,8 +276,15 @@ class ControlPanel(QWidget):
         button.setChecked(not on)  # it turns green when the controller says that it is on
         request.emit(on)
 
+    def _scaling_held(self) -> None:
+        self._held_at = self.scaling.value()
+
+    def _scaling_released(self) -> None:
+        if self.scaling.value() != self._held_at:  # a factor between two steps is not rounded by a mere touch
+            self._ask_scaling()
+
     def _scaling_moved(self, steps: int) -> None:
-        self.scaling_label.setText(f"Scaling Factor: {steps / STEPS_PER_UNIT:.1f}")
+        self.scaling_label.setText(f"Scaling Factor: {factor_text(steps / STEPS_PER_UNIT)}")
         if not self.scaling.isSliderDown():  # keys, wheel and clicks beside the handle release nothing
             self._ask_scaling()
 

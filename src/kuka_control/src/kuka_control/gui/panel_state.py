@@ -80,6 +80,12 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
     return PanelState(True, on, status.gripper_on, status.scaling_factor, not on, line, tone)
 
 
+def factor_text(factor: float) -> str:
+    """Returns a scaling factor with two decimals, and with as many as it has where those are more (float32: six)."""
+    whole, _, decimals = str(round(factor, 6)).partition(".")
+    return f"{whole}.{decimals:0<2}"
+
+
 def _absent(scaling_factor: float, line: str, tone: Tone) -> PanelState:
     return PanelState(False, False, False, scaling_factor, False, line, tone)
 
