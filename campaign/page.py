@@ -29,8 +29,9 @@ control port. This page is made by `make campaign`; `make campaign ONLY=1,8` run
 | R | refuse, with the reason |
 
 Joint speeds are fractions of the data sheet's, accelerations those of joint 1, of the faster joints in proportion, as
-means over 20 ms. They are the largest from the fault to the end of the row, recovery included. A row is *slow* if the
-machine that ran it paused for too long to judge a time.
+means over 20 ms. They are the largest from the fault to the end of the row, recovery included. A goal that comes late
+is caught up with by the drives, at up to 17.2 rad/s²; over 80 ms no row may exceed 14.5 rad/s². A row is *slow* if the
+machine that ran it paused for too long to judge a time or a condition.
 """
 CATALOGUE = 80  # faults; a row has the number of its fault
 

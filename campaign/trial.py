@@ -109,6 +109,7 @@ class Trial:
     _mended: float | None = None
     _operator: float | None = None
     _checks: list[tuple[str, bool, str]] = field(default_factory=list)
+    _doubts: list[str] = field(default_factory=list)
 
     def follow(self, sway: bool = True) -> None:
         """Lets the arm follow a hand: one that moves for ever, or one that stands still."""
@@ -193,9 +194,9 @@ class Trial:
 
     def part(self, name: str, expected: Expected) -> None:
         """Judges what was seen since the fault as one of the row's parts; the next fault begins the next part."""
-        verdict = judge(expected, replace(self.evidence([]), checks=[]))
-        for fault in verdict.faults if verdict.result == "failed" else ():
-            self.check(f"{name}: {fault}", False)
+        verdict = judge(expected, replace(self.evidence([]), checks=[], doubts=[]))
+        for fault in verdict.faults:
+            self.check(f"{name}: {fault}", False, doubtful=verdict.result == "slow")
         self._fault = self._mended = self._operator = None
 
     def stays_away(self, seconds: float) -> None:
@@ -233,9 +234,12 @@ class Trial:
         rig.modes.clear()
         rig.engage(right=-0.04)
 
-    def check(self, what: str, good: bool, detail: object = "") -> None:
-        """Notes a condition of this row alone; a false one fails the row."""
-        self._checks.append((what, bool(good), str(detail)))
+    def check(self, what: str, good: bool, detail: object = "", doubtful: bool = False) -> None:
+        """Notes a condition of this row alone; a false one fails the row, a `doubtful` one makes it slow."""
+        if doubtful and not good:
+            self._doubts.append(f"{what}: {detail}" if detail else what)
+        else:
+            self._checks.append((what, bool(good), str(detail)))
 
     def call(self, name: str, kind: Any, *values: Any) -> Any:
         """Calls a service and takes note of its answer."""
@@ -260,6 +264,7 @@ class Trial:
             died=died,
             pauses=list(arm.pauses),
             checks=list(self._checks),
+            doubts=list(self._doubts),
         )
 
 

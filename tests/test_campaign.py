@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from campaign import page
-from campaign.judge import FULL_SPEED, Evidence, Expected, judge
+from campaign.judge import FULL_SPEED, Evidence, Expected, Limits, judge
+from common.poses import translation
+from golden.chain import parsed
+from kuka_control.loop.algorithms import motion_limits
+from kuka_control.loop.goal_stream import GoalStream, GoalStreamSettings
+from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.rig import Rig
+from rig_simulation.devices.sunrise.robot import Drives, lts_law
 
 FAULT = 100.0
 BRAKES = 8.0 * FULL_SPEED / FULL_SPEED[0]  # rad/s^2
@@ -71,12 +79,18 @@ class TestHold:
             (stops(rate=40.0), "acceleration"),
             (arm((0.2, 4.0), (0.275, -4.0), speed=0.3), "tool speed"),
             (arm((0.1, 14.0), (0.17, -10.0)), "joint speed"),
+            (arm((0.03, -10.0), (2.64, 0.0), (0.03, 10.0)), "did not come to rest"),
+            (arm(speed=0.0), "did not move"),
         ],
-        ids=["late", "never", "too hard", "speeds up", "at full speed"],
+        ids=["late", "never", "too hard", "speeds up", "at full speed", "turns back", "stood anyway"],
     )
     def test_one_that_does_otherwise_fails(self, steps, fault):
         found = verdict(self.expected, steps=steps, mended=FAULT + 3.0)
         assert found.result == "failed" and any(fault in text for text in found.faults)
+
+    def test_a_fault_that_is_too_short_shows_no_hold(self):
+        found = verdict(self.expected, mended=FAULT + 0.2)
+        assert found.faults == ["H: the fault ended before a hold could be seen"]
 
     def test_a_machine_that_paused_cannot_judge_the_time(self):
         late = stops(delay=0.8)
@@ -100,6 +114,7 @@ class TestDisengage:
             ([(2.0, "home")], "only after"),
             ([(0.4, "home"), (2.0, "pick_up")], "without the operator"),
             ([(0.4, "stopped"), (2.0, "servo")], "without the operator"),
+            ([(-0.9, "home")], "did not follow before"),
         ],
     )
     def test_otherwise_fails(self, changes, fault):
@@ -153,6 +168,103 @@ class TestRefuse:
         assert (found.result == "failed") == bool(fault) and (not fault or any(fault in t for t in found.faults))
 
 
+NOTHING = {"steps": arm((6.0, 0.0)), "statuses": statuses(), "mended": FAULT + 3.0}
+"""What is seen where nothing reacts: the arm moves on, the mode stays, nobody says anything."""
+
+
+@pytest.mark.parametrize("reaction", "HDSLR")
+def test_a_reaction_that_does_not_come_fails_whatever_else_comes(reaction):
+    others = {
+        "steps": stops(),
+        "statuses": statuses((0.4, "stopped")),
+        "events": [(FAULT + 0.3, "received stopDirectServoJoints")],
+        "said": [(FAULT + 0.2, "rosout", "refused: too far")],
+    }
+    makes = {"H": ("steps",), "D": ("statuses",), "L": ("statuses", "steps"), "S": ("events",), "R": ("said",)}
+    expected = Expected(reaction, within=1.0, named_by="too far" if reaction == "R" else "")
+    assert verdict(expected, **others).result == "passed"
+    for kind in makes[reaction]:
+        left = {**others, **{kind: NOTHING.get(kind, [])}}
+        found = verdict(expected, mended=FAULT + 3.0, **left)
+        assert found.result == "failed" and any(fault.startswith(f"{reaction}: ") for fault in found.faults)
+
+
+@pytest.mark.parametrize("reaction", "HDSL")
+def test_a_fault_that_nobody_names_fails(reaction):
+    seen_too = {"statuses": statuses((0.4, "stopped")), "events": [(FAULT + 0.3, "received stopDirectServoJoints")]}
+    expected = Expected(reaction, within=1.0, named_by="tracker .* lost")
+    named = verdict(expected, said=[(FAULT + 1.0, "rosout", "The tracker is lost.")], **seen_too)
+    assert named.result == "passed" and named.named == "rosout: The tracker is lost."
+    for said in ([], [(FAULT - 1.0, "rosout", "The tracker is lost.")], [(FAULT + 1.0, "rosout", "The arm is lost.")]):
+        assert verdict(expected, said=said, **seen_too).faults == ["no message named it (/tracker .* lost/)"]
+
+
+def test_an_arm_that_holds_and_follows_again_without_the_operator_fails():
+    expected = Expected("H", within=1.0, operator=True)
+    away = statuses((0.4, "home"), (4.0, "servo"))
+    assert verdict(expected, statuses=away).faults == ["it followed again without the operator"]
+    assert verdict(expected, statuses=statuses()).faults == ["it followed again without the operator"]
+    assert verdict(expected, statuses=away, operator=FAULT + 3.0).result == "passed"
+
+
+def test_a_condition_that_pauses_explain_makes_a_row_slow_but_excuses_nothing_else():
+    expected = Expected("H", within=0.5)
+    found = verdict(expected, doubts=["the arm follows"])
+    assert (found.result, found.faults) == ("slow", ["the arm follows"])
+    assert verdict(expected, doubts=["the arm follows"], died=["/leap_driver"]).result == "failed"
+    assert verdict(expected, doubts=["the arm follows"], steps=stops(delay=0.8)).result == "failed"
+
+
+class TestSustainedAcceleration:
+    """A late goal makes the drives hurry at their own limit; goals beyond the limits of the stream do so for longer."""
+
+    expected = Expected("", 1.0, limits=Limits.of_the_drives())
+
+    def test_a_short_hurry_passes_and_a_long_one_fails(self):
+        short = verdict(self.expected, steps=arm((0.03, 17.0), (0.06, 0.0), (0.036, -17.0), speed=0.1))
+        assert short.result == "passed" and short.joint_acceleration == pytest.approx(17.0, rel=0.01)
+        long = verdict(self.expected, steps=arm((0.085, -16.0), (0.1, 0.0), speed=0.68))
+        assert long.faults == ["acceleration over 80 ms [rad/s^2] 16.000 is above 14.5"]
+
+    @pytest.mark.parametrize("late", [0.0, 0.06], ids=["goals in time", "late goals"])
+    @pytest.mark.parametrize(("limit", "result"), [(12.0, "passed"), (24.0, "failed")])
+    def test_behind_a_hand_that_dashes_the_limiter_makes_the_difference(self, limit, result, late):
+        found = verdict(self.expected, steps=dash(limit, late))
+        assert found.result == result and found.joint_speed > 0.5, (found.faults, found.sustained_acceleration)
+
+
+def dash(limit, late):
+    """Returns the steps of the simulated arm behind a hand that moves to and fro by 0.16 m, each way in 0.35 s.
+
+    `limit`: of the stream's accelerations [rad/s^2]; a few goals come `late` by so much [s].
+    """
+    config = parsed("kuka", {})
+    rig = Rig.of(config, None, None)
+    # Within its range, the parameter cannot be so high.
+    limits = motion_limits(dataclasses.replace(config, joint_acceleration=limit, joint_jerk=1000.0 * limit / 12.0), rig)
+    settings = GoalStreamSettings(
+        config.joint_speed * rig.model.max_speed, config.tcp_speed, True, rig.model.lower, rig.model.upper
+    )
+    q, v, before, goal = rig.home.q.copy(), np.zeros(7), None, rig.home.q
+    goals, drives = GoalStream(settings, limits, True, q, 0.0), Drives(FULL_SPEED, FULL_SPEED / 0.1, 0.04)
+    rng, next_goal, steps = np.random.default_rng(0), 0.0, []
+    for i in range(2500):
+        t = 1e-3 * i
+        if i % 20 == 0:
+            s = abs((t / 0.35 + 1.0) % 2.0 - 1.0)
+            left = 0.16 * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s) - 0.5)
+            T = translation(left / np.sqrt(2.0), left / np.sqrt(2.0), 0.0) @ rig.home.T_base_tool
+            before = rig.chain.resolve(T, 1.0, goals.q_target, before, 0.02)
+            assert goals.take(DesiredFrame(T, t), before.q, q, t) is None
+        if t >= next_goal:
+            next_goal = t + 0.01 + (late if rng.random() < 0.05 else 0.0)
+            goal = goals.goal(q, t).q
+        v = drives.towards(lts_law(goal - q), v, 1e-3)
+        q = q + 1e-3 * v
+        steps.append([FAULT + t, *q, *v, 0.0])
+    return np.array(steps)
+
+
 def test_servo_mode_is_left_by_its_command():
     expected = Expected("S", within=1.0)
     assert verdict(expected, events=[(FAULT + 0.3, "received stopDirectServoJoints")]).result == "passed"
@@ -183,6 +295,28 @@ class TestRows:
         results = json.loads(run.RESULTS.read_text())
         assert run.PAGE.read_text() == page.page(run.rows.load(), results)
         assert run.RESULTS.read_text() == page.as_json(results)
+
+    def test_no_row_passes_where_nothing_happens_but_those_that_look_at_conditions_only(self):
+        from campaign import rows
+
+        passed = {n for n, row in rows.load().items() if judge(row.expected, seen(**NOTHING)).result == "passed"}
+        assert passed == {n for n, row in rows.load().items() if not (row.expected.reactions or row.expected.named_by)}
+        assert all(row.expected.named_by for row in rows.load().values() if "R" in row.expected.reactions)
+
+    def test_a_part_of_a_row_fails_it_or_makes_it_slow(self):
+        from campaign.trial import Trial
+
+        def trial(pauses):
+            arm = SimpleNamespace(steps=stops(delay=0.8).tolist(), events=[], pauses=pauses)
+            found = Trial(SimpleNamespace(arm=arm, said=[], statuses=statuses()))
+            found.begins(FAULT)
+            found.part("held", Expected("H", within=0.5))
+            found.begins(FAULT)
+            return judge(Expected("", 1.0), found.evidence([]))
+
+        late = "held: H: only after 0.84 s, expected within 0.5 s"
+        assert (trial([]).result, trial([]).faults) == ("failed", [late])
+        assert (trial([(FAULT + 0.6, 0.5)]).result, trial([(FAULT + 0.6, 0.5)]).faults) == ("slow", [late])
 
     def test_rows_are_chosen_by_numbers_ranges_and_danger(self):
         from campaign import run
