@@ -35,12 +35,13 @@ MAX_TILT_RAD = 0.15
 SINGLE_SHARE = 0.4  # share of the scenes with one object; the others hold two to five
 CLEAN_SHARE = 0.1  # share of the images without the camera's faults
 GRIPPER = labels.Gripper()
-SPLITS = {  # number and families of each split, with scenes of its own; the last two are a simulated operator's
+SPLITS = {  # number and families of each split, with scenes of its own; person ones are a simulated operator's
     "train": (0, shapes.TRAINING),
     "validation": (1, shapes.TRAINING),
     "test": (2, shapes.HELD_OUT),
     "person": (3, shapes.TRAINING),
     "person_test": (4, shapes.HELD_OUT),
+    "test_2": (5, shapes.HELD_OUT_2),
 }
 
 
