@@ -143,7 +143,70 @@ def test_evaluation_resumes(tmp_path, monkeypatch, in_process):
     methods = {"oracle", "random pixel", "principal axis", "edge pair", "untrained"}
     assert {(r["scene"], r["method"]) for r in rows} == {(s, m) for s in "01" for m in methods}
     assert len(rows) == 10
-    assert "| untrained |" in (tmp_path / "results" / "table.md").read_text()
+    text = (tmp_path / "results" / "table.md").read_text()
+    assert "| untrained |" in text and "| untrained − edge pair |" in text
+    assert {"reliability.png", "failures_untrained.png"} <= {p.name for p in results.parent.glob("*.png")}
+    for row in rows:
+        assert (row["reason"] == "lifted") == (row["lifted"] == "True")
+
+
+def test_results_of_other_conditions_are_not_mixed(tmp_path, monkeypatch, capsys, in_process):
+    networks = [tmp_path / name for name in ("a.pt", "b.pt")]
+    for seed, file in enumerate(networks):
+        torch.manual_seed(seed)
+        torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    folder = tmp_path / "results"
+    monkeypatch.setattr(evaluate, "try_scene", lambda task: [])
+    monkeypatch.setattr(evaluate, "report", lambda *_: None)
+    call(monkeypatch, evaluate, folder, "--scenes", "1", "--weights", "a", networks[0])
+    call(monkeypatch, evaluate, folder, "--scenes", "1", "--weights", "b", networks[1])
+    for options, sentence in (
+        (["--shake"], "holds results with shake False, not True"),
+        (["--gripper", "thick"], "gripper labels, not thick"),
+        (["--error", "5", "5"], "error [2.0, "),
+        (["--split", "test_2"], "split test, not test_2"),
+        (["--weights", "b", networks[0]], "another network named b"),
+    ):
+        with pytest.raises(SystemExit):
+            call(monkeypatch, evaluate, folder, "--scenes", "1", *options)
+        assert sentence in capsys.readouterr().err
+    (folder / "settings.json").unlink()
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate, folder, "--scenes", "1")
+    assert "of unknown conditions" in capsys.readouterr().err
+
+
+def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_process):
+    tasks = []
+    monkeypatch.setattr(evaluate, "try_scene", lambda task: tasks.append(task) or [])
+    monkeypatch.setattr(evaluate, "report", lambda *_: None)
+    options = ["--first", "7", "--scenes", "3", "--error", "5", "4", "--gripper", "thick", "--split", "test_2"]
+    file = tmp_path / "weights.pt"
+    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    twice = ["--weights", "net", file] * 2
+    call(monkeypatch, evaluate, tmp_path / "results", *options, "--shake", *twice)
+    assert sorted((task.split, task.number) for task in tasks) == [("test_2", n) for n in (7, 8, 9)]
+    assert tasks[0].methods[-2:] == ["net #1", "net #2"]
+    conditions = tasks[0].conditions
+    assert conditions[1:] == (0.005, pytest.approx(np.radians(4.0)), True)
+    assert conditions.gripper.opening == 0.085
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--first", "-1"], "--first is -1, but must be at least 0."),
+        (["--scenes", "0"], "--scenes is 0, but must be at least 1."),
+        (["--error", "5", "nan"], "--error is 5 nan, but must be within"),
+        (["--error", "101", "0"], "within 0 to 100 mm and 0 to 90 deg."),
+        (["--lifts", __file__], "is not a file of lift_grasps.py"),
+    ],
+)
+def test_bad_conditions_are_refused(tmp_path, monkeypatch, capsys, options, sentence):
+    with pytest.raises(SystemExit) as end:
+        call(monkeypatch, evaluate, tmp_path / "results", *options)
+    assert end.value.code == 2
+    assert sentence in capsys.readouterr().err
 
 
 def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkeypatch, in_process):
@@ -158,6 +221,19 @@ def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkey
     for scene in scenes:
         widths = {grasp["method"]: grasp["width"] for grasp in scene["grasps"]}
         assert widths["net, preferred openings"] > 0.06
+    with_targets = [g for s in scenes for g in s["grasps"] if g["target"] is not None]
+    assert with_targets and all(0 <= g["target"] < 5 and g["peak"]["width"] > 0.0 for g in with_targets)
+    lifts = [
+        {**{n: s[n] for n in ("split", "scene", "objects")}, **{n: g[n] for n in ("method", "width", "peak")},
+         "lifted": g["method"] != "net", "reached": True, "reason": "lifted" if g["method"] != "net" else "slipped"}
+        for s in scenes for g in s["grasps"]
+    ]  # fmt: skip
+    (tmp_path / "lifts.json").write_text(json.dumps(lifts))
+    call(monkeypatch, evaluate, tmp_path / "hand", "--lifts", tmp_path / "lifts.json")
+    text = (tmp_path / "hand" / "table.md").read_text()
+    assert "| net | 0 (0 to 79), n = 1 | 0 (0 to 79), n = 1 |" in text and "rectangle" not in text
+    drawn = {p.name for p in (tmp_path / "hand").glob("failures_*.png")}
+    assert drawn == {"failures_net.png", "failures_net_preferred_openings.png"}
     call(monkeypatch, evaluate, "--export", exported, "--scenes", "1")
     assert json.loads(exported.read_text())["scenes"][0]["qpos"] != scenes[0]["qpos"]
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common import lift_trial
 from common.poses import pose
 from common.rotations import rotation_about
 from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main
@@ -32,19 +33,33 @@ def lying(angle=0.0):
 @pytest.mark.parametrize("angle", [0.0, 1.0, np.pi])
 def test_lifts_a_box_across_however_both_are_turned(angle):
     found = lift(SCENE, lying(angle), grasp(angle=angle))
-    assert found.reached and found.lifted
+    assert found.reached and found.lifted and found.reason == lift_trial.LIFTED
     assert found.rise > 0.09
 
 
 def test_a_grasp_beside_the_box_lifts_nothing():
     found = lift(SCENE, lying(), grasp(y=0.2))
-    assert found.reached and not found.lifted
+    assert found.reached and not found.lifted and found.reason == lift_trial.MISSED
     assert abs(found.rise) < 0.01
 
 
 def test_a_hand_that_meets_a_thing_on_its_way_stops():
     found = lift(SCENE.replace("0.02 0.04 0.03", "0.1 0.1 0.1"), np.array([0, 0, 0.1, 1, 0, 0, 0.0]), grasp())
-    assert not found.reached and not found.lifted
+    assert not found.reached and not found.lifted and found.reason == lift_trial.COLLISION
+
+
+def test_another_object_that_rises_is_a_failure_and_a_smooth_one_slips():
+    other = '<body name="object1" pos="0 0.4 0.03"><freejoint/><geom type="box" size="0.02 0.02 0.03"/></body>'
+    two = SCENE.replace("</worldbody>", other + "</worldbody>")
+    qpos = np.concatenate([lying(), [0.0, 0.4, 0.03, 1.0, 0.0, 0.0, 0.0]])
+    assert lift(two, qpos, grasp(), 0).lifted
+    assert lift(two, qpos, grasp(), 1).reason == lift_trial.OTHER_OBJECT
+    heavy = SCENE.replace('density="350"', 'density="20000"')
+    assert lift(heavy, lying(), grasp(), 0).reason == lift_trial.SLIPPED
+
+
+def test_a_light_box_survives_the_shake():
+    assert lift(SCENE, lying(), grasp(), 0, shake=True).lifted
 
 
 @given(st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(-0.15, 0.15))
@@ -69,10 +84,11 @@ def test_positions_of_another_scene_are_refused():
 
 
 def content(**more):
-    tried = [{"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05}]
-    tried.append({"method": "none", "T_world_grasp": None, "width": None})
-    scene = {"scene": 3, "objects": 1, "mjcf": SCENE, "qpos": lying().tolist(), "grasps": tried}
-    return {"schema": 1, "scenes": [{**scene, **more}]}
+    peak = {"row": 1, "column": 2, "quality": 0.5, "angle": 0.1, "width": 40.0}
+    tried = [{"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05, "target": 0, "peak": peak}]
+    tried.append({"method": "none", "T_world_grasp": None, "width": None, "target": None, "peak": None})
+    scene = {"split": "test", "scene": 3, "objects": 1, "mjcf": SCENE, "qpos": lying().tolist(), "grasps": tried}
+    return {"schema": 2, "scenes": [{**scene, **more}]}
 
 
 def test_the_program_tries_each_grasp_once(tmp_path, capsys):
@@ -83,11 +99,16 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     assert "| good | 100 (21 to 100), n = 1 | - | - | 100 (21 to 100), n = 1 |" in text
     assert "| none | 0 (0 to 79), n = 1 | - | 0 (0 to 79), n = 1 | - |" in text
     kept = json.loads(results.read_text())
+    assert [(row["split"], row["reason"]) for row in kept] == [("test", "lifted"), ("test", "no grasp")]
+    assert kept[0]["peak"]["column"] == 2
     kept[0]["rise"] = 7.0
     results.write_text(json.dumps(kept))
     assert main([str(file), "--results", str(results)]) == 0
     assert json.loads(results.read_text()) == kept
     assert capsys.readouterr().out == text
+    with pytest.raises(SystemExit):
+        main([str(file), "--results", str(results), "--shake"])
+    assert "holds trials without a shake" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -95,12 +116,13 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     [
         (None, "No such file"),
         ("{", "not a file of grasps"),
-        (json.dumps({"schema": 2, "scenes": []}), "has the schema 2"),
-        (json.dumps({"schema": 1, "scenes": []}), "no scene"),
+        (json.dumps({"schema": 1, "scenes": []}), "has the schema 1"),
+        (json.dumps({"schema": 2, "scenes": []}), "no scene"),
         (json.dumps(content(qpos=[float("nan")] * 7)), "not finite"),
         (json.dumps(content(mjcf="<mujoco>")), "XML"),
         (json.dumps(content(grasps=[{"method": "a", "T_world_grasp": [[1.0]]}])), "a pose needs 4 x 4"),
         (json.dumps(content(grasps=[{"method": "a"}])), "T_world_grasp"),
+        (json.dumps(content(qpos=[])), "no object of scene 3"),
     ],
 )
 def test_bad_files_are_refused(tmp_path, capsys, text, sentence):

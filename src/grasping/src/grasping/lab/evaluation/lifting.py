@@ -1,4 +1,4 @@
-"""Lifting in MuJoCo: a parallel gripper goes to a grasp along its approach, closes, and lifts straight up.
+"""Lifting in MuJoCo: a parallel gripper goes to a grasp along its approach, closes, lifts straight up, and may shake.
 
 What the physics can say is bounded by its contact model: rigid bodies, Coulomb friction.
 """
@@ -10,6 +10,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from common import lift_trial
 from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
@@ -18,10 +19,11 @@ START_M = 0.12  # the hand starts so far before the grasp
 LIFT_M = 0.15
 RISE_M = 0.08  # an object that rose so much was lifted
 FORCE_N = 10.0  # of each finger
-TIMES_S = (0.4, 0.5, 0.8, 0.3)  # approach, close, lift, hold
+TIMES_S = (0.4, 0.5, 0.8, 0.3, lift_trial.SHAKE_S)  # approach, close, lift, hold, shake
 FINGER_M = 0.07
 HOLD_N = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
 STEP_S = 0.002
+FAR_M = 2.0  # distances of objects to a grasp are looked for up to this
 
 HAND = """<body name="carriage" pos="{pos}" quat="{quat}" gravcomp="1">
 <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
@@ -42,15 +44,25 @@ REST = """<equality><joint joint1="finger0" joint2="finger1" polycoef="0 1 0 0 0
 class LiftResult(NamedTuple):
     """What came of a trial."""
 
-    lifted: bool  # an object rose by more than `RISE_M` and was still up at the end
-    rise: float  # of the object that rose most [m]
+    lifted: bool  # the target rose by more than `RISE_M` and was still up at the end
+    rise: float  # of the target [m]
     reached: bool  # the hand came within 5 mm of the grasp before it closed
+    reason: str  # of `common.lift_trial`
 
 
-def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: Gripper, friction: float) -> LiftResult:
+def lift(
+    scene: HeapScene,
+    T_world_grasp: np.ndarray,
+    opening: float,
+    gripper: Gripper,
+    friction: float,
+    target: int | None = None,
+    shake: bool = False,
+) -> LiftResult:
     """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
 
-    `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m].
+    `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]; `target`: the
+    object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift.
     """
     opening = float(np.clip(opening, 0.005, gripper.opening))
     R, approach = T_world_grasp[:3, :3], T_world_grasp[:3, 2]
@@ -63,24 +75,62 @@ def lift(scene: HeapScene, T_world_grasp: np.ndarray, opening: float, gripper: G
     data = mujoco.MjData(model)
     data.qpos[: len(scene.state)] = scene.state
     mujoco.mj_forward(model, data)
-    heights = [int(a) for a in model.jnt_qposadr[: len(scene.objects)] + 2]
-    before = data.qpos[heights].copy()
+    count = len(scene.objects)
+
+    def places() -> np.ndarray:
+        return data.qpos[: 7 * count].reshape(count, 7)[:, :3].copy()
+
+    before, risen, held, pushed = places(), np.zeros(count), np.zeros(count, bool), np.zeros(count)
     approach_at = model.joint("approach").qposadr[0]
     force = -FORCE_N, FORCE_N  # [N] of each finger: against its stop, then inwards
     reached = False
-    for phase, duration in enumerate(TIMES_S):
+    for phase, duration in enumerate(TIMES_S if shake else TIMES_S[:-1]):
         steps = int(duration / STEP_S)
         for i in range(steps):
             done = (i + 1) / steps
             data.ctrl[0] = START_M * (done if phase == 0 else 1.0)
-            data.ctrl[1] = LIFT_M * (done if phase == 2 else float(phase == 3))
+            data.ctrl[1] = LIFT_M * (done if phase == 2 else float(phase > 2))
             data.ctrl[2:] = force[min(phase, 1)]
+            if phase == 4:
+                model.opt.gravity[:] = lift_trial.shaken_gravity(i * STEP_S)
             mujoco.mj_step(model, data)
         if phase == 0:
             reached = abs(data.qpos[approach_at] - START_M) < 0.005
-    rise = data.qpos[heights] - before
-    most = float(rise.max()) if np.all(np.isfinite(rise)) else 0.0
-    return LiftResult(most > RISE_M and not data.warning.number.any(), most, reached)
+            pushed = np.linalg.norm(places() - before, axis=1)
+        elif phase == 1:
+            held = _held(model, data, count)
+        elif phase == 3:
+            risen = (places() - before)[:, 2]
+    kept = (places() - before)[:, 2]
+    if target is None:
+        target = int(np.argmax(kept))
+    record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
+    reason = lift_trial.outcome(record, target, RISE_M)
+    rise = 0.0 if reason == lift_trial.DIVERGED else float(kept[target])
+    return LiftResult(reason == lift_trial.LIFTED, rise, reached, reason)
+
+
+def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
+    """Returns whether both fingers touch each of the objects, shape (count,), bool."""
+    bodies = model.geom_bodyid[data.contact.geom]
+    pairs = {(int(a), int(b)) for a, b in np.concatenate([bodies, bodies[:, ::-1]])}
+    fingers = [model.body(f"finger{n}").id for n in range(2)]
+    objects = [model.body(f"object{i}").id for i in range(count)]
+    return np.array([all((finger, body) in pairs for finger in fingers) for body in objects])
+
+
+def nearest_object(scene: HeapScene, point: np.ndarray) -> int:
+    """Returns the number of the object whose surface is nearest to a point of the world, shape (3,) [m]."""
+    dot = f'<body pos="{xml_text(point)}"><geom type="sphere" size="0.0005" contype="0" conaffinity="0"/></body>'
+    model = mujoco.MjModel.from_xml_string(world_xml(scene.objects, bodies=dot))
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.state
+    mujoco.mj_kinematics(model, data)
+    dot_geom = model.ngeom - 1
+    distances = {
+        geom: mujoco.mj_geomDistance(model, data, dot_geom, geom, FAR_M, None) for geom in range(1, model.ngeom - 1)
+    }
+    return int(model.geom_bodyid[min(distances, key=distances.__getitem__)]) - 1
 
 
 def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:

@@ -13,10 +13,11 @@ from typing import Callable, NamedTuple
 import cv2
 import numpy as np
 
+from common import lift_trial
 from common.camera_model import CameraModel, pinhole
 from common.poses import pose
 from common.rotations import rotation_about
-from grasping.lab.evaluation.lifting import lift
+from grasping.lab.evaluation.lifting import lift, nearest_object
 from grasping.lab.synthetic import labels
 from grasping.lab.synthetic.samples import CELL_M, FOCAL_PX, GRIPPER, SceneView, view
 from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
@@ -38,6 +39,10 @@ FRICTION = (0.35, 0.6)  # range of the friction of a scene
 POSITION_ERROR_M = 0.002
 ANGLE_ERROR_RAD = 0.035  # standard deviations of what the arm adds to the grasp
 LABEL_QUALITY = 0.3
+GRIPPERS = {  # the labels' own, and another one: narrower, with thick fingers
+    "labels": GRIPPER,
+    "thick": labels.Gripper(opening=0.085, thickness=0.016, breadth=0.022),
+}
 
 Method = Callable[[NetworkImage, float, np.random.Generator], "Peak | None"]
 
@@ -150,14 +155,32 @@ class TrialScene(NamedTuple):
     rectangles: list[Peak]  # labelled grasps in all directions
 
 
+class Conditions(NamedTuple):
+    """How grasps are tried."""
+
+    gripper: labels.Gripper = GRIPPER
+    position_error: float = POSITION_ERROR_M  # standard deviation of the arm's error along both axes of the image [m]
+    angle_error: float = ANGLE_ERROR_RAD  # and about the approach [rad]
+    shake: bool = False  # after the lift
+
+
+USUAL = Conditions()
+
+
 class TrialOutcome(NamedTuple):
-    """What came of one grasp."""
+    """What came of one grasp, and the grasp in the network's image."""
 
     found: bool  # the method returned a grasp
-    lifted: bool  # an object was lifted
+    lifted: bool  # the object that it was meant for was lifted and stayed up
     reached: bool  # the hand met nothing on its way
     rectangle: bool  # right by the rectangle metric
     quality: float  # that the method gave it
+    reason: str  # of `common.lift_trial`
+    row: int = 0
+    column: int = 0
+    angle: float = 0.0  # [rad]
+    width: float = 0.0  # [px]
+    opening: float = 0.0  # [m]
 
 
 class Executed(NamedTuple):
@@ -166,15 +189,16 @@ class Executed(NamedTuple):
     T_world_grasp: np.ndarray  # shape (4, 4) [m]
     width: float  # opening [m]
     friction: float  # of the scene
+    target: int  # number of the object that the grasp is meant for
 
 
-def situation(split: str, number: int, count: int) -> TrialScene:
-    """Returns the scene `number` of a split with `count` objects."""
+def situation(split: str, number: int, count: int, gripper: labels.Gripper = GRIPPER) -> TrialScene:
+    """Returns the scene `number` of a split with `count` objects, and its grasps for a gripper."""
     seen = view(split, number, count)
     image = prepare(seen.observed, CROP)
     focal = FOCAL_PX * NETWORK_SIDE / CROP_SIDE
     exact = cv2.resize(seen.exact, (NETWORK_SIDE, NETWORK_SIDE), interpolation=cv2.INTER_NEAREST)
-    found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
+    found = labels.grasps(seen.surface, seen.table, CELL_M, gripper)
     rectangles = []
     for k, angle in enumerate(found.angles):
         score = found.scores[k]
@@ -183,7 +207,7 @@ def situation(split: str, number: int, count: int) -> TrialScene:
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
         rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
     best = labels.in_image(labels.best(found), seen.surface, CELL_M, exact, focal)
-    return TrialScene(number, seen, image, GRIPPER.opening * focal / float(exact.max()), best, rectangles)
+    return TrialScene(number, seen, image, gripper.opening * focal / float(exact.max()), best, rectangles)
 
 
 def oracle(of: TrialScene) -> Peak | None:
@@ -195,26 +219,48 @@ def oracle(of: TrialScene) -> Peak | None:
     return Peak(row, column, quality, float(of.best.angle[row, column]), float(of.best.opening[row, column]))
 
 
-def executed(of: TrialScene, chosen: Peak | None) -> Executed | None:
+def executed(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL) -> Executed | None:
     """Returns a grasp as the arm takes it, None where there is none; friction and error depend on the scene alone."""
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
-    error = rng.normal(0.0, POSITION_ERROR_M, 2), rng.normal(0.0, ANGLE_ERROR_RAD)
+    error = rng.normal(0.0, conditions.position_error, 2), rng.normal(0.0, conditions.angle_error)
     where = None if chosen is None else project_grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
         return None
     miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))
-    T_world_camera = pose(of.view.camera.R, of.view.camera.position)
-    return Executed(T_world_camera @ where.T_camera_grasp @ miss, where.width, friction)
+    T_world_grasp = pose(of.view.camera.R, of.view.camera.position) @ where.T_camera_grasp
+    target = nearest_object(of.view.scene, T_world_grasp[:3, 3])
+    return Executed(T_world_grasp @ miss, where.width, friction, target)
 
 
-def judge(of: TrialScene, chosen: Peak | None) -> TrialOutcome:
+def judge(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL) -> TrialOutcome:
     """Returns what comes of a grasp."""
-    tried = executed(of, chosen)
+    tried = executed(of, chosen, conditions)
     if chosen is None or tried is None:
-        return TrialOutcome(False, False, False, False, 0.0)
-    trial = lift(of.view.scene, tried.T_world_grasp, tried.width, GRIPPER, tried.friction)
-    return TrialOutcome(True, trial.lifted, trial.reached, is_right(chosen, of.rectangles), chosen.quality)
+        return TrialOutcome(False, False, False, False, 0.0, lift_trial.NO_GRASP)
+    trial = lift(
+        of.view.scene,
+        tried.T_world_grasp,
+        tried.width,
+        conditions.gripper,
+        tried.friction,
+        tried.target,
+        conditions.shake,
+    )
+    right = is_right(chosen, of.rectangles)
+    return TrialOutcome(
+        True,
+        trial.lifted,
+        trial.reached,
+        right,
+        chosen.quality,
+        trial.reason,
+        chosen.row,
+        chosen.column,
+        chosen.angle,
+        chosen.width,
+        tried.width,
+    )
 
 
 def camera() -> CameraModel:

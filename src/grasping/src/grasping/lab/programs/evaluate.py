@@ -1,8 +1,11 @@
 """Compares grasp methods on held-out objects, by lifting in MuJoCo and by the rectangle metric; resumable.
 
-Half of the scenes hold one object, half three to five. Results go to results.csv, one line a grasp, and table.md. With
---export scenes and grasps go to a file instead, for whoever lifts with another hand (rosrun rig_simulation
-lift_grasps.py). Each split, and each --tool, wants a folder of its own: lines that are there are not made again.
+Half of the scenes hold one object, half three to five. The object that a grasp was meant for must rise and stay up.
+Results go to results.csv, one line a grasp with its reason, table.md, with paired differences, reliability.png, and
+failures_METHOD.png for each network (for each method where there is none). A folder holds one set of conditions: lines
+that are there are not made again. A NAME given several times is several trainings of one network: the tables give
+their mean as well. With --export scenes and grasps go to a file instead, for the rig's hand (rosrun rig_simulation
+lift_grasps.py), and --lifts makes the same tables and pictures of what that hand did.
 With --folder the methods see labelled depth images instead (Cornell's, Jacquard's or label_grasps.py's), and the
 rectangle metric alone judges; results go to rectangles.csv and rectangles.md.
 """
@@ -14,11 +17,13 @@ import contextlib
 import csv
 import json
 import multiprocessing
+import re
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import mujoco
@@ -28,12 +33,15 @@ from tqdm import tqdm
 
 from common.config import parse
 from common.errors import RigError
+from common.lift_trial import LIFTED
 from common.ros.files import read_yaml
-from common.statistics import proportion
 from grasping.lab.dataset import labelled_images
-from grasping.lab.evaluation import trials
+from grasping.lab.evaluation import sheets, tables, trials
+from grasping.lab.evaluation.tables import fraction, markdown_table
 from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.synthetic.samples import view
 from grasping.lab.synthetic.scene import world_xml
+from grasping.lab.synthetic.simulated_operator import points
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.networks import WIDTH_SCALE_PX, frozen, infer
@@ -41,16 +49,11 @@ from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
-EXPORT_SCHEMA = 1
+EXPORT_SCHEMA = 2
+SPLITS = ("test", "test_2", "validation")
+SETTINGS = "settings.json"
 OVERLAPS = (0.25, 0.5, 0.75)  # of the rectangle metric; publications give the first
-QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)  # as the reference experiments; the node blurs for a moving camera
-
-
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table in Markdown."""
-    lines = (header, ["---"] * len(header), *rows)
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 class ResultsFile:
@@ -91,6 +94,14 @@ class Task(NamedTuple):
     number: int  # of the scene
     methods: list[str]  # their names
     trained: dict[str, Trained]  # the networks among them
+    conditions: trials.Conditions
+
+
+class FailureTask(NamedTuple):
+    """A failed grasp to be drawn."""
+
+    split: str  # of the scene
+    row: Mapping[str, Any]  # of the results
 
 
 @lru_cache(maxsize=8)
@@ -110,45 +121,133 @@ def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
 
 def try_scene(task: Task) -> list[dict]:
     """Returns the rows of all methods that are still missing for one scene."""
-    split, number, missing, trained = task
-    of, chosen = chosen_grasps(split, number, missing, trained)
-    row = {"scene": number, "objects": len(of.view.scene.objects)}
-    return [{**row, "method": name, **trials.judge(of, peak)._asdict()} for name, peak in chosen.items()]
+    of, chosen = chosen_grasps(task)
+    row = {"scene": task.number, "objects": len(of.view.scene.objects)}
+    judged = {name: trials.judge(of, peak, task.conditions) for name, peak in chosen.items()}
+    return [{**row, "method": name, **outcome._asdict()} for name, outcome in judged.items()]
 
 
 def export_scene(task: Task) -> dict:
     """Returns one scene and all methods' grasps in it, as the file of --export has them."""
-    split, number, names, trained = task
-    of, chosen = chosen_grasps(split, number, names, trained)
-    tried = {name: trials.executed(of, peak) for name, peak in chosen.items()}
+    of, chosen = chosen_grasps(task)
+    tried = {name: trials.executed(of, peak, task.conditions) for name, peak in chosen.items()}
     friction = next((t.friction for t in tried.values() if t is not None), trials.FRICTION[0])
-    poses = {name: (None, None) if t is None else (t.T_world_grasp.tolist(), t.width) for name, t in tried.items()}
+    grasps = []
+    for name, peak in chosen.items():
+        grasp: dict[str, Any] = {"method": name, "T_world_grasp": None, "width": None, "target": None, "peak": None}
+        if (t := tried[name]) is not None and peak is not None:
+            grasp.update(T_world_grasp=t.T_world_grasp.tolist(), width=t.width, target=t.target, peak=peak._asdict())
+        grasps.append(grasp)
     return {
-        "scene": number,
+        "split": task.split,
+        "scene": task.number,
         "objects": len(of.view.scene.objects),
         "mjcf": world_xml(of.view.scene.objects, friction),
         "qpos": of.view.scene.state.tolist(),
-        "grasps": [{"method": name, "T_world_grasp": T, "width": width} for name, (T, width) in poses.items()],
+        "grasps": grasps,
     }
 
 
-def chosen_grasps(
-    split: str, number: int, names: Iterable[str], trained: Mapping[str, Trained]
-) -> tuple[trials.TrialScene, dict[str, maps.Peak | None]]:
+def object_count(number: int) -> int:
+    """Returns how many objects lie in a scene."""
+    return 1 if number % 2 == 0 else 3 + number // 2 % 3
+
+
+def chosen_grasps(task: Task) -> tuple[trials.TrialScene, dict[str, maps.Peak | None]]:
     """Returns a scene and what each method chooses in it."""
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    of = trials.situation(split, number, 1 if number % 2 == 0 else 3 + number // 2 % 3)
+    number = task.number
+    of = trials.situation(task.split, number, object_count(number), task.conditions.gripper)
     chosen: dict[str, maps.Peak | None] = {}
-    for name in names:
+    for name in task.methods:
         if name == "oracle":
             chosen[name] = trials.oracle(of)
-        elif name in trained:
-            chosen[name] = network_grasp(of.image, trained[name])
+        elif name in task.trained:
+            chosen[name] = network_grasp(of.image, task.trained[name])
         else:
             chosen[name] = trials.HEURISTICS[name](of.image, of.widest, np.random.default_rng([7, number]))
     return of, chosen
+
+
+def failed_grasp(task: FailureTask) -> sheets.FailedGrasp:
+    """Returns what the sheet shows of a failed grasp."""
+    cv2.setNumThreads(1)
+    row, number = task.row, int(task.row["scene"])
+    seen = view(task.split, number, object_count(number))
+    heights = points(prepare(seen.observed, trials.CROP).depth, seen.camera)[..., 2]
+    peak = None
+    if tables.is_true(row["found"]):
+        values = (float(row[name]) for name in ("quality", "angle", "width"))
+        peak = maps.Peak(int(row["row"]), int(row["column"]), *values)
+    return sheets.FailedGrasp(number, row["reason"], heights, peak, float(row["opening"]))
+
+
+def report(folder: Path, split: str, rows: list[dict], methods: list[str], networks: list[str], processes: int) -> None:
+    """Writes tables and pictures of the results."""
+    made = [tables.table(rows, methods), tables.differences(rows, methods, networks), tables.failures(rows, methods)]
+    drawn = networks or methods
+    made.append(tables.calibration(rows, drawn))
+    (folder / "table.md").write_text("\n".join(text for text in made if text))
+    of = {name: [row for row in rows if row["method"] == name] for name in drawn}
+    reliable = {
+        name: ([float(r["quality"]) for r in own], [tables.is_true(r["lifted"]) for r in own])
+        for name, own in of.items()
+    }
+    sheets.reliability_plot(folder / "reliability.png", reliable)
+    failed = {name: [row for row in own if row["reason"] != LIFTED] for name, own in of.items()}
+    tasks = [FailureTask(split, row) for name in drawn for row in failed[name][: sheets.MOST]]
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        pictures = iter(list(tqdm(pool.imap(failed_grasp, tasks), total=len(tasks), unit="picture")))
+    for name in drawn:
+        shown = [next(pictures) for _ in failed[name][: sheets.MOST]]
+        path = folder / f"failures_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.png"
+        sheets.failure_sheet(path, name, len(of[name]), [row["reason"] for row in failed[name]], shown)
+
+
+def claim(folder: Path, settings: dict[str, Any]) -> None:
+    """Notes the conditions of the results in a folder; raises RigError if it holds results of other ones.
+
+    Networks may join; one name stands for one weight file.
+    """
+    path = folder / SETTINGS
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        before = json.loads(path.read_text()) if path.exists() else None
+    except ValueError as error:
+        raise RigError(f"{path} is not JSON ({error}): name another folder.") from None
+    if before is None and (folder / "results.csv").exists():
+        raise RigError(f"{folder} holds results without {SETTINGS}, of unknown conditions: name another folder.")
+    if before is not None:
+        for name in settings.keys() - {"weights"}:
+            if before.get(name) != settings[name]:
+                raise RigError(
+                    f"{folder} holds results with {name} {before.get(name)}, not {settings[name]}: name another folder."
+                )
+        for name, file in settings["weights"].items():
+            if before["weights"].get(name, file) != file:
+                raise RigError(f"{folder} holds results of another network named {name}: name this one otherwise.")
+        settings = {**settings, "weights": {**before["weights"], **settings["weights"]}}
+    path.write_text(json.dumps(settings, indent=2) + "\n")
+
+
+def lifted_rows(path: Path) -> tuple[str, list[dict]]:
+    """Returns the split and the rows of what lift_grasps.py wrote; raises RigError if the file is not that."""
+    try:
+        found = json.loads(path.read_text())
+        rows = []
+        for row in found:
+            peak = row["peak"] or {}
+            rest = {name: row[name] for name in ("scene", "objects", "method", "lifted", "reached", "reason")}
+            rest.update(found=bool(peak), rectangle="", quality=peak.get("quality", 0.0), opening=row["width"] or 0.0)
+            rows.append({**rest, **{name: peak.get(name, 0) for name in ("row", "column", "angle", "width")}})
+        (split,) = {row["split"] for row in found}
+        if split not in SPLITS:
+            raise ValueError(f"the split is {split}")
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise RigError(f"{path} is not a file of lift_grasps.py --results ({error}).") from None
+    return split, rows
 
 
 def try_images(folder: Path, side: int, trained: Mapping[str, Trained]) -> list[dict]:
@@ -178,32 +277,8 @@ def try_images(folder: Path, side: int, trained: Mapping[str, Trained]) -> list[
 def rectangle_table(rows: list[dict], methods: Iterable[str]) -> str:
     """Returns the rows of `try_images` as a Markdown table."""
     columns = [f"{least:g}" for least in OVERLAPS]
-    lines = [[method, *(_fraction(rows, method, column, lambda _: True) for column in columns)] for method in methods]
+    lines = [[method, *(fraction(rows, method, column, lambda _: True) for column in columns)] for method in methods]
     return markdown_table(("right %, by the least overlap", *columns), lines)
-
-
-def table(rows: list[dict], methods: Iterable[str]) -> str:
-    """Returns the results as a Markdown table."""
-    header = ("method", *(f"{n}: {field} %" for field in ("lifted", "rectangle") for n in ("one object", "clutter")))
-    parts = (lambda r: int(r["objects"]) == 1), (lambda r: int(r["objects"]) > 1)
-    fields = ("lifted", "rectangle")
-    lines = [[m, *(_fraction(rows, m, field, part) for field in fields for part in parts)] for m in methods]
-    return markdown_table(header, lines)
-
-
-def calibration(rows: list[dict], methods: Iterable[str]) -> str:
-    """Returns, as a Markdown table, how many grasps were lifted by the quality that the method gave them."""
-    ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
-    names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
-    parts = [(lambda r, low=low, high=high: low <= float(r["quality"]) < high) for low, high in ranges]
-    lines = [[method, *(_fraction(rows, method, "lifted", part) for part in parts)] for method in methods]
-    return markdown_table(("lifted %, quality", *names), lines)
-
-
-def _fraction(rows: list[dict], method: str, field: str, chosen: Callable[[dict], bool]) -> str:
-    """Returns the fraction of the chosen rows of a method in which a field is true."""
-    outcomes = [str(r[field]) == "True" for r in rows if r["method"] == method and chosen(r)]
-    return str(proportion(outcomes)) if outcomes else "-"
 
 
 def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
@@ -233,13 +308,22 @@ def judge_images(
     sys.stdout.write(found)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """Returns the program's arguments."""
     parser.add_argument("folder", type=Path, nargs="?", help="where the results go")
     parser.add_argument("--scenes", type=int, default=300, help="how many")
+    parser.add_argument("--first", type=int, default=0, help="number of the first one, default 0")
     parser.add_argument("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
-    splits = "test: families that training never saw; validation: new scenes of its own, to choose by"
-    parser.add_argument("--split", choices=("test", "validation"), default="test", help=splits)
+    splits = "test, test_2: families that training never saw; validation: new scenes of its own, to choose by"
+    parser.add_argument("--split", choices=SPLITS, default="test", help=splits)
+    gripper_help = "labels: that of the training's labels, opens 100 mm; thick: another one, 85 mm, fingers of 16 mm"
+    parser.add_argument("--gripper", choices=tuple(trials.GRIPPERS), default="labels", help=gripper_help)
+    default = 1000.0 * trials.POSITION_ERROR_M, float(np.degrees(trials.ANGLE_ERROR_RAD))
+    error_help = "of the arm, standard deviations across and about the approach, the same in a scene for all methods"
+    error_help += f", default {default[0]:.0f} {default[1]:.0f}"
+    parser.add_argument("--error", type=float, nargs=2, default=default, metavar=("MM", "DEG"), help=error_help)
+    shake_help = "shake the hand after the lift, 0.5 g along three axes; with --export, lift_grasps.py has its own"
+    parser.add_argument("--shake", action="store_true", help=shake_help)
     preferred_help = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
     parser.add_argument("--tool", type=Path, metavar="FILE", help=preferred_help)
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
@@ -248,40 +332,83 @@ def main() -> None:
     side_help = f"with --folder, side of the window about an image's grasps [px], default {CROP_SIDE}; Jacquard: 1024"
     parser.add_argument("--window", type=int, default=CROP_SIDE, help=side_help)
     parser.add_argument("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
+    lifts_help = "results of lift_grasps.py: make tables and pictures of them, lift nothing"
+    parser.add_argument("--lifts", type=Path, metavar="FILE", help=lifts_help)
     arguments = parser.parse_args()
     if (arguments.folder is None) == (arguments.export is None):
         parser.error("Either a folder for the results is needed, or --export.")
     if arguments.images is not None and (arguments.export is not None or arguments.tool is not None):
         parser.error("--folder judges by rectangles in images: it goes with neither --export nor --tool.")
+    if arguments.lifts is not None and (arguments.export is not None or arguments.images is not None):
+        parser.error("--lifts reads grasps that were lifted: it goes with neither --export nor --folder.")
     if arguments.window < 1:
         parser.error(f"--window is {arguments.window} and must be at least 1 pixel.")
-    trained = {}
+    for name, least in (("scenes", 1), ("first", 0), ("processes", 1)):
+        if getattr(arguments, name) < least:
+            parser.error(f"--{name} is {getattr(arguments, name)}, but must be at least {least}.")
+    if not all(0.0 <= value <= most for value, most in zip(arguments.error, (100.0, 90.0))):
+        parser.error("--error is {:g} {:g}, but must be within 0 to 100 mm and 0 to 90 deg.".format(*arguments.error))
+    return arguments
+
+
+def networks(given: Iterable[tuple[str, str]], tool: ToolPoseConfig | None) -> dict[str, Trained]:
+    """Returns the networks to be tried by name; raises RigError or OSError if a weight file is not one."""
+    given, found = list(given), {}
+    many, met = Counter(name for name, _ in given), Counter[str]()
+    for name, file in given:
+        weights.load(Path(file).read_bytes())
+        met[name] += 1
+        number = f" #{met[name]}" if many[name] > 1 else ""
+        found[name + number] = Trained(Path(file), None)
+        if tool:
+            found[f"{name}, preferred openings{number}"] = Trained(Path(file), tool)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    arguments = read_arguments(parser)
     try:
         tool = arguments.tool and parse(ToolPoseConfig, read_yaml(arguments.tool))
-        for name, file in arguments.weights:
-            weights.load(Path(file).read_bytes())
-            trained[name] = Trained(Path(file), None)
-            if tool:
-                trained[f"{name}, preferred openings"] = Trained(Path(file), tool)
+        trained = networks(arguments.weights, tool)
     except (OSError, RigError) as error:
         parser.error(str(error))
     if arguments.images is not None:
         judge_images(parser, arguments.folder, arguments.images, arguments.window, trained)
         return
     methods = ["oracle", *trials.HEURISTICS, *trained]
+    if arguments.lifts is not None:
+        try:
+            split, rows = lifted_rows(arguments.lifts)
+            arguments.folder.mkdir(parents=True, exist_ok=True)
+        except (OSError, RigError) as error:
+            parser.error(str(error))
+        methods = list(dict.fromkeys(row["method"] for row in rows))
+        known = {"oracle", *trials.HEURISTICS}
+        report(arguments.folder, split, rows, methods, [m for m in methods if m not in known], arguments.processes)
+        return
+    numbers = range(arguments.first, arguments.first + arguments.scenes)
+    error = 0.001 * arguments.error[0], float(np.radians(arguments.error[1]))
+    conditions = trials.Conditions(trials.GRIPPERS[arguments.gripper], *error, arguments.shake)
     if arguments.export is not None:
-        every = [Task(arguments.split, number, methods, trained) for number in range(arguments.scenes)]
+        every = [Task(arguments.split, number, methods, trained, conditions) for number in numbers]
         export(arguments.export, every, arguments.processes)
         return
     try:
+        hashes = {name: weights.load(network.file.read_bytes()).sha256 for name, network in trained.items()}
+        hands = {"tool": None if tool is None else repr(tool)}
+        settings = {name: getattr(arguments, name) for name in ("split", "gripper", "error", "shake")}
+        claim(arguments.folder, {**settings, "error": list(arguments.error), **hands, "weights": hashes})
         results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
-    except OSError as error:
-        parser.error(f"{error.filename} cannot be used: {error.strerror}.")
+    except RigError as error_:
+        parser.error(str(error_))
+    except OSError as error_:
+        parser.error(f"{error_.filename} cannot be used: {error_.strerror}.")
     done = {(int(r["scene"]), r["method"]) for r in results.rows}
-    wanted = ((number, [m for m in methods if (number, m) not in done]) for number in range(arguments.scenes))
-    tasks = [Task(arguments.split, number, missing, trained) for number, missing in wanted if missing]
+    wanted = ((number, [m for m in methods if (number, m) not in done]) for number in numbers)
+    tasks = [Task(arguments.split, number, missing, trained, conditions) for number, missing in wanted if missing]
     with contextlib.closing(results), multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
             results.add(new)
-    tables = table(results.rows, methods), calibration(results.rows, trained)
-    (arguments.folder / "table.md").write_text("\n".join(tables))
+    rows = sorted(results.rows, key=lambda row: int(row["scene"]))
+    report(arguments.folder, arguments.split, rows, methods, list(trained), arguments.processes)

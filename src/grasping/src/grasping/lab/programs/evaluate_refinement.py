@@ -33,8 +33,9 @@ from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp, pose_from_label
 from grasping.lab.evaluation import operator_errors
 from grasping.lab.evaluation.operator_errors import NEAR_M, Neighbours, calibrated, miss, place_log_likelihoods
+from grasping.lab.evaluation.tables import markdown_table
 from grasping.lab.programs import train_refinement
-from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, ResultsFile, markdown_table
+from grasping.lab.programs.evaluate import NETWORK_SMOOTHING, ResultsFile
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic import simulated_operator
 from grasping.lab.training import refinement_examples

@@ -157,4 +157,6 @@ def plot(rows: list[dict], curves: Curves, path: Path) -> None:
     left.legend()
     right.plot(steps, [float(r[curves.metric]) for r in rows])
     right.set(xlabel="step", ylabel=curves.label, ylim=(0, None))
-    figure.savefig(path, dpi=110)
+    part = path.with_suffix(".part")  # a viewer that watches the file sees whole pictures
+    figure.savefig(part, dpi=110, format="png")
+    part.replace(path)

@@ -1,4 +1,4 @@
-"""The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift.
+"""The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift, and perhaps shake.
 
 The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the straight
 fingers' tips are just above the table. Then each finger closes up to a given motor load, and the hand rises. The hand
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ import mujoco
 import numpy as np
 from tqdm import tqdm
 
+from common import lift_trial
 from common.config import is_number
 from common.errors import RigError
 from common.frames import BASE
@@ -46,21 +48,26 @@ DOWN_S, CLOSE_S, LIFT_S, HOLD_S = 0.8, 1.6, 1.0, 0.5
 SLIDE_N = 120.0
 FINGERS = 3
 SLIDE = "slide"
+FINGER = re.compile(r"reflex/(?:proximal|distal)_(\d)")  # name of a finger's body
 
 
 class LiftTrial(NamedTuple):
     """Result of a trial."""
 
-    lifted: bool  # whether an object rose by more than `RISE_M` and stayed up
-    rise: float  # largest rise of an object [m]
+    lifted: bool  # whether the target rose by more than `RISE_M` and stayed up
+    rise: float  # of the target [m]
     reached: bool  # whether the hand came within 5 mm of its target before it closed
+    reason: str  # of `common.lift_trial`
 
 
-def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
+def lift(
+    scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray, target: int | None = None, shake: bool = False
+) -> LiftTrial:
     """Simulates a grasp.
 
     `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
-    `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above.
+    `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above;
+    `target`: number of the object that the grasp is meant for, None: whichever rises most; `shake`: after the lift.
     Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene.
     """
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
@@ -74,16 +81,24 @@ def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
         data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD / 1.4
         data.joint(f"reflex/distal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD * 0.4 / 1.4
     slide, motor = data.joint(SLIDE), model.actuator(SLIDE).id
-    heights = np.arange(2, len(qpos), 7)
-    before = data.qpos[heights].copy()
+    count = len(qpos) // 7
+
+    def places() -> np.ndarray:
+        return data.qpos[: 7 * count].reshape(count, 7)[:, :3].copy()
+
+    before, risen, held, pushed = places(), np.zeros(count), np.zeros(count, bool), np.zeros(count)
     spools = np.full(FINGERS + 1, HALF_CLOSED_RAD)
     spools[FINGERS] = 0.0
     reached = False
-    for phase, seconds in enumerate((DOWN_S, CLOSE_S, LIFT_S, HOLD_S)):
+    phases = (DOWN_S, CLOSE_S, LIFT_S, HOLD_S, lift_trial.SHAKE_S)
+    for phase, seconds in enumerate(phases if shake else phases[:-1]):
         steps = round(seconds / TIMESTEP_S)
         for i in range(steps):
             done = (i + 1) / steps
-            data.ctrl[motor] = (-START_M * done, -START_M, -START_M + LIFT_M * done, -START_M + LIFT_M)[phase]
+            up = -START_M + LIFT_M
+            data.ctrl[motor] = (-START_M * done, -START_M, -START_M + LIFT_M * done, up, up)[phase]
+            if phase == 4:
+                model.opt.gravity[:] = lift_trial.shaken_gravity(i * TIMESTEP_S)
             for finger in range(FINGERS if phase else 0):
                 if mechanics.resistance(finger) < LOAD:
                     spools[finger] = min(FARTHEST_RAD, spools[finger] + CLOSING_RAD_S * TIMESTEP_S)
@@ -91,9 +106,29 @@ def lift(scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray) -> LiftTrial:
             mujoco.mj_step(model, data)
         if phase == 0:
             reached = bool(abs(slide.qpos[0] + START_M) < 0.005)
-    rise = data.qpos[heights] - before
-    most = float(rise.max()) if np.isfinite(rise).all() else 0.0
-    return LiftTrial(most > RISE_M and not data.warning.number.any(), most, reached)
+            pushed = np.linalg.norm(places() - before, axis=1)
+        elif phase == 1:
+            held = _held(model, data, count)
+        elif phase == 3:
+            risen = (places() - before)[:, 2]
+    kept = (places() - before)[:, 2]
+    if target is None:
+        target = int(np.argmax(kept))
+    record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
+    reason = lift_trial.outcome(record, target, RISE_M)
+    rise = 0.0 if reason == lift_trial.DIVERGED else float(kept[target])
+    return LiftTrial(reason == lift_trial.LIFTED, rise, reached, reason)
+
+
+def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
+    """Returns whether two fingers touch each of the objects, which are the first bodies, shape (count,), bool."""
+    touching: list[set[str]] = [set() for _ in range(count)]
+    for pair in model.geom_bodyid[data.contact.geom]:
+        for body_, other in (pair, pair[::-1]):
+            finger = FINGER.search(model.body(other).name)
+            if 1 <= body_ <= count and finger:
+                touching[body_ - 1].add(finger[1])
+    return np.array([len(fingers) > 1 for fingers in touching])
 
 
 def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
@@ -136,7 +171,7 @@ DESCRIPTION = (
     "Tries grasps with the rig's ReFlex hand in MuJoCo: the file is one of `rosrun grasping evaluate_grasps.py"
     " --export`. Prints a table of success rates; with --results it keeps each trial in a file and resumes from it."
 )
-SCHEMA = 1
+SCHEMA = 2
 NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fingers stand 52 mm apart
 
 
@@ -171,21 +206,25 @@ def _check(scene: dict[str, Any]) -> None:
         if grasp["T_world_grasp"] is not None:
             check_pose(grasp["T_world_grasp"])
             float(grasp["width"])
-        str(grasp["method"])
+            if grasp["target"] not in range(len(scene["qpos"]) // 7):
+                raise ValueError(f"the target {grasp['target']!r} is no object of scene {scene['scene']}")
+        str(grasp["method"]), str(scene["split"]), grasp["peak"]
 
 
-def try_scene(task: tuple[dict[str, Any], list[str]]) -> list[dict[str, Any]]:
+def try_scene(task: tuple[dict[str, Any], list[str], bool]) -> list[dict[str, Any]]:
     """Returns the results of the grasps of some methods in one scene; a missing grasp lifts nothing."""
-    scene, names = task
+    scene, names, shake = task
     mujoco.set_mju_user_warning(_ignore)
     rows = []
     for grasp in scene["grasps"]:
         if grasp["method"] in names:
-            row = {name: scene[name] for name in ("scene", "objects")}
-            row.update({name: grasp[name] for name in ("method", "width")})
-            T = grasp["T_world_grasp"]
-            found = T is not None and lift(scene["mjcf"], np.array(scene["qpos"]), np.array(T))._asdict()
-            rows.append({**row, **(found or {"lifted": False, "rise": 0.0, "reached": False})})
+            row = {name: scene[name] for name in ("split", "scene", "objects")}
+            row.update({name: grasp[name] for name in ("method", "width", "peak")}, shake=shake)
+            trial = LiftTrial(False, 0.0, False, lift_trial.NO_GRASP)
+            if grasp["T_world_grasp"] is not None:
+                T = np.array(grasp["T_world_grasp"])
+                trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], shake)
+            rows.append({**row, **trial._asdict()})
     return rows
 
 
@@ -215,12 +254,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="scenes and grasps")
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, and resume from it")
     parser.add_argument("--processes", type=int, default=1, help="number of scenes at a time")
+    parser.add_argument("--shake", action="store_true", help="shake the hand after the lift, 0.5 g along three axes")
     options = parser.parse_args(arguments)
     if options.processes < 1:
         parser.error(f"--processes is {options.processes}, but must be at least 1.")
     try:
         scenes = read(options.file)
         rows = json.loads(options.results.read_text()) if options.results and options.results.exists() else []
+        if any(row.get("shake") != options.shake for row in rows):
+            raise RigError(f"{options.results} holds trials with{'out' * options.shake} a shake: name another file.")
     except (RigError, OSError, ValueError) as error:
         parser.error(str(error))
     done = {(row["scene"], row["method"]) for row in rows}
@@ -228,7 +270,7 @@ def main(arguments: list[str] | None = None) -> int:
     for scene in scenes:
         missing = [g["method"] for g in scene["grasps"] if (scene["scene"], g["method"]) not in done]
         if missing:
-            tasks.append((scene, missing))
+            tasks.append((scene, missing, options.shake))
     with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
             rows += new
