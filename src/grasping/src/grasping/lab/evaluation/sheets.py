@@ -65,8 +65,8 @@ def _lines(peak: Peak) -> list[tuple[list[float], list[float], float]]:
     along = np.array([np.cos(peak.angle), -np.sin(peak.angle)])
     across = np.array([-along[1], along[0]])
     ends = [middle + side * 0.5 * peak.width * along for side in (-1.0, 1.0)]
-    lines = [(ends, 0.8), *([(end - JAW_PX * across, end + JAW_PX * across), 2.5] for end in ends)]
-    return [([p[0], q[0]], [p[1], q[1]], width) for (p, q), width in lines]
+    lines = [(ends[0], ends[1], 0.8), *((end - JAW_PX * across, end + JAW_PX * across, 2.5) for end in ends)]
+    return [([p[0], q[0]], [p[1], q[1]], width) for p, q, width in lines]
 
 
 def reliability_plot(path: Path, found: Mapping[str, tuple[Sequence[float], Sequence[bool]]]) -> None:

@@ -76,8 +76,8 @@ def differences(rows: Sequence[Row], methods: Sequence[str], networks: Iterable[
             for part in parts.values():
                 a, b = (_by_scene(rows, of, "lifted", part) for of in (own, members[other]))
                 both = sorted(a.keys() & b.keys())
-                pair = [[values[scene] for scene in both] for values in (a, b)]
-                cells.append(f"{paired_difference(*pair):+.1f}, n = {len(both)}" if both else "-")
+                first, second = ([values[scene] for scene in both] for values in (a, b))
+                cells.append(f"{paired_difference(first, second):+.1f}, n = {len(both)}" if both else "-")
             lines.append([f"{one} − {other}", *cells])
     return markdown_table(("difference of lifted, points", *parts), lines) if lines else ""
 

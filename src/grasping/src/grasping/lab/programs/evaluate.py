@@ -388,8 +388,9 @@ def main() -> None:
         report(arguments.folder, split, rows, methods, [m for m in methods if m not in known], arguments.processes)
         return
     numbers = range(arguments.first, arguments.first + arguments.scenes)
-    error = 0.001 * arguments.error[0], float(np.radians(arguments.error[1]))
-    conditions = trials.Conditions(trials.GRIPPERS[arguments.gripper], *error, arguments.shake)
+    millimetres, degrees = arguments.error
+    gripper = trials.GRIPPERS[arguments.gripper]
+    conditions = trials.Conditions(gripper, 0.001 * millimetres, float(np.radians(degrees)), arguments.shake)
     if arguments.export is not None:
         every = [Task(arguments.split, number, methods, trained, conditions) for number in numbers]
         export(arguments.export, every, arguments.processes)
@@ -400,10 +401,10 @@ def main() -> None:
         settings = {name: getattr(arguments, name) for name in ("split", "gripper", "error", "shake")}
         claim(arguments.folder, {**settings, "error": list(arguments.error), **hands, "weights": hashes})
         results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
-    except RigError as error_:
-        parser.error(str(error_))
-    except OSError as error_:
-        parser.error(f"{error_.filename} cannot be used: {error_.strerror}.")
+    except RigError as error:
+        parser.error(str(error))
+    except OSError as error:
+        parser.error(f"{error.filename} cannot be used: {error.strerror}.")
     done = {(int(r["scene"]), r["method"]) for r in results.rows}
     wanted = ((number, [m for m in methods if (number, m) not in done]) for number in numbers)
     tasks = [Task(arguments.split, number, missing, trained, conditions) for number, missing in wanted if missing]

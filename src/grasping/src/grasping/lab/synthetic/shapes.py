@@ -194,9 +194,12 @@ def spray_bottle(rng: np.random.Generator) -> Shape:
     oval = [(a * np.cos(t), b * np.sin(t)) for t in angles]
     body = [(x * k, y * k, z) for x, y in oval for k, z in ((1.0, -h), (1.0, 0.5 * h), (0.45, h))]
     lean = (np.cos(0.15), 0.0, np.sin(0.15), 0.0)
-    parts = _hull(body), Geom("cylinder", (neck, 0.012), (0.0, 0.0, h + 0.008))
-    parts += (Geom("box", (head, 0.009, 0.009), (0.5 * head, 0.0, h + 0.026)),)
-    parts += (Geom("box", (0.004, 0.005, 0.014), (0.9 * head, 0.0, h + 0.008), lean),)
+    parts = (
+        _hull(body),
+        Geom("cylinder", (neck, 0.012), (0.0, 0.0, h + 0.008)),
+        Geom("box", (head, 0.009, 0.009), (0.5 * head, 0.0, h + 0.026)),
+        Geom("box", (0.004, 0.005, 0.014), (0.9 * head, 0.0, h + 0.008), lean),
+    )
     return _moved(parts, (0.0, 0.0, -0.015))
 
 
