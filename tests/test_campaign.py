@@ -303,6 +303,18 @@ class TestRows:
         assert passed == {n for n, row in rows.load().items() if not (row.expected.reactions or row.expected.named_by)}
         assert all(row.expected.named_by for row in rows.load().values() if "R" in row.expected.reactions)
 
+    @pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.8, 0.6, 0.0)])
+    def test_how_far_an_orientation_is_from_a_turn(self, axis):
+        from campaign.hostile import about
+        from campaign.rows.frames_and_time import off_the_turn
+
+        axis, R_start = np.array(axis), about(np.array([0.6, -0.8, 0.0]), 2.0)
+        for angle, nearest in ((0.0, 0.0), (1.0, 1.0), (1.9, 1.5), (-0.2, 0.0), (-3.0, 0.0)):
+            off, turn = off_the_turn(about(axis, angle) @ R_start, R_start, axis, 0.0, 1.5)
+            assert (off, turn) == (pytest.approx(abs(angle - nearest), abs=1e-9), pytest.approx(nearest, abs=1e-9))
+        tilted = about(np.array([0.6, -0.8, 0.0]), 0.3) @ about(axis, 0.7) @ R_start
+        assert off_the_turn(tilted, R_start, axis, 0.0, 1.5)[0] == pytest.approx(0.3, abs=1e-9)
+
     def test_a_part_of_a_row_fails_it_or_makes_it_slow(self):
         from campaign.trial import Trial
 
