@@ -76,6 +76,41 @@ def test_a_node_that_is_interrupted_while_it_starts_ends(ros, processes, wait_un
     assert process.returncode in (0, 1) and "Traceback" not in log, log
 
 
+TOPICS = """
+import gc, os
+import rospy
+from std_msgs.msg import String
+from common.ros.node import run
+
+def watches():
+    files = [f"/proc/self/fd/{name}" for name in os.listdir("/proc/self/fd")]
+    return sum(os.path.lexists(file) and "eventpoll" in os.readlink(file) for file in files)
+
+def main():
+    gc.disable()
+    before = watches()
+    publisher = rospy.Publisher("chatter", String, queue_size=10)
+    for _ in range(20):
+        subscriber = rospy.Subscriber("chatter", String, lambda message: None)
+        while not subscriber.get_num_connections():
+            rospy.sleep(0.01)
+        subscriber.unregister()
+        del subscriber
+    rospy.sleep(1.0)
+    print(f"left: {watches() - before}")
+
+run("listener", main)
+"""
+
+
+def test_a_topic_that_is_closed_leaves_no_open_file(ros, processes, wait_until):
+    process = processes.start(sys.executable, "-c", TOPICS)
+    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
+    log = process.log_path.read_text()
+    left = int(log.partition("left: ")[2].split()[0])
+    assert left <= 4, log  # the publisher's own, and those whose connections are just ending
+
+
 DISPOSABLE = """
 import atexit, sys, threading
 import rospy

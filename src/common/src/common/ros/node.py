@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import select
 import signal
 import sys
 import threading
@@ -13,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import rospy
+import rospy.topics
 from rospy.impl.paramserver import get_param_server_cache
 
 from common.errors import ConfigError, DeviceError, RigError
@@ -25,6 +27,19 @@ CLOCK_POLL_S = 0.05
 REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
 
 
+class Poller(rospy.topics.Poller):
+    """rospy's watch over the connections of a topic, without its references to itself: with them the file stayed open
+    after the topic, until Python's collector came by, in a node that subscribes on demand a hundred times an hour.
+    """
+
+    def __init__(self) -> None:
+        self.poller = select.epoll()
+
+    add_fd = rospy.topics.Poller.add_epoll
+    remove_fd = rospy.topics.Poller.remove_epoll
+    error_iter = rospy.topics.Poller.error_epoll_iter
+
+
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """Starts the node `name`, runs `main` and exits the process: with 0 when main returns or ROS shuts down, with 1
     after a RigError, whose sentence goes to the log and to stderr, and when the ROS master was started anew.
@@ -33,6 +48,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
     main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
+    rospy.topics.Poller = Poller
     _shut_down_beside_the_main_thread(disposable)
     try:
         rospy.init_node(name, disable_signals=True)
