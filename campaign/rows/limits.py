@@ -197,6 +197,13 @@ def near_singular(trial):
     rig.hand.glide(0.01)
     comes_back(trial)
     stays_in_servo(trial)
+    # A hand that dashes to and fro: the drives would be quicker than the goals may be.
+    rig.hand.sway(0.35, right=0.16)
+    rig.wait(lambda: {"tool speed", "frame rate"} & set(rig.status.limited_by), "a hand that is too fast", 5.0)
+    dashes = rig.arm.now.time
+    rig.watch(3.0)
+    fastest = max(sample.tool_speed for sample in rig.arm.since(dashes))
+    trial.check("the arm does not dash", fastest > 0.4, f"{fastest:.2f} m/s", doubtful=bool(rig.arm.pauses))
     # A straight line for a program through a pose in which the axes of joints 5 and 7 are one.
     rig.hand.hide()
     rig.wait_for_modes("servo", "home")
