@@ -13,7 +13,7 @@ from grasping.network.maps import Peak
 
 COLUMNS = 6
 MOST = 36  # grasps of a sheet
-SIDE = 220  # middle part of the network's image that is shown [px]
+SIDE = 260  # middle part of the network's image that is shown [px]
 JAW_PX = 9.0  # half a finger's line across the closing direction
 LOW_M, HIGH_M = -0.01, 0.11  # heights that are shown black and white
 GROUPS = 6  # ranges of the quality, with equally many grasps
@@ -40,7 +40,7 @@ def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], s
     first = f"; the first {len(shown)} are shown" if len(shown) < len(reasons) else ""
     figure.suptitle(
         f"{method}: {len(reasons)} of {tried} grasps failed{first}\n{counts or 'no failure'}\n"
-        "height above the table, black 0 to white 110 mm; the fingers close along the thin line",
+        "height above the table, black 0 to white 110 mm; the fingers close along the thin line; no error of the arm",
         fontsize=9,
     )
     for axes in figure.subplots(rows, COLUMNS, squeeze=False).flat:
