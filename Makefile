@@ -60,14 +60,14 @@ networks: $(READY) ## the simulated rig on bad networks: delay, jitter, loss, fr
 	@$(IN_WORKSPACE) python -m campaign.network.run --page $(if $(ONLY),--only "$(ONLY)") $(if $(JSON),--json "$(JSON)")
 
 soak: $(READY) ## HOURS=2 of work with faults on the whole simulated rig: does memory, or anything else, grow?
-	@$(IN_WORKSPACE) python campaign/soak.py --hours $(HOURS)
+	@$(IN_WORKSPACE) python campaign/soak.py --hours "$(HOURS)"
 
 golden: $(READY) ## renews what the replay gate compares with, and draws old and new where they differ
 	@$(IN_WORKSPACE) OPENBLAS_NUM_THREADS=1 python -m golden
 
 fuzz: $(READY) ## MINUTES=60 of input that nobody meant, for every parser and border
-	@$(IN_WORKSPACE) python -m fuzz.run --minutes $(MINUTES); code=$$?; \
-	  python -m fuzz.live --minutes $$(( ($(MINUTES) + 9) / 10 )) && exit $$code
+	@$(IN_WORKSPACE) python -m fuzz.run --minutes "$(MINUTES)"; code=$$?; [ $$code -le 1 ] || exit $$code; \
+	  python -m fuzz.live --minutes "$(MINUTES)" && exit $$code
 
 lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .

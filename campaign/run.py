@@ -7,10 +7,12 @@ The exit code is 0 if no row failed.
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
 import contextlib
 import json
 import os
 import queue
+import re
 import signal
 import subprocess
 import sys
@@ -22,11 +24,13 @@ import conftest  # noqa: F401 - sets the path of the packages
 from campaign import page, rows
 from campaign.network.wire import in_own_network
 from campaign.trial import Row
+from tools.options import new_file, new_folder, number
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "handbook" / "campaign.md"
 START_S, ROW_S = 240.0, 180.0
 """Longest waits [s], for a rig and for a row, on a busy machine."""
+INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
 
 
 class Rig:
@@ -38,14 +42,14 @@ class Rig:
         worker = [sys.executable, "-m", "campaign.worker", variant, *([str(traces)] if traces else [])]
         command = in_own_network(worker) if alone else worker
         self._log = (ROOT / "build" / f"campaign-{os.getpid()}-{id(self)}.log").open("w+")
+        # In a session of its own: the Ctrl-C of a terminal would end it, and `stop` then interrupt its end.
         self._process = subprocess.Popen(
-            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True
-        )
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True,
+            start_new_session=True,
+        )  # fmt: skip
         self._lines: queue.Queue[str] = queue.Queue()
+        self._started = False
         threading.Thread(target=self._read, daemon=True).start()
-        if self._line(START_S) != "ready":
-            self._process.terminate()
-            raise OSError(f"the rig did not start; {self._end_of_log()}")
 
     def judge(self, entry: Row) -> dict:
         """Runs a row and returns its verdict, a failure if the worker dies of it.
@@ -53,6 +57,10 @@ class Rig:
         Raises:
             OSError: the row did not begin, because the row before has left no sound rig.
         """
+        if not self._started and self._line(START_S) != "ready":
+            self._process.terminate()
+            raise OSError(f"the rig did not start; {self._end_of_log()}")
+        self._started = True
         began = time.monotonic()
         self._process.stdin.write(f"{entry.number}\n")
         self._process.stdin.flush()
@@ -69,6 +77,11 @@ class Rig:
         """Whether another row can run on it."""
         return self._process.poll() is None
 
+    def stop(self) -> None:
+        """Ends it in the midst of a row, which another thread waits for."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.terminate()
+
     def close(self) -> None:
         """Ends it."""
         with contextlib.suppress(BrokenPipeError):
@@ -76,7 +89,7 @@ class Rig:
         try:
             self._process.wait(60.0)
         except subprocess.TimeoutExpired:
-            self._process.send_signal(signal.SIGTERM)
+            self._process.terminate()
             self._process.wait(60.0)
         self._log.close()
         os.unlink(self._log.name)
@@ -106,6 +119,7 @@ class KeptRig:
     def __init__(self, traces: Path | None = None) -> None:
         self._traces = traces
         self._rig: Rig | None = None
+        self._stopped = False
 
     @property
     def variant(self) -> str | None:
@@ -120,15 +134,23 @@ class KeptRig:
             used = self._rig is not None
             try:
                 self._rig = self._rig or Rig(entry.variant, self._traces)
+                if self._stopped:
+                    self._rig.stop()
                 result = self._rig.judge(entry)
             except OSError as error:
                 self.close()
-                if used:  # the row before may have left it so, and this one has not begun
+                if used and not self._stopped:  # the row before may have left it so, and this one has not begun
                     continue
                 return {"result": "failed", "faults": [str(error)], "seconds": 0.0}
             if entry.spoils:
                 self.close()
             return result
+
+    def stop(self) -> None:
+        """Ends the rig in the midst of a row; called by another thread than `judge`."""
+        self._stopped = True
+        if (rig := self._rig) is not None:
+            rig.stop()
 
     def close(self) -> None:
         """Ends the rig, if there is one."""
@@ -142,17 +164,24 @@ class Campaign:
 
     def __init__(self, entries: list[Row], rigs: int, traces: Path | None, tell) -> None:
         self._waiting = sorted(entries, key=lambda entry: (entry.spoils, entry.variant, entry.number))
-        self._count, self._traces, self._tell = rigs, traces, tell
+        self._rigs = [KeptRig(traces) for _ in range(min(rigs, len(entries)))]
+        self._tell = tell
         self._lock = threading.Lock()
         self.results: dict[int, dict] = {}
 
     def run(self) -> dict[int, dict]:
-        """Returns the results by number."""
-        threads = [threading.Thread(target=self._work) for _ in range(min(self._count, len(self._waiting)))]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        """Returns the results by number. KeyboardInterrupt, or what `tell` raises, ends the rigs first."""
+        with concurrent.futures.ThreadPoolExecutor(len(self._rigs)) as threads:
+            working = [threads.submit(self._work, rig) for rig in self._rigs]
+            try:
+                for thread in concurrent.futures.as_completed(working):
+                    thread.result()
+            except BaseException:
+                with self._lock:
+                    self._waiting.clear()
+                for rig in self._rigs:
+                    rig.stop()
+                raise
         return dict(sorted(self.results.items()))
 
     def _next(self, variant: str | None) -> Row | None:
@@ -164,8 +193,7 @@ class Campaign:
             self._waiting.remove(entry)
             return entry
 
-    def _work(self) -> None:
-        rig = KeptRig(self._traces)
+    def _work(self, rig: KeptRig) -> None:
         try:
             while (entry := self._next(rig.variant)) is not None:
                 result = rig.judge(entry)
@@ -180,9 +208,9 @@ def main(argv: list[str] | None = None) -> int:
     """Runs the campaign; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m campaign.run", description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="numbers of rows, such as 14,33 or 1-15; or `dangerous`")
-    parser.add_argument("--rigs", type=int, default=2, help="how many rigs run at once")
-    parser.add_argument("--json", type=Path, help="file for the results")
-    parser.add_argument("--traces", type=Path, help="folder for what was seen of each row")
+    parser.add_argument("--rigs", type=number(1, 16, int), default=2, help="how many rigs run at once")
+    parser.add_argument("--json", type=new_file, help="file for the results")
+    parser.add_argument("--traces", type=new_folder, help="folder for what was seen of each row")
     parser.add_argument("--page", action="store_true", help="store the results and make the handbook's page from them")
     parser.add_argument("--render", action="store_true", help="only make the page from the stored results")
     options = parser.parse_args(argv)
@@ -195,7 +223,12 @@ def main(argv: list[str] | None = None) -> int:
     def tell(entry: Row, result: dict, done: int) -> None:
         print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {page.line(entry, result)}", flush=True)
 
-    results = Campaign(entries, options.rigs, options.traces, tell).run()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        results = Campaign(entries, options.rigs, options.traces, tell).run()
+    except KeyboardInterrupt:
+        print("\nInterrupted; no rig runs any more, and nothing was stored.")
+        return INTERRUPTED
     print("\n" + page.table({entry.number: entry for entry in entries}, results))
     named = {str(number): result for number, result in results.items()}
     if options.page:
@@ -218,11 +251,13 @@ def chosen(entries: dict[int, Row], only: str) -> list[Row]:
         return list(entries.values())
     if only == "dangerous":
         return [entry for entry in entries.values() if entry.dangerous]
-    numbers = set()
-    for part in only.replace(" ", ",").split(","):
-        first, _, last = part.partition("-")
-        if part:
-            numbers |= set(range(int(first), int(last or first) + 1))
+    numbers: set[int] = set()
+    for part in only.replace(",", " ").split() or [""]:
+        found = re.fullmatch(r"(\d{1,3})(?:-(\d{1,3}))?", part, re.ASCII)
+        named = range(int(found[1]), int(found[2] or found[1]) + 1) if found else range(0)
+        if not named:
+            raise SystemExit(f"{part!r} names no rows; numbers such as 14,33 or 1-15 do, or `dangerous`.")
+        numbers |= set(named)
     missing = numbers - set(entries)
     if missing:
         raise SystemExit(f"There is no row {', '.join(map(str, sorted(missing)))}.")

@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [] if str(ROOT) in sys.path else [str(ROOT)]
 
 from bench.bench_demo import processes_below  # noqa: E402 - needs the path above
-from campaign.soak_report import report  # noqa: E402
+from campaign.soak_report import check_name, report  # noqa: E402
 from common.errors import DeviceError, RigError  # noqa: E402
 from common.ports import free_port  # noqa: E402
 from rig_simulation.control_port import ControlClient  # noqa: E402
@@ -40,8 +40,10 @@ from rig_simulation.faults.arm import ARM_FAULTS  # noqa: E402
 from rig_simulation.faults.camera import CAMERA_FAULTS  # noqa: E402
 from rig_simulation.faults.hand import HAND_FAULTS  # noqa: E402
 from rig_simulation.faults.leap import LEAP_FAULTS  # noqa: E402
+from tools.options import number  # noqa: E402
 
 SAMPLE_S = 10.0
+LEAST_HOURS = 0.01
 READY_S, END_S, ANSWER_S, RECOVERY_S = 240.0, 30.0, 10.0, 60.0
 FAULT_S, WATCH_S, REST_S = (1.0, 6.0), 6.0, 30.0
 LISTENER_S, PANEL_S, PANEL_EVERY = 8.0, 15.0, 5
@@ -434,16 +436,17 @@ def until_home(rig: Rig, log: Path) -> Ears:
 def main(argv: list[str] | None = None) -> int:
     """Runs the soak, or judges a stored one."""
     parser = argparse.ArgumentParser(prog="soak.py", description="The simulated rig works for hours.")
-    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--hours", type=number(LEAST_HOURS, 10_000.0), default=2.0)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "soak.jsonl", help="where the data go")
     parser.add_argument("--seed", type=int, default=0, help="of the order of the faults")
     parser.add_argument("--judge", type=Path, metavar="FILE", help="judge the data of a run that was cut off")
     arguments = parser.parse_args(argv)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, signal.default_int_handler)
     try:
         if arguments.judge is not None:
             return report(arguments.judge)
+        check_name(arguments.out)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         Soak(arguments.out).run(3600.0 * arguments.hours, arguments.seed)
         return report(arguments.out)

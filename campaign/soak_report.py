@@ -33,12 +33,17 @@ OF_A_PROCESS = ("rss", "pss", "threads", "sockets", "files")
 
 
 def read(path: Path) -> list[dict]:
-    """Returns the records of a run; a line that kill -9 cut off is left out."""
+    """Returns the records of a run; a line that kill -9 cut off is left out. RigError: the file is not of a run."""
     records = []
-    for line in path.read_text().splitlines():
+    for line in path.read_bytes().splitlines():
         with contextlib.suppress(ValueError):
             records.append(json.loads(line))
-    return records
+    try:
+        if any(len(values) for values, _ in series(records).values()):
+            return records
+    except (AttributeError, KeyError, TypeError, ValueError):
+        pass
+    raise RigError(f"{path} holds no samples of an endurance run.")
 
 
 def series(records: list[dict]) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
@@ -139,12 +144,24 @@ def draw(records: list[dict], path: Path) -> None:
     plt.close(figure)
 
 
+def check_name(path: Path) -> None:
+    """Raises RigError if the judgement or the picture of a run would replace its data."""
+    if path.suffix in (".json", ".png"):
+        raise RigError(f"{path} is no name for data: the judgement is the .json beside them, the picture the .png.")
+
+
 def report(path: Path) -> int:
-    """Writes the JSON and the picture of a run beside its data, prints the judgement; returns the exit code."""
+    """Writes the JSON and the picture of a run beside its data, prints the judgement; returns the exit code.
+
+    RigError: the run is too short to judge anything, or the file is not of a run.
+    """
+    check_name(path)
     records = read(path)
-    if not any("processes" in record for record in records):
-        raise RigError(f"{path} holds no samples.")
     result = judge(records)
+    if not result["rows"]:
+        raise RigError(
+            f"{path} is too short to judge: it spans {60.0 * result['hours']:.1f} minutes, and 3 are needed."
+        )
     path.with_suffix(".json").write_text(json.dumps(result, indent=1) + "\n")
     draw(records, path.with_suffix(".png"))
     print(as_text(result))

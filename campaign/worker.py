@@ -61,6 +61,8 @@ def main(variant: str, traces: Path | None = None) -> None:
                 if entry.spoils:
                     break
         except BaseException:
+            for number in (signal.SIGINT, signal.SIGTERM):  # a second one would leave nodes behind
+                signal.signal(number, signal.SIG_IGN)
             traceback.print_exc()
             print(rig.situation, file=sys.stderr)
             raise

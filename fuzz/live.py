@@ -26,7 +26,8 @@ from campaign.growth import growth
 from campaign.soak import Rig, until_home
 from common.errors import RigError
 from fuzz.mutations import NASTY
-from fuzz.run import LEAK_MIB_H, LEAK_RUN_S, ROOT
+from fuzz.run import INTERRUPTED, LEAK_MIB_H, LEAK_RUN_S, MINUTES, ROOT
+from tools.options import new_folder
 
 FRAMES = (
     "kuka/base_frame",
@@ -43,6 +44,7 @@ NOT_OURS = ("/rosout", "/rosout_agg", "/clock", "/diagnostics", "/tf_static")
 STILL = 1e-3
 """Largest change of the flange's pose, of an arm that stands [m, 1]."""
 
+SHARE = 0.1  # of the minutes of `make fuzz`
 PAUSE_S, SAMPLE_S, TIMEOUT_S, FOLLOW_S = 0.02, 5.0, 15.0, 120.0
 
 
@@ -218,17 +220,19 @@ def _leaks(samples: list[tuple[float, dict[str, float]]]) -> list[str]:
 def main(argv: list[str] | None = None) -> int:
     """Fuzzes a rig; returns 1 if something was found."""
     parser = argparse.ArgumentParser(prog="live", description="Random messages and calls for the running rig.")
-    parser.add_argument("--minutes", type=float, default=5.0)
+    parser.add_argument("--minutes", type=MINUTES, default=60.0, help="as of fuzz.run: a tenth of them is used")
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "fuzz")
+    parser.add_argument("--out", type=new_folder, default=ROOT / "build" / "fuzz")
     options = parser.parse_args(argv)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    options.out.mkdir(parents=True, exist_ok=True)
     try:
-        counts, findings = run(60.0 * options.minutes, options.seed, options.out)
+        counts, findings = run(60.0 * options.minutes * SHARE, options.seed, options.out)
     except RigError as error:
         print(f"live: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nInterrupted; no rig runs any more.")
+        return INTERRUPTED
     print(f"\nseed {options.seed}; {sum(counts.values())} messages and calls on {len(counts)} topics and services")
     for text in findings:
         print(f"live: {text}, see {options.out / 'live.log'}")

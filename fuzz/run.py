@@ -12,6 +12,7 @@ import argparse
 import hashlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -31,7 +32,10 @@ from hypothesis.database import DirectoryBasedExampleDatabase  # noqa: E402
 
 from campaign.growth import growth  # noqa: E402
 from fuzz.targets import TARGETS, Target  # noqa: E402
+from tools.options import new_folder, number  # noqa: E402
 
+INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
+MINUTES = number(0.01, 100_000.0)
 BATCH = 400
 REPORT_S = 2.0
 LEAK_MIB_H = 300.0
@@ -159,10 +163,8 @@ def _rss() -> float:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def fuzz(names: list[str], seconds: float, seed: int, folder: Path) -> dict[str, dict]:
-    """Runs the targets one after the other, each for its share of the time; returns counts and findings of each."""
-    folder.mkdir(parents=True, exist_ok=True)
-    results: dict[str, dict] = {}
+def fuzz(names: list[str], seconds: float, seed: int, folder: Path, results: dict[str, dict]) -> None:
+    """Runs the targets one after the other, each for its share of the time; counts and findings go to `results`."""
     for name in names:
         share, began = seconds / len(names), time.monotonic()
         result = results[name] = {"examples": 0, "rss": 0.0, "findings": [], "seconds": 0.0}
@@ -193,7 +195,6 @@ def fuzz(names: list[str], seconds: float, seed: int, folder: Path) -> dict[str,
             dead.write_text(f"{name}: the process died; the last input:\n\n{given}\n\n{log.read_text()}")
             result["findings"].append(f"the process died, see {dead}")
             print(f"\n{name}: the process died, see {dead}")
-    return results
 
 
 def _follow(process: subprocess.Popen, name: str, result: dict, results: dict[str, dict], began: float) -> bool:
@@ -218,10 +219,10 @@ def _follow(process: subprocess.Popen, name: str, result: dict, results: dict[st
 def main(argv: list[str] | None = None) -> int:
     """Fuzzes; returns 1 if something was found."""
     parser = argparse.ArgumentParser(prog="fuzz", description="Input that nobody meant, for every parser and border.")
-    parser.add_argument("--minutes", type=float, default=60.0, help="of processor time, all targets together")
-    parser.add_argument("--only", nargs="*", default=[], metavar="TARGET", help=", ".join(TARGETS))
+    parser.add_argument("--minutes", type=MINUTES, default=60.0, help="of processor time, all targets together")
+    parser.add_argument("--only", nargs="*", choices=TARGETS, default=[], metavar="TARGET", help=", ".join(TARGETS))
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--out", type=Path, default=ROOT / "build" / "fuzz")
+    parser.add_argument("--out", type=new_folder, default=ROOT / "build" / "fuzz")
     parser.add_argument("--worker", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
@@ -229,12 +230,19 @@ def main(argv: list[str] | None = None) -> int:
         worker(options.worker, options.seconds, options.seed, options.out)
         return 0
     names = options.only or [name for name, t in TARGETS.items() if not t.ros or "ROS_PACKAGE_PATH" in os.environ]
-    results = fuzz(names, 60.0 * options.minutes, options.seed, options.out)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    results: dict[str, dict] = {}
+    interrupted = False
+    try:
+        fuzz(names, 60.0 * options.minutes, options.seed, options.out, results)
+    except KeyboardInterrupt:
+        interrupted = True
+        print("\nInterrupted; this is what there is:")
     print(f"\n{'target':18} {'examples':>9} {'seconds':>8} {'MiB':>5}  findings")
     for name, r in results.items():
         print(f"{name:18} {r['examples']:9d} {r['seconds']:8.0f} {r['rss']:5.0f}  {len(r['findings'])}")
     (options.out / "fuzz.json").write_text(json.dumps({"seed": options.seed, "targets": results}, indent=1) + "\n")
-    return 1 if any(r["findings"] for r in results.values()) else 0
+    return INTERRUPTED if interrupted else int(any(r["findings"] for r in results.values()))
 
 
 if __name__ == "__main__":

@@ -678,6 +678,89 @@ def _refuse(token: str) -> None:
     raise AssertionError(f"{token} was written")
 
 
+def _runs() -> st.SearchStrategy[Any]:
+    """Recordings of a run, as MCAP files: bytes edited anywhere, within a chunk, or within a message or its type."""
+    import zlib
+
+    import zstandard
+    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import Channel, Chunk, Header, Message, Schema
+    from std_msgs.msg import Header as RosHeader
+    from tf2_msgs.msg import TFMessage
+
+    from common.frames import BASE, TOOL_DESIRED
+    from kuka_msgs.msg import jointPositions
+    from leap_motion.msg import RawFrame
+    from leap_rig.recording import topics
+    from reflex_msgs.msg import Hand, RadianServoCommands
+    from rig_msgs.msg import SentGoals
+
+    pose = Transform(Vector3(0.1, 0.2, 0.3), Quaternion(0.0, 0.0, 0.0, 1.0))
+    examples = (
+        (topics.RAW_FRAMES, RawFrame()), (topics.SENT_GOALS, SentGoals()), (topics.JOINTS, jointPositions()),
+        (topics.HAND_STATE, Hand()), (topics.HAND_COMMAND, RadianServoCommands()),
+        (topics.TF, TFMessage([TransformStamped(RosHeader(frame_id=BASE), TOOL_DESIRED, pose)])),
+    )  # fmt: skip
+    seeds = []
+    for topic, message in examples:
+        buffer = io.BytesIO()
+        message.serialize(buffer)
+        seeds.append((topic, message._type, message._full_text, buffer.getvalue()))
+
+    def chunk(records: Sequence[tuple[str, str, str, bytes]]) -> bytes:
+        builder = RecordBuilder()
+        for i, (topic, kind, text, data) in enumerate(records, 1):
+            Schema(data=text.encode("utf-8", "replace"), encoding="ros1msg", id=i, name=kind).write(builder)
+            Channel(id=i, topic=topic, message_encoding="ros1", metadata={}, schema_id=i).write(builder)
+            Message(channel_id=i, log_time=10**9 * i, data=data, publish_time=0, sequence=0).write(builder)
+        return builder.end()
+
+    def file(content: bytes) -> bytes:
+        builder = RecordBuilder()
+        Header(profile="ros1", library="").write(builder)
+        Chunk("zstd", zstandard.compress(content), 0, 0, zlib.crc32(content), len(content)).write(builder)
+        return b"\x89MCAP0\r\n" + builder.end()
+
+    def in_a_message(which: int, edits: list[int]) -> bytes:
+        records = list(seeds)
+        topic, kind, text, data = records[which]
+        if edits[0] % 2:
+            data = edited_bytes(data, edits)
+        else:
+            text = edited_bytes(text.encode(), edits).decode("utf-8", "replace")
+        records[which] = topic, kind, text, data
+        return file(chunk(records))
+
+    whole = chunk(seeds)
+    return st.one_of(
+        near_bytes(file(whole)),
+        EDITS.map(lambda edits: file(edited_bytes(whole, edits))),
+        st.builds(in_a_message, st.integers(0, len(seeds) - 1), EDITS),
+    )
+
+
+@target(_runs, RigError, ros=True, cost=6.0)
+def runs(data: Any) -> None:
+    """Files of a recorded run: they are read up to where they are whole, or refused in a sentence."""
+    import hashlib
+
+    from leap_rig.recording import read
+    from leap_rig.recording.recording_files import FORMAT, MANIFEST, MESSAGES, VERSION
+
+    with _file(data, MESSAGES) as path:
+        files = {MESSAGES: hashlib.sha256(data).hexdigest()}
+        manifest = {"format": FORMAT, "version": VERSION, "complete": True, "files": files}
+        (path.parent / MANIFEST).write_text(json.dumps(manifest))
+        run = read(path.parent)
+    assert len(run.goals) == len(run.goal_times) == len(run.goal_velocities)
+    assert run.desired.shape[1:] == (4, 4) and len(run.desired) == len(run.desired_times)
+    finite(run.desired, "a desired tool")
+    finite((run.frame_times, run.desired_times, run.goal_times, run.joint_times, run.hand_times), "a time")
+    for text in run.frames:
+        text.encode("utf-8", "surrogateescape")
+
+
 def _requests() -> st.SearchStrategy[Any]:
     seeds: list[dict] = [
         {"do": "fault", "name": "slow", "on": True, "value": 0.3, "duration": 2}, {"do": "faults"},

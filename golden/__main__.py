@@ -26,9 +26,9 @@ def main() -> None:
         if not sentences:
             print(f"{name}: as stored.")
             continue
-        new.write(name)
         picture = PICTURES / f"{name}.png"
-        draw(name, old, new, picture, tolerance)
+        draw(name, old, new, picture, tolerance)  # first: what nobody can look at is not renewed
+        new.write(name)
         print("\n  ".join([f"{name}: renewed; look at {picture}", *sentences]))
 
 

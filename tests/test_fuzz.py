@@ -9,6 +9,7 @@ import random
 
 import numpy as np
 import pytest
+from mcap.stream_reader import StreamReader
 
 from common import config
 from fuzz.run import checked, run_batch
@@ -18,6 +19,7 @@ from grasping.network import weights
 from kst.client import KstClient
 from kst.codec import KstLineSplitter
 from leap_motion import codec as leap_codec
+from leap_rig.recording import recording_files
 from reflex import codec as reflex_codec
 from rig_simulation.faults import injection
 
@@ -88,11 +90,15 @@ PLANTED = {
     "a parameter may be NaN": (
         "parameters", config, "is_number", lambda value: type(value) in (int, float) and abs(value) != math.inf),
     "the length of a datagram is not checked": ("reflex_datagrams", reflex_codec, "STATE_BYTES", 198),
+    "a damaged file of a run ends its reader": (
+        "runs", recording_files, "_records", lambda file: StreamReader(file).records),
     "a fault's number may be anything": ("control_port", injection, "is_number", lambda value: True),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("fault", PLANTED)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(fault, marks=ROS_MARK[TARGETS[name].ros]) for fault, (name, *_) in PLANTED.items()]
+)
 def test_a_planted_fault_is_found(monkeypatch, fault):
     name, place, attribute, wrong = PLANTED[fault]
     target = TARGETS[name]

@@ -69,11 +69,11 @@ class CellResult:
 
 def chosen(only: str) -> list[Cell]:
     """Returns the cells that `only` names: cells, wires or conditions, or all if it is empty."""
-    names = only.replace(",", " ").split()
+    names = only.replace(",", " ").split() or ([only] if only else [])
     for name in names:
         if name not in (*CELLS, *WIRES, *CONDITIONS):
             raise SystemExit(
-                f"There is no cell {name}; there are {', '.join((*WIRES, *CONDITIONS))} and such as arm:loss_5."
+                f"There is no cell {name!r}; there are {', '.join((*WIRES, *CONDITIONS))} and such as arm:loss_5."
             )
     return [cell for cell in CELLS.values() if not names or {cell.number, cell.wire, cell.condition} & set(names)]
 

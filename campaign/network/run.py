@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import conftest  # noqa: F401 - sets the path of the packages
 from campaign.network import cells
 from campaign.network.wire import ROOT, in_own_network
-from campaign.run import Campaign
+from campaign.run import INTERRUPTED, Campaign
+from tools.options import new_file, number
 
 RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "handbook" / "bad-networks.md"
 
@@ -21,8 +22,8 @@ def main(argv: list[str] | None = None) -> int:
     """Runs the cells; returns the exit code, 0 if none failed."""
     parser = argparse.ArgumentParser(prog="python -m campaign.network.run", description=__doc__.splitlines()[0])
     parser.add_argument("--only", default="", help="cells, wires or conditions, such as arm:loss_5, leap, rate_256")
-    parser.add_argument("--rigs", type=int, default=2, help="how many rigs run at once")
-    parser.add_argument("--json", type=Path, help="file for the results")
+    parser.add_argument("--rigs", type=number(1, 16, int), default=2, help="how many rigs run at once")
+    parser.add_argument("--json", type=new_file, help="file for the results")
     parser.add_argument("--page", action="store_true", help="store the results and make the handbook's page from them")
     options = parser.parse_args(argv)
     entries = cells.chosen(options.only)
@@ -38,7 +39,12 @@ def main(argv: list[str] | None = None) -> int:
         if options.page:
             store({cell.number: result})
 
-    results = Campaign(entries, options.rigs, None, tell).run()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        results = Campaign(entries, options.rigs, None, tell).run()
+    except KeyboardInterrupt:
+        print("\nInterrupted; no rig runs any more.")
+        return INTERRUPTED
     print("\n" + "\n".join(cells.line(name, results[name]) for name in cells.CELLS if name in results))
     if options.json:
         options.json.write_text(cells.as_json(results))

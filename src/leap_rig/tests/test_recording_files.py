@@ -24,7 +24,9 @@ from leap_rig.recording.recording_files import (
     StoredMessage,
     messages,
     verify,
+    write_mcap,
 )
+from leap_rig.recording.run import between
 
 KINDS = (MessageKind("std_msgs/String", "string data\n", "992c", False), MessageKind("std_msgs/Bool", "bool data\n"))
 RESERVE = 4096
@@ -305,3 +307,10 @@ def test_nothing_starts_on_a_disk_without_the_reserve(tmp_path, monkeypatch):
     monkeypatch.setattr(files.os, "posix_fallocate", no_room)
     with pytest.raises(RecordingFault, match="No space"):
         writer_in(tmp_path / "run")
+
+
+@pytest.mark.parametrize(("start", "end"), [(5.0, 5.0), (5.0, 1.0), (float("nan"), 5.0), (0.0, float("nan"))])
+def test_a_time_without_length_is_refused_before_anything_is_written(tmp_path, start, end):
+    with pytest.raises(RecordingFault, match="There is nothing from"):
+        write_mcap(tmp_path / "part.mcap", between(tmp_path, ["/a"], start, end), {})
+    assert not (tmp_path / "part.mcap").exists()

@@ -1,5 +1,6 @@
 """A recorded motion on the simulated arm: agreed to, slowly first, through kuka/move."""
 
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -68,3 +69,11 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_unti
     np.testing.assert_allclose(tool_of(robot)[:3, 3], ends[-1][:3, 3], atol=8e-3)
     for T in (home_tool(), ends[0]):
         assert min(np.linalg.norm(np.array(corner) - T[:3, 3], axis=1)) < 0.015
+
+
+@pytest.mark.parametrize(("typed", "agrees"), [("yes\n", True), ("no\n", False), ("\n", False), ("", False)])
+def test_only_yes_agrees_and_the_end_of_the_input_does_not(monkeypatch, typed, agrees):
+    from leap_rig.recording.ros.replay_program import _agrees
+
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    assert _agrees("?") is agrees

@@ -63,9 +63,15 @@ class MessageDecoders:
 
 
 def between(folder: Path, wanted: Iterable[str], start: float, end: float) -> Iterator[StoredMessage]:
-    """Yields the messages of the `wanted` topics that were received between `start` and `end` [s] after the start of
-    the recording; of latched topics also those before.
+    """Returns the messages of the `wanted` topics that were received between `start` and `end` [s] after the start of
+    the recording; of latched topics also those before. RecordingFault: there is no time between.
     """
+    if not start < end:  # nor NaN
+        raise RecordingFault(f"There is nothing from {start:g} to {end:g} s.")
+    return _between(folder, wanted, start, end)
+
+
+def _between(folder: Path, wanted: Iterable[str], start: float, end: float) -> Iterator[StoredMessage]:
     names, first = set(wanted), None
     for message in messages(folder / MESSAGES):
         first = message.received if first is None else first

@@ -300,7 +300,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
         print(
             f"The arm carries out {len(goals)} motions, at {rate:g} of the recorded pace; PTP to where a stream began."
         )
-        if input(f"Is the space around the arm free, and is a hand at the stop? Type {AGREED}: ").strip() != AGREED:
+        if not _agrees(f"Is the space around the arm free, and is a hand at the stop? Type {AGREED}: "):
             print("Cancelled; nothing moved.")
             return 1
         for number, goal in enumerate(goals, 1):
@@ -311,6 +311,15 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
                 raise RecordingFault(f"The replay ends before motion {number} of {len(goals)}: {result.message}")
     print("The arm is at the end of the recording.")
     return 0
+
+
+def _agrees(question: str) -> bool:
+    """Returns whether the operator agrees; at the end of the input, as without a terminal, nobody does."""
+    try:
+        return input(question).strip() == AGREED
+    except EOFError:
+        print()
+        return False
 
 
 def _move_goals(motion: StreamedMotion, rate: float, fastest: float, usual: float) -> list[MoveGoal]:
