@@ -24,7 +24,7 @@ def number(least: float, most: float, kind: Callable[[str], float] = float) -> C
 
 
 def new_file(text: str) -> Path:
-    """The type of a file that is written at the end: its folder is there and takes it; what is in it stays until then."""
+    """The type of a file that is written at the end: it can be written; what it holds stays until then."""
     path = Path(text)
     was_there = os.path.lexists(path)
     try:
