@@ -30,7 +30,8 @@ def shards_fixture(tmp_path_factory):
     """Three shards of two scenes each, made without processes of their own."""
     folder = tmp_path_factory.mktemp("shards")
     for split, first in (("train", 0), ("train", 2), ("validation", 0)):
-        make_dataset.make_shard((folder / f"{split}_{first:06d}.npz", split, range(first, first + 2)))
+        path = folder / f"{split}_{first:06d}.npz"
+        make_dataset.make_shard(make_dataset.ShardTask(path, split, range(first, first + 2)))
     return folder
 
 
@@ -56,7 +57,7 @@ def test_shards_are_made_once(data, monkeypatch):
     assert (data / names[0]).stat().st_mtime_ns == kept
     with np.load(data / names[1]) as shard:
         assert shard["depth"].shape == (2, 300, 300)
-        assert set(shard) == {"depth", "quality", "angle", "width", "known"}
+        assert set(shard) == {"depth", "quality", "angle", "width", "known", "hand", "margin"}
 
 
 def test_part_of_a_shard_is_refused(tmp_path, monkeypatch, capsys):

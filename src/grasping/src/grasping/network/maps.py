@@ -14,6 +14,7 @@ import numpy as np
 
 from grasping.network.networks import WIDTH_SCALE_PX
 
+PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 

@@ -22,6 +22,7 @@ import torch
 from torch import nn
 
 from common.errors import RigError
+from grasping.network.maps import HANDS, PARALLEL
 from grasping.network.networks import NETWORKS
 
 KNOWN = {"07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770": "GG-CNN, RSS 2018, Keras"}
@@ -31,6 +32,7 @@ ZIP_MAGIC = b"PK\x03\x04"
 PICKLE_MAGIC = b"\x80"
 PROGRAM = "constants.pkl"  # record that marks a TorchScript archive, whose code torch would run while reading
 SAME_PADDING = "same_padding"  # array that marks a torch file of a GG-CNN with the borders of the Keras one
+HAND = "hand"  # array that holds the number of the hand in `HANDS`; without it the hand is parallel
 KERAS_LAYERS = {  # layers of the Keras file and what they are called here
     **{f"conv2d_{i}": f"conv{i}" for i in (1, 2, 3)},
     **{f"conv2d_transpose_{i}": f"convt{i}" for i in (1, 2, 3)},
@@ -59,27 +61,44 @@ class Loaded(NamedTuple):
     name: str  # of the network in `NETWORKS`
     sha256: str  # of the file, hexadecimal
     origin: str  # what the file is known to be, empty when it is not known
+    hand: str = PARALLEL  # name in `HANDS` of the hand whose grasps it was trained on
+
+    def mismatch(self, hand: str) -> str:
+        """Returns one sentence if the weights are for another hand than `hand`, else an empty text."""
+        if hand == self.hand:
+            return ""
+        return (
+            f"The weights were trained on grasps of the hand {self.hand}, but the hand is {hand}: "
+            "qualities and openings are not those of this hand."
+        )
 
 
 def load(data: bytes, sha256: str | None = None) -> Loaded:
     """Returns a weight file's network; raises WeightsError for another `sha256` (if given, hexadecimal), no weight
     file, or none of a network in `NETWORKS`.
     """
-    found = checked_sha256(data, sha256)
+    found, hand = checked_sha256(data, sha256), PARALLEL
     if data.startswith(HDF5_MAGIC):
         name, state = "ggcnn_keras", _keras_state(data)
     elif data.startswith((ZIP_MAGIC, PICKLE_MAGIC)):
         state = torch_state(data)
+        hand = _hand(state)
         name = _which(state)
     else:
         raise WeightsError("The weight file is neither a torch file nor a Keras HDF5 file.")
-    return Loaded(filled(NETWORKS[name](), name, state), name, found, KNOWN.get(found, ""))
+    return Loaded(filled(NETWORKS[name](), name, state), name, found, KNOWN.get(found, ""), hand)
 
 
-def state_for_file(name: str, network: nn.Module) -> dict[str, torch.Tensor]:
-    """Returns what a torch file of a network in `NETWORKS`, called `name`, holds, so that `load` finds that one."""
+def state_for_file(name: str, network: nn.Module, hand: str = PARALLEL) -> dict[str, torch.Tensor]:
+    """Returns what a torch file of a network in `NETWORKS`, called `name`, for a hand in `HANDS` holds, so that `load`
+    finds both.
+    """
     state = {key: value.cpu() for key, value in network.state_dict().items()}
-    return {**state, SAME_PADDING: torch.ones(1)} if name == "ggcnn_keras" else state
+    if name == "ggcnn_keras":
+        state[SAME_PADDING] = torch.ones(1)
+    if hand != PARALLEL:
+        state[HAND] = torch.full((1,), float(HANDS.index(hand)))
+    return state
 
 
 def checked_sha256(data: bytes, wanted: str | None) -> str:
@@ -115,6 +134,17 @@ def listed_sha256(sums: str, name: str) -> str:
         if file == name:
             return found
     raise WeightsError(f"The list of hashes does not name {name}.")
+
+
+def _hand(state: dict[str, torch.Tensor]) -> str:
+    """Returns the hand that the state dict names; takes its mark out."""
+    mark = state.pop(HAND, torch.zeros(1))
+    for number, hand in enumerate(HANDS):
+        if mark.shape == (1,) and float(mark) == number:
+            return hand
+    raise WeightsError(
+        f"The weight file names the hand {mark.flatten()[:4].tolist()}; known are 0 to {len(HANDS) - 1}."
+    )
 
 
 def _which(state: dict[str, torch.Tensor]) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from common.config import choice, flag, integer, number, vector
 from common.poses import pose, translation
 from common.rotations import rotation_about, rotation_angle, unit
-from grasping.network.maps import Maps
+from grasping.network.maps import HANDS, PARALLEL, Maps
 
 VERTICAL, ALONG_GRASP = "vertical", "grasp"
 UP = (0.0, 0.0, 1.0)
@@ -31,6 +31,7 @@ RETRY_S = 1.0  # an unanswered request is repeated after this time
 class ToolPoseConfig:
     """The schema of tool_pose.yaml."""
 
+    hand: str = choice(*HANDS, absent=PARALLEL, doc="which hand it is; weights for another one are warned about")
     grip_in_tool: np.ndarray = vector(3, "m", low=-0.5, high=0.5, doc="where the grasp's origin is in the tool's frame")
     closing_angle: float = number(
         "deg", low=-180.0, high=180.0, doc="from the tool's x axis, about its z axis, to the line the fingers close on"

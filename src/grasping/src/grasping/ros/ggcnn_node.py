@@ -211,6 +211,9 @@ def _run() -> None:
     for sentence in sentences(settings):
         rospy.loginfo("%s", sentence)
     loaded = load_network(settings.network)
+    mismatch = loaded.mismatch(settings.tool.hand)
+    if mismatch:
+        rospy.logwarn("%s: %s", settings.network.weights, mismatch)
     torch.set_num_threads(settings.network.threads)
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
@@ -229,7 +232,7 @@ def _run() -> None:
     )
     threads = settings.network.threads
     rospy.loginfo(f"{file} ({name}, SHA-256 {sha256}...) takes {milliseconds:.0f} ms an image on {threads} threads.")
-    GgcnnNode(settings, pipeline, {"network": name, "weights": sha256}).run()
+    GgcnnNode(settings, pipeline, {"network": name, "weights": sha256, "weights_hand": loaded.hand}).run()
 
 
 def main() -> None:

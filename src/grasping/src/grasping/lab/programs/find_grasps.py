@@ -21,7 +21,7 @@ from common.errors import RigError
 from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
-from grasping.network.maps import THRESHOLD
+from grasping.network.maps import HANDS, THRESHOLD
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult, PipelineSettings
 from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.view import CameraView, CropConfig
@@ -49,6 +49,7 @@ def main() -> None:
     parser.add_argument("--focal", type=float, default=FOCAL_PX, help=f"focal length [px], default {FOCAL_PX}")
     parser.add_argument("--centre", type=float, nargs=2, metavar=("CX", "CY"), help="optical axis [px]")
     parser.add_argument("--crop", type=int, default=400, help="side of the window in the middle [px], default 400")
+    parser.add_argument("--hand", choices=HANDS, help="refuse weights that were trained for another hand")
     parser.add_argument("--count", type=int, default=1, help="most grasps of an image")
     picture_help = "write the network's image with the grasps to this file, or for a folder to this folder"
     parser.add_argument("--picture", type=Path, help=picture_help)
@@ -56,7 +57,11 @@ def main() -> None:
     many = arguments.depth.is_dir()
     try:
         paths = depth_images(arguments.depth) if many else [arguments.depth]
-        network = weights.load(arguments.weights.read_bytes()).network
+        loaded = weights.load(arguments.weights.read_bytes())
+        mismatch = arguments.hand and loaded.mismatch(arguments.hand)
+        if mismatch:
+            raise RigError(f"{arguments.weights}: {mismatch}")
+        network = loaded.network
         if many and arguments.picture is not None:
             arguments.picture.mkdir(parents=True, exist_ok=True)
         for path in paths:

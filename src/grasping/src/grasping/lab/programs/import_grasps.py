@@ -16,8 +16,9 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.dataset.labelled_images import LabelledImage, read, sample
 from grasping.lab.programs.make_dataset import SHARD, write_shard
-from grasping.lab.synthetic.samples import Sample
+from grasping.lab.synthetic.samples import LabelSettings, Sample
 from grasping.network.depth_image import CROP_SIDE
+from grasping.network.maps import HANDS, PARALLEL
 
 
 def split(image: LabelledImage, validation: float) -> str:
@@ -29,8 +30,8 @@ def split(image: LabelledImage, validation: float) -> str:
 class Shards:
     """Files of at most SHARD samples each, called after the number of samples before them; older ones go."""
 
-    def __init__(self, folder: Path, name: str) -> None:
-        self._folder, self._name = folder, name
+    def __init__(self, folder: Path, name: str, hand: str) -> None:
+        self._folder, self._name, self._settings = folder, name, LabelSettings(hand)
         self._samples: list[Sample] = []
         self.written = 0
         for old in folder.glob(f"{name}_*.npz"):
@@ -45,7 +46,7 @@ class Shards:
     def write(self) -> None:
         """Writes what was not written yet."""
         if self._samples:
-            write_shard(self._folder / f"{self._name}_{self.written:06d}.npz", self._samples)
+            write_shard(self._folder / f"{self._name}_{self.written:06d}.npz", self._samples, self._settings)
             self.written += len(self._samples)
             self._samples = []
 
@@ -56,6 +57,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="where the shards go")
     parser.add_argument("--name", default="own", help="of these shards, to tell them from others in the folder")
     parser.add_argument("--validation", type=float, default=0.2, help="fraction of the things for validation")
+    parser.add_argument("--hand", choices=HANDS, default=PARALLEL, help=f"that they are for, default {PARALLEL}")
     side_help = f"side of the window about an image's grasps [px], default {CROP_SIDE}; Jacquard: 1024"
     parser.add_argument("--window", type=int, default=CROP_SIDE, help=side_help)
     arguments = parser.parse_args()
@@ -68,7 +70,10 @@ def main() -> None:
     try:
         images = read(arguments.source)
         arguments.folder.mkdir(parents=True, exist_ok=True)
-        shards = {kind: Shards(arguments.folder, f"{kind}_{arguments.name}") for kind in ("train", "validation")}
+        shards = {
+            kind: Shards(arguments.folder, f"{kind}_{arguments.name}", arguments.hand)
+            for kind in ("train", "validation")
+        }
         left_out = 0
         for image in tqdm(images, unit="image"):
             try:

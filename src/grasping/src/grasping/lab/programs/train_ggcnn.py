@@ -2,8 +2,8 @@
 
 It begins with random weights, or with those of a file (--from), whose network it then trains.
 
-The folder of the run holds checkpoint.pt (to resume, with the same data and settings), weights.pt (the best so far),
-settings.json, curves.csv and curves.png.
+The folder of the run holds checkpoint.pt (to resume, with the same data and settings), weights.pt (the best so far; it
+names the hand whose labels it learned), settings.json, curves.csv and curves.png.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from __future__ import annotations
 import argparse
 import hashlib
 import io
+import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +23,8 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from grasping.lab.programs import runs
+from grasping.lab.programs.make_dataset import label_settings
+from grasping.lab.synthetic.samples import Sample
 from grasping.lab.training.trainer import NetworkTraining, network_trainer
 from grasping.network import weights
 
@@ -33,21 +37,33 @@ CURVES = runs.Curves(
 )
 
 
-def load(folder: Path, split: str, most: int) -> tuple[dict[str, np.ndarray], list[str]]:
-    """Returns the samples of at most `most` shards of a split, joined, and the shards' SHA-256, hexadecimal.
+class Shards(NamedTuple):
+    """Labelled images of a folder."""
 
-    Raises RigError if the folder holds no shard of that split.
+    samples: dict[str, np.ndarray]  # of all shards, joined
+    hashes: list[str]  # SHA-256 of each shard, hexadecimal
+    hand: str  # that their labels are of
+
+
+def load(folder: Path, split: str, most: int) -> Shards:
+    """Returns the samples of at most `most` shards of a split. Raises RigError if the folder holds no shard of that
+    split, or shards for several hands.
     """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
         raise RigError(f"{folder} holds no shard of the split {split}: run make_dataset.py or import_grasps.py first.")
-    loaded, hashes = [], []
+    loaded, hashes, hands = [], [], {}
     for shard in tqdm(shards, unit="shard", desc=split):
         content = shard.read_bytes()
         hashes.append(hashlib.sha256(content).hexdigest())
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            loaded.append(dict(arrays))
-    return {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}, hashes
+            hands[label_settings(arrays).hand] = shard.name
+            loaded.append({name: arrays[name] for name in Sample._fields})
+    if len(hands) > 1:
+        found = " and ".join(f"{name} for the hand {hand}" for hand, name in hands.items())
+        raise RigError(f"{folder} holds {found}: keep the shards of each hand in a folder of their own.")
+    joined = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
+    return Shards(joined, hashes, next(iter(hands)))
 
 
 def main() -> None:
@@ -65,19 +81,27 @@ def main() -> None:
         if start:
             settings = replace(settings, network=start.name)
         parts = [load(arguments.data, split, arguments.shards) for split in ("train", "validation")]
+        train, validation = parts
+        if train.hand != validation.hand:
+            raise RigError(
+                f"The shards for training are of the hand {train.hand}, those for validation of {validation.hand}: "
+                "make both with the same --hand."
+            )
+        mismatch = start and start.mismatch(train.hand)
+        if mismatch:
+            sys.stderr.write(f"{arguments.start}: {mismatch} The training goes on from them.\n")
         identity = runs.identity(
-            asdict(settings), *(hashes for _, hashes in parts), *([[start.sha256]] if start else [])
+            asdict(settings), train.hashes, validation.hashes, *([[start.sha256]] if start else [])
         )
         saved = runs.opened(arguments.run, identity, arguments.anew)
     except (RigError, OSError) as error:
         parser.error(str(error))
-    train, validation = (samples for samples, _ in parts)
-    about = {**asdict(settings), "scenes": len(train["depth"]), "identity": identity}
+    about = {**asdict(settings), "hand": train.hand, "scenes": len(train.samples["depth"]), "identity": identity}
     if start:
         about["from"] = start.sha256
 
     def files(mean: nn.Module) -> dict[str, object]:
-        return {"weights.pt": weights.state_for_file(settings.network, mean)}
+        return {"weights.pt": weights.state_for_file(settings.network, mean, train.hand)}
 
-    trainer, data = network_trainer(settings, device, start and start.network), (train, validation)
+    trainer, data = network_trainer(settings, device, start and start.network), (train.samples, validation.samples)
     runs.train(arguments.run, about, saved, trainer, data, arguments.every, files, CURVES)

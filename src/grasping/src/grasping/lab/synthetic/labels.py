@@ -8,6 +8,7 @@ approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
@@ -33,6 +34,7 @@ class Gripper(NamedTuple):
     clearance: float = 0.005  # on each side between object and pad when the hand comes down
     palm: float = 0.060  # from the tips to the palm
     friction: float = 0.5  # coefficient that a grasp may count on
+    margin: float = 0.0  # added to the opening of a label, as far as the gripper opens
 
 
 class Grasps(NamedTuple):
@@ -57,11 +59,24 @@ def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper
 
     `surface` and `table` are depths, of what a parallel view sees and of the bare table, shape (n, n) [m].
     """
+    margin = int(gripper.opening / cell)
+    return in_directions(surface, table, margin, directions, lambda s, t: _along_rows(s, t, cell, gripper))
+
+
+def in_directions(
+    surface: np.ndarray,
+    table: np.ndarray,
+    margin: int,
+    directions: int,
+    along_rows: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> Grasps:
+    """Returns the grasps of a hand in each direction; `margin`: what it needs around the objects [cells]; `along_rows`:
+    returns score and opening of its grasps along the rows of the turned maps.
+    """
     n = len(surface)
     angles = np.pi * np.arange(directions) / directions
     scores, openings = np.zeros((directions, n, n), np.float32), np.zeros((directions, n, n), np.float32)
-    margin = int(gripper.opening / cell)
-    window = _around(surface < table - LOWEST_OBJECT_M, (margin, margin))
+    window = around(surface < table - LOWEST_OBJECT_M, (margin, margin))
     if window is None:
         return Grasps(angles, scores, openings)
     surface, table = surface[window].astype(np.float32), table[window].astype(np.float32)
@@ -70,7 +85,7 @@ def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper
         turn, turn_back, turned_size = _turns(size, np.degrees(angle))
         flat = cv2.warpAffine(surface, turn, turned_size, flags=cv2.INTER_NEAREST, borderValue=(FREE,))
         ground = cv2.warpAffine(table, turn, turned_size, flags=cv2.INTER_LINEAR, borderValue=(FREE,))
-        score, opening = _along_rows(flat, ground, cell, gripper)
+        score, opening = along_rows(flat, ground)
         # A grasp is worth what its neighbours are worth too: the hand misses by millimetres.
         score = cv2.blur(score, (3, 3))
         back = size[::-1]
@@ -96,20 +111,32 @@ def best(found: Grasps) -> Labels:
     return Labels(quality, angle, np.where(quality > 0.0, at(found.openings, choice), 0.0), np.ones_like(choice, bool))
 
 
-def in_image(labels: Labels, surface: np.ndarray, cell: float, depth: np.ndarray, focal: float) -> Labels:
-    """Returns the labels of an image's pixels, whose optical axis is the middle of the height map. Side walls, which
-    the parallel view does not see, have no label; outside the map lies the bare table. `surface`: the map, shape (n, n)
-    [m], cells of `cell` [m]; `depth`: of the pixels, exact, shape (h, w) [m]; `focal`: length [px].
+def in_image(
+    labels: Labels,
+    surface: np.ndarray,
+    cell: float,
+    depth: np.ndarray,
+    focal: float,
+    T_map_camera: np.ndarray | None = None,
+) -> Labels:
+    """Returns the labels of an image's pixels. Side walls, which the parallel view does not see, have no label; outside
+    the map lies the bare table. `surface`: the map, shape (n, n) [m], cells of `cell` [m]; `depth`: of the pixels,
+    exact, shape (h, w) [m]; `focal`: length [px]; `T_map_camera`: of the camera in the map, whose origin is its middle
+    and z its depth, shape (4, 4) [m], None if they are the same.
     """
     n = len(surface)
     row, column = np.indices(depth.shape)
     h, w = depth.shape
     x = (column - 0.5 * (w - 1)) / focal * depth
     y = (row - 0.5 * (h - 1)) / focal * depth
+    below = depth
+    if T_map_camera is not None:
+        points = np.stack([x, y, depth], axis=-1) @ T_map_camera[:3, :3].T + T_map_camera[:3, 3]
+        x, y, below = np.moveaxis(points, -1, 0)
     i, j = (np.round(c / cell + 0.5 * (n - 1)).astype(int) for c in (y, x))
     inside = (i >= 0) & (i < n) & (j >= 0) & (j < n)
     i, j = np.clip(i, 0, n - 1), np.clip(j, 0, n - 1)
-    seen = np.abs(surface[i, j] - depth) < 2.0 * cell
+    seen = np.abs(surface[i, j] - below) < 2.0 * cell
     quality = np.where(inside & seen, labels.quality[i, j], 0.0)
     return Labels(quality, labels.angle[i, j], labels.opening[i, j] / depth * focal, ~inside | seen)
 
@@ -128,7 +155,7 @@ def _along_rows(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gr
     for wanted in np.unique(level[objects]):
         cut = wanted * LEVEL_M
         here = objects & (level == wanted) & (surface < cut)
-        window = _around(here, margin)
+        window = around(here, margin)
         if window is None:
             continue
         here, near = here[window], surface[window]
@@ -164,7 +191,7 @@ def _along_rows(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gr
         centring = np.clip(1.0 - np.abs(x - 0.5 * (pad_left + pad_right)) / half, 0.0, 1.0)
         good = room & (worst < gripper.friction)
         score[window][y[good], x[good]] = (centring * (0.3 + 0.7 * steady))[good]
-        opening[window][y[good], x[good]] = width[good]
+        opening[window][y[good], x[good]] = np.minimum(width[good] + gripper.margin, gripper.opening)
     return score, opening
 
 
@@ -177,7 +204,7 @@ def _ends(occupied: np.ndarray, y: np.ndarray, x: np.ndarray) -> tuple[np.ndarra
     return left.astype(int), right.astype(int)
 
 
-def _around(mask: np.ndarray, margin: tuple[int, int]) -> tuple[slice, slice] | None:
+def around(mask: np.ndarray, margin: tuple[int, int]) -> tuple[slice, slice] | None:
     """Returns the smallest window that holds the mask and `margin` cells around it, None when there is nothing."""
     rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
     if not len(rows):

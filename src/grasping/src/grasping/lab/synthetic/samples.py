@@ -12,8 +12,10 @@ import cv2
 import mujoco
 import numpy as np
 
-from grasping.lab.synthetic import labels, scene, shapes
+from common.poses import inverse, pose
+from grasping.lab.synthetic import labels, reflex_labels, scene, shapes
 from grasping.network import depth_image
+from grasping.network.maps import PARALLEL
 from grasping.network.networks import WIDTH_SCALE_PX
 
 FOCAL_PX = 570.3  # focal length of the 640 x 480 image
@@ -109,6 +111,30 @@ class SceneView(NamedTuple):
     table: np.ndarray  # the same of the bare table
 
 
+class LabelSettings(NamedTuple):
+    """What labels mean."""
+
+    hand: str = PARALLEL  # name in `network.maps.HANDS`
+    margin: float = 0.0  # added to each opening, as far as the hand opens [m]
+
+
+DEFAULT_LABELS = LabelSettings()
+
+
+class SceneGrasps(NamedTuple):
+    """A hand's grasps of a scene, and where its height map is."""
+
+    found: labels.Grasps
+    surface: np.ndarray  # height map, shape (CELLS, CELLS) [m]
+    T_map_camera: np.ndarray | None  # of the camera in the map, shape (4, 4) [m]; None: the map is about its axis
+    exact: np.ndarray  # depth of the network's image, shape (300, 300) [m]
+    focal: float  # of that image [px]
+
+    def in_image(self, of: labels.Labels) -> labels.Labels:
+        """Returns labels of the map's cells as labels of the pixels of the network's image."""
+        return labels.in_image(of, self.surface, CELL_M, self.exact, self.focal, self.T_map_camera)
+
+
 class Sample(NamedTuple):
     """A training example, each shape (300, 300)."""
 
@@ -138,14 +164,30 @@ def view(split: str, seed: int, count: int | None = None) -> SceneView:
     return SceneView(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
 
 
-def sample(seen: SceneView) -> Sample:
-    """Returns the network's image of a scene and its labels."""
+def hand_grasps(seen: SceneView, settings: LabelSettings = DEFAULT_LABELS) -> SceneGrasps:
+    """Returns the grasps of a hand: the parallel gripper comes along the camera's axis, the ReFlex from above."""
     side = depth_image.NETWORK_SIDE
-    image = depth_image.prepare(seen.observed, depth_image.Crop(0, 0, depth_image.CROP_SIDE))
     exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
-    found = labels.best(labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER))
     focal = seen.camera.focal * side / depth_image.CROP_SIDE
-    label = labels.in_image(found, seen.surface, CELL_M, exact, focal)
+    if settings.hand == PARALLEL:
+        found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER._replace(margin=settings.margin))
+        return SceneGrasps(found, seen.surface, None, exact, focal)
+    above = scene.straight_above(seen.camera)
+    model = mujoco.MjModel.from_xml_string(seen.scene.xml)
+    data = mujoco.MjData(model)
+    data.qpos[:] = seen.scene.state
+    surface = scene.height_map(model, data, above, CELL_M, CELLS)
+    table = scene.table_depth(above, CELL_M, CELLS)
+    found = reflex_labels.grasps(surface, table, CELL_M, reflex_labels.Hand(margin=settings.margin))
+    T_map_camera = inverse(pose(above.R, above.position)) @ pose(seen.camera.R, seen.camera.position)
+    return SceneGrasps(found, surface, T_map_camera, exact, focal)
+
+
+def sample(seen: SceneView, settings: LabelSettings = DEFAULT_LABELS) -> Sample:
+    """Returns the network's image of a scene and its labels."""
+    image = depth_image.prepare(seen.observed, depth_image.Crop(0, 0, depth_image.CROP_SIDE))
+    of_hand = hand_grasps(seen, settings)
+    label = of_hand.in_image(labels.best(of_hand.found))
     return Sample(
         (image.depth - image.mean).astype(np.float16),
         np.round(255.0 * label.quality).astype(np.uint8),

@@ -104,6 +104,15 @@ def random_camera(rng: np.random.Generator, focal: float, side: int, max_tilt: f
     return SceneCamera(target - rng.uniform(0.55, 0.85) * R[:, 2], R, focal, side)
 
 
+def straight_above(camera: SceneCamera) -> SceneCamera:
+    """Returns the camera as it would look straight down on the same point of the table, turned as little as it can."""
+    z, x = np.array([0.0, 0.0, -1.0]), camera.R[:, 0] * (1.0, 1.0, 0.0)
+    x = x / np.linalg.norm(x)
+    target = camera.position - camera.position[2] / camera.R[2, 2] * camera.R[:, 2]
+    position = np.array([target[0], target[1], camera.position[2]])
+    return SceneCamera(position, np.column_stack([x, np.cross(z, x), z]), camera.focal, camera.side)
+
+
 def rays(camera: SceneCamera) -> np.ndarray:
     """Returns the viewing direction of each pixel in the camera's axes with z = 1, shape (side * side, 3)."""
     c = (np.arange(camera.side) - 0.5 * (camera.side - 1)) / camera.focal

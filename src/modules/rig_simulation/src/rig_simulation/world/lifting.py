@@ -169,9 +169,11 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
 
 DESCRIPTION = (
     "Tries grasps with the rig's ReFlex hand in MuJoCo: the file is one of `rosrun grasping evaluate_grasps.py"
-    " --export`. Prints a table of success rates; with --results it keeps each trial in a file and resumes from it."
+    " --export`, or of `make_dataset.py --check`. Prints tables of success rates, by the quality, too; with --results it keeps each trial in a file and resumes from it."
 )
 SCHEMA = 2
+LABELLED = 0.3  # from this quality on a label teaches angle and opening
+QUALITIES = (0.001, 0.3, 0.6, 0.8)  # bounds of the table of reliability; below the first there is no label
 NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fingers stand 52 mm apart
 
 
@@ -248,6 +250,28 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def reliability(rows: list[dict[str, Any]]) -> str:
+    """Returns Markdown tables of how many objects were lifted by the quality of the grasps, and of how well a quality
+    of `LABELLED` or more foretells it; empty if no grasp has a quality.
+    """
+    ranges = list(zip((-np.inf, *QUALITIES), (*QUALITIES, np.inf)))
+    names = ["none", *(f"{low:g} to {high:g}" for low, high in ranges[1:-1]), f"{QUALITIES[-1]:g} and more"]
+    judged = [row for row in rows if row["peak"]]
+    lines, verdicts = [], []
+    for method in dict.fromkeys(row["method"] for row in judged):
+        own = [(row["peak"]["quality"], row["lifted"]) for row in judged if row["method"] == method]
+        cells = [[lifted for quality, lifted in own if low <= quality < high] for low, high in ranges]
+        lines.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in cells)} |")
+        precision = [lifted for quality, lifted in own if quality >= LABELLED]
+        recall = [quality >= LABELLED for quality, lifted in own if lifted]
+        verdicts.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in (precision, recall))} |")
+    if not lines:
+        return ""
+    header = f"\n| lifted %, by quality | {' | '.join(names)} |\n| --- |{' --- |' * len(names)}"
+    verdict = f"\n| quality of {LABELLED:g} or more | precision % | recall % |\n| --- | --- | --- |"
+    return "\n".join([header, *lines, verdict, *verdicts]) + "\n"
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Runs the program; returns the exit code."""
     parser = argparse.ArgumentParser(description=DESCRIPTION)
@@ -278,5 +302,5 @@ def main(arguments: list[str] | None = None) -> int:
                 part = options.results.with_suffix(".part")
                 part.write_text(json.dumps(rows) + "\n")
                 part.replace(options.results)
-    sys.stdout.write(table(rows))
+    sys.stdout.write(table(rows) + reliability(rows))
     return 0
