@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 from common import lift_trial
 from common.poses import pose
 from common.rotations import rotation_about
-from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main
+from grasping.lab.synthetic import reflex_labels, samples
+from grasping.lab.synthetic.scene import SceneCamera, height_map
+from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
 
 SCENE = """<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast" cone="elliptic"/>
 <default><geom condim="6" friction="0.5 0.005 0.002" solref="0.006 1"/></default>
@@ -83,6 +86,24 @@ def test_positions_of_another_scene_are_refused():
         lift(SCENE, np.zeros(14), grasp())
 
 
+def test_the_labels_know_the_hand_that_lifts():
+    hand = reflex_labels.Hand()
+    assert (hand.above, hand.ground) == (P_HAND_GRIP[2], pytest.approx(TIPS_M + GROUND_M))
+
+
+@pytest.mark.parametrize(("size", "angle"), [("0.02 0.045 0.03", 0.0), ("0.02 0.08 0.03", np.pi / 2)])
+def test_the_physics_agrees_with_the_labels(size, angle):
+    """The same bar across its narrow and across its wide side, which the fingers come down on."""
+    scene, cell = SCENE.replace("0.02 0.04 0.03", size), samples.CELL_M
+    R = rotation_about(2, angle) @ DOWN
+    model = mujoco.MjModel.from_xml_string(scene)
+    data = mujoco.MjData(model)
+    data.qpos[:] = lying()
+    surface = height_map(model, data, SceneCamera(np.array([0.0, 0.0, 0.7]), R, 570.0, 400), cell, 101)
+    score, _ = reflex_labels.along_rows(surface, np.full_like(surface, 0.7), cell, reflex_labels.Hand())
+    assert lift(scene, lying(), grasp(angle=angle)).lifted == (score[50, 50] > 0.3) == (angle == 0.0)
+
+
 def content(**more):
     peak = {"row": 1, "column": 2, "quality": 0.5, "angle": 0.1, "width": 40.0}
     tried = [{"method": "good", "T_world_grasp": grasp().tolist(), "width": 0.05, "target": 0, "peak": peak}]
@@ -109,6 +130,15 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([str(file), "--results", str(results), "--shake"])
     assert "holds trials without a shake" in capsys.readouterr().err
+
+
+def test_qualities_are_judged_by_what_was_lifted():
+    rows = [{"method": "a", "quality": q, "lifted": up} for q, up in ((0.0, True), (0.4, True), (0.9, False))]
+    lines = reliability([*rows, {"method": "b", "lifted": True}]).splitlines()
+    cells = [[cell.strip().split(" (")[0] for cell in line.split("|")[1:-1]] for line in lines]
+    assert ["a", "100", "-", "100", "-", "0"] in cells
+    assert ["a", "50", "50"] in cells and "b" not in "".join(lines)
+    assert reliability(rows[:0]) == ""
 
 
 @pytest.mark.parametrize(
