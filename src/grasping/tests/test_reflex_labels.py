@@ -13,7 +13,8 @@ import pytest
 import torch
 
 from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
-from grasping.lab.synthetic import label_check, labels, reflex_labels, samples, scene
+from grasping.lab.evaluation import label_check
+from grasping.lab.synthetic import labels, reflex_labels, samples, scene
 from grasping.lab.synthetic.samples import LabelSettings
 from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
@@ -184,7 +185,7 @@ def test_a_checked_grasp_lies_on_an_object_and_is_the_same_for_both_hands():
     np.testing.assert_allclose(T[0], T[1], atol=0.02)  # the angle of a direction is the same within the tilt
     assert T[0][2, 3] > labels.LOWEST_OBJECT_M
     best = next(g for g in reflex["grasps"] if g["method"] == label_check.BEST)
-    assert 0.3 < best["quality"] <= 1.0 and 0.0 < best["width"] <= 2.0 * HAND.preshape + 1e-6
+    assert 0.3 < best["peak"]["quality"] <= 1.0 and 0.0 < best["width"] <= 2.0 * HAND.preshape + 1e-6
 
 
 def call(monkeypatch, program, *arguments):
@@ -263,7 +264,7 @@ def test_grasps_to_be_checked_go_to_a_file(tmp_path, monkeypatch):
     file = tmp_path / "check.json"
     call(monkeypatch, make_dataset, "--check", file, "--hand", REFLEX, "--split", "validation", "--scenes", "2")
     content = json.loads(file.read_text())
-    assert content["schema"] == 1 and [one["scene"] for one in content["scenes"]] == [0, 1]
+    assert content["schema"] == 2 and [one["scene"] for one in content["scenes"]] == [0, 1]
     assert {g["method"] for one in content["scenes"] for g in one["grasps"]} == {label_check.RANDOM, label_check.BEST}
 
 

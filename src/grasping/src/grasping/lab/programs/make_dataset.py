@@ -21,7 +21,8 @@ import numpy as np
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping.lab.synthetic import label_check, samples
+from grasping.lab.evaluation import label_check
+from grasping.lab.synthetic import samples
 from grasping.lab.synthetic.samples import LabelSettings
 from grasping.network.maps import HANDS, PARALLEL
 

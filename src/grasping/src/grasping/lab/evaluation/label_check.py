@@ -12,12 +12,14 @@ import numpy as np
 
 from common.poses import pose
 from common.rotations import rotation_about
+from grasping.lab.evaluation.lifting import nearest_object
+from grasping.lab.evaluation.trials import FRICTION
 from grasping.lab.synthetic import labels, samples
 from grasping.lab.synthetic.scene import world_xml
+from grasping.network.maps import Peak
 
-SCHEMA = 1  # of the file of `evaluate_grasps.py --export`, here with a quality
+SCHEMA = 2  # of the file of `evaluate_grasps.py --export`
 RANDOM, BEST = "random grasp", "best label"
-FRICTION = (0.35, 0.6)  # range of the friction of a scene
 
 
 def scene_grasps(split: str, number: int, settings: samples.LabelSettings) -> dict[str, Any]:
@@ -39,9 +41,12 @@ def scene_grasps(split: str, number: int, settings: samples.LabelSettings) -> di
         d = float(of_hand.exact[at])
         T_camera_grasp = pose(rotation_about(2, np.pi * turned - float(label.angle[at])), d * _ray(at, of_hand))
         T = pose(seen.camera.R, seen.camera.position) @ T_camera_grasp
-        found = {"width": float(label.opening[at]) * d / of_hand.focal, "quality": float(label.quality[at])}
+        peak = Peak(int(at[0]), int(at[1]), *(float(v[at]) for v in (label.quality, label.angle, label.opening)))
+        target = nearest_object(seen.scene, T[:3, 3])
+        found = {"width": peak.width * d / of_hand.focal, "target": target, "peak": peak._asdict()}
         grasps.append({"method": method, "T_world_grasp": T.tolist(), **found})
     return {
+        "split": split,
         "scene": number,
         "objects": len(seen.scene.objects),
         "mjcf": world_xml(seen.scene.objects, friction),
