@@ -91,9 +91,9 @@ def test_the_labels_know_the_hand_that_lifts():
     assert (hand.above, hand.ground) == (P_HAND_GRIP[2], pytest.approx(TIPS_M + GROUND_M))
 
 
-@pytest.mark.parametrize(("size", "angle"), [("0.02 0.045 0.03", 0.0), ("0.02 0.08 0.03", np.pi / 2)])
+@pytest.mark.parametrize(("size", "angle"), [("0.02 0.045 0.03", 0.0), ("0.06 0.08 0.03", np.pi / 2)])
 def test_the_physics_agrees_with_the_labels(size, angle):
-    """The same bar across its narrow and across its wide side, which the fingers come down on."""
+    """A bar across its narrow side, and a block on whose wide side all fingers come down."""
     scene, cell = SCENE.replace("0.02 0.04 0.03", size), samples.CELL_M
     R = rotation_about(2, angle) @ DOWN
     model = mujoco.MjModel.from_xml_string(scene)
