@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
 from grasping.lab.evaluation import label_check
+from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
 from grasping.lab.synthetic import labels, reflex_labels, samples, scene
 from grasping.lab.synthetic.samples import LabelSettings
 from grasping.network import weights

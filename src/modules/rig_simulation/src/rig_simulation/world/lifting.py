@@ -169,7 +169,8 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
 
 DESCRIPTION = (
     "Tries grasps with the rig's ReFlex hand in MuJoCo: the file is one of `rosrun grasping evaluate_grasps.py"
-    " --export`, or of `make_dataset.py --check`. Prints tables of success rates, by the quality, too; with --results it keeps each trial in a file and resumes from it."
+    " --export`, or of `make_dataset.py --check`. Prints tables of success rates, by the quality, too; with --results"
+    " it keeps each trial in a file and resumes from it."
 )
 SCHEMA = 2
 LABELLED = 0.3  # from this quality on a label teaches angle and opening
