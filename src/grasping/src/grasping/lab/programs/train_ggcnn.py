@@ -37,7 +37,7 @@ CURVES = runs.Curves(
 )
 
 
-class Shards(NamedTuple):
+class LoadedShards(NamedTuple):
     """Labelled images of a folder."""
 
     samples: dict[str, np.ndarray]  # of all shards, joined
@@ -45,7 +45,7 @@ class Shards(NamedTuple):
     hand: str  # that their labels are of
 
 
-def load(folder: Path, split: str, most: int) -> Shards:
+def load(folder: Path, split: str, most: int) -> LoadedShards:
     """Returns the samples of at most `most` shards of a split. Raises RigError if the folder holds no shard of that
     split, or shards for several hands.
     """
@@ -63,7 +63,7 @@ def load(folder: Path, split: str, most: int) -> Shards:
         found = " and ".join(f"{name} for the hand {hand}" for hand, name in hands.items())
         raise RigError(f"{folder} holds {found}: keep the shards of each hand in a folder of their own.")
     joined = {name: np.concatenate([part[name] for part in loaded]) for name in loaded[0]}
-    return Shards(joined, hashes, next(iter(hands)))
+    return LoadedShards(joined, hashes, next(iter(hands)))
 
 
 def main() -> None:
