@@ -111,6 +111,41 @@ def test_a_topic_that_is_closed_leaves_no_open_file(ros, processes, wait_until):
     assert left <= 4, log  # the publisher's own, and those whose connections are just ending
 
 
+HEAPS = """
+import ctypes, threading
+from common.ros.node import run
+
+def main():
+    together = threading.Barrier(8)
+
+    def work():
+        kept = [bytearray(1000) for _ in range(100)]
+        together.wait()
+        del kept
+
+    threads = [threading.Thread(target=work) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    libc = ctypes.CDLL(None)
+    libc.fopen.restype, libc.fclose.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
+    libc.malloc_info.argtypes = [ctypes.c_int, ctypes.c_void_p]
+    file = libc.fopen(b"{path}", b"w")
+    libc.malloc_info(0, file)
+    libc.fclose(file)
+
+run("worker", main)
+"""
+
+
+def test_the_threads_of_a_node_share_one_heap(ros, processes, wait_until, tmp_path):
+    found = tmp_path / "heaps.xml"
+    process = processes.start(sys.executable, "-c", HEAPS.format(path=found))
+    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
+    assert found.read_text().count("<heap nr=") == 1, process.log_path.read_text()
+
+
 DISPOSABLE = """
 import atexit, sys, threading
 import rospy
