@@ -455,13 +455,18 @@ def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, cal
     changes = tmp_path / "changes.yaml"
     changes.write_text("peaks: {threshold: 0.95}\n")
 
-    def ask(*question):
+    def ask(*question, node=False):
         launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
-        done = subprocess.run(["roslaunch", *question, *launch], check=True, capture_output=True, text=True)
-        return done.stdout
+        arguments = (*question, *launch, *(["node:=true"] if node else []))
+        return subprocess.run(["roslaunch", *arguments], check=True, capture_output=True, text=True).stdout
 
-    command = ask("--args", "/ggcnn")
+    command = ask("--args", "/ggcnn", node=True)
     assert "/behind.sh 10 " in command and "/ggcnn.py " in command
+    parameters = [yaml.safe_load(ask("--dump-params", node=node)) for node in (False, True)]
+    own = [{name: value for name, value in one.items() if name.startswith("/ggcnn/")} for one in parameters]
+    assert own[0] == own[1] and own[0]
+
+    assert "/ggcnn" not in ask("--nodes").split()
     for name, value in yaml.safe_load(ask("--dump-params")).items():
         rospy.set_param(name, value)
     lists = ros.record("ggcnn/out/grasps", GraspList)
