@@ -20,6 +20,9 @@ SHARED = ROOT.parent / "shared"
 # A matrix of this project is small: more threads than one cost time.
 os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
 os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
+# No window opens on the screen of whoever runs the tests; those that need one have one of their own.
+os.environ.pop("DISPLAY", None)
+os.environ.pop("WAYLAND_DISPLAY", None)
 # A run in the background ignores Ctrl-C; what it starts would ignore it, too, and wait to be killed.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)

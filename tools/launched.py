@@ -12,6 +12,11 @@ def nodes(package: str, file: str, *arguments: str) -> set[str]:
     return set(roslaunch.node_args.get_node_list(_config(package, file, arguments)))
 
 
+def prefixes(package: str, file: str, *arguments: str) -> list[str]:
+    """Returns what each node is started by (launch-prefix), in the order of their start; "" for most."""
+    return [node.launch_prefix or "" for node in _config(package, file, arguments).nodes]
+
+
 def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:
     """Returns the parameters that it sets, by their names."""
     return {name: parameter.value for name, parameter in _config(package, file, arguments).params.items()}

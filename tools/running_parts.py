@@ -65,7 +65,10 @@ def _ptp() -> list[list[str]]:
             *wire,
             *_given(ports, "robot_port", "leap_port", "hand_port"),
         ],
-        ["roslaunch", "kuka_control", "ptp_controller.launch", "ip:=127.0.0.1", f"port:={ports['robot_port']}"],
+        [
+            *("roslaunch", "kuka_control", "ptp_controller.launch", "gui:=false"),
+            *("ip:=127.0.0.1", f"port:={ports['robot_port']}"),
+        ],
     ]
 
 

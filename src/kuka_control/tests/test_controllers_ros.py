@@ -771,7 +771,8 @@ def test_a_calibrated_arm_has_its_home_and_its_measured_flange_by_its_own_parame
     from common.ros.conversions import pose_from_transform
 
     modes = ros.record("kuka/mode", String)
-    ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", port=robot.port, dh_parameters=EXAMPLE)
+    own = {"port": robot.port, "dh_parameters": EXAMPLE, "gui": "false"}
+    ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", **own)
     wait_until(lambda: modes and modes[-1].data == "home", MOVE_S, "the arm at home")
     assert rospy.get_param("kuka/dh_parameters") == EXAMPLE and rospy.get_param("kuka/tool_length") == 0.106
     home = frame("kuka/flange_frame/home", tf2_ros, wait_until, pose_from_transform)

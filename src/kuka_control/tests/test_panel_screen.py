@@ -121,6 +121,12 @@ class Panel:
     def log(self):
         return self.process.log_path.read_text()
 
+    def wait_until_known(self):
+        """Waits until the ROS master has the node."""
+        import rosgraph
+
+        self._wait_until(lambda: "/kuka_panel" in str(rosgraph.Master("/test").getSystemState()), LONG_S, "the node")
+
     def wait_for_end(self):
         self._wait_until(lambda: self.process.poll() is not None, LONG_S, "the end of the panel")
         assert "Traceback" not in self.log, self.log
@@ -319,7 +325,78 @@ def test_without_a_screen_it_says_so(ros, processes, wait_until):
         ["rosrun", "kuka_control", "gui.py"], env=env, capture_output=True, text=True, timeout=60.0
     )  # fmt: skip
     assert done.returncode == 1
-    assert done.stderr.strip() == "The control panel needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set."
+    assert "neither DISPLAY nor WAYLAND_DISPLAY is set" in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("display", "said"), [("", "neither DISPLAY nor"), (":98765", "the screen :98765 (DISPLAY)")])
+@pytest.mark.parametrize(("option", "code"), [("--if-possible", 0), ("--on-top", 1)])
+def test_a_screen_that_is_not_there_is_one_sentence_and_beside_a_controller_no_fault(ros, display, said, option, code):
+    env = {**os.environ, "DISPLAY": display}
+    del env["QT_QPA_PLATFORM"]
+    done = subprocess.run(
+        ["rosrun", "kuka_control", "gui.py", option], env=env, capture_output=True, text=True, timeout=3.0 * LONG_S
+    )
+    text = done.stdout + done.stderr
+    assert done.returncode == code and said in text and len(text.splitlines()) == 1
+
+
+def test_a_second_panel_is_not_opened_beside_the_first(ros, screen, panel, processes):
+    shown = panel()
+    shown.wait_until_known()
+    second = processes.start("rosrun", "kuka_control", "gui.py", "--if-possible", env={"DISPLAY": screen.display})
+    assert second.wait(LONG_S) == 0 and "open already" in second.log_path.read_text()
+    assert shown.process.poll() is None
+
+
+@pytest.fixture
+def beside(processes, wait_until):
+    """Starts a controller that has neither parameters nor a robot, and waits until it says so."""
+
+    def start(program, *arguments, display=""):
+        environment = {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb" if display else "offscreen"}
+        controller = processes.start("rosrun", "kuka_control", program, *arguments, env=environment)
+        wait_until(lambda: "kuka" in controller.log_path.read_text(), LONG_S, "the controller's first sentence")
+        return controller
+
+    return start
+
+
+def children(process):
+    return Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+
+
+@pytest.mark.parametrize("program", ["real_time_controller.py", "ptp_controller.py"])
+def test_the_panel_comes_and_goes_with_each_controller(ros, screen, beside, processes, wait_until, program):
+    controller = beside(program, display=screen.display)
+    screen.wait_for_panel()
+    assert len(children(controller)) == 1
+    assert processes.end(controller) == 0
+    wait_until(lambda: not screen.xdotool("search", "--onlyvisible", "--name", TITLE), LONG_S, "the window to close")
+
+
+def test_the_panel_stays_after_a_fault_of_its_controller(ros, screen, beside):
+    import rospy
+
+    controller = beside("real_time_controller.py", display=screen.display)
+    screen.wait_for_panel()
+    rospy.set_param("kuka", {"robot": "none"})
+    assert controller.wait(LONG_S) == 1
+    screen.wait_for("emergency", RED)
+
+
+def test_without_the_panel_a_controller_starts_nothing(ros, screen, beside):
+    assert children(beside("real_time_controller.py", "gui:=false", display=screen.display)) == []
+
+
+def test_without_a_screen_a_controller_says_so_and_runs(ros, beside, wait_until):
+    controller = beside("real_time_controller.py")
+    wait_until(lambda: "there is no screen" in controller.log_path.read_text(), LONG_S, "the sentence")
+    assert controller.poll() is None and children(controller) == []
+
+
+def test_a_wish_for_the_panel_that_is_no_truth_value_is_refused(ros, beside):
+    controller = beside("ptp_controller.py", "gui:=perhaps")
+    assert controller.wait(LONG_S) == 1 and "gui:=perhaps" in controller.log_path.read_text()
 
 
 def ask_to_close(display, window):

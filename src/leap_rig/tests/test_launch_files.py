@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from pathlib import Path
 
 import pytest
 
@@ -21,6 +22,52 @@ def nodes(*arguments: str) -> set[str]:
     from tools import launched
 
     return launched.nodes("leap_rig", "demo.launch", *arguments)
+
+
+ROOT = Path(__file__).resolve().parents[3]
+LAUNCH_FILES = ROOT.glob("src/**/launch/*.launch")
+SIMULATED = {path for path in LAUNCH_FILES if '<arg name="sim" default="true"' in path.read_text()}
+PANEL = "/kuka_panel"
+
+
+@pytest.mark.parametrize("file", sorted(SIMULATED), ids=lambda path: f"{path.parents[1].name}-{path.stem}")
+def test_what_simulates_by_default_says_so_before_anything_else_does(file):
+    from tools import launched
+
+    first, *others = launched.prefixes(file.parents[1].name, file.name)
+    assert "/simulated.sh " in first
+    real = launched.prefixes(file.parents[1].name, file.name, "sim:=false")
+    assert real and not any("simulated.sh" in prefix for prefix in real)
+
+
+def test_the_files_that_simulate_by_default_are_known():
+    assert {"demo", "leap_rig", "leap_rig_ptp_debug", "camera", "grasping", "camera_apriltag", "camera_oculus"} <= {
+        path.stem for path in SIMULATED
+    }
+
+
+@pytest.mark.parametrize(("what", "said"), [("rig", ("sim:=false", "robot_ip")), ("camera", ("sim:=false", "Xtion"))])
+def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments(what, said):
+    script = ROOT / "src/common/shell/simulated.sh"
+    lines = subprocess.run(
+        [script, what, "printf", "%s|", "a b", "c"], check=True, capture_output=True, text=True, timeout=30
+    ).stdout.splitlines()
+    assert len(lines) == 2 and "simulated" in lines[0] and all(word in lines[0] for word in said)
+    assert lines[1] == "a b|c|"
+
+
+@pytest.mark.parametrize(
+    ("package", "file"),
+    [
+        *(("kuka_control", f"{mode}_controller.launch") for mode in ("real_time", "ptp")),
+        *(("leap_rig", f"{name}.launch") for name in ("demo", "leap_rig", "leap_rig_ptp_debug")),
+    ],
+)
+def test_the_control_panel_comes_with_each_controller_once(package, file):
+    from tools import launched
+
+    assert PANEL in launched.nodes(package, file)
+    assert PANEL not in launched.nodes(package, file, "gui:=false")
 
 
 CAMERA = {f"/camera/{name}" for name in ("driver", "frames", "watchdog", "register_rgbd")} | {"/camera_truth"}

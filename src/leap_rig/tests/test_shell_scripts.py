@@ -70,13 +70,47 @@ def test_run_leapd_starts_the_service_that_is_installed_and_says_which(tmp_path,
     assert (done.returncode == 0) == bool(started)
 
 
+@pytest.mark.parametrize("words", [("--sim",), ("sim:=true",), ("sim:=false", "--sim")])
+def test_run_leap_control_refuses_a_busy_leap_port_in_a_sentence(words):
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        port = busy.getsockname()[1]
+        done = subprocess.run(
+            [SHELL / "run_leap_control.sh", *words, f"leap_port:={port}"], capture_output=True, text=True, timeout=60
+        )
+    assert done.returncode == 1 and f"Port {port} is busy" in done.stderr and done.stdout == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "launched"),
+    [((), "sim:=false"), (("gui:=false", "robot_ip:=10.0.0.1"), "sim:=false gui:=false robot_ip:=10.0.0.1"),
+     (("--sim", "leap_port:=1"), "sim:=true leap_port:=1"), (("sim:=true", "sim:=false"), "sim:=false")],
+)  # fmt: skip
+def test_run_leap_control_is_for_the_real_rig_unless_it_is_told_otherwise(tmp_path, words, launched):
+    """With programs of ROS that only note how they are called."""
+    folder = tmp_path / "src" / "leap_rig" / "shell"
+    folder.mkdir(parents=True)
+    script = folder / "run_leap_control.sh"
+    script.write_text((SHELL / "run_leap_control.sh").read_text())
+    (tmp_path / "devel").mkdir()
+    (tmp_path / "devel" / "setup.bash").touch()
+    for name in ("roslaunch", "rosrun"):
+        (tmp_path / name).write_text(f'#!/bin/sh\necho "{name} $*" >> "{tmp_path}/log"\n')
+        (tmp_path / name).chmod(0o755)
+    done = subprocess.run(["bash", script, *words], env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, timeout=60)
+    assert done.returncode == 0
+    assert sorted((tmp_path / "log").read_text().splitlines()) == [
+        f"roslaunch leap_rig leap_rig.launch {launched}",
+        "rosrun kuka_control real_time_controller.py gui:=false",
+    ]
+
+
 @pytest.mark.rig
 @pytest.mark.timeout(300)
 def test_run_leap_control_starts_the_rig_and_the_real_time_controller_and_ends_both(bare, free_port, wait_until):
     ports = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
     arguments = [f"{name}:={free_port()}" for name in ports]
     process = bare(
-        "run_leap_control.sh", *arguments, f"hand_port:={free_port(socket.SOCK_DGRAM)}",
+        "run_leap_control.sh", "--sim", *arguments, f"hand_port:={free_port(socket.SOCK_DGRAM)}",
         ROS_MASTER_URI=f"http://localhost:{free_port()}", ROS_HOSTNAME="localhost",
     )  # fmt: skip
 

@@ -33,6 +33,7 @@ from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.guard_view import GuardView, HandOpening
 from kuka_control.ros.moves import MoveServer
+from kuka_control.ros.panel_process import control_panel
 from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, shipped
 from kuka_control.ros.services import Services, offer_tool_check
 from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePublisher, publish_workspace
@@ -116,12 +117,17 @@ def ends_soon() -> bool:
 
 def real_time_main() -> None:
     """The node kuka_real_time_node."""
-    node.run("kuka_real_time_node", lambda: _run(RealTimeConfig, algorithms.real_time_loop))
+    node.run("kuka_real_time_node", lambda: _with_panel(RealTimeConfig, algorithms.real_time_loop))
 
 
 def ptp_main() -> None:
     """The node kuka_ptp_node."""
-    node.run("kuka_ptp_node", lambda: _run(PtpConfig, algorithms.ptp_loop))
+    node.run("kuka_ptp_node", lambda: _with_panel(PtpConfig, algorithms.ptp_loop))
+
+
+def _with_panel(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
+    with control_panel():
+        _run(schema, make_loop)
 
 
 def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:

@@ -25,7 +25,7 @@ from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
-from kuka_control.ros import emergency
+from kuka_control.ros import emergency, panel_process
 from kuka_control.ros.emergency import ControllerProcess
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setScalingFactor
 from rig_msgs.msg import KukaStatus, OperatorView
@@ -218,9 +218,19 @@ def main() -> None:
     """Shows the panel until its window is closed, ROS shuts down, or the program is interrupted."""
     parser = argparse.ArgumentParser(description="The control panel of the arm and the gripper.")
     parser.add_argument("--on-top", action="store_true", help="keep the window above all others")
+    parser.add_argument(
+        "--if-possible", action="store_true",
+        help="if there is no screen, or the control panel is open already, say so and exit without an error",
+    )  # fmt: skip
     arguments = parser.parse_args(rospy.myargv()[1:])
-    if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
-        sys.exit("The control panel needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set.")
+    if arguments.if_possible:
+        reason = panel_process.why_not()
+        if reason:
+            print(reason)
+            sys.exit(0)
+    fault = "" if os.environ.get("QT_QPA_PLATFORM") else panel_process.no_screen()
+    if fault:
+        sys.exit(f"The control panel is not opened: {fault}.")
     sys.exit(_show(arguments.on_top))
 
 
@@ -253,6 +263,6 @@ def _show(on_top: bool) -> int:
 
 def _join_ros() -> None:
     try:
-        rospy.init_node("kuka_panel", disable_signals=True)
+        rospy.init_node(panel_process.NODE, disable_signals=True)
     except rospy.exceptions.ROSInitException:
         return  # the panel was closed before there was a master
