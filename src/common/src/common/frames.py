@@ -6,6 +6,11 @@ Below `BASE`: the arm's frames, the operator's, and the camera's. The links of t
 
 from __future__ import annotations
 
+import re
+from dataclasses import dataclass
+
+from common.config import text
+
 BASE = "kuka/base_frame"
 FLANGE = "kuka/flange"  # the flange as a link of the robot description
 FLANGE_HOME = "kuka/flange_frame/home"
@@ -26,3 +31,26 @@ RGB_OPTICAL, DEPTH_OPTICAL = "camera_rgb_optical_frame", "camera_depth_optical_f
 RGB_ALIAS, DEPTH_ALIAS = "camera/rgb_frame", "camera/depth_frame"  # the rig's own names of the optical frames
 GRASP_TARGET = "camera_target_frame"  # the best grasp, in `DEPTH`
 GRASP_VIEW = "ggcnn/view"  # the virtual camera whose image the grasp network sees, in an optical frame
+
+PREFIX = re.compile(r"(\w+(/\w+)*)?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class ArmFrames:
+    """The frames of one of several arms: behind its prefix, as left/kuka/base_frame; of an only arm as above."""
+
+    tf_prefix: str = text(doc="prefix of an arm's tf frames, where there are two, such as left", absent="", empty=True)
+
+    def __call__(self, name: str) -> str:
+        """Returns what a frame of this module, of arm or operator, is called for this arm."""
+        return f"{self.tf_prefix}/{name}" if self.tf_prefix else name
+
+    def faults(self) -> list[str]:
+        """Returns what is wrong with the prefix: robot_state_publisher would make another name of it."""
+        if PREFIX.fullmatch(self.tf_prefix):
+            return []
+        allowed = "letters, digits and _, with single slashes between them, such as left"
+        return [f"tf_prefix is {self.tf_prefix!r}, but must be {allowed}, or empty."]
+
+
+ONE_ARM = ArmFrames("")

@@ -20,13 +20,13 @@ BURST_S = 0.1
 
 
 class Diagnostics:
-    """Publishes a node's state and counters on /diagnostics twice a second, under `name`.
+    """Publishes a node's state and counters on /diagnostics twice a second, under `name` in the node's namespace.
 
     `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
     """
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
-        self._name, self._read = name, read
+        self._name, self._read = rospy.get_namespace().lstrip("/") + name, read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         _repeat(self.publish, PERIOD_S, "diagnostics")
 

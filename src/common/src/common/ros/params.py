@@ -11,6 +11,7 @@ import rospy
 
 from common.config import Schema, parse, required
 from common.errors import ConfigError
+from common.frames import ArmFrames
 
 POLL_S = 0.2
 UPLOAD_S = 1.0  # a launch file uploads a yaml in this time after its first key [s]
@@ -30,6 +31,16 @@ def private_config(schema: type[Schema], section: str = "", others: Iterable[str
     """
     values = private_values().get(section, {}) if section else private_values()
     return parse(schema, values, prefix=f"~{section}/" if section else "~", others=others)
+
+
+def arm_frames() -> ArmFrames:
+    """Returns the tf frames of this node's arm, by the parameter tf_prefix in its namespace or one above it.
+
+    Raises ConfigError if that is no prefix.
+    """
+    name = rospy.search_param("tf_prefix")
+    values = {} if name is None else {"tf_prefix": rospy.get_param(name)}
+    return parse(ArmFrames, values, prefix="" if name is None else name[: -len("tf_prefix")])
 
 
 def wait_for_param(name: str):

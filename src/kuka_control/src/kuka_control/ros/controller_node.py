@@ -15,10 +15,11 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from common.errors import DeviceError, RigError
+from common.frames import ArmFrames
 from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
-from common.ros.params import wait_for_config
+from common.ros.params import arm_frames, wait_for_config
 from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import KstArm
@@ -133,12 +134,13 @@ def _with_panel(schema: type[ControllerConfig], make_loop: Callable[[ControllerC
 def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
+    frames = arm_frames()
     rig = Rig.of(config, dh_deviations(config), guard_obstacles(config))
     link = RobotLink(config, rig)
     try:
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
-        _Node(config, rig, link, partial(make_loop, config, rig)).spin()
+        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin()
     finally:
         link.close()
         rospy.loginfo("The connection to the robot is closed.")
@@ -148,7 +150,12 @@ class _Node:
     """Everything that lives once the arm was connected."""
 
     def __init__(
-        self, config: ControllerConfig, rig: Rig, link: RobotLink, make_loop: Callable[[], ControlLoop]
+        self,
+        config: ControllerConfig,
+        rig: Rig,
+        link: RobotLink,
+        make_loop: Callable[[], ControlLoop],
+        frames: ArmFrames,
     ) -> None:
         self._link = link
         self._make_loop = make_loop
@@ -157,19 +164,19 @@ class _Node:
         self._switches = Switches()
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
-        self._state = StatePublisher(rig, config.rate_joints, config.rate_state, link.goals)
-        self._markers = publish_workspace(rig.workspace, rig.home.centre)
+        self._state = StatePublisher(rig, config.rate_joints, config.rate_state, link.goals, frames)
+        self._markers = publish_workspace(rig.workspace, rig.home.centre, frames)
         self._stages = StageTimes("kuka_control")
-        self._desired = DesiredTool()
+        self._desired = DesiredTool(frames)
         self._opening = HandOpening() if config.collision_guard else None
-        self._guard_view = GuardView(config, rig, self._opening, self._for_guard_view)
+        self._guard_view = GuardView(config, rig, self._opening, self._for_guard_view, frames)
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = algorithms.move_planner(config, rig, named_configurations(named, rig.model))
-        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints))
+        self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames)
         self._services = Services(self._switches)
         master.watch.lost.append(lambda _: self._services.disengage())
-        offer_tool_check(rig, self._for_tool_check, self._guard_view.collision)
+        offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
 
     def spin(self) -> None:
         """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault."""

@@ -13,7 +13,7 @@ import tf2_ros
 from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
-from common.frames import BASE, TOOL_DESIRED
+from common.frames import BASE, ONE_ARM, TOOL_DESIRED, ArmFrames
 from common.ros.conversions import pose_from_transform
 from kuka_control.model.desired_frame import (
     STANDS_S,
@@ -43,7 +43,8 @@ class DesiredTool:
         stamp: that of the newest desired tool frame, as it came; None before the first.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
+        self._base, self._tool = frames(BASE), frames(TOOL_DESIRED)
         self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = threading.Event()
         self._newest: DesiredFrame | None = None
@@ -58,7 +59,7 @@ class DesiredTool:
         self._lock = threading.Lock()  # each publisher on /tf has a thread of its own
         self._last_time, self._passed = rospy.Time.now(), time.monotonic()  # ROS time, and when it was seen to pass [s]
         self._parents: dict[str, str] = {}
-        self._needed: set[str] = {TOOL_DESIRED, BASE}
+        self._needed: set[str] = {self._tool, self._base}
         self._others: dict[str, deque[RawTransform]] = {}
         rospy.Subscriber("/tf_static", TFMessage, self.static_callback, tcp_nodelay=True)
         rospy.Subscriber("/tf", RawTfMessage, self.callback, tcp_nodelay=True)
@@ -77,7 +78,7 @@ class DesiredTool:
             for transform in transforms:
                 # Also one that is left out names the frames of a conflict.
                 known = self._parents.get(transform.child) == transform.parent
-                if transform.child == TOOL_DESIRED:
+                if transform.child == self._tool:
                     self._heard = now
                 if not self._sources.heard(transform.child, transform.parent, node, now):
                     arrived = True
@@ -121,7 +122,7 @@ class DesiredTool:
     def _stands_in(self, child: str, parent: str) -> None:
         """Notes in which frame another one stands; gives tf2 what it needs from now on."""
         self._parents[child] = parent
-        for start in (TOOL_DESIRED, BASE):  # what was needed stays so: tf2 also looks at moments before a change
+        for start in (self._tool, self._base):  # what was needed stays so: tf2 also looks at moments before a change
             frame, passed = self._parents.get(start), {start}
             while frame is not None and frame not in passed:
                 passed.add(frame)
@@ -138,7 +139,7 @@ class DesiredTool:
             self._refused = f"The transform {transform.parent} -> {transform.child} is refused: {fault}."
             rospy.logwarn_throttle(REMIND_S, self._refused)
             return
-        if transform.child == TOOL_DESIRED:
+        if transform.child == self._tool:
             stamp, clock = transform.stamp[0] + 1e-9 * transform.stamp[1], rospy.get_time()
             ahead = skew_fault(stamp, clock) if stamp > clock else None
             if ahead is not None:
@@ -171,14 +172,14 @@ class DesiredTool:
             self._unconnected, self._unconnected_since = self._heard, None
             self._newest = DesiredFrame(np.eye(4), now, refused=refused)
             return True
-        conflict = self._sources.conflict(TOOL_DESIRED, now)
+        conflict = self._sources.conflict(self._tool, now)
         if conflict is not None:
             if conflict is self._conflict:
                 return False
             self._conflict = conflict
             return self._refuse(f"The desired tool frame is refused: {conflict}.")
         try:
-            message = self.buffer.lookup_transform(BASE, TOOL_DESIRED, rospy.Time(0))
+            message = self.buffer.lookup_transform(self._base, self._tool, rospy.Time(0))
             self._unconnected_since = None
             stamp = message.header.stamp
             if stamp == self.stamp:
@@ -197,11 +198,11 @@ class DesiredTool:
 
     def _chain_jump(self, stamp: rospy.Time, T_base_tool: np.ndarray) -> str | None:
         """Returns which frame that the desired tool frame stands in has jumped, a sentence, or None."""
-        parent = self._parents.get(TOOL_DESIRED, BASE)
-        if parent == BASE:
+        parent = self._parents.get(self._tool, self._base)
+        if parent == self._base:
             return None
         try:
-            T_base_parent = pose_from_transform(self.buffer.lookup_transform(BASE, parent, stamp).transform)
+            T_base_parent = pose_from_transform(self.buffer.lookup_transform(self._base, parent, stamp).transform)
         except (tf2_ros.TransformException, ValueError):
             return None
         return self._chain.step(stamp.to_sec(), parent, T_base_parent, T_base_tool)
@@ -214,13 +215,12 @@ class DesiredTool:
         self._unconnected_since = now if self._unconnected_since is None else self._unconnected_since
         if now - self._unconnected_since < UNCONNECTED_S:
             return False
-        frame, passed = TOOL_DESIRED, set()
+        frame, passed = self._tool, set()
         while frame in self._parents and frame not in passed:
             passed.add(frame)
             frame = self._parents[frame]
-        return self._refuse(
-            f"The desired tool frame is refused: it stands in {frame}, and nobody publishes where that is in {BASE}."
-        )
+        unknown = f"it stands in {frame}, and nobody publishes where that is in {self._base}"
+        return self._refuse(f"The desired tool frame is refused: {unknown}.")
 
     def _refuse(self, sentence: str) -> bool:
         self.stamp = rospy.Time.now()

@@ -16,7 +16,7 @@ from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.frames import BASE
+from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import translation
 from common.ros.conversions import message_from_pose
 from common.ros.node import while_running
@@ -79,7 +79,9 @@ class GuardView:
         rig: Rig,
         opening: HandOpening | None,
         observe: Callable[[], tuple[np.ndarray | None, float]],
+        frames: ArmFrames = ONE_ARM,
     ) -> None:
+        self._base = frames(BASE)
         self._guard = collision_guard(config, rig)
         self._margin, self._opening, self._observe = config.guard_margin, opening, observe
         self._count = 0
@@ -118,7 +120,7 @@ class GuardView:
         if not (shown or self._state.get_num_connections()):
             return
         joints, scale = self._observe()
-        header = Header(0, rospy.Time.now(), BASE)
+        header = Header(0, rospy.Time.now(), self._base)
         state = GuardState(header=header, on=self._guard is not None, margin=self._margin, scale=scale)
         state.distance = float("inf")
         if self._guard is not None and joints is not None:
@@ -155,7 +157,7 @@ def _row(opening: Opening) -> tuple[float, ...]:
 def _body(header: Header, number: int, body: ConvexBody, T: np.ndarray) -> list[Marker]:
     """Returns the markers of a body: a capsule is a cylinder with two spheres."""
     robot = body.link > 0 or body.name.startswith("base")
-    look = Header(0, header.stamp, BASE), "robot" if robot else "around"
+    look = Header(0, header.stamp, header.frame_id), "robot" if robot else "around"
     colour, shape = ROBOT if robot else AROUND, body.shape
     if shape.kind == "box":
         return [_marker(*look, 3 * number, Marker.CUBE, shape.size, colour, T)]

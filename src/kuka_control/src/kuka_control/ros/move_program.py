@@ -16,6 +16,7 @@ from common.frames import BASE
 from common.poses import pose
 from common.ros.conversions import stamped_pose
 from common.ros.node import INTERRUPTED
+from common.ros.params import arm_frames
 from common.rotations import rotation_from_zyx
 from kuka_control.ros.parameter_server import master_of_this_graph
 from kuka_control.ros.simple_program import noted_interruptions
@@ -36,6 +37,8 @@ def main() -> None:
         goal = _goal(options)
         master_of_this_graph()
         rospy.init_node("kuka_move", anonymous=True, disable_signals=True)
+        if goal.kind == MoveGoal.POSE:
+            goal.pose.header.frame_id = arm_frames()(BASE)
         result, interrupted = carry_out(goal)
     except RigError as error:
         print(f"move: {error}", file=sys.stderr)

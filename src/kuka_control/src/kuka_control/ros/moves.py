@@ -11,7 +11,7 @@ import actionlib
 import numpy as np
 import rospy
 
-from common.frames import BASE
+from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import pose_in
 from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.loop.commands import Step
@@ -29,13 +29,20 @@ class MoveServer:
     Args:
         planner: checks a goal.
         read: returns the last step of the control loop, None before the first, and the measured joints, shape (7,).
+        frames: of the arm.
 
     Attributes:
         move: the motion that the control loop is to make, None while nothing is asked for.
     """
 
-    def __init__(self, planner: MovePlanner, read: Callable[[], tuple[Step | None, np.ndarray]]) -> None:
+    def __init__(
+        self,
+        planner: MovePlanner,
+        read: Callable[[], tuple[Step | None, np.ndarray]],
+        frames: ArmFrames = ONE_ARM,
+    ) -> None:
         self.move: ProgramMotion | None = None
+        self._base = frames(BASE)
         self._planner, self._read = planner, read
         self._lock = threading.Lock()
         self._handle: actionlib.ServerGoalHandle | None = None
@@ -84,7 +91,7 @@ class MoveServer:
                 raise MoveRefused("The motion before has not ended; cancel it or wait.")
             if step is None or step.mode not in READY:
                 raise MoveRefused("The controller starts." if step is None else wrong_time(step.mode, step.reason))
-            move = self._planner.plan(self._number, _goal_of(handle.get_goal()), joints)
+            move = self._planner.plan(self._number, _goal_of(handle.get_goal(), self._base), joints)
         except Exception as error:  # also what nobody expects must end the goal: the program waits for it
             known = isinstance(error, MoveRefused)
             sentence = str(error) if known else f"The motion cannot be planned: {type(error).__name__}: {error}."
@@ -105,7 +112,7 @@ class MoveServer:
             rospy.logwarn("kuka/move: a point-to-point motion cannot be stopped; the arm continues to %s.", move.name)
 
 
-def _goal_of(message: MoveGoalMessage) -> MoveGoal:
+def _goal_of(message: MoveGoalMessage, base: str) -> MoveGoal:
     if message.kind == MoveGoalMessage.JOINTS:
         return MoveGoal(np.array(message.joints), message.straight, message.velocity)
     if message.kind == MoveGoalMessage.NAMED:
@@ -113,6 +120,6 @@ def _goal_of(message: MoveGoalMessage) -> MoveGoal:
     if message.kind != MoveGoalMessage.POSE:
         raise MoveRefused(f"The kind of the goal is {message.kind}, but must be JOINTS, POSE or NAMED.")
     try:
-        return MoveGoal(pose_in(BASE, message.pose), message.straight, message.velocity)
+        return MoveGoal(pose_in(base, message.pose), message.straight, message.velocity)
     except ValueError as error:
         raise MoveRefused(f"The tool pose is refused: {error}.") from error

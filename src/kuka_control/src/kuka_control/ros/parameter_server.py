@@ -26,10 +26,12 @@ class NoParameters(RigError):
 
 
 def parameters(namespace: str) -> dict:
-    """Returns what the parameter server has under `namespace`; raises NoMaster or NoParameters."""
+    """Returns what the parameter server has under `namespace`, as seen from this program's own (ROS_NAMESPACE or
+    __ns:=); raises NoMaster or NoParameters.
+    """
     master = master_of_this_graph()
     try:
-        values = master.getParam(f"/{namespace}")
+        values = master.getParam(absolute(namespace))
     except rosgraph.MasterError:
         values = None
     except OSError as error:
@@ -47,11 +49,18 @@ def master_of_this_graph() -> rosgraph.Master:
     return rosgraph.Master("/leap_rig_program")
 
 
+def absolute(name: str) -> str:
+    """Returns a name in the namespace of this program, which need not be a node."""
+    return rosgraph.names.ns_join(rosgraph.names.get_ros_namespace(), name)
+
+
 def living_node(name: str) -> bool:
-    """Returns whether a node of this name is registered and listens (a killed one does not); NoMaster: no master."""
+    """Returns whether a node of this name, in this program's namespace, is registered and listens (a killed one does
+    not); NoMaster: no master.
+    """
     master = master_of_this_graph()
     try:
-        return listens(master.lookupNode(f"/{name}"))
+        return listens(master.lookupNode(absolute(name)))
     except (rosgraph.MasterError, OSError):
         return False
 

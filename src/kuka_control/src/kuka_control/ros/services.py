@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 
-from common.frames import BASE
+from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
@@ -66,6 +66,7 @@ def offer_tool_check(
     rig: Rig,
     read: Callable[[], tuple[Mode, np.ndarray | None, float]],
     collision: Callable[[np.ndarray], str | None],
+    frames: ArmFrames = ONE_ARM,
 ) -> None:
     """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop.
 
@@ -75,7 +76,7 @@ def offer_tool_check(
 
     def answer(request: CheckToolPoseRequest) -> CheckToolPoseResponse:
         try:
-            T_base_tool = pose_in(BASE, request.tool)
+            T_base_tool = pose_in(frames(BASE), request.tool)
         except ValueError as error:
             check = refused(f"{error}.")
             return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)

@@ -20,7 +20,7 @@ from std_msgs.msg import Bool, ColorRGBA, Header, String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, TOOL_COMMANDED, TOOL_HOME
+from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, ONE_ARM, TOOL_COMMANDED, TOOL_HOME, ArmFrames
 from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
 from kuka_control.loop.arm import ArmState
@@ -72,8 +72,11 @@ class GoalPublisher:
 class StatePublisher:
     """Publishes kuka/joint_positions at each reading, and everything else at the configured rates."""
 
-    def __init__(self, rig: Rig, rate_joints: float, rate_state: float, goals: GoalPublisher) -> None:
-        self._rig, self._goals = rig, goals
+    def __init__(
+        self, rig: Rig, rate_joints: float, rate_state: float, goals: GoalPublisher, frames: ArmFrames = ONE_ARM
+    ) -> None:
+        self._rig, self._goals, self._frames = rig, goals, frames
+        self._base, self._flange = frames(BASE), frames(FLANGE_MEASURED)
         self._period = 1.0 / rate_joints
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
@@ -103,8 +106,8 @@ class StatePublisher:
     def start(self) -> None:
         """Publishes the home frames once and starts the publishing thread."""
         home, now = self._rig.home, rospy.Time.now()
-        flange = stamped_transform(home.T_base_flange, BASE, FLANGE_HOME, now)
-        self._static.sendTransform([flange, stamped_transform(home.T_base_tool, BASE, TOOL_HOME, now)])
+        poses = ((home.T_base_flange, FLANGE_HOME), (home.T_base_tool, TOOL_HOME))
+        self._static.sendTransform([stamped_transform(T, self._base, self._frames(name), now) for T, name in poses])
         self._thread.start()
 
     def show(self, snapshot: Snapshot) -> None:
@@ -153,7 +156,7 @@ class StatePublisher:
         if joints is not self._published_joints:
             self._published_joints = joints
             if self._joints.get_num_connections():
-                self._joints.publish(jointPositions(Header(0, rospy.Time.now(), BASE), *joints.tolist()))
+                self._joints.publish(jointPositions(Header(0, rospy.Time.now(), self._base), *joints.tolist()))
 
     def _publish_readings(self, snapshot: Snapshot) -> None:
         """Publishes joints, frames, torques and forces, each only after a new reading and to a subscriber."""
@@ -167,14 +170,15 @@ class StatePublisher:
             if arm.T_base_tool is None or moving or self._rig.kinematics.calibrated:
                 if arm.joints is not before.joints:
                     T_base_flange = self._rig.T_base_flange(self._rig.kinematics.forward(arm.joints))
-                    transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
+                    transforms.append(stamped_transform(T_base_flange, self._base, self._flange, now))
             elif arm.T_base_tool is not before.T_base_tool:
                 T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
-                transforms.append(stamped_transform(T_base_flange, BASE, FLANGE_MEASURED, now))
+                transforms.append(stamped_transform(T_base_flange, self._base, self._flange, now))
             target = snapshot.step.target
             if target is not None and target is not self._target:
                 self._target = target
-                transforms.append(stamped_transform(target.T_base_tool, BASE, TOOL_COMMANDED, now))
+                commanded = self._frames(TOOL_COMMANDED)
+                transforms.append(stamped_transform(target.T_base_tool, self._base, commanded, now))
             if transforms:
                 self._tf.publish(TFMessage(transforms))
         self._publish_forces(snapshot, before, now)
@@ -192,7 +196,7 @@ class StatePublisher:
             if new is not None and new is not old and publisher.get_num_connections():
                 if publisher is self._torques_contact:
                     new = new - rig.load.torques(arm.joints, snapshot.switched.payload)
-                publisher.publish(kind(Header(0, now, BASE), *new.tolist()))
+                publisher.publish(kind(Header(0, now, self._base), *new.tolist()))
         for i, publisher, new, old in (
             (0, self._force, arm.force, before.force),
             (1, self._torque, arm.moment, before.moment),
@@ -200,7 +204,7 @@ class StatePublisher:
             if new is not None and new is not old and publisher.get_num_connections():
                 # The toolbox reports both in the tool's axes.
                 vector = rig.T_flange_tool[:3, :3] @ (new - rig.load.wrench(arm.joints, snapshot.switched.payload)[i])
-                publisher.publish(Vector3Stamped(Header(0, now, FLANGE_MEASURED), Vector3(*vector.tolist())))
+                publisher.publish(Vector3Stamped(Header(0, now, self._flange), Vector3(*vector.tolist())))
 
     def _publish_state(self, snapshot: Snapshot) -> None:
         switched, step = snapshot.switched, snapshot.step
@@ -215,7 +219,7 @@ class StatePublisher:
         self._status.publish(status)
 
 
-def publish_workspace(workspace: Workspace, centre) -> rospy.Publisher:
+def publish_workspace(workspace: Workspace, centre, frames: ArmFrames = ONE_ARM) -> rospy.Publisher:
     """Publishes the boundary lines and the centre once, latched; the publisher is to be kept."""
     publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
     lines = [
@@ -223,13 +227,15 @@ def publish_workspace(workspace: Workspace, centre) -> rospy.Publisher:
         for i, line in enumerate(boundary_lines(workspace))
     ]
     middle = _marker(len(lines), Marker.SPHERE_LIST, CENTRE_DIAMETER_M, [Point(*centre)])
-    publisher.publish(MarkerArray([*lines, middle]))
+    markers = [*lines, middle]
+    for marker in markers:
+        marker.header.frame_id = frames(BASE)
+    publisher.publish(MarkerArray(markers))
     return publisher
 
 
 def _marker(number: int, kind: int, size: float, points: list) -> Marker:
     marker = Marker(ns="workspace", id=number, type=kind, action=Marker.ADD, points=points, frame_locked=True)
-    marker.header.frame_id = BASE
     marker.pose.orientation.w = 1.0
     marker.scale = Vector3(size, size, size)
     marker.color = ColorRGBA(0.2, 0.7, 1.0, 0.8)

@@ -8,11 +8,9 @@ import time
 import numpy as np
 import rospy
 
-from common.frames import BASE, FLANGE_MEASURED
+from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.hand_delay import DelayMeter
 
-MEASURED = b"".join(struct.pack("<I", len(name)) + name.encode() for name in (BASE, FLANGE_MEASURED))
-"""The frames of the flange's transform as they stand in a tf message, after its stamp and before its seven numbers."""
 STAMP, NUMBERS = struct.Struct("<2I"), struct.Struct("<7d")
 REST_S, READ_S = 0.5, 0.01  # time between two looks at what came on tf, and time to read it
 BUFFER_BYTES = 2**20
@@ -25,7 +23,10 @@ class DelayMonitor:
         palm: track of the hand that steers, in the Leap frame.
     """
 
-    def __init__(self, T_tool_flange: np.ndarray) -> None:
+    def __init__(self, T_tool_flange: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
+        names = frames(BASE), frames(FLANGE_MEASURED)
+        # As they stand in a tf message, after its stamp and before its seven numbers.
+        self._flange_in_base = b"".join(struct.pack("<I", len(name)) + name.encode() for name in names)
         self._meter = DelayMeter()
         self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
         self._looked: dict[str, float] = {}  # by publisher
@@ -51,11 +52,11 @@ class DelayMonitor:
             time.sleep(REST_S)
             self._looked[publisher] = time.monotonic()
         data = message._buff
-        at = data.find(MEASURED)
+        at = data.find(self._flange_in_base)
         if at >= STAMP.size:
             seconds, nanoseconds = STAMP.unpack_from(data, at - STAMP.size)
             self._meter.tool.add(
-                seconds + 1e-9 * nanoseconds, self._tool(*NUMBERS.unpack_from(data, at + len(MEASURED)))
+                seconds + 1e-9 * nanoseconds, self._tool(*NUMBERS.unpack_from(data, at + len(self._flange_in_base)))
             )
 
     def _tool(self, px: float, py: float, pz: float, x: float, y: float, z: float, w: float) -> tuple[float, ...]:

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import rospy
 
-from common.frames import BASE
+from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import pose
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
@@ -30,7 +30,8 @@ class ReachCheck:
     `ws_center` is the point from which the scaling factor `scale` counts, shape (3,) [m].
     """
 
-    def __init__(self, ws_center: np.ndarray) -> None:
+    def __init__(self, ws_center: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
+        self._base = frames(BASE)
         self._ws_center, self.scale = ws_center, 1.0
         self._client = ServiceClient("kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
@@ -64,7 +65,8 @@ class ReachCheck:
 
     def _ask(self, T_base_tool: np.ndarray) -> str | None:
         try:
-            return self._client(stamped_pose(T_base_tool, BASE, rospy.Time.now()), timeout=TIMEOUT_S).obstacle or None
+            tool = stamped_pose(T_base_tool, self._base, rospy.Time.now())
+            return self._client(tool, timeout=TIMEOUT_S).obstacle or None
         except ServiceAbsent:
             return None
         except ServiceFailed:

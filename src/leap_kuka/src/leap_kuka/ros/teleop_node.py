@@ -16,11 +16,11 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from common.config import required
-from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
+from common.frames import BASE, FLANGE_DESIRED, HAND, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.ros.conversions import pose_in, transform_message
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
-from common.ros.params import wait_for_config, wait_for_param
+from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.ros.hand_to_arm import DelayMonitor
@@ -41,16 +41,25 @@ WATCH_PERIOD_S = 0.1
 class ArmTeleopNode:
     """Runs the chain on each frame, and watches for the stream falling silent."""
 
-    def __init__(self, teleop: ArmTeleop, reach: ReachCheck, engagement: str, subscribe: Subscribe) -> None:
+    def __init__(
+        self,
+        teleop: ArmTeleop,
+        reach: ReachCheck,
+        engagement: str,
+        subscribe: Subscribe,
+        frames: ArmFrames = ONE_ARM,
+    ) -> None:
         self._teleop, self._reach = teleop, reach
+        self._base, self._virtual = frames(BASE), frames(VIRTUAL_LEAP)
+        self._hand, self._tool, self._flange = frames(HAND), frames(TOOL_DESIRED), frames(FLANGE_DESIRED)
         self._bad_input = ""
         self._lock = threading.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka")
-        self._status = StreamStatus(teleop.box, VIRTUAL_LEAP)
+        self._status = StreamStatus(teleop.box, self._virtual)
         self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed)
-        self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange), False
+        self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange, frames), False
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("leap_kuka/operator_input", OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
@@ -108,19 +117,19 @@ class ArmTeleopNode:
             if request.duration == 0.0:
                 return self._teleop.end_hold()
             try:
-                T_base_tool = pose_in(BASE, request.tool)
+                T_base_tool = pose_in(self._base, request.tool)
             except ValueError as error:
                 return HoldAnswer(False, f"The tool is not held: {error}.")
             return self._teleop.hold(T_base_tool, request.duration, time.monotonic())
 
     def _transforms(self, result: TeleopResult, stamp: rospy.Time) -> TFMessage:
         """Returns all tf frames of one tracking frame in one message, so that a listener gets all of them or none."""
-        poses = [(result.T_base_virtual, BASE, VIRTUAL_LEAP)]
+        poses = [(result.T_base_virtual, self._base, self._virtual)]
         if result.T_virtual_hand is not None:
-            poses.append((result.T_virtual_hand, VIRTUAL_LEAP, HAND))
+            poses.append((result.T_virtual_hand, self._virtual, self._hand))
         if result.T_virtual_tool is not None:
-            poses.append((result.T_virtual_tool, VIRTUAL_LEAP, TOOL_DESIRED))
-            poses.append((self._teleop.T_tool_flange, TOOL_DESIRED, FLANGE_DESIRED))
+            poses.append((result.T_virtual_tool, self._virtual, self._tool))
+            poses.append((self._teleop.T_tool_flange, self._tool, self._flange))
         before, self._sent = self._sent, {}
         for T, _, child in poses:
             T_before, message = before.get(child, (None, None))
@@ -147,9 +156,10 @@ def start(subscribe: Subscribe = subscribe) -> None:
     """Follows the tracking frames of `subscribe` until ROS shuts down."""
     leap = wait_for_config(LeapConfig, "leap", others=(OPERATOR_INPUT,))
     arm = read_arm_placement()
-    reach = ReachCheck(arm.ws_center)
-    measured = MeasuredTool(arm.T_flange_tool) if leap.engagement == RELATIVE else no_measured_tool
-    ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe).watch()
+    frames = arm_frames()
+    reach = ReachCheck(arm.ws_center, frames)
+    measured = MeasuredTool(arm.T_flange_tool, frames) if leap.engagement == RELATIVE else no_measured_tool
+    ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe, frames).watch()
 
 
 def main() -> None:

@@ -87,7 +87,7 @@ class OperatorViewNode:
             self._subscribe("leap_kuka/state", TeleopState, self._record(HandView)),
             self._subscribe("kuka/status", KukaStatus, self._record(ArmView)),
             self._subscribe("kuka/guard", GuardState, self._record(GuardedPair)),
-            self._subscribe("/reflex_takktile/hand_state", Hand, self._grip),
+            self._subscribe("reflex_takktile/hand_state", Hand, self._grip),
             rospy.Subscriber("/diagnostics", DiagnosticArray, self._diagnostics, queue_size=20),
         ]
 

@@ -36,7 +36,7 @@ class HandDriver:
     """The hand on its topics and services."""
 
     def __init__(self, config: HandAddresses) -> None:
-        self._hand_state = DirectPublisher("/reflex_takktile/hand_state", Hand, queue_size=10)
+        self._hand_state = DirectPublisher("reflex_takktile/hand_state", Hand, queue_size=10)
         self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
         files = CalibrationFiles(config.calibration_folder, shipped)
@@ -79,7 +79,7 @@ class HandDriver:
             except CommandRefused as error:
                 rospy.logwarn_throttle_identical(REMIND_S, f"Command refused: {error}")
 
-        rospy.Subscriber(f"/reflex_takktile/{name}", message_type, take, queue_size=10)
+        rospy.Subscriber(f"reflex_takktile/{name}", message_type, take, queue_size=10)
 
     @staticmethod
     def _serve(name: str, service_type: type, call: Callable) -> None:
@@ -90,7 +90,7 @@ class HandDriver:
                 raise rospy.ServiceException(str(error)) from error
             return service_type._response_class()
 
-        rospy.Service(f"/reflex_takktile/{name}", service_type, handle)
+        rospy.Service(f"reflex_takktile/{name}", service_type, handle)
 
     def _publish(self, reading: HandReading) -> None:
         with while_running():
@@ -112,7 +112,7 @@ class HandDriver:
 
 
 def hand_message(reading: HandReading) -> Hand:
-    """Returns the message of /reflex_takktile/hand_state."""
+    """Returns the message of reflex_takktile/hand_state."""
     fingers = [
         Finger(
             proximal=reading.proximal[i],
