@@ -16,6 +16,8 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 LEAP = {
     "z_clearance": 0.15,
     "box_dimensions": np.array([0.2, 0.2, 0.2]),
+    "box_offset": 0.0,
+    "hand": "any",
     "buffer_size": 10,
     "filter": "mean",
     "start_tol_pitch": 20.0,

@@ -59,7 +59,7 @@ def test_turning_hand_and_heading_together_turns_the_tool_alike(yaw, pitch, roll
 
     def tool_in_base(psi):
         measured = attitude(hand(psi + yaw, pitch, roll), psi)
-        T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.4, -0.4, 0.4), 0.35, psi)
+        T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.4, -0.4, 0.4), (0.0, 0.35, 0.0), psi)
         return T[:3, :3] @ tool_rotation(measured.clipped(LIMITS), psi, turned=True)
 
     np.testing.assert_allclose(tool_in_base(psi), tool_in_base(psi + turn), atol=1e-9)
@@ -185,11 +185,17 @@ def test_the_signs_of_the_angles():
 @given(st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi))
 def test_the_heading_points_along_the_centre_line_and_the_leap_stands_upright(angle, psi):
     center_line = (math.cos(angle), math.sin(angle), 0.0)
-    T = virtual_leap_pose(mounting_frame(center_line), (0.4, -0.3, 0.5), 0.45, psi)
+    T = virtual_leap_pose(mounting_frame(center_line), (0.4, -0.3, 0.5), (0.0, 0.45, 0.0), psi)
     check_pose(T)
     np.testing.assert_allclose(T[:3, :3] @ (math.sin(psi), 0.0, -math.cos(psi)), center_line, atol=1e-9)
     np.testing.assert_allclose(T[:3, 1], [0, 0, 1], atol=1e-12)
     np.testing.assert_allclose(T[:3, 3], [0.4, -0.3, 0.05], atol=1e-12)
+
+
+@given(anywhere, anywhere, st.tuples(st.floats(-0.3, 0.3), st.floats(0.1, 0.6), st.floats(-0.3, 0.3)))
+def test_the_centre_of_a_box_anywhere_falls_on_the_centre_of_the_workspace(angle, psi, center):
+    T = virtual_leap_pose(mounting_frame((math.cos(angle), math.sin(angle), 0.0)), (0.4, -0.3, 0.5), center, psi)
+    np.testing.assert_allclose((T @ pose(p=center))[:3, 3], [0.4, -0.3, 0.5], atol=1e-12)
 
 
 def test_heading_is_the_trackers_yaw():
@@ -202,7 +208,7 @@ def test_heading_is_the_trackers_yaw():
 @pytest.mark.parametrize("psi", [0.0, 0.6, -2.5])
 def test_a_level_hand_asks_for_the_rotation_of_the_home_tool_frame(center_line, psi):
     """z down; x back to the base, or along the centre line where that points backwards (docs/decisions/mounting.md)."""
-    T = virtual_leap_pose(mounting_frame(center_line), (0.5, 0.0, 0.5), 0.45, psi)
+    T = virtual_leap_pose(mounting_frame(center_line), (0.5, 0.0, 0.5), (0.0, 0.45, 0.0), psi)
     R = T[:3, :3] @ tool_rotation(attitude(hand(psi, 0.0, 0.0), psi), psi, turned=center_line[0] >= 0.0)
     check_rotation(R)
     ahead = np.array(center_line) / np.linalg.norm(center_line)
@@ -211,7 +217,7 @@ def test_a_level_hand_asks_for_the_rotation_of_the_home_tool_frame(center_line, 
 
 
 def test_moving_the_hand_away_from_the_user_moves_the_tool_along_the_centre_line():
-    T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.42, -0.42, 0.4), 0.35, 0.0)
+    T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.42, -0.42, 0.4), (0.0, 0.35, 0.0), 0.0)
     near, far = (T @ pose(p=(0.0, 0.35, z)) for z in (0.0, -0.1))
     np.testing.assert_allclose(far[:3, 3] - near[:3, 3], 0.1 * np.array([1, -1, 0]) / math.sqrt(2), atol=1e-12)
     np.testing.assert_allclose(near[:3, 3], [0.42, -0.42, 0.4], atol=1e-12)

@@ -16,6 +16,7 @@ import numpy as np
 from common.frame_rate import FrameRate
 
 MAX_SKEW_S = 0.5  # how far a frame's stamp may be from the present time [s]
+LEFT, RIGHT, ANY = "left", "right", "any"  # which of the operator's hands
 RATE_WINDOW_S = 0.5  # time over which the frame rate is measured [s]
 
 MAX_STEP_M = 0.02  # farthest that a palm moves between two frames; the largest true step in recordings was 15 mm
@@ -102,6 +103,11 @@ class TrackerHand(Protocol):
 
 
 Hand = TypeVar("Hand", bound=TrackerHand)
+
+
+def of_side(hands: Iterable[Hand], side: str) -> tuple[Hand, ...]:
+    """Returns the hands of a side: LEFT, RIGHT or ANY."""
+    return tuple(hand for hand in hands if side == ANY or hand.is_left is (side == LEFT))
 
 
 def plausible_step(elapsed: float) -> float:

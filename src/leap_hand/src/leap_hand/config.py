@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from common.config import flag, number, text, vector
+from common.config import choice, flag, number, text, vector
+from common.hand_tracking import ANY, LEFT, RIGHT
 
 FINGERS = ("index", "middle", "thumb", "spread")
 """Order of the angles of the human hand and of the commands of the robot hand."""
@@ -17,6 +18,9 @@ class NodeConfig:
     """The private parameters of the node."""
 
     hand_only: bool = flag(doc="run without waiting for kuka/gripper_control", absent=True)
+    hand: str = choice(
+        *(LEFT, RIGHT, ANY), doc="which hand of the operator the robot hand follows, as the arm's leap/hand", absent=ANY
+    )
     operator: str = text(doc="name of the person whose hand was measured, for the log", absent="", empty=True)
     service_timeout: float = number(
         "s", above=0.0, doc="how long to wait for the services of the hand's driver", absent=60.0

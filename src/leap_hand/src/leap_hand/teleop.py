@@ -19,7 +19,7 @@ from enum import Enum
 
 import numpy as np
 
-from common.hand_tracking import FrameWatch, HandLock
+from common.hand_tracking import ANY, FrameWatch, HandLock, of_side
 from common.poses import read_only
 from leap_hand.config import FINGERS, HandConfig
 from leap_hand.flexion import flexion, map_angles
@@ -62,10 +62,12 @@ class GripperCounts:
 class HandTeleop:
     """The chain of steps with its state; `open_pose` has the angles of the open robot hand, shape (4,) [rad].
 
-    With `hand_only` it starts without a message on kuka/gripper_control, and makes the lock itself.
+    With `hand_only` it starts without a message on kuka/gripper_control, and makes the lock itself. Hands of another
+    side than `side` (LEFT, RIGHT or ANY of common.hand_tracking) do not exist for it.
     """
 
-    def __init__(self, config: HandConfig, hand_only: bool) -> None:
+    def __init__(self, config: HandConfig, hand_only: bool, side: str = ANY) -> None:
+        self._side, self._nobody = side, "no hand is seen" if side == ANY else f"no {side} hand is seen"
         self._human, self._robot, self._grip_hold = config.human, config.robot, config.grip_hold
         self.open_pose = read_only(self._robot[:, 0])
         self.counts = GripperCounts()
@@ -136,16 +138,17 @@ class HandTeleop:
 
     def _choose(self, frame: TrackingFrame, stamp: float, now: float) -> tuple[TrackedHand | None, str]:
         """Returns the owner as this frame shows it, or None and why."""
+        hands = of_side(frame.hands, self._side)
         if self._arm_reports:
             if now - self._reported_at > MAX_UNREPORTED_S:
                 return None, "leap_kuka does not report which hand steers the arm"
             if self._owner is None:
                 return None, "no hand steers the arm; bring one into the interaction box"
-            owner = next((hand for hand in frame.hands if (hand.id, hand.is_left) == self._owner), None)
+            owner = next((hand for hand in hands if (hand.id, hand.is_left) == self._owner), None)
             return owner, "the hand that steers the arm is not seen"
-        hand = self._lock.update(frame.hands, stamp)
+        hand = self._lock.update(hands, stamp)
         if hand is None:
-            return None, "no hand is seen"
+            return None, self._nobody
         if not self._lock.engaged and not self._lock.came_in:
             return None, f"{hand.name} was in view already; take it away and bring it back"
         self._lock.engage()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.config import choice, integer, number, vector
+from common.hand_tracking import ANY, LEFT, RIGHT
 from common.mounting import EVEN, MountingFrame, ToolConfig, mounting_field, mounting_frame
 from leap_kuka.hand_filter import FILTERS
 
@@ -25,6 +26,12 @@ class LeapConfig:
     )
     box_dimensions: np.ndarray = vector(
         3, "m", above=0.0, high=1.0, doc="size of the interaction box along the Leap's axes"
+    )
+    box_offset: float = number(
+        "m", low=-0.3, high=0.3, absent=0.0, doc="of that box to the right of the Leap; two arms need two boxes"
+    )
+    hand: str = choice(
+        *(LEFT, RIGHT, ANY), absent=ANY, doc="which hand of the operator steers; where there are two arms, one each"
     )
     buffer_size: int = integer(
         "samples",

@@ -1,7 +1,7 @@
 """The start gate: a hand that came into the interaction box starts a stream, level, slow and tracked with confidence.
 
-A running stream ends only on low confidence. The interaction box is centred on the Leap's y axis; its axes are the
-Leap's.
+A running stream ends only on low confidence. The interaction box is centred on the Leap's y axis, or leap/box_offset
+beside it; its axes are the Leap's.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
     if height < leap.box_dimensions[1] / 2.0:
         where = f"{leap.box_dimensions[1]:g} m high at {height:g} m"
         raise ConfigError([f"The interaction box, {where}, would reach into the Leap: enlarge leap/z_clearance."])
-    return InteractionBox(read_only([0.0, height, 0.0]), leap.box_dimensions)
+    return InteractionBox(read_only([leap.box_offset, height, 0.0]), leap.box_dimensions)
 
 
 class StartGate:

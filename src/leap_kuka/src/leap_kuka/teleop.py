@@ -5,6 +5,8 @@ is missing, or the tracker is slower than MIN_RATE_HZ, the stream runs on and th
 the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the robot's
 base frame; metres and radians.
 
+Where leap/hand names a side, the other hands steer nothing; as second hand, which clutches or enables, they count.
+
 While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py): as long as
 tracking frames come in and control of the arm is on.
 
@@ -24,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from common.hand_tracking import LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock
+from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock, of_side
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
@@ -148,7 +150,7 @@ class ArmTeleop:
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
-        self.box = interaction_box(leap, arm)
+        self.box, self._side = interaction_box(leap, arm), leap.hand
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
@@ -243,7 +245,7 @@ class ArmTeleop:
         if self._lock.owner is not None and not self._gate.running and self._hold.T_base_tool is None:
             self._end("the hold has ended", now, keep=False)
         owner = self._lock.owner
-        hand = self._lock.update(frame.hands, arrival.stamp)
+        hand = self._lock.update(of_side(frame.hands, self._side), arrival.stamp)
         if owner is not None and self._lock.owner is None:
             end = f"{self._name} was lost"
             self._end(end, now, keep=True)
@@ -257,7 +259,7 @@ class ArmTeleop:
             self.counts.frames_without_owner += 1
             self._reason = self._obstacle = f"{self._name} is not seen; the tool stays"
         else:
-            self._reason = "no hand is seen"
+            self._reason = "no hand is seen" if self._side == ANY else f"no {self._side} hand is seen"
         if ran and end:
             self._reason = end
         if not self._gate.running and self._mean is None:
@@ -426,7 +428,7 @@ class ArmTeleop:
         self._attitude = SteadyAttitude(self._relative.change(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
 
     def _virtual_leap(self, psi: float) -> np.ndarray:
-        return virtual_leap_pose(self._mounting, self._ws_center, float(self.box.center[1]), psi)
+        return virtual_leap_pose(self._mounting, self._ws_center, self.box.center, psi)
 
     def _turn(self, psi: float) -> None:
         """Turns the virtual Leap so that the heading psi [rad] points forward."""

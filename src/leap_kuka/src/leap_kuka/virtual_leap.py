@@ -105,15 +105,16 @@ def heading(direction: np.ndarray) -> float:
     return math.atan2(direction[0], -direction[2])
 
 
-def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, height: float, psi: float) -> np.ndarray:
+def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, box_center: np.ndarray, psi: float) -> np.ndarray:
     """Returns T_base_virtual, shape (4, 4).
 
-    The centre of the workspace in the base frame, shape (3,) [m], is `height` [m] above the virtual Leap; the heading
-    `psi` [rad] points forward.
+    The centre of the interaction box in the Leap frame falls on that of the workspace in the base frame, shape (3,) [m]
+    each; the heading `psi` [rad] points forward.
     """
     up, forward = mounting.up, mounting.forward
     straight = np.column_stack([np.cross(forward, up), up, -forward])
-    return pose(straight @ rotation_about(1, psi), ws_center - height * up)
+    R_base_virtual = straight @ rotation_about(1, psi)
+    return pose(R_base_virtual, ws_center - R_base_virtual @ box_center)
 
 
 def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = None) -> Attitude:

@@ -13,6 +13,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Empty
 
 from common.errors import DeviceError
+from common.hand_tracking import LEFT
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
@@ -22,7 +23,7 @@ from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
-from leap_motion.ros.tracking import LEFT, ReceivedHuman, Subscribe, subscribe
+from leap_motion.ros.tracking import ReceivedHuman, Subscribe, subscribe
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
@@ -170,7 +171,7 @@ def start(node: NodeConfig, subscribe: Subscribe = subscribe) -> None:
     if node.operator:
         rospy.loginfo("The finger mapping is that of %s.", node.operator)
     calibrate(node.service_timeout)
-    HandTeleopNode(HandTeleop(config, node.hand_only), ForceLimit(config)).run(subscribe)
+    HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config)).run(subscribe)
 
 
 def main() -> None:

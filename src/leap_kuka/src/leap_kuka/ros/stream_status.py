@@ -14,10 +14,10 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
-from leap_motion.ros.tracking import LEFT, RIGHT
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)

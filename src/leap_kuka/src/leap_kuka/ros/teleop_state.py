@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import rospy
 
+from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.ros.stream_status import NewestResult
 from leap_kuka.start_gate import CONDITIONS
 from leap_kuka.teleop import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
-from leap_motion.ros.tracking import LEFT, RIGHT
 from rig_msgs.msg import TeleopState
 
 PERIOD_S = 0.2

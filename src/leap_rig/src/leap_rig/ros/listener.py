@@ -16,10 +16,11 @@ from tf2_msgs.msg import TFMessage
 
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
+from common.hand_tracking import LEFT, RIGHT
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
-from leap_motion.ros.tracking import LEFT, RIGHT, ReceivedPalms
+from leap_motion.ros.tracking import ReceivedPalms
 from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates

@@ -23,7 +23,6 @@ from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, THUMB, Finge
 from leap_motion.msg import Human
 from leap_motion.ros.human import ARM, CENTER, FINGER, FRAME_ID, HAND, NO_HAND, TOP, FrameMessage, empty_fingers
 
-RIGHT, LEFT = "right", "left"
 LOG_PERIOD_S = 1.0  # between two errors of one taker
 HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
 FIVE_BYTES = 5 * FINGER.itemsize

@@ -1,0 +1,113 @@
+"""Two arms and one tracker: each arm follows the hand of its side as if the other one were not there."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from common.poses import translation
+from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_motion.frames import TrackingFrame
+
+OFFSET = {"left": -0.15, "right": 0.15}
+LEFT_ID, RIGHT_ID = 5, 6
+PHASES = st.lists(
+    st.tuples(
+        st.integers(1, 40),  # frames
+        st.sampled_from(["away", "in", "beside", "tilted", "unsure", "in the other box", "renumbered"]),
+        st.floats(0.0, 1.0),  # grab
+    ),
+    min_size=1,
+    max_size=6,
+)
+"""What one hand does, one phase after the other."""
+RELATIVE = {"engagement": "relative", "hold_time": 1.0}
+
+
+def hands_of(side, phases, sample):
+    """The hand of a side, or None, frame by frame."""
+    is_left, number = side == "left", LEFT_ID if side == "left" else RIGHT_ID
+    for frames, what, grab in phases:
+        number += 10 * (what == "renumbered")
+        x = -OFFSET[side] if what == "in the other box" else OFFSET[side] + (0.2 if what == "beside" else 0.0)
+        for i in range(frames):
+            hand = sample(
+                position=(x, 0.35, 0.001 * (i % 5)),
+                roll=40.0 if what == "tilted" else 0.0,
+                confidence=0.0 if what == "unsure" else 1.0,
+                id=number,
+                is_left=is_left,
+                grab=grab,
+            )
+            yield None if what == "away" else hand
+
+
+def run(teleop, frames, is_left=None):
+    """The results of an arm's teleoperation, if only hands of a side are seen (None: all), control being on at home."""
+    results = []
+    teleop.control(False, "home", 1.0, 0.0)
+    for number, hands in enumerate(frames):
+        now = 50.0 + 0.01 * number
+        teleop.control(True, "servo" if results and results[-1].owner else "home", 1.0, now)
+        seen = tuple(hand for hand in hands if hand is not None and is_left in (None, hand.is_left))
+        results.append(teleop.step(TrackingFrame(number + 1, 0.0, seen), now))
+    return results
+
+
+def same(one, other):
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        equal = np.array_equal(a, b) if isinstance(a, np.ndarray) and isinstance(b, np.ndarray) else a == b
+        assert equal, (field.name, a, b)
+
+
+def made(leap, arm, hand, **changes):
+    config = leap(hand=hand, box_offset=OFFSET.get(hand, 0.0), **changes)
+    return ArmTeleop(config, arm(), measured_tool=lambda: translation(0.42, -0.42, 0.4))
+
+
+@settings(max_examples=40)
+@given(PHASES, PHASES, st.booleans())
+def test_what_one_hand_does_changes_nothing_for_the_arm_of_the_other(leap, arm, sample, left, right, relative):
+    changes = RELATIVE if relative else {}
+    left, right = [*hands_of("left", [(30, "in", 0.0), *left], sample)], [*hands_of("right", right, sample)]
+    length = max(len(left), len(right))
+    frames = [*zip(*(hands + [None] * (length - len(hands)) for hands in (left, right)))]
+    for side, is_left in (("left", True), ("right", False)):
+        both, alone = (run(made(leap, arm, side, **changes), frames, only) for only in (None, is_left))
+        for one, other in zip(both, alone):
+            same(one, other)
+            assert one.owner is None or one.owner[1] is is_left
+    assert any(result.state is StreamState.RUNNING for result in run(made(leap, arm, "left", **changes), frames))
+
+
+def test_two_hands_steer_two_arms_and_the_loss_of_one_ends_its_stream_alone(leap, arm, sample):
+    left = [*hands_of("left", [(60, "in", 0.0), (60, "away", 0.0)], sample)]
+    right = [*hands_of("right", [(120, "in", 0.0)], sample)]
+    frames = [*zip(left, right)]
+    followed = {side: [r.follows for r in run(made(leap, arm, side), frames)] for side in ("left", "right")}
+    assert followed["left"][59] and not followed["left"][60]
+    assert all(followed["right"][59:])
+    reasons = [r.reason for r in run(made(leap, arm, "left"), frames)]
+    assert reasons[60] == "left hand 5 is not seen; the tool stays"
+    assert reasons[-1] == "no left hand is seen"
+    tool = run(made(leap, arm, "right"), frames)[-1]
+    np.testing.assert_allclose((tool.T_base_virtual @ tool.T_virtual_tool)[:3, 3], [0.42, -0.42, 0.4], atol=0.01)
+
+
+@pytest.mark.parametrize("side, steers", [("any", True), ("left", True), ("right", False)])
+def test_a_hand_steers_the_arms_of_its_side_and_an_arm_of_any(leap, arm, sample, side, steers):
+    config = leap(hand=side, box_offset=OFFSET["left"])
+    frames = [(hand,) for hand in hands_of("left", [(30, "in", 0.0)], sample)]
+    assert any(result.owner for result in run(ArmTeleop(config, arm()), frames)) is steers
+
+
+def test_the_second_hand_clutches_although_it_steers_nothing(leap, arm, sample):
+    teleop = made(leap, arm, "right", clutch="second_hand_fist", **RELATIVE)
+    right = [*hands_of("right", [(60, "in", 0.0)], sample)]
+    left = [*hands_of("left", [(30, "beside", 0.0), (30, "beside", 1.0)], sample)]
+    results = run(teleop, [*zip(left, right)])
+    assert results[29].follows and not results[29].clutched
+    assert results[-1].clutched and not results[-1].follows
