@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from common.frames import ONE_ARM
 from golden.chain import BEGIN_S, CLOCK_S, Trace, World
 from golden.runs import RUNS, Missing
 from golden.stored import Stored, differences, stored
@@ -95,7 +96,7 @@ class NodeChain:
         from kuka_control.loop import algorithms
 
         self.controller = controller_node._Node(
-            world.config, world.rig, link, lambda: algorithms.real_time_loop(world.config, world.rig)
+            world.config, world.rig, link, lambda: algorithms.real_time_loop(world.config, world.rig), ONE_ARM
         )
         self.desired, self.controller._desired = self.controller._desired, self
         self.controller._opening = SimpleNamespace(at=lambda _: world.opening)

@@ -397,7 +397,8 @@ def test_the_wizard_measures_the_hand_that_the_simulated_leap_tracks(ros, wait_u
         ({"index_human": [85.0, 85.0]}, {}, "leap_hand/index_human is"),
         ({"index_humen": [85.0, 40.0]}, {}, "leap_hand/index_humen is not a known key"),
         ({}, {"hand_only": "maybe"}, "~hand_only is 'maybe'"),
-        ({}, {"hand": True}, "~hand is not a known key"),
+        ({}, {"hand": "both"}, "~hand is 'both'"),
+        ({}, {"hands": "left"}, "~hands is not a known key"),
     ],
 )
 def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, private, words, wait_until):
