@@ -406,7 +406,7 @@ def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
     maps = f"/proc/{process.pid}/maps"
     condition = {
         "its libraries load": lambda: "libtorch" in Path(maps).read_text(),
-        "its networks load": lambda: "tool: grip_in_tool" in process.log_path.read_text(),
+        "its networks load": lambda: "tool: hand" in process.log_path.read_text(),
         "it works": lambda: len(lists) > 0,
     }[moment]
     wait_until(condition, PATIENCE_S, moment)
