@@ -53,9 +53,8 @@ def _margin(cell: float, hand: Hand) -> int:
 def along_rows(surface: np.ndarray, table: np.ndarray, cell: float, hand: Hand) -> tuple[np.ndarray, np.ndarray]:
     """Returns score and opening [m] of the grasps whose fingers close along the rows."""
     margin = _margin(cell, hand)
-    rim = {side: margin for side in ("top", "bottom", "left", "right")}
     surface, table = (
-        cv2.copyMakeBorder(v.astype(np.float32), **rim, borderType=cv2.BORDER_CONSTANT, value=(FREE,))
+        cv2.copyMakeBorder(v.astype(np.float32), *4 * (margin,), cv2.BORDER_CONSTANT, value=(FREE,))
         for v in (surface, table)
     )
     score, opening = np.zeros_like(surface), np.zeros_like(surface)
