@@ -47,7 +47,7 @@ def test_cells_are_chosen_by_name_wire_and_condition():
     assert {cell.wire for cell in cells.chosen("loss_10")} == set(cells.WIRES)
     assert {cell.wire for cell in cells.chosen("ros")} == {"ros"} and len(cells.chosen("ros")) == 13
     assert cells.chosen("") == list(cells.CELLS.values())
-    with pytest.raises(SystemExit, match="no cell loss_7"):
+    with pytest.raises(SystemExit, match="no cell 'loss_7'"):
         cells.chosen("loss_7")
 
 

@@ -13,14 +13,20 @@ from common.lift_trial import SHAKE_S, LiftRecord, outcome, shaken_gravity
 RISE = 0.08
 heights = st.lists(st.floats(-0.1, 0.2), min_size=3, max_size=3).map(np.array)
 records = st.builds(
-    LiftRecord, st.booleans(), heights, st.lists(st.booleans(), min_size=3, max_size=3).map(np.array), heights, heights
+    LiftRecord,
+    st.booleans(),
+    heights,
+    st.lists(st.booleans(), min_size=3, max_size=3).map(np.array),
+    heights,
+    heights,
+    st.booleans(),
 )
 
 
 @given(records, st.integers(0, 2))
 def test_only_the_target_that_stays_up_counts(record, target):
     reason = outcome(record, target, RISE)
-    assert (reason == lift_trial.LIFTED) == (record.kept[target] > RISE)
+    assert (reason == lift_trial.LIFTED) == (record.valid and record.kept[target] > RISE)
     assert reason == lift_trial.LIFTED or reason in lift_trial.FAILURES
 
 

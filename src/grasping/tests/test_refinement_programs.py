@@ -339,7 +339,7 @@ def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
     file = tmp_path / "grasps.json"
     call(monkeypatch, evaluate, "--scenes", "2", "--export", file, "--weights", "GG-CNN2", WEIGHTS)
     found = json.loads(file.read_text())
-    assert found["schema"] == 1
+    assert found["schema"] == 2
     assert [(s["scene"], s["objects"]) for s in found["scenes"]] == [(0, 1), (1, 3)]
     for scene in found["scenes"]:
         assert len(scene["qpos"]) == 7 * scene["objects"]
