@@ -93,12 +93,14 @@ def test_run_leap_control_is_for_the_real_rig_unless_it_is_told_otherwise(tmp_pa
     script.write_text((SHELL / "run_leap_control.sh").read_text())
     (tmp_path / "devel").mkdir()
     (tmp_path / "devel" / "setup.bash").touch()
-    for name in ("roslaunch", "rosrun"):
-        (tmp_path / name).write_text(f'#!/bin/sh\necho "{name} $*" >> "{tmp_path}/log"\n')
+    log = tmp_path / "log"
+    # The controller that ends at once would end the rig before it is there.
+    for name, first in (("roslaunch", ""), ("rosrun", f'until grep -qs roslaunch "{log}"; do sleep 0.05; done\n')):
+        (tmp_path / name).write_text(f'#!/bin/sh\n{first}echo "{name} $*" >> "{log}"\n')
         (tmp_path / name).chmod(0o755)
     done = subprocess.run(["bash", script, *words], env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, timeout=60)
     assert done.returncode == 0
-    assert sorted((tmp_path / "log").read_text().splitlines()) == [
+    assert sorted(log.read_text().splitlines()) == [
         f"roslaunch leap_rig leap_rig.launch {launched}",
         "rosrun kuka_control real_time_controller.py gui:=false",
     ]
