@@ -79,9 +79,9 @@ def stays_on_the_turn(trial, what, T_start, axis, least, most, since):
         for sample in trial.rig.arm.since(since)
     ]
     off, turns = zip(*seen)
-    trial.check(f"the tool leaves the turn: {what}", max(off) < OFF_RAD, f"by {math.degrees(max(off)):.1f} deg")
+    trial.check(f"the tool stays on the turn: {what}", max(off) < OFF_RAD, f"off by {math.degrees(max(off)):.1f} deg")
     way = max(turns) - min(turns)
-    trial.check(f"the tool does not turn: {what}", way > 0.5 * (most - least), f"only by {math.degrees(way):.1f} deg")
+    trial.check(f"the tool turns: {what}", way > 0.5 * (most - least), f"only by {math.degrees(way):.1f} deg")
 
 
 @row(22, "Angle wrap at +-pi (A/B/C Euler)", "", limits=NO_SPIN)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from height_maps import boxes_on_table
 
 from grasping.lab.evaluation import label_check
 from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
@@ -30,14 +31,7 @@ BAR = (0.0, 0.0, 0.02, 0.05, 0.05)
 
 
 def heights(*boxes):
-    """Returns a height map with boxes (x, y, half x, half y, height), x right and y down from the middle [m]."""
-    surface = TABLE.copy()
-    c = CELL * (np.arange(N) - 0.5 * (N - 1))
-    x, y = np.meshgrid(c, c)
-    for bx, by, hx, hy, height in boxes:
-        inside = (np.abs(x - bx) < hx) & (np.abs(y - by) < hy)
-        surface[inside] = np.minimum(surface[inside], 0.7 - height)
-    return surface
+    return boxes_on_table(N, boxes)
 
 
 def found(*boxes, hand=HAND):

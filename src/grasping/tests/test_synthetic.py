@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from height_maps import boxes_on_table
 
 from grasping.lab.synthetic import labels, samples, scene, shapes
 
@@ -15,14 +16,7 @@ GRIPPER = samples.GRIPPER
 
 
 def heights(*boxes):
-    """Returns a height map with boxes (x, y, half x, half y, height), x right and y down from the middle [m]."""
-    surface = TABLE.copy()
-    c = CELL * (np.arange(N) - 0.5 * (N - 1))
-    x, y = np.meshgrid(c, c)
-    for bx, by, hx, hy, height in boxes:
-        inside = (np.abs(x - bx) < hx) & (np.abs(y - by) < hy)
-        surface[inside] = np.minimum(surface[inside], 0.7 - height)
-    return surface
+    return boxes_on_table(N, boxes)
 
 
 def found(surface):

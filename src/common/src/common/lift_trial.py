@@ -53,6 +53,16 @@ def outcome(of: LiftRecord, target: int, rise: float) -> str:
     return SLIPPED if of.held[target] else MISSED
 
 
+def judged(of: LiftRecord, target: int | None, rise: float) -> tuple[str, float]:
+    """Returns the `outcome` for a target, None: whichever object is highest at the end, and how far that one rose [m],
+    0 where the physics diverged.
+    """
+    if target is None:
+        target = int(np.argmax(of.kept))
+    reason = outcome(of, target, rise)
+    return reason, 0.0 if reason == DIVERGED else float(of.kept[target])
+
+
 def shaken_gravity(time: float) -> np.ndarray:
     """Returns gravity `time` [s] after the shake began, shape (3,) [m/s^2]; before and after, it points down."""
     gravity = np.array([0.0, 0.0, -GRAVITY])

@@ -2,8 +2,8 @@
 
 Half of the scenes hold one object, half three to five. The object that a grasp was meant for must rise and stay up.
 Results go to results.csv, one line a grasp with its reason, table.md, with paired differences, reliability.png, and
-failures_METHOD.png for each network (for each method where there is none). A folder holds one set of conditions: lines
-that are there are not made again. A NAME given several times is several trainings of one network: the tables give
+failures_METHOD.png for each network, or for each method if no network is given. A folder holds one set of conditions:
+lines that are there are not made again. A NAME given several times is several trainings of one network: the tables give
 their mean as well. With --export scenes and grasps go to a file instead, for the rig's hand (rosrun rig_simulation
 lift_grasps.py), and --lifts makes the same tables and pictures of what that hand did.
 With --folder the methods see labelled depth images instead (Cornell's, Jacquard's or label_grasps.py's), and the
@@ -396,7 +396,7 @@ def main() -> None:
         export(arguments.export, every, arguments.processes)
         return
     try:
-        hashes = {name: weights.load(network.file.read_bytes()).sha256 for name, network in trained.items()}
+        hashes = {name: weights.checked_sha256(network.file.read_bytes(), None) for name, network in trained.items()}
         hands = {"tool": None if tool is None else repr(tool)}
         settings = {name: getattr(arguments, name) for name in ("split", "gripper", "error", "shake")}
         claim(arguments.folder, {**settings, "error": list(arguments.error), **hands, "weights": hashes})

@@ -89,7 +89,7 @@ def main() -> None:
             )
         mismatch = start and start.mismatch(train.hand)
         if mismatch:
-            sys.stderr.write(f"{arguments.start}: {mismatch} The training goes on from them.\n")
+            sys.stderr.write(f"{arguments.start}: {mismatch} The training starts from them all the same.\n")
         identity = runs.identity(
             asdict(settings), train.hashes, validation.hashes, *([[start.sha256]] if start else [])
         )

@@ -112,11 +112,8 @@ def lift(
         elif phase == 3:
             risen = (places() - before)[:, 2]
     kept = (places() - before)[:, 2]
-    if target is None:
-        target = int(np.argmax(kept))
     record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
-    reason = lift_trial.outcome(record, target, RISE_M)
-    rise = 0.0 if reason == lift_trial.DIVERGED else float(kept[target])
+    reason, rise = lift_trial.judged(record, target, RISE_M)
     return LiftTrial(reason == lift_trial.LIFTED, rise, reached, reason)
 
 
