@@ -58,6 +58,7 @@ def frames_of(recordings, node):
 @pytest.mark.parametrize("namespace, prefix", [("", ""), ("/left", "left")], ids=["one arm", "left of two"])
 def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, namespace, prefix):  # noqa: F811
     import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import String
     from tf2_msgs.msg import TFMessage
     from visualization_msgs.msg import MarkerArray
@@ -71,6 +72,7 @@ def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, na
     edges = ros.record("/tf", TFMessage), ros.record("/tf_static", TFMessage)
     joints = ros.record(f"{namespace}/kuka/joint_positions", jointPositions)
     markers = ros.record(f"{namespace}/kuka/workspace", MarkerArray)
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
     remapped = [f"__ns:={namespace}"] if namespace else []
     process = ros.run("kuka_control", REAL_TIME, *remapped)
 
@@ -99,6 +101,7 @@ def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, na
     wait_until(lambda: frames_of(edges, node) == shown, 10.0, f"the frames {shown}")
     wait_until(lambda: np.linalg.norm(flange(robot) - np.add(centre, (0.0, 0.0, 0.06 + 0.106))) < 5e-3, 10.0, "the arm")
     assert {message.header.frame_id for message in joints} == {base}
+    assert {status.name for message in diagnostics for status in message.status} == {f"{of}kuka_control"}
     assert {marker.header.frame_id for message in markers for marker in message.markers} == {base}
     mine.stop()
     mode("home")

@@ -12,6 +12,7 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
 from common.ros.node import while_running
+from common.ros.params import arm_frames
 from common.ros.publishing import DirectPublisher
 
 PERIOD_S = 0.5
@@ -20,13 +21,15 @@ BURST_S = 0.1
 
 
 class Diagnostics:
-    """Publishes a node's state and counters on /diagnostics twice a second, under `name` in the node's namespace.
+    """Publishes a node's state and counters on /diagnostics twice a second.
 
+    They stand there under `name`; where there are two arms, behind the prefix of this node's arm.
     `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
+    Raises ConfigError if the arm's prefix is none.
     """
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
-        self._name, self._read = rospy.get_namespace().lstrip("/") + name, read
+        self._name, self._read = arm_frames()(name), read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         _repeat(self.publish, PERIOD_S, "diagnostics")
 
