@@ -213,6 +213,7 @@ def stale(trial):
         lambda t: [Frame(path(t), MOUNT)], silent=True
     ) as stream:
         process.send_signal(signal.SIGUSR1)
+        rig.watch(1.0)  # with the mount, a desired frame of an earlier row is whole again, and refused for its age
         follow_frames(trial, stream)
         rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
         trial.begins()
@@ -293,7 +294,7 @@ def extrapolation(trial):
 
 
 @row(29, "Stamps in the future / past by > 0.5 s (clock skew)", "R", within=1.0, still=True, variant=SHIFTED,
-     named_by="its stamp is [0-9.]+ s (ahead|behind)")  # fmt: skip
+     limits=ON_ITS_WAY, named_by="its stamp is [0-9.]+ s (ahead|behind)")  # fmt: skip
 def skew(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     T = translation(0.0, 0.0, 0.05) @ T_home

