@@ -146,9 +146,9 @@ page; `make networks ONLY=arm:loss_5` runs a cell, `ONLY=arm` a wire, `ONLY=loss
   *hand* was taken out and *in again*, or after *control off and on*.
 
 A cell fails if a limit is exceeded, the robot stops itself, a node dies, or the arm never follows again. The limits:
-0.95 of the joint speeds, a tool speed of 0.71 m/s, and an acceleration of 12 rad/s². With fewer than 200 goals a
-second, be it for the link or a busy machine, the robot's own drives bring the arm to each, at up to 17.2 rad/s².
-The queue in front of 256 kbit/s holds 32 kB, which is a second.
+0.95 of the joint speeds, a tool speed of 0.71 m/s, and an acceleration of 14.5 rad/s² over 80 ms. For less time the
+robot's own drives hurry behind a late goal, at up to 17.2 rad/s². The queue in front of 256 kbit/s holds 32 kB, which
+is a second.
 """
 
 
