@@ -23,9 +23,11 @@ TF_ROUNDING_NS = 1
 PARENTS = {
     "leap_motion/virtual_frame": "kuka/base_frame",
     "hand/frame": "leap_motion/virtual_frame",
+    "hand/frame/filtered": "leap_motion/virtual_frame",
     "kuka/tool_frame/desired": "leap_motion/virtual_frame",
-    "kuka/flange_frame/desired": "kuka/tool_frame/desired",
+    "kuka/flange_frame/desired": "leap_motion/virtual_frame",
 }
+OF_A_HAND = {"hand/frame", "hand/frame/filtered"}
 
 
 class Tracker:
@@ -235,7 +237,7 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
         answer = hold(bad, 30.0)
         assert not answer.success and ("instead of kuka/base_frame" in answer.message or "finite" in answer.message)
     wait_until(
-        lambda: held() and node.children() == set(PARENTS) - {"hand/frame"}, 20.0, "the frame of the tool that is held"
+        lambda: held() and node.children() == set(PARENTS) - OF_A_HAND, 20.0, "the frame of the tool that is held"
     )
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
@@ -459,7 +461,7 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
     def found_desired():
         for message in reversed(node.tf[:]):
             found = {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms}
-            if set(found) >= set(PARENTS) - {"hand/frame"}:
+            if set(found) >= set(PARENTS) - OF_A_HAND:
                 T = found["leap_motion/virtual_frame"] @ found["kuka/tool_frame/desired"]
                 T[:3, 3] = [0.5, 0.0, 0.4] + 0.5 * (T[:3, 3] - [0.5, 0.0, 0.4])
                 return T

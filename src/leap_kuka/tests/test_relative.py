@@ -488,16 +488,16 @@ def test_the_tool_never_moves_farther_than_the_hand(rig, sample, T_home, scale, 
         result = play.step(*hands, dt=dt)
         T_hand, T_arm = before[0], before[1]
         moved, turned = 0.0, 0.0
-        if T_hand is not None and result.T_virtual_hand is not None:
-            moved = np.linalg.norm(result.T_virtual_hand[:3, 3] - T_hand[:3, 3])
-            turned = rotation_angle(T_hand[:3, :3].T @ result.T_virtual_hand[:3, :3])
+        if T_hand is not None and result.T_virtual_filtered is not None:
+            moved = np.linalg.norm(result.T_virtual_filtered[:3, 3] - T_hand[:3, 3])
+            turned = rotation_angle(T_hand[:3, :3].T @ result.T_virtual_filtered[:3, :3])
         runs = result.state is StreamState.RUNNING
         if result.T_virtual_tool is not None or was_home:
             step = np.linalg.norm(play.T_arm[:3, 3] - T_arm[:3, 3])
             assert step <= (scale * moved if runs else 0.0) + 1e-9
             assert rotation_angle(T_arm[:3, :3].T @ play.T_arm[:3, :3]) <= (3.0 * turned if runs else 0.0) + 1e-6
-        if result.T_virtual_hand is not None or not runs:
-            before[0] = result.T_virtual_hand
+        if result.T_virtual_filtered is not None or not runs:
+            before[0] = result.T_virtual_filtered
         before[1] = play.T_arm
 
     for action, *more in actions:

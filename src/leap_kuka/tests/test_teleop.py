@@ -30,10 +30,27 @@ def tool_in_base(result):
 def test_a_level_hand_in_the_box_starts_when_the_window_is_full(play, sample):
     results = play.steps(10, sample())
     assert [r.state for r in results] == [StreamState.WAITING] * 9 + [StreamState.RUNNING]
-    assert all(r.T_virtual_hand is None for r in results[:9])
+    assert all(r.T_virtual_filtered is None for r in results[:9])
     assert results[0].reason == "right hand 12: 1 of 10 samples are in"
     assert results[-1].reason == "right hand 12 is followed"
     np.testing.assert_allclose(tool_in_base(results[-1])[:3, 3], [0.42, -0.42, 0.4], atol=1e-12)
+
+
+@given(st.lists(st.tuples(*[st.floats(-40.0, 40.0)] * 3), min_size=1, max_size=25))
+def test_the_measured_hand_is_that_of_each_frame_from_the_first_sample_on(leap, arm, player, sample, attitudes):
+    play = player(ArmTeleop(leap(), arm()))
+    for i, angles in enumerate(attitudes):
+        hand = sample(*angles, position=(0.001 * i, 0.35, 0.0))
+        result = play.step(hand)
+        np.testing.assert_allclose(result.T_virtual_hand[:3, [0, 2, 3]].T, [hand.direction, hand.normal, hand.palm])
+        assert (result.T_virtual_filtered is None) == (i < 9)
+
+
+@pytest.mark.parametrize("position", [(np.nan, 0.35, 0.0), (0.0, 0.45, 0.0)])
+def test_a_sample_that_is_left_out_is_no_measured_hand(play, sample, position):
+    play.steps(10, sample())
+    result = play.step(sample(position=position))
+    assert result.T_virtual_hand is None and result.T_virtual_filtered is not None
 
 
 @pytest.mark.parametrize(
@@ -78,7 +95,7 @@ def test_the_flange_is_behind_the_tool(play):
 def test_each_start_condition_is_asked_and_named(play, sample, hand, reason):
     result = play.steps(30, sample(**hand))[-1]
     assert (result.state, result.reason) == (StreamState.WAITING, f"right hand 12: {reason}")
-    assert result.T_virtual_hand is not None and result.T_virtual_tool is None
+    assert result.T_virtual_filtered is not None and result.T_virtual_tool is None
 
 
 def test_all_start_conditions_that_fail_are_named(play, sample):
@@ -125,7 +142,7 @@ def test_the_yaw_is_free_at_the_start(play, sample, yaw):
     result = play.steps(10, sample(yaw=yaw, pitch=10.0))[-1]
     assert result.state == StreamState.RUNNING
     assert result.measured.yaw == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(result.T_base_virtual[:3, :3] @ result.T_virtual_hand[:3, 0] @ [1, -1, 0] > 0.9, True)
+    np.testing.assert_allclose(result.T_base_virtual[:3, :3] @ result.T_virtual_filtered[:3, 0] @ [1, -1, 0] > 0.9, True)
 
 
 def test_a_hand_that_comes_in_at_a_large_yaw_can_turn_both_ways(play, sample):
@@ -149,7 +166,7 @@ def test_low_confidence_ends_a_stream_with_its_reason(play, sample):
     results = play.steps(12, sample(confidence=0.01))
     end = next(r for r in results if r.state == StreamState.WAITING)
     assert "confidence" in end.reason
-    assert end.T_virtual_tool is None and end.T_virtual_hand is not None
+    assert end.T_virtual_tool is None and end.T_virtual_filtered is not None
     rests = play.steps(30, sample())[-1]
     assert rests.state == StreamState.WAITING and "out of the box and back in" in rests.reason
     assert play.come_in(sample(position=(0.0, 0.35, 0.095)))[-1].state == StreamState.RUNNING
@@ -159,7 +176,7 @@ def test_a_hand_that_is_missing_stops_the_tool_at_once_and_ends_the_stream_after
     play.steps(10, sample())
     missing = play.steps(20)
     assert all((r.state, r.owner) == (StreamState.RUNNING, (12, False)) for r in missing)
-    assert all(r.T_virtual_tool is None and r.T_virtual_hand is None and r.obstacle for r in missing)
+    assert all(r.T_virtual_tool is r.T_virtual_filtered is r.T_virtual_hand is None and r.obstacle for r in missing)
     result = play.step()
     assert (result.state, result.reason, result.owner) == (StreamState.WAITING, "right hand 12 was lost", None)
     assert play.step().reason == "no hand is seen"

@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 
-from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_COMMANDED, TOOL_DESIRED, VIRTUAL_LEAP
+from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_COMMANDED, TOOL_DESIRED, VIRTUAL_LEAP
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 
@@ -54,8 +54,9 @@ def test_the_newest_poses_are_those_of_tf(listener, monkeypatch):
             frames = [
                 (BASE, VIRTUAL_LEAP),
                 (VIRTUAL_LEAP, HAND),
+                (VIRTUAL_LEAP, HAND_FILTERED),
                 (VIRTUAL_LEAP, TOOL_DESIRED),
-                (TOOL_DESIRED, FLANGE_DESIRED),
+                (VIRTUAL_LEAP, FLANGE_DESIRED),
             ]
             messages.append([stamped_transform(random_pose(rng), a, b, stamp) for a, b in frames])
         if rng.random() < 0.5:

@@ -34,11 +34,11 @@ def session(tmp_path):
     from std_msgs.msg import String
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from common.frames import BASE, FLANGE_DESIRED, HAND, TOOL_DESIRED, VIRTUAL_LEAP
+    from common.frames import BASE, VIRTUAL_LEAP
     from kuka_msgs.msg import MoveActionGoal
     from reflex_msgs.msg import RadianServoCommands
 
-    desired = (BASE, VIRTUAL_LEAP), (VIRTUAL_LEAP, TOOL_DESIRED), (TOOL_DESIRED, FLANGE_DESIRED), (VIRTUAL_LEAP, HAND)
+    desired = (BASE, VIRTUAL_LEAP), *((VIRTUAL_LEAP, frame) for frame in DRIVING)
     other = stored("/operator_view/markers", String(""), 0.0)
     messages = [
         stored("/tf_static", transforms(0.0, (BASE, "a")), 0.0, True),

@@ -23,7 +23,8 @@ TOOL_COMMANDED = "kuka/tool_frame/commanded"
 """The tool as the controller last sent it to the robot: scaled, and clipped to the workspace."""
 
 VIRTUAL_LEAP = "leap_motion/virtual_frame"
-HAND = "hand/frame"  # the operator's hand in `VIRTUAL_LEAP`
+HAND = "hand/frame"  # the operator's hand as the tracker measures it, in `VIRTUAL_LEAP`
+HAND_FILTERED = "hand/frame/filtered"  # the same averaged or filtered: the hand that steers
 CAMERA_LINK = "camera_link"
 RGB, DEPTH = "camera_rgb_frame", "camera_depth_frame"  # the RGB-D camera's two sensors in `CAMERA_LINK`, x forward
 RGB_OPTICAL, DEPTH_OPTICAL = "camera_rgb_optical_frame", "camera_depth_optical_frame"

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.hand_tracking import LONG_GAP_S, plausible_step
+from common.poses import pose, read_only
 from common.rotations import UNIT_TOLERANCE
 from leap_kuka.hand_filter import FILTERS
 from leap_motion.frames import TrackedHand
@@ -125,11 +126,7 @@ class HandAverage:
             vectors = list(self._filtered)
             if not _is_frame(vectors):
                 return None
-        T_leap_hand = np.eye(4)
-        T_leap_hand[:3, :3] = hand_rotation(vectors[3:6], vectors[6:9])
-        T_leap_hand[:3, 3] = vectors[:3]
-        T_leap_hand.setflags(write=False)
-        return MeanHand(T_leap_hand, confidence, self._speed())
+        return MeanHand(_pose(vectors), confidence, self._speed())
 
     def _after(self, sample: list[float], now: float) -> Sequence[float]:
         """Returns the filtered sample, nine numbers.
@@ -169,6 +166,16 @@ class HandAverage:
 def hand_fault(hand: TrackedHand) -> str | None:
     """Returns why the numbers of a hand are invalid, or None."""
     return _fault(_numbers(hand))
+
+
+def hand_frame(hand: TrackedHand) -> np.ndarray:
+    """Returns T_leap_hand, shape (4, 4) [m], of one sample whose numbers are valid."""
+    return _pose(_numbers(hand))
+
+
+def _pose(numbers: Sequence[float]) -> np.ndarray:
+    """Returns the hand frame of nine numbers: palm, direction and normal."""
+    return read_only(pose(hand_rotation(numbers[3:6], numbers[6:9]), numbers[:3]))
 
 
 def _fault(numbers: list[float]) -> str | None:

@@ -30,7 +30,7 @@ from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLo
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
-from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand
+from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
 from leap_kuka.operator_switches import OperatorSwitches
 from leap_kuka.relative import RelativeMotion, relative_motion, unscaled
 from leap_kuka.start_gate import (
@@ -89,7 +89,8 @@ class TeleopResult:
     reason: str  # one sentence: which hand is followed, or what the stream waits for
     usable: bool  # whether the frame was new and current; only then its poses are to be published
     T_base_virtual: np.ndarray  # pose of the virtual Leap in the base frame
-    T_virtual_hand: np.ndarray | None = None  # pose of the averaged hand, if there is one
+    T_virtual_hand: np.ndarray | None = None  # pose of the hand as measured in this frame, if it has a valid sample
+    T_virtual_filtered: np.ndarray | None = None  # pose of the averaged or filtered hand, if there is one
     T_virtual_tool: np.ndarray | None = None  # pose of the desired tool while the stream runs or the tool is held
     measured: Attitude | None = None  # of the hand relative to the heading of its stream, while that runs
     clipped: Attitude | None = None  # the same with each angle within its limit
@@ -162,6 +163,7 @@ class ArmTeleop:
         self._control_known = False
         self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
         self._mean: MeanHand | None = None  # in the newest frame
+        self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
         self._name = ""  # of the hand that was followed last
         self._slow = False
         self._pause = max(PAUSE_S, arm.time_out) + PAUSE_MARGIN_S
@@ -241,7 +243,7 @@ class ArmTeleop:
         self.counts.frames += 1
         rate = self._watch.rate
         self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
-        self._obstacle = self._mean = None
+        self._obstacle = self._mean = self._measured = None
         if self._lock.owner is not None and not self._gate.running and self._hold.T_base_tool is None:
             self._end("the hold has ended", now, keep=False)
         owner = self._lock.owner
@@ -314,6 +316,7 @@ class ArmTeleop:
         self._name = hand.name
         left_out = self._average.add(hand, stamp)
         if not left_out:
+            self._measured = hand_frame(hand)
             self._begins = 2 if stamp - self._seen_at > LONG_GAP_S else max(self._begins - 1, 0)
             self._seen_at = stamp
         self._mean = mean = self._average.mean()
@@ -463,7 +466,7 @@ class ArmTeleop:
             self._lock.end()
         self._average.reset()
         self._gate.stop()
-        self._mean, self._reason = None, reason
+        self._mean, self._measured, self._reason = None, None, reason
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
@@ -478,7 +481,7 @@ class ArmTeleop:
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
         mean = self._mean
-        T_virtual_hand = None if mean is None else mean.T_leap_hand
+        T_virtual_filtered = None if mean is None else mean.T_leap_hand
         hold_end, switches, left = self._hold.end_reason(), self.switches, self._hold.left(now)
         more: dict[str, Any] = {"enabled": switches.enabled, "clutched": switches.clutched, "source": switches.source}
         if not self._gate.running:
@@ -493,7 +496,8 @@ class ArmTeleop:
                 hold_end or reason,
                 usable,
                 self._T_base_virtual,
-                T_virtual_hand,
+                self._measured,
+                T_virtual_filtered,
                 T_virtual_tool,
                 hold=hold,
                 keep_grip=hold is HoldState.KEPT,
@@ -521,7 +525,8 @@ class ArmTeleop:
             reason=reason,
             usable=usable,
             T_base_virtual=self._T_base_virtual,
-            T_virtual_hand=T_virtual_hand,
+            T_virtual_hand=self._measured,
+            T_virtual_filtered=T_virtual_filtered,
             T_virtual_tool=T_virtual_tool,
             measured=measured,
             clipped=clipped,

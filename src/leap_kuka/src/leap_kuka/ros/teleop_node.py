@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from common.config import required
-from common.frames import BASE, FLANGE_DESIRED, HAND, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
+from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.ros.conversions import pose_in, transform_message
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
@@ -51,7 +51,8 @@ class ArmTeleopNode:
     ) -> None:
         self._teleop, self._reach = teleop, reach
         self._base, self._virtual = frames(BASE), frames(VIRTUAL_LEAP)
-        self._hand, self._tool, self._flange = frames(HAND), frames(TOOL_DESIRED), frames(FLANGE_DESIRED)
+        self._hand, self._filtered = frames(HAND), frames(HAND_FILTERED)
+        self._tool, self._flange = frames(TOOL_DESIRED), frames(FLANGE_DESIRED)
         self._bad_input = ""
         self._lock = threading.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
@@ -124,12 +125,16 @@ class ArmTeleopNode:
 
     def _transforms(self, result: TeleopResult, stamp: rospy.Time) -> TFMessage:
         """Returns all tf frames of one tracking frame in one message, so that a listener gets all of them or none."""
+        T_virtual_tool = result.T_virtual_tool
+        T_virtual_flange = None if T_virtual_tool is None else T_virtual_tool @ self._teleop.T_tool_flange
+        below = [
+            (result.T_virtual_hand, self._hand),
+            (result.T_virtual_filtered, self._filtered),
+            (T_virtual_tool, self._tool),
+            (T_virtual_flange, self._flange),
+        ]
         poses = [(result.T_base_virtual, self._base, self._virtual)]
-        if result.T_virtual_hand is not None:
-            poses.append((result.T_virtual_hand, self._virtual, self._hand))
-        if result.T_virtual_tool is not None:
-            poses.append((result.T_virtual_tool, self._virtual, self._tool))
-            poses.append((self._teleop.T_tool_flange, self._tool, self._flange))
+        poses += [(T, self._virtual, child) for T, child in below if T is not None]
         before, self._sent = self._sent, {}
         for T, _, child in poses:
             T_before, message = before.get(child, (None, None))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from common.frames import FLANGE_DESIRED, HAND, TOOL_DESIRED
+from common.frames import FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_DESIRED
 
 RAW_FRAMES = "/leap_motion/raw_frames"
 SENT_GOALS = "/kuka/sent_goals"
@@ -31,7 +31,7 @@ CAMERA = {
     "color": (COLOR, "/camera/rgb/camera_info"),
     "rgbd": (COLOR, "/camera/rgb/camera_info", DEPTH, "/camera/depth/camera_info"),
 }
-DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND)
+DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND, HAND_FILTERED)
 """Frames that steer an arm, or follow from one that does."""
 
 
