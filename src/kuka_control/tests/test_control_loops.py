@@ -139,11 +139,11 @@ def test_the_same_stamp_again_is_silence():
     assert ("stop_servo",) in world.arm.told
 
 
-def test_control_off_sends_the_arm_home_slowly():
+def test_control_off_sends_the_arm_home_fast():
     world = World().following(shifted(0.05, 0.0, 0.0))
     world.control_on = False
     world.run(3.0, shifted(0.05, 0.0, 0.0))
-    assert world.arm.told == [("stop_servo",), ptp(HOME.q, SLOW)]
+    assert world.arm.told == [("stop_servo",), ptp(HOME.q, FAST)]
     assert world.modes == ["returning", "home"]
 
 
@@ -155,7 +155,7 @@ def test_control_off_and_on_again_still_goes_home_first(cycles):
         world.run(cycles * DT, shifted(0.05, 0.0, 0.0))
     world.control_on = True
     world.run(3.0, shifted(0.05, 0.0, 0.0))
-    assert world.arm.told == [("stop_servo",), ptp(HOME.q, SLOW)] and world.mode == "home"
+    assert world.arm.told == [("stop_servo",), ptp(HOME.q, FAST)] and world.mode == "home"
     assert "take the hand out of the box" in world.steps[-1].reason
     world.run(0.3).run(3.0, shifted(0.05, 0.0, 0.0))
     assert world.mode == "servo"
@@ -178,7 +178,7 @@ def test_control_off_during_the_pick_up_goes_home_after_it():
     assert world.mode == "pick_up"
     world.control_on = False
     world.run(4.0, shifted(0.1, 0.0, 0.0))
-    assert [t[0] for t in world.arm.told] == ["ptp", "ptp"] and world.arm.told[-1] == ptp(HOME.q, SLOW)
+    assert [t[0] for t in world.arm.told] == ["ptp", "ptp"] and world.arm.told[-1] == ptp(HOME.q, FAST)
 
 
 def test_a_hand_lost_during_the_pick_up_sends_the_arm_home_fast():

@@ -81,8 +81,8 @@ class LoopSettings:
     q_home: np.ndarray  # home position, shape (7,) [rad]
     joint_speeds: np.ndarray  # full speeds of the joints, shape (7,) [rad/s]
     time_out: float  # go home after this time without a new desired tool frame [s]
-    velocity_home: float  # fraction of the full joint speed to home at the start and when control goes off, and to zero
-    velocity_return: float  # the same to home after a time-out, and to a pick-up pose
+    velocity_home: float  # fraction of the full joint speed to home at the start or after a fault, and to zero
+    velocity_return: float  # the same back home when control goes off or after a time-out, and to a pick-up pose
     guard: CollisionGuard | None  # refuses motions that come too near to a body
 
 
@@ -245,7 +245,7 @@ class ControlLoop(ABC, Generic[Settings]):
         """Takes a transition; returns its command, None if the next state decides in the same cycle."""
         before = self._active
         row = self._table[before.state, fired.trigger]
-        decided, blocked = self._checked(row, fired.trigger, cycle)
+        decided, blocked = self._checked(row, cycle)
         if not decided:
             return Wait()
         if blocked is not None:
@@ -262,7 +262,7 @@ class ControlLoop(ABC, Generic[Settings]):
         command = COMMANDS.get(row.action)
         name, velocity, data, enable_count = "", 0.0, None, before.enable_count
         if row.action is Action.PTP:
-            name, q, velocity = self._motion(row.target, fired.trigger)
+            name, q, velocity = self._motion(row.target)
             velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
             data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
             self.counts["ptp_motions"] += 1
@@ -295,7 +295,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data)
         return command
 
-    def _motion(self, target: State, trigger: Trigger) -> tuple[str, np.ndarray, float]:
+    def _motion(self, target: State) -> tuple[str, np.ndarray, float]:
         """Returns the goal of a motion in words and joints, and the fraction of the full joint speed."""
         settings = self._settings
         if target is State.ZERO:
@@ -306,13 +306,12 @@ class ControlLoop(ABC, Generic[Settings]):
         if target is State.TO_GOAL:
             assert self._move is not None, "a program's motion is known"
             return self._move.name, self._move.q, self._move.velocity
-        late = Trigger.TIME_OUT in (trigger, self._active.trigger) and target is State.RETURNING
-        return "home", settings.q_home, settings.velocity_return if late else settings.velocity_home
+        return "home", settings.q_home, settings.velocity_return if target is State.RETURNING else settings.velocity_home
 
-    def _checked(self, row: Transition, trigger: Trigger, cycle: Cycle) -> tuple[bool, str | None]:
+    def _checked(self, row: Transition, cycle: Cycle) -> tuple[bool, str | None]:
         """Returns what `_guard_refusal` says about the motion of a transition, if it begins one."""
         if row.action is Action.PTP:
-            name, q, _ = self._motion(row.target, trigger)
+            name, q, _ = self._motion(row.target)
             return self._guard_refusal(f"motion to {name}", (cycle.observation.joints, q), False)
         if row.target is State.LINE:
             assert self._move is not None and self._move.line is not None, "a line was asked for"
