@@ -306,7 +306,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if target is State.TO_GOAL:
             assert self._move is not None, "a program's motion is known"
             return self._move.name, self._move.q, self._move.velocity
-        return "home", settings.q_home, settings.velocity_return if target is State.RETURNING else settings.velocity_home
+        velocity = settings.velocity_return if target is State.RETURNING else settings.velocity_home
+        return "home", settings.q_home, velocity
 
     def _checked(self, row: Transition, cycle: Cycle) -> tuple[bool, str | None]:
         """Returns what `_guard_refusal` says about the motion of a transition, if it begins one."""

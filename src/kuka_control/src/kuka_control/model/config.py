@@ -101,7 +101,9 @@ class RealTimeConfig(ControllerConfig):
     """The parameters of the real-time controller."""
 
     velocity_ptp_slow: float = number(above=0.0, below=1.0, doc="fraction of the full joint speed to home and to zero")
-    velocity_ptp_fast: float = number(above=0.0, below=1.0, doc="fraction of the full joint speed to pick-up, back home")
+    velocity_ptp_fast: float = number(
+        above=0.0, below=1.0, doc="fraction of the full joint speed to the pick-up pose and back home"
+    )
     rate_servo: float = number("Hz", low=50.0, high=1000.0, doc="servo goals per second, whatever the frames' rate")
     servo_law: str = choice(
         "auto", "none", "lts", doc="servo law of the robot's controller, for which goals are made; auto: as identified"
