@@ -397,7 +397,7 @@ def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controll
     at_home = robot.joints
     shown = hand(shifted(home_tool(), float("nan"), 0.0, 0.0))
     wait_until(lambda: any("not finite" in m.msg for m in said), 10.0, "the refusal of NaN")
-    shown.T, shown.delay = shifted(home_tool(), 0.1, 0.0, 0.0), rospy.Duration(-2.0)
+    shown.T, shown.delay = shifted(home_tool(), 0.1, 0.0, 0.0), rospy.Duration(-2.0 * 3600.0)  # a recording
     wait_until(lambda: any("behind this machine's clock" in m.msg for m in said), 10.0, "the refusal of old stamps")
     np.testing.assert_allclose(robot.joints, at_home, atol=1e-9)
     shown.delay = rospy.Duration(0.0)

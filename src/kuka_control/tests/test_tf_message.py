@@ -97,7 +97,7 @@ def test_the_desired_tool_is_what_tf2_makes_of_all_frames(seed):
         frames = ["world", "kuka/base_frame", "a", "b", "c", "kuka/tool_frame/desired"]
         parents = {child: frames[rng.integers(0, i)] for i, child in enumerate(frames) if i}
         last = None
-        static = {child for child in parents if rng.random() < 0.2}
+        static = {child for child in parents if rng.random() < 0.2 and child != DESIRED}
         for step in range(30):
             if rng.random() < 0.1:  # a frame that is not static stands in another one from now on
                 i = int(rng.integers(1, len(frames)))
@@ -222,6 +222,54 @@ def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(liste
     assert hear(listener, BASE, 0.5, now).refused is None
     assert re.search(r"its stamp is 2\.\d+ s ahead of", hear(listener, BASE, 0.5, now + 2.5).refused)
     assert hear(listener, BASE, 0.5, now + 0.02).stamp == pytest.approx(now + 0.02)
+
+
+def clock_of_another_machine(listener, monkeypatch, ahead, rate=50.0):
+    """Returns what hears the next frame of a node whose clock is `ahead` [s], at the rate [Hz]."""
+    import time
+
+    import rospy
+
+    at = [time.monotonic(), rospy.get_time()]
+    monkeypatch.setattr(time, "monotonic", lambda: at[0])
+    monkeypatch.setattr(rospy, "get_time", lambda: at[1])
+
+    def next_frame(x=0.5, ahead=ahead):
+        at[:] = at[0] + 1.0 / rate, at[1] + 1.0 / rate
+        hear(listener, BASE, 0.1, at[1] + ahead, "table")
+        return hear(listener, "table", x, at[1] + ahead), at[1]
+
+    return next_frame
+
+
+@pytest.mark.parametrize("ahead", [-30.0, -2.0, 2.0, 30.0])
+def test_a_clock_that_differs_is_measured_and_its_stamps_are_of_this_machine_then(listener, monkeypatch, ahead):
+    next_frame = clock_of_another_machine(listener, monkeypatch, ahead)
+    refused = [next_frame()[0] for _ in range(20)]
+    assert all(frame.refused and f"{abs(ahead):.3f} s" in frame.refused for frame in refused)
+    frames = [next_frame(0.5 + 0.001 * i) for i in range(20)][8:]
+    for i, (frame, clock) in enumerate(frames, start=8):
+        assert frame.refused is None and frame.conflict is None and frame.clock == 1
+        assert frame.stamp == pytest.approx(clock, abs=1e-3)
+        assert frame.T_base_tool[0, 3] == pytest.approx(0.6 + 0.001 * i)
+    assert listener.desired.stamp.to_sec() == pytest.approx(clock + ahead, abs=1e-6), "as it came"
+    refused = [next_frame(ahead=0.0)[0] for _ in range(20)]
+    assert all(frame.refused for frame in refused), "a clock that is set is a jump at first"
+    frame, clock = [next_frame(ahead=0.0) for _ in range(20)][-1]
+    assert frame.refused is None and frame.clock == 2 and frame.stamp == pytest.approx(clock)
+
+
+def test_a_static_desired_tool_is_refused_with_a_sentence(listener):
+    import rospy
+
+    from common.poses import translation
+    from common.ros.conversions import stamped_transform
+
+    transform = stamped_transform(translation(0.5, 0.0, 0.4), BASE, DESIRED, rospy.Time.now())
+    listener.hear([transform], static=True)
+    frame = listener.desired.wait(0.0)
+    assert "static transform" in frame.refused and frame.conflict is None
+    assert hear(listener, BASE, 0.5, rospy.get_time()).refused is None, "one with stamps counts"
 
 
 def test_desired_tools_are_refused_while_simulated_time_stands_still(listener, monkeypatch):

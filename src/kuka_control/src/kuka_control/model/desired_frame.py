@@ -19,6 +19,8 @@ from common.rotations import UNIT_TOLERANCE, rotation_angle
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
 MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
+STEADY_S = 0.5  # a clock that differs by more is measured from stamps that keep their offset for this long [s],
+MAX_OFFSET_S = 3600.0  # but not by more than this: such a stamp is of a recording, or of a clock that was never set [s]
 PAUSE_S = 0.28  # after a longer pause than this a new stream of frames begins [s],
 PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between its last frames
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
@@ -39,6 +41,7 @@ class DesiredFrame:
     stamp: float  # ROS time [s]; of one that is refused on arrival any other number than of the one before
     conflict: str | None = None  # why the controller must not follow it, a sentence, if that is known on arrival
     refused: str | None = None  # why this frame alone does not count, a sentence, if that is known on arrival
+    clock: int = 0  # number of the measurement by which its stamp is of this machine's clock (clock_offset.py)
 
 
 def rejection_reason(T_base_tool: np.ndarray) -> str | None:
@@ -68,10 +71,17 @@ def skew_fault(stamp: float, clock: float) -> str | None:
     if abs(skew) <= MAX_SKEW_S:
         return None
     side = "ahead of" if skew > 0.0 else "behind"
+    counts = f"; then it counts after {STEADY_S:g} s of new stamps" if abs(skew) <= MAX_OFFSET_S else ""
     return (
         f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
-        f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ."
+        f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ{counts}."
     )
+
+
+CLOCK_SET = (
+    "The desired tool frame is refused: the clock that stamps it was set while it came. It does not count until it "
+    "begins anew: take the hand out of the box and bring it in again."
+)
 
 
 @dataclass(frozen=True)
@@ -180,7 +190,7 @@ class DesiredStream:
     """Watches the newest desired tool frame.
 
     `number` counts the streams: runs of frames without a pause, refused ones included. Number 0 may have begun before
-    this object.
+    this object. Once frames of a stream were accepted, only those whose clock is measured as theirs was count in it.
     """
 
     def __init__(self) -> None:
@@ -194,6 +204,7 @@ class DesiredStream:
         self._reported: set[str] = set()  # what the frames refused in a row were refused for, without the numbers
         self._refusal: tuple[str, float] | None = None
         self._stamps = SteadyStamps()
+        self._clock: int | None = None  # of the accepted frames of this stream
 
     def take(self, newest: DesiredFrame | None, clock: float, now: float, in_servo: bool = False) -> StreamUpdate:
         """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
@@ -209,11 +220,16 @@ class DesiredStream:
         if newest is None or newest.stamp == self._last_stamp:
             return StreamUpdate()
         self._last_stamp = newest.stamp
-        self.number += not self.runs
+        if not self.runs:
+            self.number += 1
+            self._clock = None
         self._period = min(self._pause, LONGEST_PERIOD_S)
         self._pause = 0.0
         fault = _fault(newest, clock)
+        if fault is None and self._clock not in (None, newest.clock):
+            fault = CLOCK_SET
         if fault is None:
+            self._clock = newest.clock
             self._reported.clear()
             self._refusal = None
             self._silence = self._stalled = 0.0

@@ -310,6 +310,7 @@ class _Node:
         controller = self._controller
         answers = {"missed_answers": controller.missed, "holds": controller.holds}
         counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
+        counts["clock_offset"] = f"{self._desired.clock.value:.3f}"
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
         level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK

@@ -15,7 +15,9 @@ from tf2_msgs.msg import TFMessage
 
 from common.frames import BASE, ONE_ARM, TOOL_DESIRED, ArmFrames
 from common.ros.conversions import pose_from_transform
+from kuka_control.model.clock_offset import ClockOffset
 from kuka_control.model.desired_frame import (
+    MAX_OFFSET_S,
     STANDS_S,
     UNCONNECTED_S,
     ChainWatch,
@@ -27,6 +29,10 @@ from kuka_control.model.desired_frame import (
 from kuka_control.ros.tf_message import RawTfMessage, RawTransform
 
 REMIND_S = 5.0
+STATIC = (
+    "The desired tool frame is refused: it came as a static transform, whose stamp never changes; publish it on /tf, "
+    "with a new stamp each time."
+)
 KEPT = 32  # transforms of a frame that does not concern the desired tool frame
 
 
@@ -35,12 +41,15 @@ class DesiredTool:
 
     A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
     it, that one counts as refused. So it does without a way to the base, when a frame that it stands in jumps, and when
-    ROS time goes back. A transform with bad numbers, or a desired tool frame of the future, is refused: in tf2 it would
-    hide those after it. Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
-    newest transforms of the others are kept in case this changes.
+    ROS time goes back. A transform with bad numbers, or a desired tool frame whose stamp is far from this machine's
+    clock, is refused: in tf2 one of the future would hide those after it. Where the clock of the node that publishes it
+    differs, the stamps of all frames of that node are corrected by the measured offset before tf2 gets them. Only
+    frames that the base or the desired tool frame stand in, directly or not, go to tf2; the newest transforms of the
+    others are kept in case this changes.
 
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.
+        clock: of the node that published it last.
     """
 
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
@@ -56,6 +65,9 @@ class DesiredTool:
         self._heard = self._unconnected = 0.0  # when it came last, and that of those which had no way to the base [s]
         self._unconnected_since: float | None = None  # [s]
         self.stamp: rospy.Time | None = None
+        self._looked_up: rospy.Time | None = None  # the same, of this machine's clock
+        self.clock = ClockOffset()
+        self._clocks: dict[str, ClockOffset] = {}  # of the nodes that published it
         self._lock = threading.Lock()  # each publisher on /tf has a thread of its own
         self._last_time, self._passed = rospy.Time.now(), time.monotonic()  # ROS time, and when it was seen to pass [s]
         self._parents: dict[str, str] = {}
@@ -85,6 +97,10 @@ class DesiredTool:
                     continue
                 if not known:
                     self._stands_in(transform.child, transform.parent)
+                if transform.child == self._tool:
+                    self._measure(node, transform, now)
+                if node in self._clocks:
+                    transform = transform.earlier(self._clocks[node].value)
                 if transform.child in self._needed:
                     self._take(transform)
                     arrived = True
@@ -99,6 +115,9 @@ class DesiredTool:
             self._check_for_reset()
             for transform in data.transforms:
                 child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+                if child == self._tool:
+                    self._refused = STATIC
+                    continue
                 fault = transform_fault(_numbers(transform.transform))
                 if fault is not None:
                     rospy.logwarn("The static transform %s -> %s is refused: %s.", parent, child, fault)
@@ -132,18 +151,33 @@ class DesiredTool:
             for transform in self._others.pop(frame):
                 self._take(transform)
 
+    def _measure(self, node: str, transform: RawTransform, now: float) -> None:
+        """Compares the clock of the node that publishes the desired tool frame with this machine's."""
+        self.clock = self._clocks.setdefault(node, ClockOffset())
+        if not self.clock.take(transform.time, rospy.get_time(), now):
+            return
+        self.buffer.clear()  # of frames that are not corrected, or by another offset
+        self._others.clear()
+        offset = self.clock.value
+        if not offset:
+            rospy.loginfo("The clock of %s agrees with this machine's again.", node)
+            return
+        side = "ahead of" if offset > 0.0 else "behind"
+        corrected = "The stamps of its frames are corrected by that; synchronise the clocks."
+        rospy.logwarn("The clock of %s is %.3f s %s this machine's. %s", node, abs(offset), side, corrected)
+
     def _take(self, transform: RawTransform) -> None:
-        """Passes a transform to tf2; refuses one with bad numbers, and a desired tool frame of the future."""
+        """Passes a transform to tf2; refuses one with bad numbers, and a desired tool frame that is far from now."""
         fault = transform_fault(transform.numbers)
         if fault is not None:
             self._refused = f"The transform {transform.parent} -> {transform.child} is refused: {fault}."
             rospy.logwarn_throttle(REMIND_S, self._refused)
             return
         if transform.child == self._tool:
-            stamp, clock = transform.stamp[0] + 1e-9 * transform.stamp[1], rospy.get_time()
-            ahead = skew_fault(stamp, clock) if stamp > clock else None
-            if ahead is not None:
-                self._refused = ahead
+            clock = rospy.get_time()
+            skewed = skew_fault(transform.time, clock)
+            if skewed is not None and transform.time > clock - MAX_OFFSET_S:  # an older one is refused by its stream
+                self._refused = skewed
                 return
             stands = time.monotonic() - self._passed
             if stands > STANDS_S:
@@ -182,11 +216,12 @@ class DesiredTool:
             message = self.buffer.lookup_transform(self._base, self._tool, rospy.Time(0))
             self._unconnected_since = None
             stamp = message.header.stamp
-            if stamp == self.stamp:
+            if stamp == self._looked_up:
                 return False
             T_base_tool = pose_from_transform(message.transform)
-            self.stamp = stamp
-            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), self._chain_jump(stamp, T_base_tool))
+            self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.clock.value)
+            jump = self._chain_jump(stamp, T_base_tool)
+            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, clock=self.clock.number)
         except tf2_ros.ExtrapolationException:
             return False
         except tf2_ros.TransformException:
@@ -223,7 +258,7 @@ class DesiredTool:
         return self._refuse(f"The desired tool frame is refused: {unknown}.")
 
     def _refuse(self, sentence: str) -> bool:
-        self.stamp = rospy.Time.now()
+        self._looked_up = self.stamp = rospy.Time.now()
         self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence)
         return True
 

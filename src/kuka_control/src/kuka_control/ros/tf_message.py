@@ -23,6 +23,18 @@ class RawTransform(NamedTuple):
     numbers: tuple[float, ...]  # x, y, z [m], and the quaternion x, y, z, w
 
     @property
+    def time(self) -> float:
+        """The stamp [s]."""
+        return self.stamp[0] + 1e-9 * self.stamp[1]
+
+    def earlier(self, seconds: float) -> RawTransform:
+        """Returns it with a stamp that is earlier by so much [s]."""
+        if not seconds:
+            return self
+        nanoseconds = max(10**9 * self.stamp[0] + self.stamp[1] - round(1e9 * seconds), 0)
+        return self._replace(stamp=divmod(nanoseconds, 10**9))
+
+    @property
     def message(self) -> TransformStamped:
         """The transform as a message."""
         transform = Transform(Vector3(*self.numbers[:3]), Quaternion(*self.numbers[3:]))
