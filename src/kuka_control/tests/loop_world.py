@@ -32,13 +32,13 @@ SLOW, FAST = 0.15, 0.25
 
 
 @functools.lru_cache(maxsize=None)
-def rig(schema, **changes):
-    """Returns a configuration and its rig."""
+def rig(schema, lifted=False, **changes):
+    """Returns a configuration and its rig, whose workspace may be lifted."""
     name = "rt" if schema is RealTimeConfig else "ptp"
     values = yaml.safe_load((CONFIG / f"kuka_params_{name}.yaml").read_text())
     # Without the collision guard, which costs time; its own tests switch it on.
     settings = parse(schema, {**values, "collision_guard": False, **changes}, "kuka/")
-    return settings, Rig.of(settings)
+    return settings, Rig.of(settings, lifted=lifted)
 
 
 @functools.lru_cache(maxsize=None)

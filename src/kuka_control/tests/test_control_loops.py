@@ -100,6 +100,20 @@ def test_servo_follows_without_lag_when_nothing_is_limited():
     assert max(behind) < 1.5e-3 and world.steps[-1].limited_by == ()
 
 
+@both
+@pytest.mark.parametrize("lifted", [False, True])
+def test_a_lifted_workspace_holds_no_tool_back_and_shuts_no_controller_down(schema, lifted):
+    """Down through the lower limit; and behind the base, which ends a controller otherwise."""
+    world = World(schema, lifted=lifted).at_home()
+    world.control_on = True
+    world.run(5.0, lambda t: shifted(0.0, 0.0, -0.24 * min(t / 3.0, 1.0)))
+    height = world.rig.kinematics.forward(world.arm.q)[2, 3]
+    assert height == pytest.approx(0.16 if lifted else 0.2, abs=0.006)
+    assert (world.steps[-1].limited_by == ()) is lifted
+    world.run(3.0, shifted(-0.9, 0.9, 0.0))
+    assert isinstance(world.steps[-1].command, End) is not lifted
+
+
 def test_without_shaping_every_new_frame_is_a_goal_as_it_is():
     def circle(t):
         return shifted(0.03 * np.sin(12.0 * t), 0.0, 0.03 * (1.0 - np.cos(12.0 * t)))

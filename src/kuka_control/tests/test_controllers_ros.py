@@ -655,6 +655,35 @@ def test_bad_parameters_are_refused_before_anything_is_connected(ros, robot, sta
     assert not robot.ask()["connected"] and not robot.joints.any()
 
 
+@pytest.mark.parametrize("executable", [REAL_TIME, PTP])
+def test_the_workspace_of_a_real_robot_is_not_lifted(ros, wait_until, executable):
+    set_params(executable, ip="192.0.2.1")
+    node = Node(ros.run("kuka_control", executable, "--lift-workspace"), wait_until)
+    assert node.wait_for_end(30.0) == 1
+    assert "--lift-workspace is refused: kuka/ip is 192.0.2.1" in node.log and "Connecting" not in node.log
+
+
+def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_told(ros, robot, hand, wait_until):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import String
+
+    diagnostics = ros.record("/diagnostics", DiagnosticArray)
+    changes = {"ip": "127.0.0.1", "port": robot.port, "tool_mass": 0.0, **QUICK[REAL_TIME], **RATES}
+    set_params(REAL_TIME, **changes)
+    node = Node(None, wait_until)
+    node.modes = ros.record("kuka/mode", String)
+    node.process = ros.run("kuka_control", REAL_TIME, "--lift-workspace")
+    node.wait_for_mode("home")
+    assert "The workspace is lifted" in node.log
+    assert node.control(True).success
+    below = shifted(home_tool(), 0.0, 0.0, -0.24)
+    hand(below)
+    wait_until(lambda: at(robot, below), MOVE_S, "the tool below z_lower_limit")
+    status = next(s for m in reversed(diagnostics) for s in m.status if s.name == "kuka_control")
+    values = {v.key: v.value for v in status.values}
+    assert status.level == 1 and "The workspace is lifted" in status.message and values["workspace"] == "lifted"
+
+
 def test_without_a_robot_it_says_so_and_ends(ros, wait_until, free_port):
     set_params(REAL_TIME, ip="127.0.0.1", port=free_port())
     node = Node(ros.run("kuka_control", REAL_TIME), wait_until)
@@ -812,5 +841,5 @@ def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, 
             patch.setattr(controller_node, name, lambda *_: nothing)
         patch.setattr(controller_node, "wait_for_config", lambda *_, **__: rig(RealTimeConfig)[0])
         patch.setattr(controller_node.rospy, "set_param", lambda key, _: uploaded.append(key))
-        controller_node._run(RealTimeConfig, lambda *_: None)
-    assert uploaded == ["kuka/joints_home", "kuka/ws_center"]
+        controller_node._run(RealTimeConfig, lambda *_: None, types.SimpleNamespace(lift_workspace=False))
+    assert uploaded == ["kuka/joints_home", "kuka/rotation_home", "kuka/ws_center"]

@@ -51,3 +51,12 @@ def test_all_faults_are_said_with_their_keys():
     ]
     with pytest.raises(ConfigError, match="must be a mapping"):
         robot_address(None, {})
+
+
+@pytest.mark.parametrize(
+    ("ip", "here"),
+    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True), ("172.31.1.147", False),
+     ("0.0.0.0", False), ("robot", False), ("127.0.0.1.example.org", False)],
+)  # fmt: skip
+def test_only_loopback_addresses_are_on_this_machine(ip, here):
+    assert robot_address({**values(), "ip": ip}, {}).on_this_machine is here

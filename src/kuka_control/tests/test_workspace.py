@@ -17,6 +17,7 @@ from kuka_control.model.workspace import (
     Constrained,
     Infeasibility,
     Infeasible,
+    LiftedWorkspace,
     Workspace,
     boundary_lines,
     workspace_faults,
@@ -53,6 +54,21 @@ def workspaces(draw):
 
 
 positions = st_numpy.arrays(float, 3, elements=st.floats(-1.5, 1.5))
+
+
+@given(workspaces(), positions)
+def test_a_lifted_workspace_passes_every_position_bit_for_bit_and_keeps_its_centre(workspace, position):
+    lifted = LiftedWorkspace(**{field.name: getattr(workspace, field.name) for field in dataclasses.fields(workspace)})
+    assert lifted.lifted and not workspace.lifted
+    passed = lifted.constrain(position)
+    assert passed.position.tobytes() == position.tobytes() and passed.bounds == ()
+    np.testing.assert_array_equal(lifted.centre, workspace.centre)
+
+
+@pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0)])
+def test_a_lifted_workspace_refuses_what_is_no_position(position):
+    with pytest.raises(ValueError, match="three finite numbers"):
+        LiftedWorkspace(**SETTINGS).constrain(np.array(position))
 
 
 def beyond(workspace, position):

@@ -297,7 +297,7 @@ def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None
         tool_speed=TOOL_MARGIN * config.tcp_speed,
         tool_point=rig.kinematics.tool_point,
         tool_jacobian=rig.kinematics.jacobian,
-        workspace=rig.workspace,
+        workspace=None if rig.workspace.lifted else rig.workspace,
         collisions=guard,
     )
     return MotionLimits(config.joint_speed * rig.model.max_speed, _shape(config, rig), room)

@@ -6,6 +6,7 @@ home_pose.py.
 
 from __future__ import annotations
 
+import ipaddress
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
@@ -17,7 +18,7 @@ from common.mounting import ToolConfig, mounting_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
 
-UPLOADED = ("ws_center", "joints_home")  # keys under `kuka/` that the controller itself writes
+UPLOADED = ("ws_center", "joints_home", "rotation_home")  # keys under `kuka/` that the controller itself writes
 MAX_LENGTH_MM = 5.0  # a larger deviation is a wrong measurement, or the file has another unit or convention
 MAX_ANGLE_DEG = 1.0  # likewise
 OPTIONS = ("robot", "flange", "ip", "port", "tool_length")  # keys that may be given as options too
@@ -31,6 +32,14 @@ class RobotAddress(ToolConfig):
     flange: str = choice(*FLANGE_HEIGHTS, doc="the media flange on the arm")
     ip: str = text(doc="address of the robot's controller")
     port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server on the robot's controller")
+
+    @property
+    def on_this_machine(self) -> bool:
+        """Whether the address is a loopback one, as that of a simulated arm is."""
+        try:
+            return ipaddress.ip_address(self.ip).is_loopback
+        except ValueError:
+            return self.ip == "localhost"
 
 
 @dataclass(frozen=True)

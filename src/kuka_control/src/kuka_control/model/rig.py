@@ -16,7 +16,7 @@ from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.target import TargetChain
 from kuka_control.model.tool_load import ToolLoad
-from kuka_control.model.workspace import Workspace
+from kuka_control.model.workspace import LiftedWorkspace, Workspace
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,16 @@ class Rig:
 
     @classmethod
     def of(
-        cls, config: ControllerConfig, dh: DhDeviations | None = None, obstacles: tuple[ConvexBody, ...] | None = None
+        cls,
+        config: ControllerConfig,
+        dh: DhDeviations | None = None,
+        obstacles: tuple[ConvexBody, ...] | None = None,
+        lifted: bool = False,
     ) -> Rig:
         """Returns the rig that a configuration describes.
 
-        `dh` and `obstacles` are what the files hold that dh_parameters and guard_obstacles name.
+        `dh` and `obstacles` are what the files hold that dh_parameters and guard_obstacles name; `lifted`: the bounds
+        of the workspace do not act.
 
         Raises:
             ValueError: a file is named, but not handed in.
@@ -52,7 +57,7 @@ class Rig:
         mounting = mounting_frame(config.center_line, config.mounting)
         deviations = None if dh is None else dh.parameters
         kinematics = kinematics_of(model, T_flange_tool, deviations, float(np.radians(config.elbow_preference)))
-        workspace = Workspace(
+        workspace = (LiftedWorkspace if lifted else Workspace)(
             center_line=config.center_line,
             opening_angle=float(np.radians(config.opening_angle)),
             z_lower=config.z_lower_limit,

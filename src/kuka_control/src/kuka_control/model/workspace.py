@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import Sequence
+from typing import ClassVar, Sequence
 
 import numpy as np
 
@@ -121,6 +121,8 @@ class Workspace:
         ConfigError: the settings describe no workspace; it lists every fault.
     """
 
+    lifted: ClassVar[bool] = False  # whether its bounds do not act
+
     center_line: np.ndarray  # horizontal, from the base axis to the middle, shape (3,); its length does not matter
     opening_angle: float  # between the two side planes, which are vertical and contain the base axis [rad]
     z_lower: float  # lowest height [m]
@@ -185,9 +187,7 @@ class Workspace:
         Raises:
             ValueError: the position is not three finite numbers.
         """
-        position = read_only(position)
-        if position.shape != (3,) or not all(map(math.isfinite, position.tolist())):
-            raise ValueError(f"a position needs three finite numbers, not {position.tolist()}")
+        position = _position(position)
         x, y, z = position.tolist()
         # Along center_line and, horizontally, to its left.
         c, s = math.cos(self.heading), math.sin(self.heading)
@@ -218,6 +218,17 @@ class Workspace:
         return Constrained(read_only([c * along - s * left, s * along + c * left, z]), tuple(bounds))
 
 
+@dataclass(frozen=True, eq=False)
+class LiftedWorkspace(Workspace):
+    """A workspace whose bounds do not act; centre and home stay."""
+
+    lifted: ClassVar[bool] = True
+
+    def constrain(self, position: np.ndarray) -> Constrained:
+        """Returns the position, shape (3,) [m], whatever it is; ValueError: it is not three finite numbers."""
+        return Constrained(_position(position), ())
+
+
 def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5) -> list[np.ndarray]:
     """Returns polylines on the border of the workspace for drawing, each of shape (n, 3) [m].
 
@@ -236,6 +247,13 @@ def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5) ->
     for turn in workspace.heading + np.linspace(-half, half, headings):
         lines.append(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]))
     return lines
+
+
+def _position(position: np.ndarray) -> np.ndarray:
+    position = read_only(position)
+    if position.shape != (3,) or not all(map(math.isfinite, position.tolist())):
+        raise ValueError(f"a position needs three finite numbers, not {position.tolist()}")
+    return position
 
 
 def _radius_at(dz: float, sphere: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import sys
 import time
@@ -14,12 +15,13 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from common.errors import DeviceError, RigError
+from common.errors import ConfigError, DeviceError, RigError
 from common.frames import ArmFrames
 from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
 from common.ros.params import arm_frames, wait_for_config
+from common.rotations import quaternion_from_rotation
 from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import KstArm
@@ -51,6 +53,13 @@ AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connectio
 LONGEST_PERIOD_S = 0.025  # of the control loop, so that pauses of the desired tool frame are seen [s]
 BRAKING_S = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
+
+
+LIFTED = "The workspace is lifted: no bound keeps the tool from the table, the base and people; only its centre counts."
+LIFT_REFUSED = (
+    "--lift-workspace is refused: kuka/ip is {ip}, which is not an address of this machine, so the robot may be a real "
+    "one; leave the option out, or add --i-know."
+)
 
 
 class RobotLink:
@@ -118,27 +127,46 @@ def ends_soon() -> bool:
 
 def real_time_main() -> None:
     """The node kuka_real_time_node."""
-    node.run("kuka_real_time_node", lambda: _with_panel(RealTimeConfig, algorithms.real_time_loop))
+    _main("kuka_real_time_node", RealTimeConfig, algorithms.real_time_loop)
 
 
 def ptp_main() -> None:
     """The node kuka_ptp_node."""
-    node.run("kuka_ptp_node", lambda: _with_panel(PtpConfig, algorithms.ptp_loop))
+    _main("kuka_ptp_node", PtpConfig, algorithms.ptp_loop)
 
 
-def _with_panel(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
-    with control_panel():
-        _run(schema, make_loop)
+def _main(name: str, schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
+    parser = argparse.ArgumentParser(description=f"The node {name}, with the control panel unless gui:=false.")
+    parser.add_argument(
+        "--lift-workspace", action="store_true", help="in simulation: the tool may go anywhere, also into the table"
+    )
+    parser.add_argument("--i-know", action="store_true", help="lift the workspace of a real robot, too")
+    options = parser.parse_args(rospy.myargv()[1:])
+
+    def main() -> None:
+        with control_panel():
+            _run(schema, make_loop, options)
+
+    node.run(name, main)
 
 
-def _run(schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
+def _run(
+    schema: type[ControllerConfig],
+    make_loop: Callable[[ControllerConfig, Rig], ControlLoop],
+    options: argparse.Namespace,
+) -> None:
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
     frames = arm_frames()
-    rig = Rig.of(config, dh_deviations(config), guard_obstacles(config))
+    if options.lift_workspace:
+        if not (config.on_this_machine or options.i_know):
+            raise ConfigError([LIFT_REFUSED.format(ip=config.ip)])
+        rospy.logwarn(LIFTED)
+    rig = Rig.of(config, dh_deviations(config), guard_obstacles(config), options.lift_workspace)
     link = RobotLink(config, rig)
     try:
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
+        rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
         _Node(config, rig, link, partial(make_loop, config, rig), frames).spin()
     finally:
@@ -157,7 +185,7 @@ class _Node:
         make_loop: Callable[[], ControlLoop],
         frames: ArmFrames,
     ) -> None:
-        self._link = link
+        self._link, self._lifted = link, rig.workspace.lifted
         self._make_loop = make_loop
         self._loop: ControlLoop | ReconnectSupervisor = make_loop()
         self._controller = Controller(link.arm, self._loop)
@@ -310,8 +338,13 @@ class _Node:
         controller = self._controller
         answers = {"missed_answers": controller.missed, "holds": controller.holds}
         counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
+        counts["workspace"] = "lifted" if self._lifted else "kept"
         counts["clock_offset"] = f"{self._desired.clock.value:.3f}"
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
-        level = DiagnosticStatus.ERROR if self._loop.stopped_because else DiagnosticStatus.OK
-        return level, step.reason, {"mode": step.mode.value, **counts}
+        level, reason = DiagnosticStatus.OK, step.reason
+        if self._lifted:
+            level, reason = DiagnosticStatus.WARN, f"{reason} {LIFTED}"
+        if self._loop.stopped_because:
+            level = DiagnosticStatus.ERROR
+        return level, reason, {"mode": step.mode.value, **counts}

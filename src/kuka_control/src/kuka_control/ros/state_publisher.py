@@ -220,11 +220,13 @@ class StatePublisher:
 
 
 def publish_workspace(workspace: Workspace, centre, frames: ArmFrames = ONE_ARM) -> rospy.Publisher:
-    """Publishes the boundary lines and the centre once, latched; the publisher is to be kept."""
+    """Publishes the boundary lines, unless they do not act, and the centre, once and latched; the publisher is to be
+    kept.
+    """
     publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
     lines = [
         _marker(i, Marker.LINE_STRIP, LINE_WIDTH_M, [Point(*p) for p in line])
-        for i, line in enumerate(boundary_lines(workspace))
+        for i, line in enumerate([] if workspace.lifted else boundary_lines(workspace))
     ]
     middle = _marker(len(lines), Marker.SPHERE_LIST, CENTRE_DIAMETER_M, [Point(*centre)])
     markers = [*lines, middle]
