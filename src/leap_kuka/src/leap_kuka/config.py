@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from common.config import choice, integer, number, vector
+from common.config import choice, flag, integer, number, vector
 from common.hand_tracking import ANY, LEFT, RIGHT
 from common.mounting import EVEN, MountingFrame, ToolConfig, mounting_field, mounting_frame
+from common.poses import read_only
+from common.rotations import rotation_from_quaternion
 from leap_kuka.hand_filter import FILTERS
 
 ABSOLUTE, RELATIVE = "absolute", "relative"
@@ -87,6 +90,10 @@ class ArmPlacement(ToolConfig):
     mounting: np.ndarray = mounting_field()
     ws_center: np.ndarray = vector(3, "m", doc="centre of the workspace, uploaded by the controller")
     time_out: float = number("s", above=0.0, doc="how long the arm waits for a lost hand", absent=0.2)
+    use_home_pos: bool = flag("whether the arm has a home position of one's own", absent=False)
+    rotation_home: np.ndarray | None = vector(
+        4, absent=None, doc="quaternion x, y, z, w of the tool at home, uploaded by the controller"
+    )
 
     def faults(self) -> list[str]:
         """Returns what is wrong with the combination of the values."""
@@ -98,6 +105,13 @@ class ArmPlacement(ToolConfig):
         z, low, high = self.ws_center[2], self.z_lower_limit, self.z_upper_limit
         if z <= low:
             faults.append(f"ws_center has z {z:g} m, but must be above z_lower_limit {low:g} m.")
+        if self.use_home_pos and self.rotation_home is None:
+            faults.append("rotation_home is missing, but use_home_pos is true; the controller uploads it.")
+        elif self.use_home_pos:
+            try:
+                rotation_from_quaternion(self.rotation_home)
+            except ValueError as error:
+                faults.append(f"rotation_home is no rotation: {error}.")
         if not faults and self.hangs:
             if high is None:
                 faults.append("z_upper_limit is missing; an arm that hangs needs it.")
@@ -109,6 +123,15 @@ class ArmPlacement(ToolConfig):
     def mounting_frame(self) -> MountingFrame:
         """The operator's directions in the base frame."""
         return mounting_frame(self.center_line, self.mounting)
+
+    @cached_property
+    def R_level_home(self) -> np.ndarray:
+        """Orientation of the tool at home relative to that of a tool which points down as the calculated home has it,
+        shape (3, 3); the identity unless the home position is one's own.
+        """
+        if not self.use_home_pos:
+            return read_only(np.eye(3))
+        return read_only(self.mounting_frame.R_base_tool.T @ rotation_from_quaternion(self.rotation_home))
 
     @property
     def hangs(self) -> bool:

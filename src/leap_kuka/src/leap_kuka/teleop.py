@@ -151,6 +151,7 @@ class ArmTeleop:
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
+        self._R_level_home = arm.R_level_home if arm.use_home_pos else None
         self.box, self._side = interaction_box(leap, arm), leap.hand
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
@@ -172,7 +173,7 @@ class ArmTeleop:
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
         self._reason = "no tracking frames come in"
-        self._hold = ToolHold(self._mounting.up)
+        self._hold = ToolHold(self._mounting.up, arm.R_level_home[2])
         self._hand_over: HandOver | None = None
         self._is_relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
         self._keeps = self._is_relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
@@ -404,7 +405,7 @@ class ArmTeleop:
             return None
         R_leap_hand, psi = mean.T_leap_hand[:3, :3], heading(mean.T_leap_hand[:3, 0])
         clipped = SteadyAttitude(R_leap_hand, psi, self._limits).clipped
-        T_virtual_tool = pose(tool_rotation(clipped, psi, self._mounting.tool_reversed), mean.palm)
+        T_virtual_tool = pose(self._as_at_home(self._level(clipped, psi)), mean.palm)
         reason = self._can_reach(self._virtual_leap(psi) @ T_virtual_tool, True)
         return (REACH, reason) if reason else None
 
@@ -440,8 +441,10 @@ class ArmTeleop:
 
     def _take_over(self, T_base_held: np.ndarray, mean: MeanHand, now: float) -> None:
         """Shifts the stream of the hand such that it starts at the held tool."""
-        T_virtual_tool = self._tool(mean, now)
-        R_virtual_level = tool_rotation(Attitude(0.0, 0.0, 0.0), self._heading, self._mounting.tool_reversed)
+        T_virtual_tool = pose(self._level(self._attitude.clipped, self._heading), mean.palm)
+        R_virtual_level = self._level(Attitude(0.0, 0.0, 0.0), self._heading)
+        if self._R_level_home is not None:
+            T_base_held = pose(T_base_held[:3, :3] @ self._R_level_home.T, T_base_held[:3, 3])
         self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
         self._T_base_virtual = self._hand_over.T_base_virtual
 
@@ -472,12 +475,18 @@ class ArmTeleop:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
         if self._relative is not None:
             return pose(self._relative.rotation(self._attitude.clipped), mean.palm)
-        T_virtual_tool = pose(
-            tool_rotation(self._attitude.clipped, self._heading, self._mounting.tool_reversed), mean.palm
-        )
+        R_virtual_tool = self._level(self._attitude.clipped, self._heading)
         if self._hand_over is not None:
-            T_virtual_tool[:3, :3] = self._hand_over.rotation(T_virtual_tool[:3, :3], now)
-        return T_virtual_tool
+            R_virtual_tool = self._hand_over.rotation(R_virtual_tool, now)
+        return pose(self._as_at_home(R_virtual_tool), mean.palm)
+
+    def _level(self, angles: Attitude, heading: float) -> np.ndarray:
+        """Returns R_virtual_tool, shape (3, 3), of a tool that points down for a level hand."""
+        return tool_rotation(angles, heading, self._mounting.tool_reversed)
+
+    def _as_at_home(self, R_virtual_tool: np.ndarray) -> np.ndarray:
+        """Returns it for a tool that is as at home for a level hand."""
+        return R_virtual_tool if self._R_level_home is None else R_virtual_tool @ self._R_level_home
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
         mean = self._mean

@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from common.poses import check_pose, pose, read_only
 from common.rotations import rotation_about, scaled_rotation
 
 MAX_DURATION_S = 120.0
 MAX_DISTANCE_M = 5.0  # a larger distance from the base is probably not in metres [m]
-MAX_TILT_DEG = 10.0  # a stream starts with the tool pointing down, so a held tool points down within this [deg]
+MAX_TILT_DEG = 10.0  # a stream starts with the tool as at home, pointing down, so a held tool does within this [deg]
+TOOL_AXIS = (0.0, 0.0, 1.0)  # of the tool, which points down
 FADE_S = 1.0  # time in which the tilt of the hand at its start takes full effect [s]
 
 
@@ -50,10 +52,13 @@ class Held:
 
 
 class ToolHold:
-    """The hold `held`, or None; `up` is the vertical in the base frame, shape (3,)."""
+    """The hold `held`, or None.
 
-    def __init__(self, up: np.ndarray) -> None:
-        self._up = up
+    `up` is the vertical in the base frame, and `axis` the one of the tool that points down at home, shape (3,) each.
+    """
+
+    def __init__(self, up: np.ndarray, axis: ArrayLike = TOOL_AXIS) -> None:
+        self._up, self._axis = up, np.asarray(axis)
         self._control_on = False
         self._ended: str | None = None
         self.held: Held | None = None
@@ -70,7 +75,7 @@ class ToolHold:
 
     def start(self, T_base_tool: np.ndarray, duration: float, now: float, inhibit_reason: str | None) -> HoldAnswer:
         """Holds a pose, shape (4, 4) [m], for at most `duration` [s], unless it is invalid or inhibited."""
-        fault = hold_fault(T_base_tool, duration, self._up) or inhibit_reason
+        fault = hold_fault(T_base_tool, duration, self._up, self._axis) or inhibit_reason
         if fault is None and self.held is not None:
             fault = "it is held already" + ("" if self.kept else "; end that hold first with a duration of 0")
         if fault is None and not self._control_on:
@@ -123,8 +128,8 @@ class ToolHold:
         return ended
 
 
-def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str | None:
-    """Returns why a pose, shape (4, 4) [m], cannot be held for `duration` [s], or None; `up` as in ToolHold."""
+def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray, axis: ArrayLike = TOOL_AXIS) -> str | None:
+    """Returns why a pose, shape (4, 4) [m], cannot be held for `duration` [s], or None; the others as in ToolHold."""
     if not 0.0 < duration <= MAX_DURATION_S:
         return f"the duration is {duration:g} s and must be above 0 and at most {MAX_DURATION_S:g} s"
     try:
@@ -134,9 +139,10 @@ def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray) -> str 
     distance = np.linalg.norm(T_base_tool[:3, 3])
     if distance > MAX_DISTANCE_M:
         return f"the tool is {distance:.4g} m from the base; is it in metres?"
-    tilt = math.degrees(math.acos(np.clip(-up @ T_base_tool[:3, 2], -1.0, 1.0)))
+    tilt = math.degrees(math.acos(np.clip(-up @ T_base_tool[:3, :3] @ axis, -1.0, 1.0)))
     if tilt > MAX_TILT_DEG:
-        return f"the tool is tilted by {tilt:.1f} deg and must point down within {MAX_TILT_DEG:g} deg"
+        must = "point down" if np.array_equal(axis, TOOL_AXIS) else "be tilted as at home"
+        return f"the tool is tilted by {tilt:.1f} deg and must {must} within {MAX_TILT_DEG:g} deg"
     return None
 
 
