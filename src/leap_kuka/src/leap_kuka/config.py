@@ -107,7 +107,7 @@ class ArmPlacement(ToolConfig):
             faults.append(f"ws_center has z {z:g} m, but must be above z_lower_limit {low:g} m.")
         if self.use_home_pos and self.rotation_home is None:
             faults.append("rotation_home is missing, but use_home_pos is true; the controller uploads it.")
-        elif self.use_home_pos:
+        elif self.rotation_home is not None:
             try:
                 rotation_from_quaternion(self.rotation_home)
             except ValueError as error:
@@ -129,7 +129,7 @@ class ArmPlacement(ToolConfig):
         """Orientation of the tool at home relative to that of a tool which points down as the calculated home has it,
         shape (3, 3); the identity unless the home position is one's own.
         """
-        if not self.use_home_pos:
+        if not self.use_home_pos or self.rotation_home is None:
             return read_only(np.eye(3))
         return read_only(self.mounting_frame.R_base_tool.T @ rotation_from_quaternion(self.rotation_home))
 
