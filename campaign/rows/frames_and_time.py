@@ -311,6 +311,7 @@ def skew(trial):
     rig.control(False)
     trial.operator()
     path, ahead = swaying(T_home, SWAY, 3.0), [-5.0]
+    rig.watch(1.0)  # the frames so far are another stream
     with FrameStream(lambda t: [Frame(path(t), ahead=ahead[0])], silent=True) as stream:
         follow_frames(trial, stream)
         told = [text for _, who, text in list(rig.said) if who == "rosout" and "s behind this machine's" in text]
