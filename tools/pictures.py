@@ -26,6 +26,7 @@ from PIL import Image
 
 from common.ports import free_port
 from leap_motion.registration import SHEET
+from rig_simulation.control_port import ControlClient
 from tools.reference.sources import ROOT
 
 PICTURES = ROOT / "docs" / "pictures"
@@ -42,6 +43,11 @@ FILM_WIDTH, FILM_SPEED, FILM_FRAME_MS, FILM_QUALITY = 760, 2.0, 60, 60
 SCREEN = (1400, 900)
 VIEW = (384, 82, 1284, 830)
 """Area of the screen in which RViz shows the rig: left, top, right, bottom [px]."""
+
+HANDS = (366, 64, 1184, 650)
+"""The same of the visualizer's RViz."""
+RVIZ_S, SETTLED_S = 25.0, 5.0
+"""Time until RViz has its window, and until it has drawn what changed, on a slow machine [s]."""
 
 PANEL = (568, 412)
 FOLLOWING_S = 45.0
@@ -225,6 +231,32 @@ def vision() -> None:
     _run("rosrun", "vision", "take_pictures.py", str(PICTURES))
 
 
+def plots() -> None:
+    """Joint axes, paths of the tool, and what the Leap sees."""
+    from tools.handbook_plots import PLOTS
+
+    for name, plot in PLOTS.items():
+        plot(PICTURES / name)
+
+
+def visualizer() -> None:
+    """Both hands as the tracker sees them, in RViz."""
+    port, control, file = free_port(), free_port(), PICTURES / "visualizer.png"
+    leapd = ("rosrun", "rig_simulation", "leapd.py", "--port", str(port), "--control-port", str(control), "--guided")
+    with _screen() as display:
+        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
+        launch = ("roslaunch", "leap_motion", "visualization.launch", f"port:={port}")
+        with _started(*leapd), _started(*launch, **environment):
+            time.sleep(RVIZ_S)
+            with ControlClient("127.0.0.1", control) as service:
+                service.ask("show", right=0.1, up=-0.08)
+                service.ask("second", curl=1.0)
+            time.sleep(SETTLED_S)
+            _run(sys.executable, "-m", "tools.pictures", "--shoot", str(file), DISPLAY=display)
+    picture = Image.open(file)
+    picture.crop(HANDS).save(file)
+
+
 def curves() -> None:
     """Training curves of the shipped GG-CNN2 weights."""
     from grasping.lab.programs.runs import plot
@@ -256,6 +288,8 @@ MAKERS = {
         tag_pose,
         parts,
         vision,
+        plots,
+        visualizer,
         curves,
         filters,
     )

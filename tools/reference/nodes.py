@@ -57,6 +57,7 @@ NODES: dict[str, Node] = {
         {"driver": "leap_motion.ros.parameters:DriverConfig", "hand": "leap_hand.config:NodeConfig"}, {}
     ),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
+    "leap_motion/visualizer.py": Node({"": "leap_motion.ros.parameters:VisualizerConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),

@@ -18,10 +18,12 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from common.config import parse
+from common.frames import VIRTUAL_LEAP
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
 from leap_motion.frames import TrackingFrame
+from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
 from leap_rig.cues import Sounds
 from leap_rig.operator_view import (
@@ -35,7 +37,7 @@ from leap_rig.operator_view import (
     Record,
     TouchConfig,
 )
-from leap_rig.ros.operator_markers import hand_markers, view_markers
+from leap_rig.ros.operator_markers import LIFETIME, view_markers
 from leap_rig.ros.speaker import Speaker
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import GuardState, KukaStatus, OperatorRow, TeleopState
@@ -122,7 +124,7 @@ class OperatorViewNode:
                         continue
 
     def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
-        self._hands.publish(hand_markers(frame.hands))
+        self._hands.publish(MarkerArray(hand_markers(frame.hands, VIRTUAL_LEAP, LIFETIME)))
         time.sleep(SKELETON_PERIOD_S)
 
 

@@ -1,4 +1,4 @@
-"""Private parameters of the node leap_driver; apart from it, as the reference page is made without built messages."""
+"""Private parameters of the nodes; apart from them, as the reference page is made without built messages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ COMPATIBLE, CORRECT = "compatible", "correct"
 
 @dataclass(frozen=True)
 class DriverConfig:
-    """The private parameters."""
+    """The private parameters of the driver."""
 
     host: str = text(doc="address of the Leap service", absent="127.0.0.1")
     port: int = integer(low=1, high=65535, doc="its plain WebSocket port", absent=6437)
@@ -23,4 +23,14 @@ class DriverConfig:
         doc="name of a registration by register_tracker.py, whose axes the messages have; empty: the tracker's own",
         absent="",
         empty=True,
+    )
+
+
+@dataclass(frozen=True)
+class VisualizerConfig:
+    """The private parameters of the visualizer."""
+
+    frame: str = text(
+        doc="tf frame of the markers: the driver's own, or in a running rig leap_motion/virtual_frame",
+        absent="leap_hands",
     )
