@@ -27,7 +27,8 @@ DEPTH_M = 0.150 - 0.0816  # from the knuckles down to the grasp
 WIDEST_M = 0.15  # fingers further apart are open to let go or to wave, not to grasp something: that says nothing
 NONE_MM = 0  # what a depth image holds where the camera had no reading
 FINGERS = ("index", "middle", "thumb", "spread")  # columns of `Episode.finger_angles`
-EXECUTION, TELEOPERATION = "execution", "teleoperation"  # source of an episode: a confirmed proposal, or free
+EXECUTION, TELEOPERATION, SHOWN = SOURCES = "execution", "teleoperation", "shown"
+"""Of an episode: a confirmed proposal, free teleoperation, or a tool that an operator held at the grasp, unlifted."""
 
 
 def hand_opening(angles: np.ndarray) -> float:
@@ -57,7 +58,7 @@ class Metadata:
     date: str  # of the grasp, UTC, as year-month-dayThour:minute:secondZ
     operator: str  # who teleoperated
     object: str  # what was grasped
-    source: str  # EXECUTION or TELEOPERATION
+    source: str  # one of SOURCES
     reason: str  # one sentence, how it was seen whether the object was held
     configuration: Mapping[str, Any]  # of the rig; what `fingerprint` is made of
 

@@ -165,7 +165,7 @@ class FrameBuffer:
 
     def add(self, frame: KeptFrame, optics: Optics) -> bool:
         """Keeps a frame. Returns whether it had to drop those before it, because another camera took them."""
-        changed = bool(self._frames) and self._optics is not None and not _same(optics, self._optics)
+        changed = bool(self._frames) and self._optics is not None and not same_optics(optics, self._optics)
         if changed:
             self._frames.clear()
         self._optics = optics
@@ -184,7 +184,8 @@ class FrameBuffer:
         return KeptFrames(self._optics, rows) if rows and self._optics is not None else None
 
 
-def _same(a: Optics, b: Optics) -> bool:
+def same_optics(a: Optics, b: Optics) -> bool:
+    """Returns whether two frames were taken alike."""
     return a.crop == b.crop and _same_camera(a.camera, b.camera) and _same_camera(a.real, b.real)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.errors import RigError
 from common.poses import check_pose
-from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION, Episode, Metadata
+from grasping.lab.dataset.episode import SOURCES, Episode, Metadata
 from grasping.network.depth_image import NETWORK_SIDE, Crop
 
 SCHEMA = 1
@@ -123,8 +123,8 @@ def decode(data: bytes) -> Episode:
         raise DatasetError(f"The file's metadata lack or distort {error}.") from None
     if metadata.fingerprint != fingerprint:
         raise DatasetError("The file is damaged: the fingerprint is not that of the rig's configuration.")
-    if metadata.source not in (EXECUTION, TELEOPERATION):
-        raise DatasetError(f"The file's source is {metadata.source!r}, not {EXECUTION} or {TELEOPERATION}.")
+    if metadata.source not in SOURCES:
+        raise DatasetError(f"The file's source is {metadata.source!r}, not one of {', '.join(SOURCES)}.")
     own = {f.name for f in fields(Episode)}
     return Episode(
         metadata=metadata,

@@ -16,36 +16,32 @@ import numpy as np
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from common.errors import RigError
-from common.frames import BASE, FLANGE_MEASURED, TOOL_DESIRED
+from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_in
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.node import run, while_running
 from common.ros.params import private_values
 from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
 from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
-from grasping.lab.dataset.episode import Episode, Metadata
-from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand
+from grasping.lab.dataset.episode import Episode
 from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
-from grasping.pipeline.settings import rig_configuration
+from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
 from grasping.pipeline.view import NoView
 from grasping.ros.camera_input import PoseLookup
 from grasping.ros.execution_io import hand_measurement
 from reflex_msgs.msg import Hand
 
-BUFFER_BYTES = 2**22  # room for several images: rospy drops all but the newest only among those that it has read
 EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited
 STALE_S = 0.5
 SILENT_S = 3.0
 THROTTLE_S = 10.0
-NOWHERE = np.full((4, 4), np.nan)
 PLAYER, PLAYER_S = "collection_bag/pause_playback", 30.0
 
 
@@ -57,21 +53,18 @@ class GraspCollection:
         self._T_flange_tool = setup.kuka.T_flange_tool
         self._poses = PoseLookup()
         self._lock = threading.Lock()
-        self._views, self._live = setup.ggcnn.views(), setup.ggcnn.steps(setup.up)
+        self._reader = FrameReader(setup, self._poses)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
-        self._info: CameraInfo | None = None
         self._T_base_camera = NOWHERE
         self._fingers = np.full(4, np.nan)
         self._heard = {"depth images": 0.0, "the state of the hand": 0.0}
         self._waits_for = ""
         self._episodes = self._held = self._on_robot = 0
-        topics = setup.ggcnn.input
+        topic = setup.ggcnn.input.depth_topic
         self._sensors = [
-            rospy.Subscriber(topics.info_topic, CameraInfo, self._on_info, queue_size=1),
-            rospy.Subscriber(
-                topics.depth_topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
-            ),
+            self._reader.subscriber,
+            rospy.Subscriber(topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True),
             rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=10),
         ]
         self._others = [
@@ -109,21 +102,18 @@ class GraspCollection:
                 rospy.loginfo("%d frames that no grasp labelled are dropped.", self._collector.waiting)
         self._files.close()
 
-    def _on_info(self, message: CameraInfo) -> None:
-        self._info = message
-
     def _on_depth(self, message: Image) -> None:
         self._heard["depth images"] = time.monotonic()
         with while_running():
             try:
                 self._take_image(message)
             except (ValueError, NoView, tf2_ros.TransformException) as error:
-                self._waits_for = _clause(error)
+                self._waits_for = clause(error)
                 rospy.logwarn_throttle(THROTTLE_S, f"An image was skipped: {self._waits_for}.")
 
     def _take_image(self, message: Image) -> None:
         """Keeps a frame; raises ValueError, NoView or TransformException that names what is missing."""
-        stamp, wait = message.header.stamp, self._setup.config.tf_wait
+        stamp = message.header.stamp
         if stamp.is_zero():
             raise ValueError("the image has no stamp")
         with self._lock:
@@ -131,36 +121,23 @@ class GraspCollection:
             if not self._collector.due(stamp.to_sec()):
                 return
             teleop, fingers = self._collector.teleop, self._fingers
-        if self._info is None:
-            raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
-        camera = camera_model_from_info(self._info)
-        T_base_camera = self._poses.at(message.header.frame_id, stamp, wait)
-        T_base_tool = self._poses.at(FLANGE_MEASURED, stamp, wait) @ self._T_flange_tool
+        placed = self._reader.place(message)
         self._waits_for = ""
         with self._lock:
-            if not self._collector.wants(stamp.to_sec(), T_base_tool):
+            if not self._collector.wants(stamp.to_sec(), placed.T_base_tool):
                 return
-        depth = depth_from_image(message)
-        if depth.shape != (camera.height, camera.width):
-            raise ValueError(f"an image of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
-        view = self._views.step(depth, camera)
-        kept, T_view_own = look(self._setup.network, view, self._live)
-        T_base_view = T_base_camera @ view.T_camera_view
-        if T_view_own is not None and on_hand((T_base_view @ T_view_own)[:3, 3], T_base_tool, self._setup.frames):
+        seen = self._reader.look(placed)
+        if seen.on_robot:
             self._on_robot += 1
             return
-        frame = KeptFrame(
-            stamp=stamp.to_sec(),
-            **kept._asdict(),
-            T_base_camera=T_base_view,
-            T_base_tool_measured=T_base_tool,
+        frame = seen.frame._replace(
             T_base_tool_desired=self._desired(stamp) if teleop else NOWHERE,
             finger_angles=fingers,
             teleop_active=teleop,
         )
         with self._lock:
-            self._T_base_camera = T_base_camera
-            if self._collector.add(frame, Optics(view.camera, view.image.crop, camera)):
+            self._T_base_camera = placed.T_base_camera
+            if self._collector.add(frame, seen.optics):
                 rospy.logwarn("The camera changed: the frames before are dropped.")
 
     def _desired(self, stamp: rospy.Time) -> np.ndarray:
@@ -176,7 +153,7 @@ class GraspCollection:
             try:
                 T_base_tool = self._poses.flange(STALE_S) @ self._T_flange_tool
             except (ValueError, tf2_ros.TransformException) as error:
-                rospy.logwarn_throttle(THROTTLE_S, f"The state of the hand is ignored: {_clause(error)}.")
+                rospy.logwarn_throttle(THROTTLE_S, f"The state of the hand is ignored: {clause(error)}.")
                 return
             with self._lock:
                 self._take_time(now)
@@ -226,18 +203,8 @@ class GraspCollection:
                 self._on_robot,
             )
             return
-        metadata = Metadata(
-            version=setup.version,
-            revision=setup.revision,
-            date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(grasp.time)),
-            operator=setup.config.operator,
-            object=str(private_values().get("object", setup.config.object)),
-            source=finished.source,
-            reason=grasp.reason,
-            configuration=rig_configuration(
-                setup.kuka.identity, *tool, frames.optics.real, self._T_base_camera, setup.ggcnn, setup.weights_sha256
-            ),
-        )
+        thing = str(private_values().get("object", setup.config.object))
+        metadata = setup.metadata(grasp, finished.source, thing, frames.optics.real, self._T_base_camera)
         self._files.put(frames.episode(grasp, metadata, *tool))
 
     def _written(self, episode: Episode, file, size: int) -> None:
@@ -269,11 +236,6 @@ class GraspCollection:
         if silent or self._waits_for:
             return DiagnosticStatus.WARN, f"waits for {' and '.join(silent)}" if silent else self._waits_for, values
         return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values
-
-
-def _clause(error: Exception) -> str:
-    """Returns what an exception says as one line without the full stop that those of tf2 have."""
-    return " ".join(str(error).split()).rstrip(". ")
 
 
 def _play() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import subprocess
+import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,13 +16,15 @@ import rospkg
 import rospy
 import torch
 
+from common.camera_model import CameraModel
 from common.config import flag, number, parse, path, required, text
 from common.mounting import ToolConfig, mounting_field, rotation_of_mounting
-from common.ros.params import private_config, private_values, wait_for_param
-from grasping.execution.grasp_watch import GraspWatchConfig
+from common.ros.params import private_values, wait_for_param
+from grasping.execution.grasp_watch import GraspWatchConfig, ObservedGrasp
+from grasping.lab.dataset.episode import Metadata
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
 from grasping.network.networks import frozen
-from grasping.pipeline.settings import GgcnnSettings, grasp_in_tool, overlaid, settings_from
+from grasping.pipeline.settings import GgcnnSettings, grasp_in_tool, overlaid, rig_configuration, settings_from
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
@@ -72,13 +76,41 @@ class CollectionSetup:
     version: str  # of this package
     revision: str  # its commit
 
+    def metadata(
+        self, grasp: ObservedGrasp, source: str, thing: str, camera: CameraModel, T_base_camera: np.ndarray
+    ) -> Metadata:
+        """Returns the description of an episode of a grasp, of the real camera and its pose, shape (4, 4) [m]."""
+        return Metadata(
+            version=self.version,
+            revision=self.revision,
+            date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(grasp.time)),
+            operator=self.config.operator,
+            object=thing,
+            source=source,
+            reason=grasp.reason,
+            configuration=rig_configuration(
+                self.kuka.identity, self.kuka.T_flange_tool, self.T_tool_grasp, camera, T_base_camera, self.ggcnn,
+                self.weights_sha256,
+            ),
+        )  # fmt: skip
+
 
 def read_setup() -> CollectionSetup:
+    """Returns the setup by the node's private parameters, as `setup_from` does."""
+    return setup_from(private_values())
+
+
+def default_values() -> dict[str, Any]:
+    """Returns the parameters of this package's yaml files, without those that only the user knows."""
+    return {**own_yaml("collection.yaml"), GGCNN: {}}
+
+
+def setup_from(values: Mapping[str, Any]) -> CollectionSetup:
     """Returns the setup, once the arm's parameters are set; raises RigError for a wrong parameter or weight file."""
-    config = private_config(CollectionConfig, others=(*SECTIONS, GGCNN))
-    sections = {name: private_config(schema, name) for name, schema in SECTIONS.items()}
+    config = parse(CollectionConfig, values, prefix="~", others=(*SECTIONS, GGCNN))
+    sections = {name: parse(schema, values.get(name, {}), prefix=f"~{name}/") for name, schema in SECTIONS.items()}
     own = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
-    settings = settings_from(overlaid(own, private_values().get(GGCNN, {})), prefix=f"~{GGCNN}/")
+    settings = settings_from(overlaid(own, values.get(GGCNN, {})), prefix=f"~{GGCNN}/")
     rospy.loginfo("%s; %s", config, "; ".join(str(section) for section in (*sections.values(), settings)))
     loaded = load_network(settings.network)
     torch.set_num_threads(settings.network.threads)

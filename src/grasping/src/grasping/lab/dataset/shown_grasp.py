@@ -1,0 +1,71 @@
+"""The collection of 2019: many maps of a thing while the arm stands at home, then many poses of the tool at its grasp.
+
+Each pose makes an episode with the maps of its turn: of M maps and P poses, pose i goes with maps i M / P to
+(i + 1) M / P, at least one. All of a session show one grasp of one thing; as data they count as little more than one.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+
+from grasping.execution.grasp_watch import ObservedGrasp
+from grasping.lab.dataset.frame_buffer import KeptFrame, KeptFrames, Optics, same_optics
+
+REASON = "An operator held the tool there; nothing was lifted."
+
+
+class Phase(Enum):
+    """What a session takes next."""
+
+    MAPS = "maps"
+    POSES = "poses"
+    DONE = "done"
+
+
+class ShownGrasp:
+    """A session of `maps` and `poses`, at most `rate` of each a second."""
+
+    def __init__(self, maps: int, poses: int, rate: float) -> None:
+        self._maps, self._poses, self._period = maps, poses, 1.0 / rate
+        self._rows: list[KeptFrame] = []
+        self._optics: Optics | None = None
+        self._last = -np.inf
+        self._pose_count = 0
+
+    @property
+    def phase(self) -> Phase:
+        """What comes next."""
+        if len(self._rows) < self._maps:
+            return Phase.MAPS
+        return Phase.POSES if self._pose_count < self._poses else Phase.DONE
+
+    @property
+    def taken(self) -> int:
+        """How many of the present phase are taken; of the last one, when all are."""
+        return len(self._rows) if self.phase is Phase.MAPS else self._pose_count
+
+    def due(self, stamp: float) -> bool:
+        """Returns whether a map or pose of that time [s] may be taken, a period after the one before."""
+        return stamp - self._last >= self._period
+
+    def add_map(self, frame: KeptFrame, optics: Optics) -> bool:
+        """Takes a map of the first phase. Returns whether those before, of another camera, were dropped."""
+        changed = self._optics is not None and not same_optics(optics, self._optics)
+        if changed:
+            self._rows.clear()
+        self._optics, self._last = optics, frame.stamp
+        self._rows.append(frame)
+        return changed
+
+    def add_pose(self, stamp: float, T_base_tool: np.ndarray) -> tuple[KeptFrames, ObservedGrasp]:
+        """Takes a pose of the second phase, shape (4, 4) [m], at a time [s] after the maps; returns its episode's
+        frames and grasp.
+        """
+        if self.phase is not Phase.POSES or self._optics is None:
+            raise ValueError(f"the session takes no poses: it is at its {self.phase.value}")
+        first, end = (i * self._maps // self._poses for i in (self._pose_count, self._pose_count + 1))
+        self._pose_count, self._last = self._pose_count + 1, stamp
+        rows = self._rows[first : max(end, first + 1)]
+        return KeptFrames(self._optics, rows), ObservedGrasp(stamp, T_base_tool, True, REASON)

@@ -1,0 +1,203 @@
+"""The collection of 2019 as a program: maps of a thing with the arm at home, then poses of the tool at its grasp.
+
+It runs beside the rig. With the arm at home it takes the maps. Then the operator brings the hand to the grasp and keeps
+it there, and Enter starts the poses. They pause while no hand is followed, and go on with the next Enter. Each pose is
+written at once, as an episode that train_refinement.py reads; Ctrl-C keeps what is written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import Image
+from tqdm import tqdm
+
+from common.errors import RigError
+from common.ros.files import write_whole
+from common.ros.node import run_program, while_running
+from common.ros.service_calls import ask_master
+from grasping.lab.dataset.episode import SHOWN
+from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
+from grasping.lab.dataset.store import encode, file_name
+from grasping.lab.ros.collection_setup import CollectionSetup, default_values, setup_from
+from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
+from grasping.pipeline.view import NoView
+from grasping.ros.camera_input import PoseLookup
+from rig_msgs.msg import KukaStatus
+
+NAME = "collect_shown_grasp"
+STALE_S = 0.5
+POLL_S = 0.02
+
+
+class ShownGraspRecorder:
+    """Passes images and poses to a session, and its episodes to the folder."""
+
+    def __init__(self, setup: CollectionSetup, session: ShownGrasp) -> None:
+        self._setup, self.session = setup, session
+        self._poses = PoseLookup()
+        self._reader = FrameReader(setup, self._poses)
+        self._lock = threading.Lock()
+        self._mode: tuple[str, float] = "", -np.inf
+        self._T_base_camera = NOWHERE
+        self.waits_for = "no depth image has come"  # a clause, why nothing is taken; empty while something is
+        self.following = False
+        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        topic = setup.ggcnn.input.depth_topic
+        self._images = rospy.Subscriber(
+            topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
+        )
+
+    def take_pose(self) -> bool:
+        """Writes the episode of the tool's present pose if one is due. Returns whether it did; else `waits_for` says
+        why not, or is empty. Raises RigError if the disk does not take it.
+        """
+        now = rospy.Time.now()
+        if not self.session.due(now.to_sec()):
+            return False
+        if not self.following:
+            self.waits_for = "no hand is followed"
+            return False
+        try:
+            T_base_tool = self._poses.flange(STALE_S) @ self._setup.kuka.T_flange_tool
+        except (ValueError, tf2_ros.TransformException) as error:
+            self.waits_for = clause(error)
+            return False
+        self.waits_for = ""
+        frames, grasp = self.session.add_pose(now.to_sec(), T_base_tool)
+        setup = self._setup
+        metadata = setup.metadata(grasp, SHOWN, setup.config.object, frames.optics.real, self._T_base_camera)
+        episode = frames.episode(grasp, metadata, setup.kuka.T_flange_tool, setup.T_tool_grasp)
+        file = setup.folder / file_name(episode)
+        try:
+            write_whole(file, encode(episode))
+        except OSError as error:
+            raise RigError(f"{file} could not be written: {error.strerror}. The poses before it are stored.") from None
+        return True
+
+    def _on_status(self, message: KukaStatus) -> None:
+        self._mode = message.mode, time.monotonic()
+
+    def _on_stream(self, message: DiagnosticStatus) -> None:
+        self.following = {value.key: value.value for value in message.values}.get("state") == "running"
+
+    def _on_depth(self, message: Image) -> None:
+        with while_running():
+            try:
+                self._take_map(message)
+            except (ValueError, NoView, tf2_ros.TransformException) as error:
+                self.waits_for = clause(error)
+
+    def _take_map(self, message: Image) -> None:
+        """Takes a map if one is due; raises ValueError, NoView or TransformException that names what is missing."""
+        if self.session.phase is not Phase.MAPS or not self.session.due(message.header.stamp.to_sec()):
+            return
+        self._check_at_home()
+        placed = self._reader.place(message)
+        seen = self._reader.look(placed)
+        if seen.on_robot:
+            raise ValueError("GGCNN takes the robot for a thing")
+        self._check_at_home()
+        self.waits_for = ""
+        self._T_base_camera = placed.T_base_camera
+        if self.session.add_map(seen.frame, seen.optics):
+            rospy.logwarn("The camera changed: the maps before are dropped.")
+
+    def _check_at_home(self) -> None:
+        mode, at = self._mode
+        if time.monotonic() - at > STALE_S:
+            raise ValueError("the arm's controller is silent")
+        if mode != KukaStatus.HOME:
+            raise ValueError(f"the arm is not at home: {mode}")
+
+
+class Enters:
+    """The Enter key, without waiting for it."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._pressed = threading.Event()
+        self.ended = False
+        threading.Thread(target=self._read, name="enter", daemon=True).start()
+
+    def pressed(self) -> bool:
+        """Returns whether it was pressed since the last call."""
+        was = self._pressed.is_set()
+        self._pressed.clear()
+        return was
+
+    def _read(self) -> None:
+        for _ in self._stream:
+            self._pressed.set()
+        self.ended = True
+
+
+def main() -> None:
+    """Entry point of the script."""
+    parser = argparse.ArgumentParser(prog=f"{NAME}.py", description=__doc__)
+    add = parser.add_argument
+    add("object", help="name of the thing")
+    add("--operator", default="unnamed", help="who teleoperates")
+    add("--maps", type=int, default=1000, help="default: %(default)s")
+    add("--poses", type=int, default=1000, help="default: %(default)s")
+    add("--folder", type=Path, help="of the episodes; default: leap_rig/grasps in ROS's home, ~/.ros")
+    add("--view", choices=("camera", "table"), help="what the network sees; default: as in ggcnn.yaml")
+    options = parser.parse_args(rospy.myargv()[1:])
+    for name in ("maps", "poses"):
+        if not 1 <= getattr(options, name) <= 10000:
+            parser.error(f"--{name} is {getattr(options, name)} and must be 1 to 10000.")
+    run_program(NAME, lambda: _run(options), "Interrupted; the poses that are written stay.")
+
+
+def _run(options: argparse.Namespace) -> None:
+    ask_master("getPid")
+    rospy.init_node(NAME, anonymous=True, disable_signals=True)
+    values = default_values()
+    folder = "" if options.folder is None else str(options.folder.absolute())
+    values.update(folder=folder, object=options.object, operator=options.operator, from_bag=False)
+    if options.view is not None:
+        values["ggcnn"]["view"] = options.view
+    setup = setup_from(values)
+    session = ShownGrasp(options.maps, options.poses, setup.frames.rate)
+    recorder = ShownGraspRecorder(setup, session)
+    _phase(recorder, Phase.MAPS, options.maps, "maps at home", lambda: None)
+    print("Bring the hand to the grasp and keep it there; then press Enter. Enter also goes on after a pause.")
+    enters, taking = Enters(sys.stdin), False
+
+    def take() -> None:
+        nonlocal taking
+        taking = (taking and recorder.following) or enters.pressed()
+        if taking:
+            recorder.take_pose()
+        elif enters.ended:
+            raise RigError("The poses start with Enter, but there is no keyboard; start the program in a terminal.")
+        else:
+            recorder.waits_for = "Enter starts"
+
+    _phase(recorder, Phase.POSES, options.poses, "poses", take)
+    print(f"{options.poses} poses of {options.object} with {options.maps} maps are in {setup.folder}.")
+
+
+def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, step: Callable[[], None]) -> None:
+    """Runs `step` until a phase is over, with a progress bar."""
+    with tqdm(total=total, desc=name) as bar:
+        while recorder.session.phase is phase:
+            if rospy.is_shutdown():
+                raise RigError("ROS shut down; the poses that are written stay.")
+            step()
+            if recorder.session.phase is phase:
+                bar.update(recorder.session.taken - bar.n)
+            bar.set_postfix_str(recorder.waits_for, refresh=False)
+            time.sleep(POLL_S)
+        bar.update(total - bar.n)
