@@ -1,0 +1,116 @@
+"""The window that shows image topics: what it draws, and that it switches between them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.ros
+
+LONG_S = 15.0
+
+
+def message(array, encoding):
+    import rospy
+
+    from common.ros.images import image_message
+
+    return image_message(array, encoding, "camera", rospy.Time(1))
+
+
+def test_colours_are_shown_red_first_and_grey_as_grey():
+    from grasping.ros.image_viewer import picture
+
+    colours = np.random.default_rng(1).integers(0, 256, (4, 6, 3)).astype(np.uint8)
+    np.testing.assert_array_equal(picture(message(colours, "rgb8")), colours)
+    np.testing.assert_array_equal(picture(message(colours, "bgr8")), colours[..., ::-1])
+    np.testing.assert_array_equal(picture(message(colours[..., 0], "mono8")), np.dstack([colours[..., 0]] * 3))
+
+
+@pytest.mark.parametrize(("kind", "encoding", "none"), [(np.uint16, "16UC1", 0), (np.float32, "32FC1", np.nan)])
+def test_depth_is_brighter_where_it_is_nearer_and_black_where_there_is_none(kind, encoding, none):
+    from grasping.ros.image_viewer import picture
+
+    depth = np.tile(np.linspace(600, 900, 60).astype(kind), (40, 1))
+    depth[:10] = none
+    shown = picture(message(depth, encoding)).astype(int).sum(axis=2)
+    assert not shown[:10].any()
+    assert np.all(np.diff(shown[20]) <= 0) and shown[20, 0] > shown[20, -1] + 200
+    assert not picture(message(np.full((4, 4), none, kind), encoding)).any()
+
+
+@pytest.fixture
+def publishers(ros):
+    """Three topics, each of one colour, published until the test ends, and one of another type."""
+    import rospy
+    from sensor_msgs.msg import Image
+    from std_msgs.msg import String
+
+    colours = {"/viewer/red": (200, 0, 0), "/viewer/green": (0, 200, 0)}
+    made = {topic: rospy.Publisher(topic, Image, queue_size=1) for topic in (*colours, "/viewer/odd")}
+    rospy.Publisher("/viewer/text", String, queue_size=1)
+
+    def publish(_):
+        for topic, colour in colours.items():
+            made[topic].publish(message(np.tile(np.uint8(colour), (30, 40, 1)), "rgb8"))
+        odd = message(np.zeros((3, 4), np.uint8), "mono8")
+        odd.encoding = "yuv422"
+        made["/viewer/odd"].publish(odd)
+
+    timer = rospy.Timer(rospy.Duration(0.05), publish)
+    yield made
+    timer.shutdown()
+
+
+@pytest.fixture
+def viewer(application, publishers):
+    from grasping.ros.image_viewer import ImageViewer
+
+    window = ImageViewer("/viewer/red")
+    window.show()
+    yield window
+    window.close()
+    window.deleteLater()
+
+
+def centre(window):
+    pixmap = window.shown.pixmap()
+    if pixmap is None or pixmap.isNull():
+        return None
+    colour = pixmap.toImage().pixelColor(pixmap.width() // 2, pixmap.height() // 2)
+    return colour.red(), colour.green(), colour.blue()
+
+
+def test_the_list_has_the_image_topics_and_a_choice_switches(application, viewer, publishers, wait_until):
+    def settled(condition):
+        application.processEvents()
+        viewer.draw()
+        return condition()
+
+    wait_until(lambda: settled(lambda: centre(viewer) == (200, 0, 0)), LONG_S, "the first topic")
+    viewer.list_topics()
+    names = [viewer.choice.itemText(i) for i in range(viewer.choice.count())]
+    assert {"/viewer/red", "/viewer/green", "/viewer/odd"} <= set(names) and "/viewer/text" not in names
+    assert viewer.choice.currentText() == "/viewer/red"
+    viewer.choice.setCurrentText("/viewer/green")
+    assert centre(viewer) is None, "what was there is of the topic before"
+    wait_until(lambda: settled(lambda: centre(viewer) == (0, 200, 0)), LONG_S, "the second topic")
+    wait_until(lambda: publishers["/viewer/red"].get_num_connections() == 0, LONG_S, "that the first one is let go")
+    viewer.choice.setCurrentText("/viewer/odd")
+    wait_until(lambda: settled(lambda: "yuv422" in viewer.text.text()), LONG_S, "the sentence")
+
+
+def test_the_launch_file_starts_it_with_the_chosen_image():
+    from tools import launched
+
+    assert "/heat_map_view" in launched.nodes("grasping", "grasping.launch", "image_view:=true")
+    assert "/heat_map_view" not in launched.nodes("grasping", "grasping.launch", "image_view:=false")
+
+
+def test_it_ends_with_the_rig_and_at_a_signal(ros, processes, wait_until):
+    import rosgraph
+
+    node = ros.run("grasping", "image_viewer.py", "image:=/viewer/red")
+    wait_until(lambda: ros.names("/image_viewer")["hears"] == {"/viewer/red"}, LONG_S, "the window")
+    assert processes.end(node) == 0, node.log_path.read_text()
+    assert "Traceback" not in node.log_path.read_text() and rosgraph.is_master_online()
