@@ -123,7 +123,7 @@ def test_after_a_jump_nothing_counts_until_the_frames_begin_anew(period, offset,
     number = link.stream.number
     back = link.frames(20, period, offset + jump)
     assert all(update.fresh is None for update in back) and link.stream.number == number
-    for _ in range(300):
+    for _ in range(800):
         link.step(0.01)
     updates = link.frames(100, period, offset + jump)
     assert link.stream.number == number + 1
@@ -145,11 +145,11 @@ def test_frames_that_stop_changing_are_silent_as_before(period, offset, seconds)
 
 
 @few
-@given(offsets, st.floats(-1e-4, 1e-4))
+@given(offsets, st.sampled_from((-1e-4, -5e-5, 5e-5, 1e-4)))
 def test_an_offset_that_drifts_is_followed(offset, drift):
     link = Link()
     link.frames(50, 0.02, offset)
-    for i in range(300):
+    for i in range(800):
         t = 15.0 * i
         assert abs(link.clock.value - (offset + drift * t)) < MAX_SKEW_S
         link.clock.take(CLOCK + link.now + t + offset + drift * t, CLOCK + link.now + t, link.now + t)
