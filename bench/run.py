@@ -32,6 +32,7 @@ NAMES = (
     "demo",
     "load",
     "growth",
+    "tf",
 )
 
 

@@ -17,7 +17,7 @@ from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
     "name",
     [
         *("kinematics", "control", "filter", "client", "shaping", "stopping", "vision"),
-        pytest.param("leap", marks=pytest.mark.ros),
+        *(pytest.param(name, marks=pytest.mark.ros) for name in ("leap", "tf")),
     ],
 )
 def test_a_quick_run_gives_numbers(name):
