@@ -112,6 +112,9 @@ def outside_the_workspace(trial):
     trial.check("the tool does not slide along the bound", abs(slid - 0.1) < 5e-3, f"{slid:.3f} of 0.1 m")
     farthest = max(outside(sample.T_base_tool[:3, 3]) for sample in rig.arm.since(start))
     trial.check("the tool left the workspace", farthest < BEYOND_M, f"{1e3 * farthest:.1f} mm")
+    aimed = max(outside(T[:3, 3]) for T in rig.commanded)
+    trial.check("a goal was outside of the workspace", aimed < 1e-6, f"{1e3 * aimed:.3f} mm")
+    trial.check("the robot stopped the arm", rig.arm.now.safety_stop is None, rig.arm.now.safety_stop)
     rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 3, "the clips to be counted")
     stays_in_servo(trial)
 

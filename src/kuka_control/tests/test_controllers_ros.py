@@ -56,6 +56,10 @@ class Robot:
     def joints(self):
         return np.array(self.ask()["joints"])
 
+    @property
+    def log(self):
+        return self.process.log_path.read_text()
+
 
 @pytest.fixture
 def robot(ros, wait_until, request):
@@ -405,7 +409,8 @@ def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controll
     shown.T = shifted(home_tool(), -0.9, 0.9, 0.0)
     assert node.wait_for_end() == 1
     np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
-    assert "infeasible" in node.log
+    assert "infeasible: it lies behind the base" in node.log
+    wait_until(lambda: not robot.ask()["connected"], 5.0, "the end of the connection")
 
 
 @pytest.mark.parametrize("robot", [("--toolbox-version", version) for version in ("1.7", "2019-03")], indirect=True)
@@ -469,6 +474,7 @@ def test_in_servo_mode_joints_come_with_the_goals_a_jump_is_picked_up_anew_and_a
     assert node.wait_for_end(15.0) == 0
     wait_until(lambda: not robot.ask()["connected"], 5.0, "the end of the connection")
     assert robot.ask()["mode"] != "servo"
+    wait_until(lambda: "the client ended the application" in robot.log, 5.0, "`end`")
     assert "Traceback" not in node.log
 
 
