@@ -62,20 +62,22 @@ def own_server(processes, monkeypatch):
 )
 def test_it_is_as_a_plain_start(processes, program, end, code):
     outputs = []
-    for fork in (False, True):
-        process = processes.start(program(end), "-x", "a b", "__name:=c", env={"ROS_TEST": "1"}, fork=fork)
+    for interpreter, fork in (((), False), ((), True), ((sys.executable,), True)):
+        words = *interpreter, program(end), "-x", "a b", "__name:=c"
+        process = processes.start(*words, env={"ROS_TEST": "1"}, fork=fork)
         assert process.wait(20.0) == code, process.log_path.read_text()
         lines = process.log_path.read_text().splitlines()
         first = json.loads(lines[0])
         first["environment"].pop("PYTEST_CURRENT_TEST", None)
         # A traceback of the fork also names the server's own lines.
         outputs.append((first, [line for line in lines[1:] if not line.startswith(" ")]))
-    assert outputs[0] == outputs[1]
+    assert outputs[0] == outputs[1] == outputs[2]
     assert outputs[1][0]["environment"]["ROS_TEST"] == "1"
 
 
-def test_it_is_forked(processes, program, wait_until):
-    process = processes.start(program("threading.Event().wait(20.0)"))
+@pytest.mark.parametrize("interpreter", [(), (sys.executable,)])
+def test_it_is_forked(processes, program, wait_until, interpreter):
+    process = processes.start(*interpreter, program("threading.Event().wait(20.0)"))
     wait_until(lambda: "errors" in process.log_path.read_text(), 10.0, "the program")
     with open(f"/proc/{process._server._server.pid}/stat") as server, open(f"/proc/{process.pid}/stat") as forked:
         assert server.read().split()[25:28] == forked.read().split()[25:28], "one memory image"
@@ -88,5 +90,6 @@ def test_what_another_environment_needs_starts_plainly(processes, program):
     server = process._server
     usual = {name: value for name, value in process._environment.items() if name != "MUJOCO_GL"}
     assert server.fits([program()], usual) and not server.fits([program()], process._environment)
-    assert not server.fits(["roscore"], usual)
+    for command in (["roscore"], [sys.executable], [sys.executable, "-c", "import x.py"]):
+        assert not server.fits(command, usual)
     assert process.wait(20.0) == 0

@@ -45,7 +45,11 @@ class ForkServer:
 
     def fits(self, command: list[str], environment: dict[str, str]) -> bool:
         """Returns whether a fork would be the same as a plain start: a program for this Python, in this environment."""
-        if self._environment != _fixed(environment) or not command[0].endswith(".py"):
+        if self._environment != _fixed(environment):
+            return False
+        if command[0] == sys.executable:
+            return command[1:2] != [] and command[1].endswith(".py")
+        if not command[0].endswith(".py"):
             return False
         with contextlib.suppress(OSError), open(command[0], errors="replace") as file:
             interpreter = Path(file.readline().strip()[2:])
@@ -54,6 +58,7 @@ class ForkServer:
 
     def start(self, command: list[str], environment: dict[str, str], log: Path) -> int:
         """Starts a program in its own session, its output into a file; returns the pid, of a child of the caller."""
+        command = command[command[0] == sys.executable :]
         request = {"command": command, "environment": environment, "folder": os.getcwd(), "log": str(log)}
         assert self._server.stdin is not None and self._server.stdout is not None
         # The program's first parent ends at once: meanwhile the kernel gives orphans to this process.

@@ -1,6 +1,5 @@
 """The whole client against the simulated controller, a program of its own that shares none of the client's code."""
 
-import os
 import re
 import sys
 from pathlib import Path
@@ -50,7 +49,7 @@ def start(processes, wait_until):
 
     def start(*options):
         command = [sys.executable, str(PROGRAM), "--port", "0", "--control-port", "0", *options]
-        process = processes.start(*command, env={"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
+        process = processes.start(*command)
         ready = wait_until(lambda: READY.search(process.log_path.read_text()), 30.0, "the simulated controller")
         rigs.append((Rig(int(ready[1]), ControlClient("127.0.0.1", int(ready[2]), 10.0)), process))
         return rigs[-1][0]

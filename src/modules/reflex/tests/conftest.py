@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import sys
 from pathlib import Path
@@ -126,7 +125,6 @@ def simulated_hand(processes, free_port, wait_until):
             "--control-port",
             str(control_port),
             *arguments,
-            env={"PYTHONPATH": os.pathsep.join(sys.path)},
         )
         wait_until(lambda: "control port" in process.log_path.read_text(), 20.0, "the simulated hand")
         clients.append(ControlClient("127.0.0.1", control_port))
