@@ -318,6 +318,19 @@ def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_pat
     assert len(frames_of(film)) >= 1
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_viewer_and_recorder_stop_at_an_interrupt_and_when_they_are_terminated(number):
+    handlers = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        stop = record.display.stop_when_interrupted()
+        assert not stop.is_set()
+        signal.raise_signal(number)
+        assert stop.is_set()
+    finally:
+        for one, handler in handlers.items():
+            signal.signal(one, handler)
+
+
 def test_without_a_world_the_recorder_names_it(tmp_path, free_port, monkeypatch, capsys):
     monkeypatch.setattr(record.display, "stop_when_interrupted", threading.Event)
     monkeypatch.setattr(record.os, "nice", lambda _: None)
