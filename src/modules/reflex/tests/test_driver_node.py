@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -165,16 +164,9 @@ def test_a_calibration_that_cannot_be_written_still_holds(ros, simulated_hand, t
     wait_until(lambda: abs(states[-1].motor[0].joint_angle - 1.0) < 0.02, 10.0, "the command")
 
 
-def run_to_its_end(*arguments: str) -> tuple[int, str]:
-    done = subprocess.run(
-        ["rosrun", "reflex", "reflex_takktile_driver.py", *arguments], capture_output=True, text=True, timeout=60
-    )
-    return done.returncode, done.stdout + done.stderr
-
-
 @pytest.fixture
-def parameters(ros, tmp_path, free_port):
-    """Loads the shipped parameters; the function sets and removes some."""
+def end_of(ros, tmp_path, free_port):
+    """Loads the shipped parameters; the function sets and removes some, and lets the driver run to its end."""
     import socket
 
     import rospy
@@ -183,11 +175,13 @@ def parameters(ros, tmp_path, free_port):
     values = yaml.safe_load((Path(__file__).parents[1] / "config" / "reflex_takktile.yaml").read_text())
     values.update(network_interface="lo", port=free_port(socket.SOCK_DGRAM), calibration_folder=str(tmp_path))
 
-    def load(**changes):
+    def end(**changes) -> tuple[int, str]:
         merged = {k: v for k, v in {**values, **changes}.items() if v is not None}
         rospy.set_param("/reflex_takktile_driver", merged)
+        driver = ros.run("reflex", "reflex_takktile_driver.py")
+        return driver.wait(20.0), driver.log_path.read_text()
 
-    return load
+    return end
 
 
 @pytest.mark.parametrize(
@@ -201,18 +195,16 @@ def parameters(ros, tmp_path, free_port):
         ({"colour": "blue"}, "reflex_takktile_driver/colour is not a known key"),
     ],
 )
-def test_ends_with_a_sentence(parameters, changes, sentence):
-    parameters(**changes)
-    code, output = run_to_its_end()
+def test_ends_with_a_sentence(end_of, changes, sentence):
+    code, output = end_of(**changes)
     assert code == 1
     assert sentence in output
     assert "Traceback" not in output
 
 
-def test_a_torn_calibration_file_ends_it_with_its_name(parameters, tmp_path):
+def test_a_torn_calibration_file_ends_it_with_its_name(end_of, tmp_path):
     (tmp_path / "finger_calibrate.yaml").write_text("encoder_zero_reference: [1, 2")
-    parameters()
-    code, output = run_to_its_end()
+    code, output = end_of()
     assert code == 1
     assert f"{tmp_path}/finger_calibrate.yaml is not yaml" in output
     assert "Traceback" not in output
