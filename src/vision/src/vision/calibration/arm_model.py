@@ -5,6 +5,8 @@ that motions between the views stay short.
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -33,6 +35,18 @@ class ArmModel:
         self._flange = self._model.getFrameId(FLANGE)
         self.lower = read_only(self._model.lowerPositionLimit + MARGIN_RAD)
         self.upper = read_only(self._model.upperPositionLimit - MARGIN_RAD)
+
+    def bent(self, shift: float, turn: float, rng: np.random.Generator) -> ArmModel:
+        """Returns an arm of this kind that was not built exactly: each joint is displaced along and turned about each
+        axis by errors with these standard deviations [m, rad].
+        """
+        other = copy.copy(self)
+        other._model = self._model.copy()
+        for joint in range(1, other._model.njoints):
+            error = pin.SE3(pin.exp3(turn * rng.normal(size=3)), shift * rng.normal(size=3))
+            other._model.jointPlacements[joint] = other._model.jointPlacements[joint] * error
+        other._data = other._model.createData()
+        return other
 
     def flange(self, q: ArrayLike) -> np.ndarray:
         """Returns T_base_flange, shape (4, 4) [m], for the joints q, shape (7,) [rad]."""

@@ -5,14 +5,19 @@ that is grasped there (root mean square over all directions).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Optional
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
-from common.poses import inverse, pose
+from common.camera_model import CameraModel
+from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig, judge, view_from
+from vision.calibration.arm_model import ArmModel
 from vision.calibration.hand_eye import CalibrationView
 from vision.marker_board.plane_pose import PoseEstimate, RgbdPose
 
@@ -22,8 +27,9 @@ CSV_HEAD = (
     "variant,distance_m,tilt_deg,method,pictures,found,position_mm_median,position_mm_95,rotation_deg_median,"
     "rotation_deg_95,reach_mm_median,reach_mm_95,normalised_square_mean"
 )
-T_BASE_CAMERA = pose([[-0.5, 0.0, -np.sqrt(0.75)], [np.sqrt(0.75), 0.0, -0.5], [0.0, -1.0, 0.0]], (1.1, 0.2, 0.7))
-"""The true camera pose; the choice does not matter."""
+Arm = Callable[[np.ndarray], Optional[np.ndarray]]
+"""The pose that an arm reports where its flange truly is at the given one, both of shape (4, 4) [m]; None: out of its
+reach."""
 
 
 @dataclass(frozen=True)
@@ -120,34 +126,74 @@ class CalibrationAccuracy:
 
     position: float  # of the camera [mm]
     rotation: float  # of the camera [deg]
-    point: float  # of a point in the middle of the views, as the camera measures it [mm]
+    point: float  # of a point in the middle of the views, at its true depth, as the camera measures it [mm]
     stated: float  # standard deviation of that point by the calibration [mm]
     accepted: bool  # whether the calibration passed its checks
 
 
+def wrong_lens(camera: CameraModel, focal: float, centre: float = 0.0) -> CameraModel:
+    """Returns the camera with its focal length wrong by the fraction `focal`, its centre by `centre` [px] along x."""
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 1.0 + focal
+    K[0, 2] += centre
+    return replace(camera, K=read_only(K))
+
+
+def inexact_arm(shift: float, turn: float, rng: np.random.Generator) -> Arm:
+    """Returns an arm that reports each pose with other errors, with these standard deviations along and about each axis
+    [m, rad].
+    """
+
+    def reported(T: np.ndarray) -> np.ndarray:
+        moved, turned = shift * rng.normal(size=3), turn * rng.normal(size=3)
+        return pose(pin.exp3(turned) @ T[:3, :3], T[:3, 3] + moved)
+
+    return reported
+
+
+def bent_arm(drawn: ArmModel, q_seed: ArrayLike, shift: float, turn: float, rng: np.random.Generator) -> Arm:
+    """Returns an arm with errors at each joint (ArmModel.bent) that reports what the arm as drawn would; it comes to a
+    pose from the joints `q_seed`, shape (7,) [rad].
+    """
+    built = drawn.bent(shift, turn, rng)
+
+    def reported(T: np.ndarray) -> np.ndarray | None:
+        q = drawn.joints_for(T, q_seed)  # those of the true arm are the same but for its small errors
+        return None if q is None else T @ inverse(built.flange(q)) @ drawn.flange(q)
+
+    return reported
+
+
 def calibrate(
     observations: list[BoardObservation],
+    T_base_camera: np.ndarray,
     T_flange_board: np.ndarray,
     config: CalibrationConfig,
-    arm: tuple[float, float],
-    rng: np.random.Generator,
+    arm: Arm,
+    lens: tuple[CameraModel, CameraModel] | None = None,
 ) -> CalibrationAccuracy:
-    """Returns the errors of the calibration from observations, each of them a view of one image. T_flange_board: shape
-    (4, 4) [m]; `arm`: standard deviations of its errors along and about each axis [m, rad]; `rng`: their source.
+    """Returns the errors of the calibration from observations, each of them a view of one image within the arm's reach.
+    T_base_camera: where the camera truly stands, T_flange_board, both shape (4, 4) [m]; `lens`: the true one and that
+    of the observations, where they differ.
     """
     views: list[CalibrationView] = []
     for observation in observations:
-        T_base_flange = T_BASE_CAMERA @ observation.T_truth @ inverse(T_flange_board)
-        shift, turn = (sd * rng.normal(size=3) for sd in arm)
-        measured = pose(pin.exp3(turn) @ T_base_flange[:3, :3], T_base_flange[:3, 3] + shift)
+        measured = arm(T_base_camera @ observation.T_truth @ inverse(T_flange_board))
+        if measured is None:
+            raise ValueError("a view is out of the arm's reach")
         views.append(view_from([observation.detection], measured, views, config))
     verdict = judge(views, T_flange_board, config)
-    off = verdict.result.T_base_camera @ inverse(T_BASE_CAMERA)
-    middle = np.mean([(T_BASE_CAMERA @ observation.T_truth)[:3, 3] for observation in observations], axis=0)
+    found = verdict.result.T_base_camera
+    middle = np.mean([observation.T_truth[:3, 3] for observation in observations], axis=0)
+    seen = middle
+    if lens is not None:
+        ray = lens[1].rays(lens[0].project(middle[None]))[0]
+        seen = ray * middle[2] / ray[2]
+    apart = found[:3, :3] @ seen + found[:3, 3] - T_base_camera[:3, :3] @ middle - T_base_camera[:3, 3]
     return CalibrationAccuracy(
-        position=1e3 * float(np.linalg.norm(verdict.result.T_base_camera[:3, 3] - T_BASE_CAMERA[:3, 3])),
-        rotation=float(np.degrees(rotation_angle(off[:3, :3]))),
-        point=1e3 * float(np.linalg.norm(off[:3, :3] @ middle + off[:3, 3] - middle)),
+        position=1e3 * float(np.linalg.norm(found[:3, 3] - T_base_camera[:3, 3])),
+        rotation=float(np.degrees(rotation_angle(found[:3, :3] @ T_base_camera[:3, :3].T))),
+        point=1e3 * float(np.linalg.norm(apart)),
         stated=verdict.point_sd_mm,
         accepted=verdict.accepted,
     )

@@ -18,7 +18,6 @@ import numpy as np
 from apriltag_ros.settings import detector_settings
 from common.config import parse
 from common.errors import RigError
-from common.poses import read_only
 from vision.marker_board import pose_evaluation as tables
 from vision.marker_board.plane_fit import PlanePoseConfig
 from vision.marker_board.plane_pose import RgbdDetector
@@ -91,9 +90,7 @@ def _trials(
 ) -> list[PoseTrial]:
     """Returns the errors in all images, with a relative error of the focal length, and a bias of all depths [m]."""
     settings = detector_settings({**read_config("settings.yaml"), "rectified": False})
-    K = images.rgb.K.copy()
-    K[[0, 1], [0, 1]] *= 1.0 + focal_error
-    rgb = dataclasses.replace(images.rgb, K=read_only(K))
+    rgb = tables.wrong_lens(images.rgb, focal_error)
     detector = RgbdDetector(settings, image_folder.board_target(board), images.plate, config)
     trials = []
     for moment, pair in enumerate(images.pairs()):  # a second apart: no orientation is known from the image before
