@@ -5,9 +5,8 @@ that is grasped there (root mean square over all directions).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Optional
+from typing import Callable, Optional
 
 import numpy as np
 import pinocchio as pin

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Dict, List
 
 import cv2
 import numpy as np
@@ -79,7 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-Observations = dict[str, list[BoardObservation]]
+Observations = Dict[str, List[BoardObservation]]
 """By method."""
 
 
