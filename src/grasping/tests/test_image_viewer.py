@@ -39,6 +39,14 @@ def test_depth_is_brighter_where_it_is_nearer_and_black_where_there_is_none(kind
     assert not picture(message(np.full((4, 4), none, kind), encoding)).any()
 
 
+def test_an_image_with_a_sign_is_shown_whole():
+    """ggcnn/img/depth has its mean taken off, ggcnn/img/ang is an angle."""
+    from grasping.ros.image_viewer import picture
+
+    shown = picture(message(np.tile(np.linspace(-1.0, 1.0, 60, dtype=np.float32), (20, 1)), "32FC1"))
+    assert shown.any(axis=2).all() and (shown[10, 10] != shown[10, 25]).any()
+
+
 @pytest.fixture
 def publishers(ros):
     """Three topics, each of one colour, published until the test ends, and one of another type."""

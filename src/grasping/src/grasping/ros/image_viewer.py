@@ -27,14 +27,15 @@ IMAGE = "sensor_msgs/Image"
 
 def picture(message: Image) -> np.ndarray:
     """Returns an image as it is shown, shape (h, w, 3), uint8, red first: measurements between their extremes, near or
-    low ones bright, none black. Raises ValueError for an encoding that is unknown, or incomplete data.
+    low ones bright, none (a whole number 0, or not finite) black. Raises ValueError for an unknown encoding, or
+    incomplete data.
     """
     array = array_from_image(message)
     if array.ndim == 3:
         return np.ascontiguousarray(array[..., ::-1] if message.encoding == "bgr8" else array)
     if array.dtype == np.uint8:
         return np.repeat(array[..., None], 3, axis=2)
-    valid = np.isfinite(array) & (array > 0)
+    valid = array > 0 if array.dtype == np.uint16 else np.isfinite(array)
     if not valid.any():
         return np.zeros((*array.shape, 3), np.uint8)
     low, high = np.percentile(array[valid], PERCENTILES)
