@@ -17,6 +17,12 @@ def prefixes(package: str, file: str, *arguments: str) -> list[str]:
     return [node.launch_prefix or "" for node in _config(package, file, arguments).nodes]
 
 
+def command_line(package: str, file: str, node: str, *arguments: str) -> list[str]:
+    """Returns the words that a node gets."""
+    (found,) = (one for one in _config(package, file, arguments).nodes if one.name == node)
+    return found.args.split()
+
+
 def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:
     """Returns the parameters that it sets, by their names."""
     return {name: parameter.value for name, parameter in _config(package, file, arguments).params.items()}

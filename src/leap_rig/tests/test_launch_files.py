@@ -46,6 +46,22 @@ def test_the_files_that_simulate_by_default_are_known():
     }
 
 
+@pytest.mark.parametrize("asked", [False, True])
+@pytest.mark.parametrize(
+    ("package", "file", "node"),
+    [
+        ("leap_rig", "demo.launch", "kuka_real_time_node"),
+        ("kuka_control", "real_time_controller.launch", "kuka_real_time_node"),
+        ("kuka_control", "ptp_controller.launch", "kuka_ptp_node"),
+    ],
+)
+def test_the_workspace_is_lifted_only_where_it_is_asked_for_and_never_on_a_real_robot(package, file, node, asked):
+    from tools import launched
+
+    words = launched.command_line(package, file, node, *(["lift_workspace:=true"] if asked else []))
+    assert ("--lift-workspace" in words) is asked and "--i-know" not in words
+
+
 @pytest.mark.parametrize(("what", "said"), [("rig", ("sim:=false", "robot_ip")), ("camera", ("sim:=false", "Xtion"))])
 def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments(what, said):
     script = ROOT / "src/common/shell/simulated.sh"
