@@ -30,7 +30,7 @@ def view(monkeypatch):
     from kuka_control.ros import guard_view
 
     monkeypatch.setattr(rospy, "Publisher", Topic)
-    monkeypatch.setattr(rospy, "Timer", lambda *_: None)
+    monkeypatch.setattr(guard_view, "repeat", lambda *_: None)
     monkeypatch.setattr(rospy.Time, "now", rospy.Time)
     monkeypatch.setattr(guard_view, "collision_guard", lambda *_: Guard())
     config = type("Config", (), {"guard_margin": 0.03})()
@@ -52,10 +52,10 @@ def test_a_closed_topic_is_an_error_only_while_ros_runs(view, monkeypatch, shut_
     monkeypatch.setattr(Topic, "error", rospy.ROSException("publish() to a closed topic"))
     monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: shut_down)
     if shut_down:
-        view._show(None)
+        view._show()
     else:
         with pytest.raises(rospy.ROSException):
-            view._show(None)
+            view._show()
 
 
 def test_a_guard_that_fails_is_said_and_the_display_goes_on(view, monkeypatch):
@@ -66,5 +66,5 @@ def test_a_guard_that_fails_is_said_and_the_display_goes_on(view, monkeypatch):
     said = []
     monkeypatch.setattr(rospy, "logwarn_throttle", lambda _, text: said.append(text))
     monkeypatch.setattr(Guard, "failure", GuardError("The collision guard failed: some number is not finite."))
-    view._show(None)
+    view._show()
     assert said == ["The collision guard failed: some number is not finite."]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 
@@ -11,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
-from common.ros.node import while_running
+from common.ros.node import repeat
 from common.ros.params import arm_frames
 from common.ros.publishing import DirectPublisher
 
@@ -31,7 +30,7 @@ class Diagnostics:
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
         self._name, self._read = arm_frames()(name), read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
-        _repeat(self.publish, PERIOD_S, "diagnostics")
+        repeat(self.publish, PERIOD_S, "diagnostics")
 
     def publish(self) -> None:
         """Publishes the present state."""
@@ -55,7 +54,7 @@ class StageTimes:
         self._stage = stage
         self._publisher = DirectPublisher(STAGE_TIMES, TimeReference, queue_size=100)
         self._done: deque[tuple[rospy.Time, rospy.Time]] = deque()
-        _repeat(self._publish, BURST_S, "stage times")
+        repeat(self._publish, BURST_S, "stage times")
 
     def done(self, frame_stamp: rospy.Time) -> None:
         """Notes that the stage has just passed on its result for the frame with this stamp."""
@@ -66,16 +65,3 @@ class StageTimes:
         while self._done:
             stamp, now = self._done.popleft()
             self._publisher.publish(TimeReference(Header(0, stamp, ""), now, self._stage))
-
-
-def _repeat(publish: Callable[[], None], period: float, name: str) -> None:
-    """Calls `publish` every `period` [s] in a thread of its own, until ROS shuts down."""
-    stop = threading.Event()
-    rospy.on_shutdown(stop.set)
-
-    def loop() -> None:
-        while not stop.wait(period):
-            with while_running():
-                publish()
-
-    threading.Thread(target=loop, name=name, daemon=True).start()

@@ -237,3 +237,19 @@ def while_running() -> Iterator[None]:
     except rospy.ROSException:
         if not rospy.core.is_shutdown_requested():  # which is true as soon as the topics close, is_shutdown() later
             raise
+
+
+def repeat(job: Callable[[], None], period: float, name: str) -> None:
+    """Calls `job` every `period` [s] in a thread of its own, until ROS shuts down.
+
+    rospy.Timer prints a traceback where it sleeps between the request to shut down and the end.
+    """
+    stop = threading.Event()
+    rospy.on_shutdown(stop.set)
+
+    def loop() -> None:
+        while not stop.wait(period):
+            with while_running():
+                job()
+
+    threading.Thread(target=loop, name=name, daemon=True).start()

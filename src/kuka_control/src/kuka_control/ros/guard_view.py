@@ -19,7 +19,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import translation
 from common.ros.conversions import message_from_pose
-from common.ros.node import while_running
+from common.ros.node import repeat, while_running
 from kuka_control.limits.speed_change import GuardError
 from kuka_control.loop.algorithms import collision_guard
 from kuka_control.model.config import ControllerConfig
@@ -88,7 +88,7 @@ class GuardView:
         self._lock = threading.Lock()
         self._state = rospy.Publisher("kuka/guard", GuardState, queue_size=2)
         self._markers = rospy.Publisher("kuka/guard_markers", MarkerArray, queue_size=2)
-        self._timer = rospy.Timer(rospy.Duration.from_sec(PERIOD_S), self._show)
+        repeat(self._show, PERIOD_S, "guard view")
 
     def collision(self, q: np.ndarray) -> str | None:
         """Returns which bodies would be too near at the joints q, shape (7,) [rad], a part of a sentence, or None.
@@ -108,7 +108,7 @@ class GuardView:
         if self._guard is not None and self._opening is not None:
             self._guard.open(self._opening.at(time.monotonic()))
 
-    def _show(self, _: object) -> None:
+    def _show(self) -> None:
         with while_running(), self._lock:
             try:
                 self._publish()

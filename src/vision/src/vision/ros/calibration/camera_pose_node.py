@@ -24,7 +24,7 @@ from common.frames import FLANGE_SEEN
 from common.poses import inverse, read_only
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import while_running
+from common.ros.node import repeat, while_running
 from common.ros.params import private_config
 from vision.calibration.acceptance import BoardDetection, check_alone, view_from
 from vision.calibration.hand_eye import camera_pose
@@ -71,7 +71,7 @@ class CameraPoseNode:
         rospy.Service("camera_place/store", Trigger, self._on_store)
         BoardListener(setup.target, self._on_detection)
         Diagnostics("camera_place", self._diagnostics)
-        self._timer = rospy.Timer(rospy.Duration(REPEAT_S), self._repeat)
+        repeat(self._repeat, REPEAT_S, "camera pose")
 
     def _load(self) -> None:
         """Loads the newest calibration unless live; DeviceError if none (mode stored) or the frames are unknown."""
@@ -125,14 +125,13 @@ class CameraPoseNode:
             with self._lock:
                 self._recent.append(LiveDetection(self._last[0], T_base_flange, detection, optical))
 
-    def _repeat(self, _) -> None:
+    def _repeat(self) -> None:
         """Repeats the stored pose if there was a live one before: in tf2 a moving frame does not become static."""
         if self._stored is None or not self._was_live:
             return
-        with while_running():
-            transform = copy.deepcopy(self._stored)
-            transform.header.stamp = rospy.Time.now() + AHEAD
-            self._broadcaster.sendTransform(transform)
+        transform = copy.deepcopy(self._stored)
+        transform.header.stamp = rospy.Time.now() + AHEAD
+        self._broadcaster.sendTransform(transform)
 
     def _on_store(self, _) -> TriggerResponse:
         """Stores the mean of the newest detections, if arm and camera stood still."""
