@@ -76,6 +76,36 @@ def test_a_node_that_is_interrupted_while_it_starts_ends(ros, processes, wait_un
     assert process.returncode in (0, 1) and "Traceback" not in log, log
 
 
+THREADS = """
+import socket, threading
+import rospy
+from common.ros.node import run
+
+def main():
+    for error in (OSError(9, "early"), ValueError("other")):
+        raises(error)
+    rospy.core.signal_shutdown("the end")
+    for error in (OSError(9, "late"), ValueError("defect")):
+        raises(error)
+
+def raises(error):
+    def job():
+        raise error
+    thread = threading.Thread(target=job)
+    thread.start()
+    thread.join()
+
+run("threads", main)
+"""
+
+
+def test_only_a_socket_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, processes, wait_until):
+    process = processes.start(sys.executable, "-c", THREADS)
+    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
+    log = process.log_path.read_text()
+    assert [word in log for word in ("early", "other", "late", "defect")] == [True, True, False, True], log
+
+
 TOPICS = """
 import gc, os
 import rospy

@@ -55,6 +55,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     _shut_down_beside_the_main_thread(disposable)
+    threading.excepthook = _without_closed_sockets(threading.excepthook)
     try:
         rospy.init_node(name, disable_signals=True)
     except rospy.exceptions.ROSInitException:
@@ -140,6 +141,16 @@ def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[l
             emit(record)
 
     return guarded
+
+
+def _without_closed_sockets(report: Callable[..., object]) -> Callable[..., None]:
+    """Returns an excepthook of threads that passes over those which rospy ends by closing the socket they wait on."""
+
+    def reported(thread: threading.ExceptHookArgs) -> None:
+        if not (issubclass(thread.exc_type, OSError) and rospy.core.is_shutdown_requested()):
+            report(thread)
+
+    return reported
 
 
 def _sentences(error: Exception) -> list[str]:
