@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # All tests. Those without ROS run behind the others, on what these leave of the processor: the tests of single nodes,
-# many side by side, and those of the whole rig, three at a time, as a rig takes half a core or one, mostly wait. Beside
+# many side by side, and those of the whole rig, two at a time, as a rig takes about one core, mostly wait. Beside
 # those that want the processors for themselves, which come last, they only run where a processor is idle. Options of
 # pytest may follow.
 set -uo pipefail
@@ -20,7 +20,7 @@ setsid nice -n 10 python -m pytest -m "not ros and not rig" -n 2 --dist workstea
 pure=$!
 trap 'kill "$pure" 2> /dev/null; rm -f "$log"' EXIT
 run "ros and not rig" -n 4 --dist worksteal "$@" "${with_ros[@]}"
-run "rig and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
+run "rig and not alone" -n 2 --dist loadgroup "$@" "${with_rig[@]}"
 # Any other program that becomes ready takes the processor from one of this class at once.
 pgrep -s "$pure" | xargs -rn 1 chrt --all-tasks --idle --pid 0 2> /dev/null || wait "$pure"
 run alone "$@" "${with_alone[@]}"

@@ -79,6 +79,33 @@ class Driver:
             service.shutdown()
 
 
+class ArmReports:
+    """Reports which hand steers the arm, again and again as leap_kuka does."""
+
+    def __init__(self):
+        import rospy
+        from diagnostic_msgs.msg import DiagnosticStatus
+
+        self.number = ""
+        self._publisher = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._thread.start()
+
+    def end(self):
+        self._stop.set()
+        self._thread.join()
+        self._publisher.unregister()
+
+    def _loop(self):
+        from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+        while not self._stop.wait(0.1):
+            number = self.number
+            values = [KeyValue("hand_id", number), KeyValue("hand_side", "right" if number else "")]
+            self._publisher.publish(DiagnosticStatus(name="leap_kuka", values=values))
+
+
 class Tracker:
     """Publishes Human messages at 50 Hz with the hand that was shown last."""
 
@@ -210,12 +237,8 @@ def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker, wait_until):
 
 def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept(ros, driver, tracker, wait_until):
     import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import Bool
-
-    def steers(number):
-        values = [KeyValue("hand_id", number), KeyValue("hand_side", "right" if number else "")]
-        stream.publish(DiagnosticStatus(name="leap_kuka", values=values))
 
     def status():
         found = diagnostics[-1].status[0] if diagnostics else None
@@ -223,26 +246,25 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
 
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
-    stream = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+    arm = ArmReports()
     rospy.set_param("leap_hand", {**LIMITS, "grip_hold": 3.0})
-    steers("")
     flag.publish(True)
     tracker.show(make_hand(20.0))
     process = ros.run("leap_hand", "leap_hand_node.py", "_hand_only:=false")
     waits = "no hand steers the arm; bring one into the interaction box"
     wait_until(lambda: status() and status()[1] == waits, 40.0, "the node to wait for an engagement")
     assert is_near(driver, np.zeros(4))
-    steers("7")
+    arm.number = "7"
     wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
     driver.commands.clear()
-    steers("8")
+    arm.number = "8"
     wait_until(lambda: status()[2]["state"] == "keeping" and status()[0] == 1, 10.0, "the grip to be kept")
     wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose after grip_hold")
     assert all(np.allclose(c.radian_commands, FIST) or not any(c.radian_commands) for c in driver.commands)
     assert "the grip is kept for 3 s" in process.log_path.read_text()
     assert status()[2]["grips_kept"] == "1"
-    for publisher in (flag, stream):
-        publisher.unregister()
+    flag.unregister()
+    arm.end()
 
 
 def test_a_silent_tracker_opens_the_hand(ros, driver, tracker, wait_until):
