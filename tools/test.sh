@@ -22,7 +22,8 @@ trap 'kill "$pure" 2> /dev/null; rm -f "$log"' EXIT
 run "ros and not rig" -n 4 --dist worksteal "$@" "${with_ros[@]}"
 run "rig and not alone" -n 2 --dist loadgroup "$@" "${with_rig[@]}"
 # Any other program that becomes ready takes the processor from one of this class at once.
-pgrep -s "$pure" | xargs -rn 1 chrt --all-tasks --idle --pid 0 2> /dev/null || wait "$pure"
+pgrep -s "$pure" | xargs -rn 1 chrt --all-tasks --idle --pid 0 2> /dev/null
+chrt --pid "$pure" 2> /dev/null | grep -q IDLE || wait "$pure"  # it has ended, or this machine cannot do so
 run alone "$@" "${with_alone[@]}"
 wait "$pure" || code=$?
 cat "$log"
