@@ -841,7 +841,7 @@ def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, 
     from kuka_control.ros import controller_node
 
     uploaded = []
-    nothing = types.SimpleNamespace(spin=lambda: None, close=lambda: None)
+    nothing = types.SimpleNamespace(spin=lambda _: None, close=lambda: None)
     with monkeypatch.context() as patch:
         for name in ("RobotLink", "_Node"):
             patch.setattr(controller_node, name, lambda *_: nothing)

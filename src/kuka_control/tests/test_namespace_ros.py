@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+
 import numpy as np
 import pytest
 from test_controllers_ros import CONFIG, MOVE_S, QUICK, RATES, REAL_TIME, robot  # noqa: F401 - a fixture
@@ -9,6 +11,8 @@ from test_controllers_ros import CONFIG, MOVE_S, QUICK, RATES, REAL_TIME, robot 
 from common.poses import pose
 
 pytestmark = pytest.mark.ros
+
+ARMS = {"margin": 0.3, "left": {"position": [0.0, 0.5, 0.0]}, "right": {"position": [0.0, -2.0, 0.0]}}
 
 
 def set_params(namespace, prefix, port):
@@ -20,6 +24,8 @@ def set_params(namespace, prefix, port):
     rospy.set_param(f"{namespace}/kuka", {**values, **QUICK[REAL_TIME], **RATES, **address})
     if prefix:
         rospy.set_param(f"{namespace}/tf_prefix", prefix)
+        rospy.set_param("/right/kuka", values)
+        rospy.set_param("/arms", ARMS)
 
 
 class Desired:
@@ -97,7 +103,7 @@ def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, na
     mode("servo")
     base = f"{of}kuka/base_frame"
     shown = {(base, f"{of}kuka/{name}") for name in ("flange_frame/home", "flange_frame/measured", "tool_frame/home")}
-    shown.add((base, f"{of}kuka/tool_frame/commanded"))
+    shown |= {(base, f"{of}kuka/tool_frame/commanded"), *([("world", base)] if prefix else [])}
     wait_until(lambda: frames_of(edges, node) == shown, 10.0, f"the frames {shown}")
     wait_until(lambda: np.linalg.norm(flange(robot) - np.add(centre, (0.0, 0.0, 0.06 + 0.106))) < 5e-3, 10.0, "the arm")
     assert {message.header.frame_id for message in joints} == {base}
@@ -109,6 +115,29 @@ def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, na
     program = ros.run("kuka_control", "move.py", "pose", *target, "135", "0", "180", *remapped)
     wait_until(lambda: program.poll() is not None, MOVE_S, "the end of move.py")
     assert program.returncode == 0, program.log_path.read_text()
+
+
+@pytest.mark.parametrize(
+    "prefix, arms, words",
+    [
+        ("left", {**ARMS, "right": {"position": [0.0, 0.0, 0.0]}}, "left and right are 0.000 m apart, but arms/margin"),
+        ("left", {**ARMS, "margin": 0.1}, "arms/margin is 0.1"),
+        ("middle", ARMS, "tf_prefix is 'middle', but arms/ places only left, right"),
+    ],
+)
+def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros, wait_until, prefix, arms, words):
+    import rospy
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        set_params("/left", prefix, server.getsockname()[1])
+        rospy.set_param("/arms", arms)
+        process = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
+        wait_until(lambda: process.poll() is not None, 30.0, "the end of the controller")
+        said = process.log_path.read_text()
+        assert process.returncode != 0 and words in said and "Traceback" not in said, said
+        server.settimeout(0.2)
+        with pytest.raises(socket.timeout):
+            server.accept()
 
 
 def flange(robot):  # noqa: F811

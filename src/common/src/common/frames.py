@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from common.config import text
 
+WORLD = "world"  # in which several arms stand
 BASE = "kuka/base_frame"
 FLANGE = "kuka/flange"  # the flange as a link of the robot description
 FLANGE_HOME = "kuka/flange_frame/home"

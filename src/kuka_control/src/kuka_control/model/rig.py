@@ -57,15 +57,7 @@ class Rig:
         mounting = mounting_frame(config.center_line, config.mounting)
         deviations = None if dh is None else dh.parameters
         kinematics = kinematics_of(model, T_flange_tool, deviations, float(np.radians(config.elbow_preference)))
-        workspace = (LiftedWorkspace if lifted else Workspace)(
-            center_line=config.center_line,
-            opening_angle=float(np.radians(config.opening_angle)),
-            z_lower=config.z_lower_limit,
-            z_upper=config.z_upper_limit,
-            inner_sphere=config.inner_sphere_limit,
-            outer_sphere=config.outer_sphere_limit,
-            joint_2_height=model.base_shoulder,
-        )
+        workspace = workspace_of(config, lifted)
         if config.use_home_pos:
             home = custom_home(kinematics, workspace, np.radians(config.home_pos))
         else:
@@ -84,6 +76,19 @@ class Rig:
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""
         return T_base_tool @ self.kinematics.T_tool_flange
+
+
+def workspace_of(config: ControllerConfig, lifted: bool = False) -> Workspace:
+    """Returns the workspace that a configuration describes; `lifted`: its bounds do not act."""
+    return (LiftedWorkspace if lifted else Workspace)(
+        center_line=config.center_line,
+        opening_angle=float(np.radians(config.opening_angle)),
+        z_lower=config.z_lower_limit,
+        z_upper=config.z_upper_limit,
+        inner_sphere=config.inner_sphere_limit,
+        outer_sphere=config.outer_sphere_limit,
+        joint_2_height=robot_model(config.robot, config.flange).base_shoulder,
+    )
 
 
 def checked_rig(

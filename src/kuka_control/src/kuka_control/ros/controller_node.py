@@ -33,6 +33,7 @@ from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches
 from kuka_control.model.tool_load import wrench_at_tool
+from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.guard_view import GuardView, HandOpening
 from kuka_control.ros.moves import MoveServer
@@ -59,6 +60,10 @@ LIFTED = "The workspace is lifted: no bound keeps the tool from the table, the b
 LIFT_REFUSED = (
     "--lift-workspace is refused: kuka/ip is {ip}, which is not an address of this machine, so the robot may be a real "
     "one; leave the option out, or add --i-know."
+)
+LIFT_BESIDE = (
+    "--lift-workspace is refused: the parameter arms places another arm beside this one, and only their workspaces "
+    "keep them apart; leave the option out."
 )
 
 
@@ -163,12 +168,15 @@ def _run(
             raise ConfigError([LIFT_REFUSED.format(ip=config.ip)])
         rospy.logwarn(LIFTED)
     rig = Rig.of(config, dh_deviations(config), guard_obstacles(config), options.lift_workspace)
+    T_world_base = placed_beside_others(config, frames, PARAMETERS_S)
+    if options.lift_workspace and T_world_base is not None:
+        raise ConfigError([LIFT_BESIDE])
     link = RobotLink(config, rig)
     try:
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
-        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin()
+        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin(T_world_base)
     finally:
         link.close()
         rospy.loginfo("The connection to the robot is closed.")
@@ -206,9 +214,12 @@ class _Node:
         master.watch.lost.append(lambda _: self._services.disengage())
         offer_tool_check(rig, self._for_tool_check, self._guard_view.collision, frames)
 
-    def spin(self) -> None:
-        """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault."""
-        self._state.start()
+    def spin(self, T_world_base: np.ndarray | None) -> None:
+        """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault.
+
+        `T_world_base`: where the base stands beside other arms, shape (4, 4) [m]; None for an only arm.
+        """
+        self._state.start(T_world_base)
         Diagnostics("kuka_control", self._diagnosis)
         try:
             while not rospy.is_shutdown():

@@ -20,7 +20,7 @@ from std_msgs.msg import Bool, ColorRGBA, Header, String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, ONE_ARM, TOOL_COMMANDED, TOOL_HOME, ArmFrames
+from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, ONE_ARM, TOOL_COMMANDED, TOOL_HOME, WORLD, ArmFrames
 from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
 from kuka_control.loop.arm import ArmState
@@ -103,11 +103,14 @@ class StatePublisher:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="state", daemon=True)
 
-    def start(self) -> None:
-        """Publishes the home frames once and starts the publishing thread."""
+    def start(self, T_world_base: np.ndarray | None = None) -> None:
+        """Publishes the home frames once, and the base in world if it is given; starts the publishing thread."""
         home, now = self._rig.home, rospy.Time.now()
         poses = ((home.T_base_flange, FLANGE_HOME), (home.T_base_tool, TOOL_HOME))
-        self._static.sendTransform([stamped_transform(T, self._base, self._frames(name), now) for T, name in poses])
+        edges = [stamped_transform(T, self._base, self._frames(name), now) for T, name in poses]
+        if T_world_base is not None:
+            edges.append(stamped_transform(T_world_base, WORLD, self._base, now))
+        self._static.sendTransform(edges)
         self._thread.start()
 
     def show(self, snapshot: Snapshot) -> None:
