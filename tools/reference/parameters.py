@@ -47,6 +47,7 @@ GGCNN = {
 SCHEMAS: dict[str, tuple[Part, ...]] = {
     "kuka_control/config/kuka_params_rt.yaml": (Part("kuka_control.model.config:RealTimeConfig"),),
     "kuka_control/config/kuka_params_ptp.yaml": (Part("kuka_control.model.config:PtpConfig"),),
+    "kuka_control/config/arm_of_two.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/ceiling.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/marker_ring.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
     "kuka_control/config/wall.yaml": (Part("kuka_control.model.config:RealTimeConfig", above=True),),
@@ -104,6 +105,7 @@ AS_IT_IS = {
     "apriltag_ros/config/tags.yaml",
     "kuka_control/config/guard_obstacles_example.yaml",
     "kuka_control/config/joint_configurations.yaml",
+    "kuka_control/config/two_arms.yaml",
     "reflex/config/finger_calibrate.yaml",
     "reflex/config/tactile_calibrate.yaml",
     "rig_simulation/config/panels/bundle.yaml",
@@ -113,6 +115,7 @@ AS_IT_IS = {
     "rig_simulation/config/scenes/far.yaml",
     "rig_simulation/config/scenes/grasping.yaml",
     "rig_simulation/config/scenes/scattered.yaml",
+    "rig_simulation/config/scenes/two_arms.yaml",
     "rig_simulation/config/scenes/wall.yaml",
     "rig_simulation/config/wall_obstacles.yaml",
     "vision/config/tags.yaml",

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_workspace import SETTINGS, beyond, workspaces
 
+from common.arms import arms_from
 from common.config import parse
 from common.errors import ConfigError
 from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
-from kuka_control.model.arms import arms_from, filled, nearest_points, placement_faults
+from kuka_control.model.arms import filled, nearest_points, placement_faults
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import workspace_of
 from kuka_control.model.workspace import Workspace
@@ -51,7 +52,9 @@ def sampled(workspace, T_world_base, random):
     x, y = workspace.center_line[:2]
     edges = np.array([-1.0, 0.0, 1.0]) * workspace.opening_angle / 2.0
     turns = np.arctan2(y, x) + np.concatenate([edges, random.uniform(edges[0], edges[2], 8)])
-    heights = np.concatenate([[workspace.z_lower, workspace.z_upper], random.uniform(workspace.z_lower, workspace.z_upper, 6)])
+    heights = np.concatenate(
+        [[workspace.z_lower, workspace.z_upper], random.uniform(workspace.z_lower, workspace.z_upper, 6)]
+    )
     points = [
         (share * r * np.cos(turn), share * r * np.sin(turn), z)
         for z in heights

@@ -73,7 +73,7 @@ class Bench:
         ET.SubElement(root, "compiler", angle="radian", autolimits="true")
         ET.SubElement(root, "option", timestep=str(TIMESTEP_S), integrator="implicitfast")
         world = ET.SubElement(root, "worldbody")
-        add_robot(root, world, hand_alone(), R, visuals=False)
+        add_robot(root, world, hand_alone(), pose(R), visuals=False)
         connector = next(body for body in root.iter("body") if body.get("name") == "reflex/base_link")
         connector.attrib.update(pos="0 0 0", quat="1 0 0 0")
         prepare_hand(root)

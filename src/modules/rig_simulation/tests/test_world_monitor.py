@@ -85,7 +85,7 @@ def test_a_world_that_is_behind_is_called_slow(ros, wait_until):
     began, speed = time.monotonic(), 0.5
     state = {
         "state": lambda: {"time": speed * (time.monotonic() - began), "speed": 1.0, "contacts": 0},
-        "objects": lambda: {"mounting": [0.0, 0.0, 0.0], "objects": {}},
+        "objects": lambda: {"mounting": [0.0, 0.0, 0.0], "frame": "kuka/base_frame", "objects": {}},
     }
     arrays = ros.record("/diagnostics", DiagnosticArray)
 

@@ -1,4 +1,4 @@
-"""Arms that stand in one world: where each base is, and whether their workspaces keep apart.
+"""Whether the workspaces of arms that stand in one world keep apart.
 
 A workspace is compared with its hollow filled, since the arm's own links pass there; filled it is convex. Positions in
 the frame `world` [m].
@@ -9,79 +9,20 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from common.config import is_number, parse_part, vector
-from common.errors import ConfigError
-from common.frames import PREFIX
+from common.arms import Arms
 from common.mounting import rotation_of_mounting
-from common.poses import pose, read_only
 from kuka_control.model.workspace import Workspace
 
-LEAST_MARGIN_M = 0.3  # both hands, and what the elbows stick out beyond the tools [m]
-MOST_MARGIN_M = 5.0
 EXACT_M = 1e-6  # error of a distance, which is never too large [m]
 STEPS = 200  # of the search for the nearest points, which needs about ten
 LEVEL_RAD = 0.01  # by so much the vertical of `rpy` and that of the parameter mounting may differ
 
 Support = Callable[[np.ndarray], np.ndarray]
 """Of a convex body: a direction, shape (3,), to its farthest point there, shape (3,) [m]."""
-
-
-@dataclass(frozen=True)
-class ArmPlacement:
-    """Where the base of an arm stands in the frame `world`."""
-
-    position: np.ndarray = vector(3, "m", low=-10.0, high=10.0, doc="x, y, z of the arm's base in world")
-    rpy: np.ndarray = vector(
-        3, "deg", low=-180.0, high=180.0, doc="roll, pitch, yaw of the arm's base in world", absent=[0.0, 0.0, 0.0]
-    )
-
-    @cached_property
-    def T_world_base(self) -> np.ndarray:
-        """Pose of the base in world, shape (4, 4) [m]."""
-        return read_only(pose(rotation_of_mounting(self.rpy), self.position))
-
-
-@dataclass(frozen=True)
-class Arms:
-    """Two arms or more by their names, which are also their namespaces and the prefixes of their frames."""
-
-    margin: float  # between tool points of different arms [m]
-    placements: Mapping[str, ArmPlacement]
-
-
-def arms_from(values: Any, prefix: str = "") -> Arms:
-    """Returns what a yaml mapping of `margin` and the arms' names describes; raises ConfigError with all faults.
-
-    `prefix`, such as "arms/", stands before each key in messages.
-    """
-    if not isinstance(values, Mapping):
-        raise ConfigError([f"{prefix or 'The file '}is {values!r}, but must be a mapping: margin, and each arm's name."])
-    faults: list[str] = []
-    margin = values.get("margin")
-    if not is_number(margin) or not LEAST_MARGIN_M <= margin <= MOST_MARGIN_M:
-        limits = f"[{LEAST_MARGIN_M:g}, {MOST_MARGIN_M:g}]"
-        faults.append(f"{prefix}margin is {margin!r}, but must be a finite number in {limits} m.")
-    placements = {}
-    for name, entry in values.items():
-        if name == "margin":
-            continue
-        if not isinstance(name, str) or not name or not PREFIX.fullmatch(name):
-            faults.append(f"{prefix}{name}: an arm's name must be letters, digits and _, such as left.")
-            continue
-        placement = parse_part(ArmPlacement, entry, f"{prefix}{name}/", faults)
-        if placement is not None:
-            placements[name] = placement
-    if not faults and len(placements) < 2:
-        faults.append(f"{prefix or 'The file '}names {len(placements)} arms, but must name at least two.")
-    if faults:
-        raise ConfigError(faults)
-    return Arms(float(margin), placements)  # type: ignore[arg-type]  # is_number made sure
 
 
 def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Mapping[str, Workspace]) -> list[str]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import rospy
 
+from common.arms import arms_from
 from common.errors import ConfigError
 from common.frames import ArmFrames
 from common.ros.params import wait_for_config
-from kuka_control.model.arms import arms_from, placement_faults
+from kuka_control.model.arms import placement_faults
 from kuka_control.model.config import ControllerConfig, neighbours
 from kuka_control.model.rig import workspace_of
 

@@ -22,11 +22,11 @@ from common.frames import BASE
 from common.poses import inverse, pose, read_only
 from rig_simulation.command_line import finite, port, positive, stop_on_signals
 from rig_simulation.control_port import ControlClient
+from rig_simulation.world.physics import ROBOT
 
 METRES_PER_NEWTON = 0.06
 LONGEST_M = 0.3
 LEAST_N = 0.02
-ROBOT = ("kuka/", "reflex/", "panel")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def pair_forces(contacts: Sequence[Mapping[str, Any]]) -> list[PairForce]:
         if total >= LEAST_N:
             centre = np.sum([newtons * position for newtons, position, _ in all_acting], axis=0) / total
             force = np.sum([force for _, _, force in all_acting], axis=0)
-            by_robot = any(body.startswith(ROBOT) for body in bodies)
+            by_robot = any(ROBOT.match(body) for body in bodies)
             found.append(PairForce(bodies, read_only(centre), total, read_only(force), by_robot))
     return found
 
@@ -117,8 +117,11 @@ def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.
 
 
 def base_pose(data: mujoco.MjData) -> np.ndarray:
-    """Returns the pose of kuka/base_frame in the world, shape (4, 4)."""
-    body = data.body(BASE)
+    """Returns the pose in the world of kuka/base_frame, of several robots that of the frame world, shape (4, 4)."""
+    try:
+        body = data.body(BASE)
+    except KeyError:
+        return np.eye(4)
     return pose(body.xmat.reshape(3, 3), body.xpos)
 
 
@@ -185,7 +188,7 @@ def wait_for_world(client: ControlClient, longest: float, stop: threading.Event)
 def point_camera(camera: mujoco.MjvCamera, view: tuple[float, float, float], data: mujoco.MjData) -> None:
     """Points a free camera above the table, from the azimuth, elevation [deg] and distance [m] of `view`."""
     camera.azimuth, camera.elevation, camera.distance = view
-    table, base = data.body("table").xpos, data.body(BASE).xpos
+    table, base = data.body("table").xpos, base_pose(data)[:3, 3]
     camera.lookat[:] = (*(0.8 * table[:2] + 0.2 * base[:2]), table[2] + ABOVE_TABLE_M)
 
 

@@ -28,12 +28,12 @@ from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
 from common.errors import DeviceError
-from common.frames import BASE, CAMERA_LINK
+from common.frames import BASE, CAMERA_LINK, WORLD
 from common.poses import inverse, pose
 from common.ros.conversions import message_from_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import run_together
-from common.ros.params import private_config
+from common.ros.params import arm_frames, private_config
 from common.ros.publishing import DirectPublisher
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
 from rig_msgs.msg import ObjectState, ObjectStates
@@ -94,7 +94,7 @@ class ArmMonitor:
     """Polls the control port of the simulated controller and publishes its state."""
 
     def __init__(self, config: SimulationConfig) -> None:
-        self._client = ControlClient(config.host, config.arm_port, 1.0)
+        self._client, self._base = ControlClient(config.host, config.arm_port, 1.0), arm_frames()(BASE)
         self._flange = DirectPublisher("simulation/flange", PoseStamped, queue_size=10)
         self._status = rospy.Publisher("simulation/status", DiagnosticStatus, queue_size=10)
         self._next_status = 0.0
@@ -112,7 +112,7 @@ class ArmMonitor:
             raise
         flange = np.array(state["flange"])
         message = PoseStamped()
-        message.header.frame_id = BASE
+        message.header.frame_id = self._base
         message.header.stamp = rospy.Time.now() - rospy.Duration.from_sec(state["age"])
         message.pose = message_from_pose(flange)
         self._flange.publish(message)
@@ -160,7 +160,7 @@ class WorldMonitor:
         roll, pitch, yaw = np.radians(answer["mounting"])
         R_base_world = rotation_from_zyx(yaw, pitch, roll).T
         message = ObjectStates()
-        message.header.frame_id = BASE
+        message.header.frame_id = answer["frame"]
         message.header.stamp = rospy.Time.now()
         for name, state in answer["objects"].items():
             R = R_base_world @ rotation_from_quaternion(state["quaternion"])
@@ -198,7 +198,9 @@ class WorldMonitor:
 
 
 def camera_in_base(fields: dict) -> np.ndarray:
-    """Returns the pose of camera_link in the arm's base, shape (4, 4), from the world's answer to `scene`."""
+    """Returns the pose of camera_link in the arm's base, with several arms in world, shape (4, 4), from the world's
+    answer to `scene`.
+    """
     from rig_simulation.world.model import camera_link_pose  # MuJoCo, which the other monitors do without
     from rig_simulation.world.scene import scene_from
 
@@ -209,7 +211,7 @@ def camera_in_base(fields: dict) -> np.ndarray:
 def camera_truth() -> None:
     """Runs the node camera_truth with its private parameters: publishes the true pose of the camera, static, at the
     start and after each change of the scene. The node replaces camera_place, which publishes the same transform
-    kuka/base_frame -> camera_link from a calibration; start only one of the two.
+    kuka/base_frame -> camera_link from a calibration; start only one of the two. With several arms its parent is world.
     """
     config = private_config(WorldConfig)
     client = ControlClient(config.host, config.port, TIMEOUT_S)
@@ -218,10 +220,12 @@ def camera_truth() -> None:
 
     def publish() -> None:
         nonlocal published
-        T_base_camera = camera_in_base(client.ask("scene"))
+        fields = client.ask("scene")
+        T_base_camera = camera_in_base(fields)
+        frame = BASE if fields["arms"] is None else WORLD
         if published is None or not np.array_equal(published, T_base_camera):
             published = T_base_camera
-            broadcaster.sendTransform(stamped_transform(T_base_camera, BASE, CAMERA_LINK, rospy.Time.now()))
+            broadcaster.sendTransform(stamped_transform(T_base_camera, frame, CAMERA_LINK, rospy.Time.now()))
 
     poll(publish, 1.0)
 

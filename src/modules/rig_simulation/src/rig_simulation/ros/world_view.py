@@ -1,7 +1,8 @@
 """Shows the simulated world in RViz: table, objects and contact forces.
 
-Topics, both visualization_msgs/MarkerArray in kuka/base_frame: `simulation/objects`, and `simulation/contacts` with an
-arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on it, in N.
+Topics, both visualization_msgs/MarkerArray in kuka/base_frame, with several arms in world: `simulation/objects`, and
+`simulation/contacts` with an arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on
+it, in N.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.frames import BASE
 from common.poses import inverse
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
@@ -48,10 +48,11 @@ class WorldView:
         pairs = display.pair_forces(contacts)
         for pair in pairs:
             touched.setdefault(pair.bodies[0], []).append(pair)
-        self._objects.publish(_array([shape_marker(shape) for shape in found]))
+        frame = self._world.description.frame
+        self._objects.publish(_array([shape_marker(shape) for shape in found], frame))
         marks = [arrow_marker(arrow, T_base_world) for arrow in display.arrows(pairs)]
         marks += [label_marker(pairs, bodies.get(body, []), T_base_world) for body, pairs in touched.items()]
-        self._contacts.publish(_array(marks))
+        self._contacts.publish(_array(marks, frame))
 
 
 def shape_marker(shape: display.Shape) -> Marker:
@@ -90,13 +91,13 @@ def _point(position: np.ndarray, T_base_world: np.ndarray) -> Point:
     return Point(*(T_base_world[:3, :3] @ position + T_base_world[:3, 3]).tolist())
 
 
-def _array(markers: list[Marker]) -> MarkerArray:
-    """Returns the markers with frame, ids and lifetime, after one that removes the previous markers."""
+def _array(markers: list[Marker], frame: str) -> MarkerArray:
+    """Returns the markers with the frame, ids and lifetime, after one that removes the previous markers."""
     now = rospy.Time.now()
     for i, marker in enumerate(markers):
-        marker.header.frame_id, marker.header.stamp = BASE, now
+        marker.header.frame_id, marker.header.stamp = frame, now
         marker.id = i
         marker.lifetime = rospy.Duration.from_sec(LIFETIME_S)
     clear = Marker(action=Marker.DELETEALL)
-    clear.header.frame_id, clear.header.stamp = BASE, now
+    clear.header.frame_id, clear.header.stamp = frame, now
     return MarkerArray([clear, *markers])

@@ -146,7 +146,7 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     root = ET.fromstring(scene)
     child(root, "option").set("timestep", str(TIMESTEP_S))
     world = child(root, "worldbody")
-    add_robot(root, world, read_urdf(ROBOTS[0], FLANGES[0]), np.eye(3), visuals=False)
+    add_robot(root, world, read_urdf(ROBOTS[0], FLANGES[0]), np.eye(4), visuals=False)
     arm = child(world, f"body[@name='{BASE}']")
     hand = child(arm, ".//body[@name='reflex/base_link']")
     world.remove(arm)

@@ -32,6 +32,8 @@ ROBOT = Touch(kind=1, partners=2, group=3)
 BOARD = Touch(kind=2, partners=1, group=0)
 OBJECT = Touch(kind=2, partners=3, group=0)
 VISUAL = Touch(kind=0, partners=0, group=1)
+FIRST_OF_SEVERAL = 8
+"""Bit of the first of several robots, the next ones follow: the parts of each touch those of the others."""
 
 
 def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
@@ -126,15 +128,15 @@ ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
 ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001  # inertia added to each joint [kg m^2] for numerical stability
 
 
-def add_robot(root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.ndarray, visuals: bool) -> None:
+def add_robot(root: ET.Element, world: ET.Element, urdf: str, T_world_base: np.ndarray, visuals: bool) -> None:
     """Adds the robot of a URDF's text, with or without visual shapes, to the world body; the assets of the model `root`
-    take the meshes. `R_world_base`: orientation of the base, shape (3, 3). Raises ValueError if the URDF is not a tree,
-    or has an unsupported shape.
+    take the meshes. `T_world_base`: pose of the base, shape (4, 4). Raises ValueError if the URDF is not a tree, or has
+    an unsupported shape.
     """
     description = ET.fromstring(urdf)
     links = {attribute(link, "name"): link for link in description.findall("link")}
     waiting = description.findall("joint")
-    bodies = {BASE: body(world, BASE, pose(R_world_base))}
+    bodies = {BASE: body(world, BASE, T_world_base)}
     while waiting:
         ready = [joint for joint in waiting if _parent(joint) in bodies]
         if not ready:
@@ -148,6 +150,42 @@ def add_robot(root: ET.Element, world: ET.Element, urdf: str, R_world_base: np.n
         _add_link(element, name, links[name])
         for i, visual in enumerate(links[name].findall("visual") if visuals else ()):
             _add_visual(root, element, f"{name}/visual_{i}", visual)
+
+
+NAMED = ("name", "body1", "body2", "joint", "tendon")  # attributes with names of a robot's parts
+SECTIONS = ("contact", "tendon", "actuator")
+
+
+def merge_robot(root: ET.Element, part: ET.Element, prefix: str, number: int, count: int) -> None:
+    """Moves a robot that stands alone in the model `part` into the model `root`, which has other things.
+
+    Its names get the prefix, as left/kuka/joint_1; meshes are shared. The robot with this `number`, of so many, touches
+    the others; an only one is as in `part`.
+    """
+    world, asset = child(root, "worldbody"), child(root, "asset")
+    for mesh in child(part, "asset"):
+        if asset.find(f"mesh[@name='{mesh.get('name')}']") is None:
+            asset.append(mesh)
+    child(root, "option").attrib.update(child(part, "option").attrib)
+    moved = list(child(part, "worldbody"))
+    for element in moved:
+        world.append(element)
+    for name in SECTIONS:
+        found = part.find(name)
+        if found is not None:
+            section = root.find(name)
+            section = ET.SubElement(root, name) if section is None else section
+            section.extend(found)
+            moved += found
+    for element in (inner for outer in moved for inner in outer.iter()):
+        if prefix:
+            for key in NAMED:
+                if key in element.attrib:
+                    element.set(key, f"{prefix}/{element.get(key)}")
+        if count > 1 and element.tag == "geom" and element.get("contype") != "0":
+            own, others = FIRST_OF_SEVERAL << number, sum(FIRST_OF_SEVERAL << i for i in range(count) if i != number)
+            element.set("contype", str(int(attribute(element, "contype")) | own))
+            element.set("conaffinity", str(int(attribute(element, "conaffinity")) | others))
 
 
 def _parent(joint: ET.Element) -> str:

@@ -2,6 +2,7 @@
 
 Processes that build it from the same description have the same model; a `WorldCopy` follows the original's state. The
 world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
+With several robots the origin is that of the frame `world`, and a robot's names have its prefix: left/kuka/link_1.
 Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
 name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
 which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x.
@@ -17,14 +18,16 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
+from common.arms import arms_from
 from common.errors import ConfigError, DeviceError
-from common.frames import CAMERA_LINK, DEPTH_OPTICAL, FLANGE, RGB_OPTICAL
+from common.frames import BASE, CAMERA_LINK, DEPTH_OPTICAL, FLANGE, RGB_OPTICAL, WORLD
+from common.mounting import rotation_of_mounting
 from common.poses import pose
-from common.rotations import rotation_about, rotation_from_zyx, unit
+from common.rotations import rotation_about, unit
 from rig_simulation.control_port import ControlClient
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.hand_model import prepare_hand
-from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, add_mesh, add_robot, body, child, geom, numbers
+from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, add_mesh, add_robot, body, child, geom, merge_robot, numbers
 from rig_simulation.world.scene import CameraPose, MarkerBoard, add_object, add_table, board_from, scene_from, tag_mesh
 
 TIMESTEP_S = 0.001  # the cycle of the simulated controller
@@ -49,6 +52,20 @@ class WorldDescription:
     scene: Mapping[str, Any]  # mapping as in the scene's yaml
     # Mapping as in the yaml of the marker board, which has a ring between flange and hand; None: no board
     panel: Mapping[str, Any] | None = None
+    # Several of this robot: mapping as in the yaml of common.arms, and `mounting` is not used; None: one, in the origin
+    arms: Mapping[str, Any] | None = None
+
+    @property
+    def frame(self) -> str:
+        """Name of the world's frame in tf, but for the mounting of an only robot."""
+        return BASE if self.arms is None else WORLD
+
+    @property
+    def placements(self) -> dict[str, np.ndarray]:
+        """Poses of the robots' bases in the world, shape (4, 4), by prefix; ConfigError: `arms` is not valid."""
+        if self.arms is None:
+            return {"": pose(rotation_of_mounting(self.mounting))}
+        return {name: arm.T_world_base for name, arm in arms_from(self.arms, "arms/").placements.items()}
 
 
 def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.MjModel:
@@ -84,16 +101,28 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
     add_table(world, scene.table)
     _add_camera(world, scene.camera)
-    roll, pitch, yaw = np.radians(description.mounting)
-    R_world_base = rotation_from_zyx(yaw, pitch, roll)
     urdf = read_urdf(description.robot, description.flange, ring=description.panel is not None)
-    add_robot(root, world, urdf, R_world_base, visuals)
-    prepare_hand(root)
+    placements = description.placements
+    for number, (prefix, T_world_base) in enumerate(placements.items()):
+        robot = _alone(urdf, T_world_base, visuals)
+        merge_robot(root, robot, prefix, number, len(placements))
     if description.panel is not None:
+        if description.arms is not None:
+            raise ConfigError(["A marker board is mounted on an only robot; leave out the board, or arms."])
         _add_board(root, world, board_from(description.panel), visuals)
     for name, shape in scene.objects.items():
         add_object(world, name, shape)
     return ET.tostring(root, encoding="unicode")
+
+
+def _alone(urdf: str, T_world_base: np.ndarray, visuals: bool) -> ET.Element:
+    """Returns a model of the robot with its hand and nothing else."""
+    root = ET.Element("mujoco")
+    for section in ("option", "asset"):
+        ET.SubElement(root, section)
+    add_robot(root, ET.SubElement(root, "worldbody"), urdf, T_world_base, visuals)
+    prepare_hand(root)
+    return root
 
 
 def camera_link_pose(camera: CameraPose) -> np.ndarray:
@@ -126,11 +155,14 @@ def _add_board(root: ET.Element, world: ET.Element, board: MarkerBoard, visuals:
 
 
 class WorldCopy:
-    """The model of the world in the state of the last snapshot: model and data of MuJoCo, once `follow` was called."""
+    """The model of the world in the state of the last snapshot: model, data of MuJoCo and the world's `description`,
+    once `follow` was called.
+    """
 
     def __init__(self, client: ControlClient) -> None:
         self._client = client
         self._load: int | None = None
+        self.description: WorldDescription
         self.model: mujoco.MjModel
         self.data: mujoco.MjData
 
@@ -146,7 +178,8 @@ class WorldCopy:
             if new:
                 fields = self._client.ask("scene")
                 load = fields.pop("loads")
-                self.model = build_model(WorldDescription(**fields))
+                self.description = WorldDescription(**fields)
+                self.model = build_model(self.description)
                 self.data = mujoco.MjData(self.model)
                 snapshot = self._client.ask("snapshot")
             self.data.qpos[:] = snapshot["qpos"]

@@ -10,7 +10,7 @@ the simulated hand; here its moving parts have masses and contacts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
@@ -26,38 +26,51 @@ from rig_simulation.world.physics import Part, World
 OBSERVER_TIME_S = 0.01  # time constant of the filter by which the controller estimates external torques
 
 
-class ArmJoints(Part):
-    """The link side of the arm, an ArmEnvironment: steps the world with the arm.
+def named(prefix: str, name: str) -> str:
+    """Returns what a part of the robot with this prefix is called in the model; an only robot has none."""
+    return f"{prefix}/{name}" if prefix else name
 
-    `pairs`: two steps of the arm are one of the world while nothing pushes on the arm, its hand or what that holds; the
-    world then lags by up to one step.
+
+class CarriedJoints(Part):
+    """The link side of an arm, an ArmEnvironment: takes where the drives hold it; another arm steps the world.
+
+    `prefix`: of the robot's names in the model.
     """
 
-    def __init__(self, world: World, pairs: bool = False) -> None:
-        self._world, self._pairs = world, pairs
+    def __init__(self, world: World, prefix: str = "") -> None:
+        self._world, self._prefix = world, prefix
         self._timestep = world.timestep
-        self._waiting = 0  # steps that the world lags
         self._stiffness, self._damping = np.array(ARM_STIFFNESS), np.array(ARM_DAMPING)
         self._q = self._v = self._v_next = np.zeros(7)
         self._torque, self._spring = np.zeros(7), np.zeros(7)  # measured; of the springs at the present angles
         self._dt = self._timestep  # of the present step of the world [s]
+        self._q_next = self._q  # of the drives after the next step of the world
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Steps the world to the end angles q of the drives at their mean speed; see ArmEnvironment.
+        """Takes the end angles q of the drives; see ArmEnvironment.
 
         Raises ValueError if dt differs from the world's time step.
         """
         if abs(dt - self._timestep) > 1e-9:
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
-        self._waiting += 1
-        if self._pairs and self._waiting == 1 and not self._pushed.any():
-            return self._torque
-        self._dt = self._waiting * self._timestep
-        self._v_next = v = (q - self._q) / self._dt
-        self._world.step(self._waiting)
-        self._waiting = 0
-        self._q, self._v = q, v
+        self._q_next = q
+        return self._torque
+
+    @property
+    def pushed(self) -> bool:
+        """Whether anything pushes on the arm, its hand or what that holds."""
+        return bool(self._pushed.any())
+
+    def begin_step(self, dt: float) -> None:
+        """Computes the drives' mean speed for a step of the world of `dt` [s]."""
+        self._dt = dt
+        self._v_next = (self._q_next - self._q) / dt
+
+    def end_step(self) -> None:
+        """Measures the torques after a step of the world."""
+        v = self._v_next
+        self._q, self._v = self._q_next, v
         self._update_spring()
         torque = v - self._joint_v
         torque *= self._damping
@@ -65,12 +78,11 @@ class ArmJoints(Part):
         torque += self._torque
         torque *= self._dt / (OBSERVER_TIME_S + self._dt)
         self._torque = self._torque - torque
-        return self._torque
 
     def bind(self, world: World) -> None:
         """Takes model and state of the world."""
         model, data = world.model, world.data
-        joints = [model.joint(name) for name in JOINTS]
+        joints = [model.joint(named(self._prefix, name)) for name in JOINTS]
         qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
         self._weakest, self._strongest = model.jnt_actfrcrange[[joint.id for joint in joints]].T.copy()
         # Views of the state, to read and write it.
@@ -100,6 +112,45 @@ class ArmJoints(Part):
         np.maximum(spring, self._weakest, out=spring)
 
 
+class ArmJoints(CarriedJoints):
+    """The joints of the arm that steps the world, and others that are carried along.
+
+    `pairs`: two steps of the arm are one of the world while nothing pushes on the arm, its hand or what that holds; the
+    world then lags by up to one step.
+    """
+
+    def __init__(self, world: World, pairs: bool = False, prefix: str = "") -> None:
+        super().__init__(world, prefix)
+        self._pairs = pairs
+        self._waiting = 0  # steps that the world lags
+        self._carry: list[Callable[[float], None]] = []
+        self._joints: list[CarriedJoints] = [self]
+
+    def carry(self, joints: CarriedJoints, step: Callable[[float], None]) -> None:
+        """Lets another arm be carried along: `step` steps it by a time [s], in which it calls `joints.follow`."""
+        self._joints.append(joints)
+        self._carry.append(step)
+
+    def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
+        """Steps the world to the end angles q of the drives at their mean speed; see ArmEnvironment.
+
+        Raises ValueError if dt differs from the world's time step.
+        """
+        super().follow(q, v, dt)
+        for step in self._carry:
+            step(dt)
+        self._waiting += 1
+        if self._pairs and self._waiting == 1 and not any(joints.pushed for joints in self._joints):
+            return self._torque
+        for joints in self._joints:
+            joints.begin_step(self._waiting * self._timestep)
+        self._world.step(self._waiting)
+        self._waiting = 0
+        for joints in self._joints:
+            joints.end_step()
+        return self._torque
+
+
 def _run(addresses: list[int]) -> slice:
     """Returns consecutive addresses as a slice."""
     return slice(int(addresses[0]), int(addresses[-1]) + 1)
@@ -112,20 +163,28 @@ TAXEL_REACH_M = 0.005  # standard deviation of the sensitivity beside a taxel; i
 
 
 class PhysicalMechanics(Mechanics):
-    """The moving parts of the hand in a MuJoCo model."""
+    """The moving parts of the hand in a MuJoCo model; `prefix`: of its names there."""
+
+    def __init__(self, prefix: str = "") -> None:
+        super().__init__()
+        self._prefix = prefix
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Takes model and state; obstacles remain."""
         self._model, self._data = model, data
-        self._tendons = [model.actuator(tendon_name(finger + 1)).id for finger in range(FINGERS)]
-        self._swivels = [model.actuator(f"reflex/preshape_{finger}").id for finger in (1, 2)]
+        self._tendons = [model.actuator(self._named(tendon_name(finger + 1))).id for finger in range(FINGERS)]
+        self._swivels = [model.actuator(self._named(f"reflex/preshape_{finger}")).id for finger in (1, 2)]
         self._controls, self._forces = data.ctrl[_run(self._tendons + self._swivels)], data.actuator_force
         self._pulled: tuple[float, ...] = ()
         self._joints = {
-            part: [model.joint(f"reflex/{part}_joint_{finger + 1}").id for finger in range(FINGERS)] for part in PARTS
+            part: [model.joint(self._named(f"reflex/{part}_joint_{finger + 1}")).id for finger in range(FINGERS)]
+            for part in PARTS
         }
         self._farthest = [float(model.jnt_range[joint, 1]) for joint in self._joints["proximal"]]
-        self._pads = [{model.geom(pad_name(part, finger + 1)).id: part for part in PARTS} for finger in range(FINGERS)]
+        self._pads = [
+            {model.geom(self._named(pad_name(part, finger + 1))).id: part for part in PARTS}
+            for finger in range(FINGERS)
+        ]
         for finger, end in enumerate(self._ends):
             self.block(finger, end)
 
@@ -170,6 +229,9 @@ class PhysicalMechanics(Mechanics):
         end = self._farthest[finger] if proximal is None else proximal
         self._model.jnt_range[self._joints["proximal"][finger], 1] = end
 
+    def _named(self, name: str) -> str:
+        return named(self._prefix, name)
+
     def _angle(self, part: str, finger: int) -> float:
         return float(self._data.qpos[self._model.jnt_qposadr[self._joints[part][finger]]])
 
@@ -192,8 +254,8 @@ class PhysicalMechanics(Mechanics):
 class HandPart(Part):
     """The hand as a part of the world; `simulated`: with its electronics, for its wire and its control port."""
 
-    def __init__(self, seed: int = 0) -> None:
-        self._mechanics = PhysicalMechanics()
+    def __init__(self, seed: int = 0, prefix: str = "") -> None:
+        self._mechanics = PhysicalMechanics(prefix)
         self.simulated = SimulatedHand(seed, self._mechanics)
 
     def bind(self, world: World) -> None:

@@ -7,6 +7,7 @@ write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and inte
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -22,7 +23,7 @@ from rig_simulation.world.scene import SceneObject, WorldScene, scene_from, tabl
 DROP_M = 0.0008  # height above the table at which objects start; they settle on it
 DEEPEST_TOUCH_M = 0.001
 PLACEMENTS = 200
-ROBOT = ("kuka/", "reflex/", "panel")
+ROBOT = re.compile(r"(\w+/)*(kuka|reflex)/|panel")  # how names of its bodies begin
 FREE_QPOS, FREE_QVEL = 7, 6
 DIVERGED = [int(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"]) for what in ("QPOS", "QVEL", "QACC")]
 
@@ -210,6 +211,6 @@ def _pairs(data: mujoco.MjData, geom_bodies: list[str]) -> list[tuple[str, str]]
 def _overlap(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[str, str] | None:
     """Returns the names of two bodies that penetrate each other, or None; the robot's own parts may."""
     for (one, other), distance in zip(_pairs(data, _geom_bodies(model)), data.contact.dist):
-        if distance < -DEEPEST_TOUCH_M and not (one.startswith(ROBOT) and other.startswith(ROBOT)):
-            return (one, other) if not one.startswith(ROBOT) else (other, one)
+        if distance < -DEEPEST_TOUCH_M and not (ROBOT.match(one) and ROBOT.match(other)):
+            return (one, other) if not ROBOT.match(one) else (other, one)
     return None

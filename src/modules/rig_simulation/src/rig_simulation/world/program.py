@@ -1,7 +1,8 @@
 """The program `world.py`: the simulated arm, the simulated hand and the objects between them in one physics.
 
 The server of the arm drives the time: when it advances, the arm steps, the world with it, and the hand in the world. So
-one clock and one lock are enough. The devices speak the same protocols as when they run as programs of their own.
+one clock and one lock are enough. Of several arms the first one drives; the others step with it, whose steps are their
+clock. The devices speak the same protocols as when they run as programs of their own.
 """
 
 from __future__ import annotations
@@ -9,15 +10,20 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import functools
 import math
 import sys
+import threading
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import mujoco
 
-from common.errors import RigError
+from common.arms import arms_from
+from common.errors import ConfigError, RigError
+from common.ros.files import read_yaml
 from rig_simulation.command_line import CommandLine, failed, parse_options, port, positive, stop_on_signals
 from rig_simulation.control_port import ControlPort, within
 from rig_simulation.devices.reflex import program as reflex
@@ -29,7 +35,7 @@ from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.files import read_board, read_scene
 from rig_simulation.world.clock import Clock
 from rig_simulation.world.model import WorldDescription
-from rig_simulation.world.parts import ArmJoints, HandPart
+from rig_simulation.world.parts import ArmJoints, CarriedJoints, HandPart, named
 from rig_simulation.world.physics import Part, World
 
 NAME = "world"
@@ -70,8 +76,9 @@ class WorldRequests:
 
     def _objects(self) -> dict[str, Any]:
         listed = {name: dataclasses.asdict(state) for name, state in self._world.objects().items()}
-        mounting = list(self._world.description.mounting)
-        return {"time": self._world.time, "mounting": mounting, "objects": listed}
+        description = self._world.description
+        where = {"mounting": list(description.mounting), "frame": description.frame}
+        return {"time": self._world.time, **where, "objects": listed}
 
     def _contacts(self) -> dict[str, Any]:
         return {"contacts": self._world.contacts()}
@@ -122,28 +129,95 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     panel = None if options.panel is None else read_board(options.panel)
+    arms = None if options.arms is None else read_yaml(options.arms)
+    if arms is not None and any(options.mounting):
+        raise ConfigError([f"--mounting is {list(options.mounting)} deg, but {options.arms} says how each arm stands."])
     robot = options.robot, options.flange, tuple(options.mounting)
-    world = World(WorldDescription(*robot, read_scene(options.scene), panel), options.seed)
-    hand = HandPart(options.seed)
-    world.add(hand)
-    link = reflex.HandLink(options.interface, options.hand_port)
-    resources.callback(link.close)
-    world.add(HandCycle(hand.simulated, link))
+    description = WorldDescription(*robot, read_scene(options.scene), panel, arms)
+    world = World(description, options.seed)
+    hands = {}
+    for number, prefix in enumerate(description.placements):
+        hands[prefix] = _Hand(world, _of_robot(options, description, prefix, number), prefix, resources)
     clock = Clock(None if options.stepped else options.speed)
-    arm = ArmJoints(world, pairs=not options.stepped)
-    server = sunrise.make_server(options, arm, clock, math.inf if options.stepped else AT_ONCE_S)
-    resources.callback(server.close)
-    switch_all(server.faults, options.fault)
-    switch_all(link.faults, options.hand_fault)
-    hand_requests = reflex.handlers(hand.simulated, link, server.lock)
-    hand_control = resources.enter_context(ControlPort(hand_requests, options.host, options.hand_control_port))
-    world_requests = WorldRequests(world, server, clock).handlers
+    at_once = math.inf if options.stepped else AT_ONCE_S
+    lock, servers = threading.RLock(), {}
+    for number, prefix in enumerate(description.placements):
+        own = _of_robot(options, description, prefix, number)
+        name = named(prefix, sunrise.NAME)
+        if not servers:
+            driver = ArmJoints(world, not options.stepped, prefix)
+            server = sunrise.make_server(own, driver, clock, at_once, lock, name)
+        else:
+            carried, steps = CarriedJoints(world, prefix), Clock(None)
+            server = sunrise.make_server(own, carried, steps, at_once, lock, name)
+            driver.carry(carried, functools.partial(_carry, server, steps))
+        resources.callback(server.close)
+        switch_all(server.faults, options.fault)
+        servers[prefix] = server
+    first, *others = servers.values()
+    for hand in hands.values():
+        hand.open_control(lock, resources)
+    world_requests = WorldRequests(world, first, clock).handlers
     control = resources.enter_context(ControlPort(world_requests, options.host, options.world_port))
-    stop_on_signals(server.stop)
-    print(sunrise.ready_line(server), flush=True)
-    print(reflex.ready_line(link, hand_control), flush=True)
+    threads = [threading.Thread(target=server.run, name="carried arm", daemon=True) for server in others]
+
+    def stop() -> None:
+        for server in servers.values():
+            server.stop()
+
+    stop_on_signals(stop)
+    for prefix, server in servers.items():
+        print(sunrise.ready_line(server, named(prefix, sunrise.NAME)), flush=True)
+        print(hands[prefix].ready_line, flush=True)
     print(f"{NAME}: scene {options.scene}, control port {control.host}:{control.port}", flush=True)
-    server.run()
+    for thread in threads:
+        thread.start()
+    try:
+        first.run()
+    finally:
+        stop()
+        for thread in threads:
+            thread.join()
+
+
+def _carry(server: SunriseServer, clock: Clock, dt: float) -> None:
+    """Steps an arm that is carried along: its clock counts the steps of the arm that drives the time."""
+    clock.move(dt)
+    server.carry()
+
+
+def _of_robot(
+    options: argparse.Namespace, description: WorldDescription, prefix: str, number: int
+) -> argparse.Namespace:
+    """Returns the options of one of several robots: its own ports, mounting and seed."""
+    if description.arms is None:
+        return options
+    values = dict(vars(options))
+    for key in ("port", "control_port", "hand_port", "hand_control_port"):
+        values[key] = values[key] and values[key] + number
+    values["seed"] += number
+    values["mounting"] = arms_from(description.arms).placements[prefix].rpy
+    return argparse.Namespace(**values)
+
+
+class _Hand:
+    """A hand in the world, on its wire."""
+
+    def __init__(self, world: World, options: argparse.Namespace, prefix: str, resources: contextlib.ExitStack) -> None:
+        self._options, self._name = options, named(prefix, reflex.NAME)
+        part = HandPart(options.seed, prefix)
+        world.add(part)
+        self._simulated = part.simulated
+        self._link = reflex.HandLink(options.interface, options.hand_port)
+        resources.callback(self._link.close)
+        world.add(HandCycle(self._simulated, self._link))
+        switch_all(self._link.faults, options.hand_fault)
+
+    def open_control(self, lock: threading.RLock, resources: contextlib.ExitStack) -> None:
+        """Opens its control port, whose requests hold the lock of the world."""
+        requests = reflex.handlers(self._simulated, self._link, lock)
+        control = ControlPort(requests, self._options.host, self._options.hand_control_port)
+        self.ready_line = reflex.ready_line(self._link, resources.enter_context(control), self._name)
 
 
 def _log(sentence: str) -> None:
@@ -162,6 +236,8 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     add("--scene", default="cup", help="name of a scene of this package, or path of a yaml file")
     board = "marker board on the flange: single, bundle, or path of a yaml file"
     add("--panel", nargs="?", const="single", help=board)
+    several = "yaml file of several arms, as of the parameter arms; each has the ports of the one before and 1"
+    add("--arms", type=Path, help=several)
     add("--seed", type=int, default=0, help="seed of scattered objects, and of the hand's slack and noise")
     add("--speed", type=positive, default=1.0, help="seconds of the world in a second")
     add("--stepped", action="store_true", help="time stands still until the request `step` moves it")

@@ -131,9 +131,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def ready_line(link: HandLink, control: ControlPort) -> str:
+def ready_line(link: HandLink, control: ControlPort, name: str = NAME) -> str:
     """Returns what a program prints when the hand is on the network."""
-    return f"{NAME}: on {link.interface}, UDP port {link.port}, control port {control.host}:{control.port}"
+    return f"{name}: on {link.interface}, UDP port {link.port}, control port {control.host}:{control.port}"
 
 
 def run(hand: SimulatedHand, link: HandLink, lock: threading.Lock, stop: threading.Event) -> None:

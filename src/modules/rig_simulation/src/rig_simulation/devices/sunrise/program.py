@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable
 
@@ -51,8 +53,11 @@ def make_server(
     environment: ArmEnvironment | None = None,
     clock: Callable[[], float] = time.monotonic,
     at_once: float = AT_ONCE_S,
+    lock: threading.RLock | None = None,
+    name: str = NAME,
 ) -> SunriseServer:
     """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer.
+    `name` begins what it reports.
 
     Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing.
     """
@@ -61,16 +66,17 @@ def make_server(
     lost_client = options.wait_for_client, options.deaf_after_lost_client, options.end_exits
     settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)
     arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
-    return SunriseServer(arm, settings, options.host, options.port, options.control_port, _log, clock, at_once)
+    ports = options.host, options.port, options.control_port
+    return SunriseServer(arm, settings, *ports, functools.partial(_log, name), clock, at_once, lock)
 
 
-def ready_line(server: SunriseServer) -> str:
+def ready_line(server: SunriseServer, name: str = NAME) -> str:
     """Returns what a program prints when the server listens."""
-    return f"{NAME}: listening on {server.host}:{server.port}, control port {server.host}:{server.control_port}"
+    return f"{name}: listening on {server.host}:{server.port}, control port {server.host}:{server.control_port}"
 
 
-def _log(sentence: str) -> None:
-    print(f"{NAME}: {sentence}", file=sys.stderr, flush=True)
+def _log(name: str, sentence: str) -> None:
+    print(f"{name}: {sentence}", file=sys.stderr, flush=True)
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

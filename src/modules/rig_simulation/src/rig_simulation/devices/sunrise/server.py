@@ -70,6 +70,7 @@ class SunriseServer:
         log: Callable[[str], None] = lambda _: None,  # takes one sentence about each change of state
         clock: Callable[[], float] = time.monotonic,  # the arm's time [s]; may run faster, slower or in steps
         at_once: float = AT_ONCE_S,  # longest lag made up in one go [s]; infinite for a clock that waits for the arm
+        lock: threading.RLock | None = None,  # of an environment that several arms share
     ) -> None:
         self._arm, self._settings, self._print = arm, settings, log
         self._events: collections.deque[tuple[float, str]] = collections.deque(maxlen=EVENTS)
@@ -78,7 +79,7 @@ class SunriseServer:
         self._io = ControllerIO()
         self.faults = Faults(ARM_FAULTS)  # may be switched at any time
         self._answers, self._encoders = ArmAnswers(self.faults), Encoders(self.faults)
-        self.lock = threading.RLock()  # held while the arm or its environment changes
+        self.lock = lock or threading.RLock()  # held while the arm or its environment changes
         self._stop = threading.Event()
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
@@ -141,6 +142,11 @@ class SunriseServer:
         with self.lock:
             self._advance()
             self._send()
+
+    def carry(self) -> None:
+        """Advances to the clock's time while another arm steps; `run` sends the answers that are due."""
+        with self.lock:
+            self._advance()
 
     def stop(self) -> None:
         """Makes `run` return soon; may be called from a signal handler."""
