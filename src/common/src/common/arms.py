@@ -52,7 +52,7 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
             [f"{prefix or 'The file '}is {values!r}, but must be a mapping: margin, and each arm's name."]
         )
     faults: list[str] = []
-    margin = values.get("margin")
+    margin: Any = values.get("margin")
     if not is_number(margin) or not LEAST_MARGIN_M <= margin <= MOST_MARGIN_M:
         limits = f"[{LEAST_MARGIN_M:g}, {MOST_MARGIN_M:g}]"
         faults.append(f"{prefix}margin is {margin!r}, but must be a finite number in {limits} m.")
@@ -70,4 +70,4 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
         faults.append(f"{prefix or 'The file '}names {len(placements)} arms, but must name at least two.")
     if faults:
         raise ConfigError(faults)
-    return Arms(float(margin), placements)  # type: ignore[arg-type]  # is_number made sure
+    return Arms(float(margin), placements)

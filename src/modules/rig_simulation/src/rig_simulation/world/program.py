@@ -140,7 +140,8 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
         hands[prefix] = _Hand(world, _of_robot(options, description, prefix, number), prefix, resources)
     clock = Clock(None if options.stepped else options.speed)
     at_once = math.inf if options.stepped else AT_ONCE_S
-    lock, servers = threading.RLock(), {}
+    lock = threading.RLock()
+    servers: dict[str, SunriseServer] = {}
     for number, prefix in enumerate(description.placements):
         own = _of_robot(options, description, prefix, number)
         name = named(prefix, sunrise.NAME)
