@@ -13,7 +13,7 @@ if "ROS_PACKAGE_PATH" not in os.environ:
 from campaign import rows
 from campaign.run import KeptRig, chosen
 
-RIGS = 3
+RIGS = 2
 DANGEROUS = sorted(chosen(rows.load(), "dangerous"), key=lambda entry: (entry.variant, entry.spoils, entry.number))
 EACH = math.ceil(len(DANGEROUS) / RIGS)
 

@@ -118,20 +118,23 @@ def test_the_names_of_a_controller(ros, robot, wait_until, names_on_the_page, na
 
 
 @pytest.mark.parametrize(
-    "prefix, arms, words",
+    "prefix, arms, options, words",
     [
-        ("left", {**ARMS, "right": {"position": [0.0, 0.0, 0.0]}}, "left and right are 0.000 m apart, but arms/margin"),
-        ("left", {**ARMS, "margin": 0.1}, "arms/margin is 0.1"),
-        ("middle", ARMS, "tf_prefix is 'middle', but arms/ places only left, right"),
+        ("left", {**ARMS, "right": {"position": [0.0, 0.0, 0.0]}}, (), "left and right are 0.000 m apart, but arms/"),
+        ("left", {**ARMS, "margin": 0.1}, (), "arms/margin is 0.1"),
+        ("middle", ARMS, (), "tf_prefix is 'middle', but arms/ places only left, right"),
+        ("left", ARMS, ("--lift-workspace",), "places another arm beside this one"),
     ],
 )
-def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros, wait_until, prefix, arms, words):
+def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(
+    ros, wait_until, prefix, arms, options, words
+):
     import rospy
 
     with socket.create_server(("127.0.0.1", 0)) as server:
         set_params("/left", prefix, server.getsockname()[1])
         rospy.set_param("/arms", arms)
-        process = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
+        process = ros.run("kuka_control", REAL_TIME, *options, "__ns:=/left")
         wait_until(lambda: process.poll() is not None, 30.0, "the end of the controller")
         said = process.log_path.read_text()
         assert process.returncode != 0 and words in said and "Traceback" not in said, said

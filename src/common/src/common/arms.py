@@ -20,7 +20,7 @@ MOST_MARGIN_M = 5.0
 
 
 @dataclass(frozen=True)
-class ArmPlacement:
+class BasePlacement:
     """Where the base of an arm stands in the frame `world`."""
 
     position: np.ndarray = vector(3, "m", low=-10.0, high=10.0, doc="x, y, z of the arm's base in world")
@@ -39,7 +39,7 @@ class Arms:
     """Two arms or more by their names, which are also their namespaces and the prefixes of their frames."""
 
     margin: float  # between tool points of different arms [m]
-    placements: Mapping[str, ArmPlacement]
+    placements: Mapping[str, BasePlacement]
 
 
 def arms_from(values: Any, prefix: str = "") -> Arms:
@@ -63,7 +63,7 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
         if not isinstance(name, str) or not name or not PREFIX.fullmatch(name):
             faults.append(f"{prefix}{name}: an arm's name must be letters, digits and _, such as left.")
             continue
-        placement = parse_part(ArmPlacement, entry, f"{prefix}{name}/", faults)
+        placement = parse_part(BasePlacement, entry, f"{prefix}{name}/", faults)
         if placement is not None:
             placements[name] = placement
     if not faults and len(placements) < 2:
