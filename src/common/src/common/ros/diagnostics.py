@@ -24,7 +24,7 @@ class Diagnostics:
 
     They stand there under `name`; where there are two arms, behind the prefix of this node's arm.
     `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
-    Raises ConfigError if the arm's prefix is none.
+    Raises ConfigError if the parameter tf_prefix is invalid.
     """
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:

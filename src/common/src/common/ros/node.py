@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import logging
 import os
 import select
@@ -144,10 +145,11 @@ def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[l
 
 
 def _without_closed_sockets(report: Callable[..., object]) -> Callable[..., None]:
-    """Returns an excepthook of threads that passes over those which rospy ends by closing the socket they wait on."""
+    """Returns an excepthook for threads without those that rospy ends at shutdown by closing their sockets."""
 
     def reported(thread: threading.ExceptHookArgs) -> None:
-        if not (issubclass(thread.exc_type, OSError) and rospy.core.is_shutdown_requested()):
+        closed = isinstance(thread.exc_value, OSError) and thread.exc_value.errno == errno.EBADF
+        if not (closed and rospy.core.is_shutdown_requested()):
             report(thread)
 
     return reported

@@ -111,7 +111,7 @@ class ImageViewer(QWidget):
         self._subscriber = rospy.Subscriber(topic, Image, self._take, topic, queue_size=1, buff_size=BUFFER_BYTES)
 
     def _take(self, message: Image, topic: str) -> None:
-        if topic == self.choice.currentText():  # a late image of the topic before is none of this one
+        if topic == self.choice.currentText():  # else it is a late one of the previous topic
             self._newest = message
 
 

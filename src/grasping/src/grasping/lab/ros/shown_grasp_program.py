@@ -172,7 +172,7 @@ def _run(options: argparse.Namespace) -> None:
     session = ShownGrasp(options.maps, options.poses, setup.frames.rate)
     recorder = ShownGraspRecorder(setup, session)
     _phase(recorder, Phase.MAPS, options.maps, "maps at home", lambda: None)
-    print("Bring the hand to the grasp and keep it there; then press Enter. Enter also goes on after a pause.")
+    print("Bring the hand to the grasp and keep it there; then press Enter. After a pause, Enter continues.")
     enters, taking = Enters(sys.stdin), False
 
     def take() -> None:
