@@ -337,10 +337,10 @@ def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
 
 def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
     file = tmp_path / "grasps.json"
-    call(monkeypatch, evaluate, "--first", "1", "--scenes", "1", "--export", file, "--weights", "GG-CNN2", WEIGHTS)
+    call(monkeypatch, evaluate, "--scenes", "2", "--export", file, "--weights", "GG-CNN2", WEIGHTS)
     found = json.loads(file.read_text())
     assert found["schema"] == 2
-    assert [(s["scene"], s["objects"]) for s in found["scenes"]] == [(1, 3)]
+    assert [(s["scene"], s["objects"]) for s in found["scenes"]] == [(0, 1), (1, 3)]
     for scene in found["scenes"]:
         assert len(scene["qpos"]) == 7 * scene["objects"]
         assert scene["mjcf"].count("<freejoint/>") == scene["objects"]

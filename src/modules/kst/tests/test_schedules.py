@@ -190,7 +190,7 @@ def run(client, server, goal):
         read(client, server)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(150))
 def test_every_motion_is_counted_once_and_to_its_end(connected, seed):
     """With acknowledgements that are late, lost or overtaken, starts that are wiped, and a server that freezes."""
     rng = random.Random(seed)
@@ -209,7 +209,7 @@ def test_every_motion_is_counted_once_and_to_its_end(connected, seed):
     assert ended == server.motions
 
 
-@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("seed", range(50))
 def test_no_answer_is_taken_for_another_and_nothing_but_probes_is_sent_into_a_silence(connected, seed):
     rng = random.Random(seed)
     server = Server(rng, loss=rng.choice([0.0, 0.02, 0.3]), frozen=spans(rng, 2, 4.5))
