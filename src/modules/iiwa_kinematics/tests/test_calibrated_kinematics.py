@@ -159,7 +159,7 @@ def test_a_tool_that_stands_still_leaves_the_joints_where_they_are(model, seed):
     T, present = arm.forward(q), q
     for _ in range(5):
         present = arm.inverse(T, present, keep_branch=True).q
-    np.testing.assert_allclose(present, q, atol=1e-8)
+    np.testing.assert_allclose(present, q, atol=1e-6)  # an outstretched elbow turns rounding into its square root
 
 
 @models

@@ -12,7 +12,10 @@ from rig_simulation.world.model import camera_link_pose
 from rig_simulation.world.scene import scene_from
 
 pytestmark = pytest.mark.ros
-SCENES = [{"mounting": mounting, "scene": read_scene("grasping")} for mounting in ([0, 0, 0], [180, 0, 0])]
+SCENES = [
+    {"mounting": mounting, "scene": read_scene("grasping"), "arms": arms}
+    for mounting, arms in (([0, 0, 0], None), ([180, 0, 0], None), ([0, 0, 0], ["left", "right"]))
+]
 
 
 class World:
@@ -31,20 +34,21 @@ def truth(fields) -> np.ndarray:
     return half_turn @ T if fields["mounting"][0] == 180 else T
 
 
-@pytest.mark.parametrize("fields", SCENES, ids=["upright", "from a ceiling"])
+@pytest.mark.parametrize("fields", SCENES, ids=["upright", "from a ceiling", "two arms"])
 def test_the_place_is_that_of_the_scene_and_follows_it(ros, wait_until, fields):
     import rospy
     import tf2_ros
 
     from common.ros.conversions import pose_from_transform
 
+    parent = "world" if fields["arms"] else "kuka/base_frame"
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
 
     def published():
-        if not buffer.can_transform("kuka/base_frame", "camera_link", rospy.Time(0)):
+        if not buffer.can_transform(parent, "camera_link", rospy.Time(0)):
             return None
-        return pose_from_transform(buffer.lookup_transform("kuka/base_frame", "camera_link", rospy.Time(0)).transform)
+        return pose_from_transform(buffer.lookup_transform(parent, "camera_link", rospy.Time(0)).transform)
 
     world = World(fields)
     with ControlPort({"scene": world.scene}) as port:

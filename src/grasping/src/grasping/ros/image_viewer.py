@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 from xmlrpc.client import Fault
 
@@ -119,11 +118,9 @@ def _run() -> None:
     if not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
         raise RigError("There is no screen for the window: DISPLAY is not set.")
     application = QApplication(sys.argv[:1])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: application.quit())
     window = ImageViewer(rospy.resolve_name("image"))
     window.show()
-    end = QTimer(interval=DRAW_MS)  # its time-outs also give Python the chance to see signals
+    end = QTimer(interval=DRAW_MS)  # its time-outs also give Python the chance to see signals, which shut ROS down
     end.timeout.connect(lambda: application.quit() if rospy.is_shutdown() else None)
     end.start()
     application.exec_()

@@ -22,6 +22,7 @@ from python_qt_binding.QtCore import QObject, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication
 
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
+from common.ros.node import hide_closed_sockets
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
@@ -236,8 +237,9 @@ def main() -> None:
 
 def _show(on_top: bool) -> int:
     application = QApplication(sys.argv[:1])
+    interrupted = threading.Event()  # Qt forgets quit() before exec_()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: application.quit())
+        signal.signal(number, lambda *_: interrupted.set())
     # Beside Qt, because it waits for the ROS master.
     threading.Thread(target=_join_ros, name="join", daemon=True).start()
     panel = ControlPanel()
@@ -247,7 +249,7 @@ def _show(on_top: bool) -> int:
     panel.show()
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.
-    end.timeout.connect(lambda: application.quit() if rospy.is_shutdown() else None)
+    end.timeout.connect(lambda: application.quit() if interrupted.is_set() or rospy.is_shutdown() else None)
     end.start(100)
     code = application.exec_()
     end.stop()
@@ -262,6 +264,7 @@ def _show(on_top: bool) -> int:
 
 
 def _join_ros() -> None:
+    hide_closed_sockets()
     try:
         rospy.init_node(panel_process.NODE, disable_signals=True)
     except rospy.exceptions.ROSInitException:
