@@ -478,6 +478,10 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
         control["mode"] = "home"
         tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.3)))
         wait_until(lambda: state() == "waiting" and "in the box" in unmet(states[-1]), 20.0, "the hand outside")
+        pedal.write(("KEY_F13", 0))  # each stream asks for a press of its own
+        wait_until(lambda: not states[-1].enabled, 10.0, "the release")
+        pedal.write(("KEY_F13", 1))
+        wait_until(lambda: states[-1].enabled, 10.0, "the press")
         node.tf.clear()
         tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.0)))
         wait_until(lambda: found_desired() is not None, 20.0, "the stream")
@@ -521,7 +525,6 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
         tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.0)))
         wait_until(lambda: states[-1].reason.endswith("the enabling device is not pressed"), 20.0, "the reason")
         wait_until(lambda: unmet(states[-1]) == ["enabled"], 10.0, "the enabling device as the only open condition")
-        pedal.write(("KEY_F13", 1))
         wait_until(walk, 60.0, "a stream that lasts")
         pedal.close()
         wait_until(lambda: state() in ("clutched", "waiting") and not states[-1].enabled, 10.0, "the lost device")
