@@ -262,7 +262,7 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
     wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose after grip_hold")
     assert all(np.allclose(c.radian_commands, FIST) or not any(c.radian_commands) for c in driver.commands)
     assert "the grip is kept for 3 s" in process.log_path.read_text()
-    assert status()[2]["grips_kept"] == "1"
+    assert int(status()[2]["grips_kept"]) >= 1  # again where a busy machine lets no frames come for a moment
     flag.unregister()
     arm.end()
 
