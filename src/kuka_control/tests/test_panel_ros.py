@@ -324,3 +324,63 @@ def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more
     said = panel.operator.accessibleDescription
     see(lambda: publisher.publish(rows) or "flat yes" in said(), "the rows")
     see(lambda: "no news" in said(), "the silence")
+
+
+@pytest.fixture
+def window(ros, application, failures):
+    """The window of two arms, with its links."""
+    from kuka_control.ros.panel_link import linked_panels
+
+    widget, links = linked_panels(["left", "right"])
+    widget.show()
+    yield widget
+    for link in links:
+        close(link)
+    widget.close()
+
+
+@pytest.fixture
+def both(start, window, see):
+    """A controller in each namespace."""
+    processes = {arm: start(f"__ns:=/{arm}") for arm in window.panels}
+    see(lambda: all(panel.control.isEnabled() for panel in window.panels.values()), "both controllers")
+    return processes
+
+
+def test_each_arm_of_two_has_its_own_switches(window, both, see):
+    left, right = window.panels.values()
+    click(right.control)
+    see(right.control.isChecked, "control of the right arm")
+    click(left.gripper)
+    see(left.gripper.isChecked, "the left gripper")
+    assert not left.control.isChecked() and not right.gripper.isChecked()
+    assert [process.poll() for process in both.values()] == [None, None]
+
+
+def press_emergency(window):
+    click(window.emergency)
+
+
+def press_escape_in(number):
+    def press(window):
+        from python_qt_binding.QtCore import Qt
+        from python_qt_binding.QtTest import QTest
+
+        QTest.keyClick(
+            window.emergency if number is None else list(window.panels.values())[number].control, Qt.Key_Escape
+        )
+
+    return press
+
+
+@pytest.mark.parametrize(
+    "press", [press_emergency, press_escape_in(None), press_escape_in(0), press_escape_in(1)],
+    ids=["button", "Esc", "Esc in the left panel", "Esc in the right panel"],
+)  # fmt: skip
+def test_one_emergency_stop_ends_both_controllers_even_one_that_hangs(window, both, see, press):
+    window.activateWindow()
+    both["left"].send_signal(signal.SIGSTOP)
+    press(window)
+    see(lambda: all(process.poll() is not None for process in both.values()), "the end of both controllers")
+    see(lambda: all("Emergency Stop" in panel.answer.full for panel in window.panels.values()), "both answers")
+    assert not any(panel.emergency.isVisible() for panel in window.panels.values()) and window.emergency.isVisible()

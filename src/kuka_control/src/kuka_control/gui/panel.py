@@ -7,6 +7,7 @@ It holds no state: `show_state` sets what the widgets show, and signals carry th
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 
 from python_qt_binding.QtCore import Qt, Signal
 from python_qt_binding.QtGui import QKeySequence
@@ -247,7 +248,8 @@ class ControlPanel(QWidget):
         view.setMinimumHeight(OPERATOR_PX)
         view.setWidget(self.operator)
         self.show_rows()
-        grid.addWidget(_group("Operator", view), 4, 0, 1, 2)
+        self.operator_view = _group("Operator", view)
+        grid.addWidget(self.operator_view, 4, 0, 1, 2)
         grid.setRowStretch(4, 1)
         for column in (0, 1):
             grid.setColumnStretch(column, 1)
@@ -290,6 +292,39 @@ class ControlPanel(QWidget):
 
     def _ask_scaling(self) -> None:
         self.scaling_requested.emit(self.scaling.value() / STEPS_PER_UNIT)
+
+
+ALL_ARMS_TIP = EMERGENCY_TIP.replace("the controller", "the controllers of all arms").replace("The arm", "Each arm")
+
+
+class ArmsPanel(QWidget):
+    """The panels of several arms side by side, by their names in `panels`, over one Emergency Stop for all."""
+
+    emergency_requested = Signal()
+
+    def __init__(self, arms: Sequence[str]) -> None:
+        super().__init__()
+        self.setWindowTitle("Leap Rig: control of " + " and ".join(arms))
+        self.setStyleSheet(STYLE.replace("ControlPanel", "ArmsPanel"))
+        self.panels = {arm: ControlPanel() for arm in arms}
+        self.emergency = _button("Emergency Stop of all arms", 80)
+        self.emergency.setObjectName("emergency")
+        self.emergency.setToolTip(ALL_ARMS_TIP)
+        self.emergency.pressed.connect(lambda: self.emergency_requested.emit())
+        grid = QGridLayout(self)
+        for column, (arm, panel) in enumerate(self.panels.items()):
+            grid.addWidget(_group(arm.upper(), panel), 0, column)
+            panel.emergency.hide()
+            panel.operator_view.hide()  # the node operator_view knows one arm
+            # Its key Esc.
+            panel.emergency_requested.connect(lambda: self.emergency_requested.emit())
+        grid.addWidget(self.emergency, 1, 0, 1, len(self.panels))
+        grid.setRowStretch(0, 1)
+        # Not the whole window's: a second one would make the panels' own ambiguous.
+        shortcut = QShortcut(QKeySequence(Qt.Key_Escape), self.emergency, context=Qt.WidgetShortcut)
+        shortcut.setAutoRepeat(False)
+        shortcut.activated.connect(lambda: self.emergency_requested.emit())
+        self.emergency.setFocus()
 
 
 def _button(text: str, height: int, grows: bool = False, checkable: bool = False) -> QPushButton:

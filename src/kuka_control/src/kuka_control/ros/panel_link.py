@@ -13,6 +13,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from queue import SimpleQueue
 
@@ -24,7 +25,7 @@ from python_qt_binding.QtWidgets import QApplication
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
 from common.ros.node import hide_closed_sockets
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
-from kuka_control.gui.panel import ControlPanel
+from kuka_control.gui.panel import ArmsPanel, ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
 from kuka_control.ros import emergency, panel_process
 from kuka_control.ros.emergency import ControllerProcess
@@ -45,16 +46,16 @@ SHUTDOWN_S = 2.0  # how long saying goodbye to the ROS master may take
 class PanelLink(QObject):
     """Feeds the panel with kuka/status and operator_view/rows, and carries the operator's requests to the services.
 
-    Made in Qt's thread.
+    Made in Qt's thread. `arm`: namespace of one of several arms; empty: this program's own.
     """
 
-    def __init__(self, panel: ControlPanel) -> None:
+    def __init__(self, panel: ControlPanel, arm: str = "") -> None:
         super().__init__(panel)
-        self._panel = panel
+        self._panel, self._of = panel, f"{arm}/" if arm else ""
         self._status: ControllerStatus | None = None
         self._process: ControllerProcess | None = None
         self._master_lost = False
-        self._services = {name: ServiceClient(name, kind) for name, kind in KINDS.items()}
+        self._services = {name: ServiceClient(self._of + name, kind) for name, kind in KINDS.items()}
         self._answers: SimpleQueue[tuple[str, bool, str]] = SimpleQueue()
         self._running: set[str] = set()
         self._next: dict[str, tuple] = {}
@@ -63,7 +64,7 @@ class PanelLink(QObject):
         panel.gripper_requested.connect(lambda on: self._ask(GRIPPER, on))
         panel.scaling_requested.connect(self._ask_scaling)
         panel.exit_requested.connect(lambda: self._ask(EXIT))
-        panel.emergency_requested.connect(self._ask_emergency)
+        panel.emergency_requested.connect(self.ask_emergency)
         self._closed = self._subscribing = False
         self._subscribers: list[rospy.Subscriber] = []
         self._view: tuple[tuple[Row, ...], float] = SILENT, time.monotonic()
@@ -129,7 +130,8 @@ class PanelLink(QObject):
         except ServiceFailed as error:
             self._answers.put((name, False, f"Not confirmed: {error}."))
 
-    def _ask_emergency(self) -> None:
+    def ask_emergency(self) -> None:
+        """Stops the controller at once, beside Qt's thread; once while that runs."""
         if emergency.SERVICE not in self._running:
             self._running.add(emergency.SERVICE)
             threading.Thread(target=self._stop, name="emergency", daemon=True).start()
@@ -189,8 +191,8 @@ class PanelLink(QObject):
             try:
                 self._unsubscribe()
                 self._subscribers = [
-                    rospy.Subscriber("kuka/status", KukaStatus, self._take, queue_size=1),
-                    rospy.Subscriber("operator_view/rows", OperatorView, self._take_view, queue_size=1),
+                    rospy.Subscriber(f"{self._of}kuka/status", KukaStatus, self._take, queue_size=1),
+                    rospy.Subscriber(f"{self._of}operator_view/rows", OperatorView, self._take_view, queue_size=1),
                 ]
             finally:
                 self._subscribing = False
@@ -223,6 +225,10 @@ def main() -> None:
         "--if-possible", action="store_true",
         help="if there is no screen, or the control panel is open already, say so and exit without an error",
     )  # fmt: skip
+    parser.add_argument(
+        "--arms", nargs="+", default=[], metavar="NAMESPACE",
+        help="several arms in one window, with one Emergency Stop for all",
+    )  # fmt: skip
     arguments = parser.parse_args(rospy.myargv()[1:])
     if arguments.if_possible:
         reason = panel_process.why_not()
@@ -232,20 +238,34 @@ def main() -> None:
     fault = "" if os.environ.get("QT_QPA_PLATFORM") else panel_process.no_screen()
     if fault:
         sys.exit(f"The control panel is not opened: {fault}.")
-    sys.exit(_show(arguments.on_top))
+    sys.exit(_show(arguments.on_top, arguments.arms))
 
 
-def _show(on_top: bool) -> int:
+def linked_panels(arms: Sequence[str]) -> tuple[ControlPanel | ArmsPanel, list[PanelLink]]:
+    """Returns the window for these namespaces, or for this program's own without any, and its links.
+
+    Whatever asks for the Emergency Stop in it stops the controllers of all its arms, each beside the others.
+    """
+    if not arms:
+        panel = ControlPanel()
+        return panel, [PanelLink(panel)]
+    window = ArmsPanel(arms)
+    links = [PanelLink(panel, arm) for arm, panel in window.panels.items()]
+    for link in links:
+        window.emergency_requested.connect(link.ask_emergency)
+    return window, links
+
+
+def _show(on_top: bool, arms: Sequence[str]) -> int:
     application = QApplication(sys.argv[:1])
     interrupted = threading.Event()  # Qt forgets quit() before exec_()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
     # Beside Qt, because it waits for the ROS master.
     threading.Thread(target=_join_ros, name="join", daemon=True).start()
-    panel = ControlPanel()
+    panel, links = linked_panels(arms)
     panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
-    link = PanelLink(panel)
-    panel.resize(560, 780)
+    panel.resize(560 * max(1, len(arms)), 780)
     panel.show()
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.
@@ -253,7 +273,8 @@ def _show(on_top: bool) -> int:
     end.start(100)
     code = application.exec_()
     end.stop()
-    link.close()
+    for link in links:
+        link.close()
     # A master that hangs must not keep the program.
     goodbye = threading.Thread(target=rospy.signal_shutdown, args=("the panel was closed",), daemon=True)
     goodbye.start()
