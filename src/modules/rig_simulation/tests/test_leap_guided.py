@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from websockets.sync.client import connect
 from common.errors import DeviceError
 from leap_motion.codec import read_message
 from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.leap.program import _source, parse
 from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import PERIOD_S, Playback, ScriptedOperator
@@ -165,3 +167,22 @@ def test_the_second_hand_comes_beside_the_first_and_closes(guided):
     assert grabs[0] < 0.5 < 0.8 < grabs[-1] and max(np.diff(grabs)) < 0.2
     with pytest.raises(ValueError):
         guided.second(curl=2.0)
+
+
+def test_of_two_guided_hands_each_goes_where_it_is_sent():
+    source, requests = _source(parse(["--guided", "--hand", "both", "--apart", "300"]))
+    playback = Playback(source)
+    requests["show"](side="left")
+    requests["reach"](side="left", up=0.05, seconds=0.5)
+    assert requests["hand"](side="right") == {"in_view": False, "moving": False}
+    requests["show"](side="right", right=0.02)
+    for _ in range(200):
+        frame = playback.next()
+    palms = {hand["type"]: hand["palmPosition"] for hand in json.loads(frame.text)["hands"]}
+    np.testing.assert_allclose([palms["left"], palms["right"]], [(-150, 400, 0), (170, 350, 0)], atol=8.0)
+    requests["hide"](side="left")
+    for _ in range(100):
+        frame = playback.next()
+    assert [hand["type"] for hand in json.loads(frame.text)["hands"]] == ["right"]
+    with pytest.raises(ValueError, match="side is 'both', but must be left or right"):
+        requests["show"](side="both")

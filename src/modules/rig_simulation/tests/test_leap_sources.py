@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from leap_motion.codec import read_message
 from leap_motion.service import wire
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import PERIOD_S, Playback, Recording, RecordingError, ScriptedOperator
+from rig_simulation.operator.sources import PERIOD_S, BothHands, Playback, Recording, RecordingError, ScriptedOperator
 
 RECORDINGS = ("rollAndPitchWithEntry", "grab", "HandSplay-110fps", "confidence-74fps", "three-claps")
 SHORT = Script(figure="line", laps=1, speed=600.0, away=0.5)
@@ -226,3 +226,32 @@ def test_missing_and_torn_files_are_refused(tmp_path, write):
 )
 def test_numbers_are_printed_with_six_digits(number, printed):
     assert json.dumps(wire.six(number)) == printed
+
+
+def palms_of(frames, side):
+    """The palm in each frame, None where that hand is not in view; its id must stay while it is."""
+    found, ids = [], set()
+    for text in frames:
+        hands = [hand for hand in json.loads(text)["hands"] if hand["type"] == side]
+        assert len(hands) <= 1
+        found.append(hands[0]["palmPosition"] if hands else None)
+        ids |= {hand["id"] for hand in hands}
+    return found, ids
+
+
+def test_both_hands_move_each_as_one_alone():
+    sides = {"left": -160.0, "right": 160.0}
+    alone = {side: ScriptedOperator(SHORT, side, centre=(x, 350.0, 0.0)) for side, x in sides.items()}
+    both = [frame.text for frame in played(Playback(BothHands((alone["left"], alone["right"])), 7), 2600)]
+    palms = {}
+    for (side, one), seed in zip(alone.items(), np.random.default_rng(7).integers(2**32, size=2).tolist()):
+        palms[side], ids = palms_of(both, side)
+        expected, _ = palms_of([frame.text for frame in played(Playback(one, seed), 2600)], side)
+        assert palms[side] == expected
+        assert len(ids) >= 2
+        seen = np.array([palm for palm in palms[side] if palm is not None])
+        assert abs(np.median(seen[:, 0]) - sides[side]) < 40.0
+    together = [a is not None and b is not None for a, b in zip(*palms.values())]
+    either = [(a is None) != (b is None) for a, b in zip(*palms.values())]
+    assert sum(together) > 300 and sum(either) > 0, "each comes and goes by itself"
+    assert not palms_of(both, "left")[1] & palms_of(both, "right")[1]

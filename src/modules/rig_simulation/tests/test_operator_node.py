@@ -13,9 +13,9 @@ HOME = [0.1, -0.5, 0.0, 1.4, 0.0, -1.2, 0.3]
 
 
 class Controller:
-    """Has the parameter, the topic and the two services of the arm's controller."""
+    """Has the parameter, the topic and the two services of an arm's controller; `of`: its namespace with a slash."""
 
-    def __init__(self):
+    def __init__(self, of=""):
         import rospy
 
         from kuka_msgs.msg import jointPositions
@@ -24,12 +24,12 @@ class Controller:
         self.calls = []
         self.joints = [0.0] * 7
         self.refusals = 0
-        rospy.set_param("kuka/joints_home", HOME)
-        self._publisher = rospy.Publisher("kuka/joint_positions", jointPositions, queue_size=1, latch=True)
+        rospy.set_param(f"{of}kuka/joints_home", HOME)
+        self._publisher = rospy.Publisher(f"{of}kuka/joint_positions", jointPositions, queue_size=1, latch=True)
         self._message = jointPositions
         self._services = [
-            rospy.Service("kuka/gripper_control", setGripperControl, self._answer("gripper")),
-            rospy.Service("kuka/kuka_control", setKukaControl, self._answer("arm")),
+            rospy.Service(f"{of}kuka/gripper_control", setGripperControl, self._answer("gripper")),
+            rospy.Service(f"{of}kuka/kuka_control", setKukaControl, self._answer("arm")),
         ]
         self._ended = threading.Event()
         threading.Thread(target=self._publish, daemon=True).start()
@@ -118,3 +118,31 @@ def test_ends_with_an_interrupt(ros, processes, wait_until):
     with contextlib.suppress(ProcessLookupError):
         assert processes.end(node, 10.0) == 0
     assert "Traceback" not in node.log_path.read_text()
+
+
+def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(ros, leapd, wait_until):
+    import rospy
+
+    arms = {name: Controller(f"{name}/") for name in ("left", "right")}
+    rospy.set_param("/operator_node/arms", list(arms))
+    arms["left"].joints = HOME
+    node = ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", f"_leapd_port:={leapd.port}")
+    try:
+        wait_until(lambda: "until the arm right is at home" in node.log_path.read_text(), 20.0, "the waiting")
+        assert arms["left"].calls == [("gripper", True), ("arm", True)] and arms["right"].calls == []
+        assert not leapd.played.is_set()
+        arms["right"].joints = HOME
+        wait_until(leapd.played.is_set, 20.0, "the hands")
+        assert arms["left"].calls == arms["right"].calls
+    finally:
+        for arm in arms.values():
+            arm.close()
+
+
+def test_a_scenario_of_one_arm_is_refused_for_several(ros):
+    import rospy
+
+    rospy.set_param("/operator_node/arms", ["left", "right"])
+    node = ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", "_scenario:=pick_cup")
+    assert node.wait(20.0) == 1
+    assert "scenario is pick_cup, which is for one arm, but arms are left, right" in node.log_path.read_text()

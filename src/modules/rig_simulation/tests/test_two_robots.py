@@ -23,6 +23,7 @@ from rig_simulation.files import read_board, read_scene, read_urdf
 from rig_simulation.world.model import WorldDescription, build_model
 from rig_simulation.world.parts import ArmJoints, CarriedJoints, HandPart
 from rig_simulation.world.physics import World
+from rig_simulation.world.program import _of_robot, _options
 
 ARMS = {
     "margin": 0.3,
@@ -225,3 +226,16 @@ def test_a_mounting_beside_arms_is_refused(processes, wait_until):
     )
     wait_until(lambda: process.poll() is not None, 60.0, "the end")
     assert process.returncode == 1 and "--mounting is [180.0, 0.0, 0.0] deg" in process.log_path.read_text()
+
+
+@pytest.mark.parametrize(("given", "second"), [("47001", 47002), ("0", 0)])
+def test_the_second_robot_has_the_ports_of_the_first_and_one_and_a_seed_and_mounting_of_its_own(given, second):
+    keys = ("port", "control_port", "hand_port", "hand_control_port")
+    options = _options([text for key in keys for text in (f"--{key.replace('_', '-')}", given)])
+    first, other = (_of_robot(options, description(ARMS), prefix, n) for n, prefix in enumerate(("left", "right")))
+    assert [getattr(first, key) for key in keys] == 4 * [int(given)]
+    assert [getattr(other, key) for key in keys] == 4 * [second]
+    assert (
+        (first.seed, other.seed) == (0, 1) and list(first.mounting) == [0, 0, 30] and list(other.mounting) == [0, 0, 0]
+    )
+    assert _of_robot(options, description(None), "", 0) is options

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common.config import choice, flag, integer, number, text
+from common.config import choice, flag, integer, names, number, text
 
 LOOPBACK = "127.0.0.1"
 PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS = "pick_cup", "assisted_grasp", "wall", "clutch", "two_hands"
@@ -83,8 +83,8 @@ class SimulationConfig:
     arm_port: int = integer(low=0, high=65535, doc="control port of the arm; 0: no arm", absent=30011)
     world_port: int = integer(low=0, high=65535, doc="control port of the world; 0: no world", absent=30021)
     leap_port: int = integer(low=0, high=65535, doc="control port of the Leap service; 0: none", absent=16437)
-    hand_port: int = integer(low=1, high=65535, doc="control port of the hand", absent=11433)
-    camera_port: int = integer(low=1, high=65535, doc="control port of the camera", absent=30031)
+    hand_port: int = integer(low=0, high=65535, doc="control port of the hand; 0: none", absent=11433)
+    camera_port: int = integer(low=0, high=65535, doc="control port of the camera; 0: none", absent=30031)
     world_rate: float = number("Hz", above=0.0, high=100.0, doc="how often the objects are published", absent=30.0)
     view_rate: float = number("Hz", above=0.0, high=60.0, doc="how often their markers are published", absent=10.0)
 
@@ -93,6 +93,7 @@ class SimulationConfig:
 class OperatorConfig:
     """Of the node operator."""
 
+    arms: tuple[str, ...] = names(doc="namespaces of several arms, such as [left, right]", absent=())
     auto_start: bool = flag(doc="switch gripper and arm control on; false: only start the hand", absent=True)
     leapd_port: int = integer(
         low=0, high=65535, doc="control port of the simulated Leap service; 0: a person's own hand", absent=16437
@@ -105,3 +106,9 @@ class OperatorConfig:
     )
     rounds: int = integer(low=1, high=100, doc="of assisted_grasp: how many grasps there are to be", absent=1)
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing", absent=300.0)
+
+    def faults(self) -> list[str]:
+        """Returns faults of several keys together."""
+        if self.arms and self.scenario:
+            return [f"scenario is {self.scenario}, which is for one arm, but arms are {', '.join(self.arms)}."]
+        return []

@@ -16,7 +16,7 @@ from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
 from rig_simulation.operator import motion
-from rig_simulation.operator.sources import PERIOD_S, ScriptedOperator, next_interval
+from rig_simulation.operator.sources import ScriptedOperator, Sensed, as_frames, next_interval
 
 LONGEST_REACH_S = 60.0
 FARTHEST_M = 0.5
@@ -112,6 +112,10 @@ class GuidedOperator:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, empty ones while no hand is in view."""
+        return as_frames(self.hands(rng, first_id), self._scripted.service)
+
+    def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
+        """Yields what is sensed."""
         model = self._scripted.hand_model
         tracker, shown, age = None, 0, 0.0
         second = SecondHand(self._scripted, first_id + 1000, rng)
@@ -130,7 +134,7 @@ class GuidedOperator:
                 tracker = None
             if self._second is not None:
                 hands.append(second.report(self._second, interval))
-            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self._scripted.service, order)
+            yield interval, hands, order
 
     def _advance(self, dt: float) -> tuple[np.ndarray | None, float, float, int]:
         """Advances by dt [s]; returns state, speed of the palm [mm/s], time left in view [s], hands so far."""

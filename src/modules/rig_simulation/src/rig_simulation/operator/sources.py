@@ -12,12 +12,13 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import List, Protocol, Tuple
 
 import numpy as np
 
 from common.errors import RigError
 from leap_motion.service import wire
+from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
@@ -25,6 +26,7 @@ from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 PERIOD_S = 1.0 / 115.3
 JITTER_S = 0.08e-3
 LOST_FRAME = 0.005  # probability that the sensor loses a frame: the interval is double, the id continues
+BETWEEN_IDS = 100_000  # between the ids of an operator's two hands
 PAUSE_S = 1.5  # empty frames between two rounds of a recording
 
 
@@ -41,6 +43,45 @@ def empty_frames(rng: np.random.Generator, service: str) -> Iterator[tuple[float
     empty = wire.frame([], 1.0 / PERIOD_S, service)
     while True:
         yield next_interval(rng), empty
+
+
+Sensed = Tuple[float, List[ReportedHand], List[int]]
+"""Time since the last frame [s], the hands in view, and the order of their fingers."""
+
+
+def as_frames(sensed: Iterator[Sensed], service: str) -> Iterator[tuple[float, wire.Frame]]:
+    """Yields the frames of a service."""
+    for interval, hands, order in sensed:
+        yield interval, wire.frame(hands, 1.0 / PERIOD_S, service, order)
+
+
+class OperatorHand(Protocol):
+    """A hand of an operator, in view or not."""
+
+    def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
+        """Yields what is sensed."""
+
+
+@dataclass(frozen=True)
+class BothHands:
+    """An operator with two hands that move by themselves, each as one of `both`: left, right."""
+
+    both: tuple[OperatorHand, OperatorHand]
+    service: str = "2.3"
+
+    def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
+        """Yields frames without end, with the hands that are in view."""
+        seeds = rng.integers(2**32, size=len(self.both)).tolist()
+        sensed = [
+            hand.hands(np.random.default_rng(seed), first_id + number * BETWEEN_IDS)
+            for number, (hand, seed) in enumerate(zip(self.both, seeds))
+        ]
+        return as_frames(self._merged(sensed), self.service)
+
+    @staticmethod
+    def _merged(sensed: Sequence[Iterator[Sensed]]) -> Iterator[Sensed]:
+        for (interval, first, order), (_, second, _) in zip(*sensed):
+            yield interval, first + second, order
 
 
 @dataclass(frozen=True)
@@ -61,6 +102,10 @@ class ScriptedOperator:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields visits without end, each with its own hand id and a pause after it."""
+        return as_frames(self.hands(rng, first_id), self.service)
+
+    def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
+        """Yields what is sensed of the same visits."""
         model = self.hand_model
         hand_id = first_id
         while True:
@@ -68,9 +113,7 @@ class ScriptedOperator:
             yield from self._visit(visit, model, hand_id, rng)
             hand_id += 1
 
-    def _visit(
-        self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator
-    ) -> Iterator[tuple[float, wire.Frame]]:
+    def _visit(self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator) -> Iterator[Sensed]:
         tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
         t, interval = visit.appears, next_interval(rng)
         while t < visit.vanishes + self.script.away:
@@ -80,7 +123,7 @@ class ScriptedOperator:
                 speed = float(np.linalg.norm(state[:3] - before[:3])) / PERIOD_S
                 pose, curl = self.pose(state), float(state[motion.CURL])
                 hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
-            yield interval, wire.frame(hands, 1.0 / PERIOD_S, self.service, order)
+            yield interval, hands, order
             interval = next_interval(rng)
             t += interval
 

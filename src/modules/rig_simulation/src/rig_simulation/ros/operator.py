@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import rospy
@@ -33,20 +34,17 @@ class Operator:
     def __init__(self, config: OperatorConfig) -> None:
         self._config = config
         self._leapd = ControlClient(LOOPBACK, config.leapd_port)
-        self._joints: np.ndarray | None = None
+        self._arms = [f"{arm}/" for arm in config.arms] or [""]
+        self._joints: dict[str, np.ndarray] = {}
         self._why = ""
-        rospy.Subscriber("kuka/joint_positions", jointPositions, self._take_joints, queue_size=1)
+        for arm in self._arms:
+            take = partial(self._take_joints, arm)
+            rospy.Subscriber(f"{arm}kuka/joint_positions", jointPositions, take, queue_size=1)
 
     def run(self) -> None:
         """Starts the rig and the scenario, then spins until ROS shuts down; raises RigError if a step timed out."""
-        self._wait(lambda: rospy.has_param("kuka/joints_home"), "the controller has computed the home position")
-        home = np.asarray(rospy.get_param("kuka/joints_home"), dtype=float)
-        self._wait(
-            lambda: self._joints is not None and np.abs(self._joints - home).max() < AT_HOME, "the arm is at home"
-        )
-        if self._config.auto_start:
-            self._switch("kuka/gripper_control", setGripperControl)
-            self._switch("kuka/kuka_control", setKukaControl)
+        for arm in self._arms:
+            self._start(arm)
         if self._config.leapd_port:
             self._wait(self._leapd_plays, "the simulated Leap service plays")
             rospy.loginfo("A hand enters the view of the Leap.")
@@ -61,8 +59,21 @@ class Operator:
             PickScenario(name, "cup", self._leapd, world).run()
         rospy.spin()
 
-    def _take_joints(self, message: jointPositions) -> None:
-        self._joints = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
+    def _start(self, arm: str) -> None:
+        """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty."""
+        of = f" {arm[:-1]}" if arm else ""
+        param = f"{arm}kuka/joints_home"
+        self._wait(lambda: rospy.has_param(param), f"the controller{of} has computed the home position")
+        home = np.asarray(rospy.get_param(param), dtype=float)
+        self._wait(
+            lambda: arm in self._joints and np.abs(self._joints[arm] - home).max() < AT_HOME, f"the arm{of} is at home"
+        )
+        if self._config.auto_start:
+            self._switch(f"{arm}kuka/gripper_control", setGripperControl)
+            self._switch(f"{arm}kuka/kuka_control", setKukaControl)
+
+    def _take_joints(self, arm: str, message: jointPositions) -> None:
+        self._joints[arm] = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
 
     def _switch(self, name: str, service_type: type) -> None:
         client = ServiceClient(name, service_type)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,11 @@ from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
 from rig_simulation.operator import motion
 from rig_simulation.operator.guided import GuidedOperator
-from rig_simulation.operator.sources import Playback, Recording, ScriptedOperator, Source
+from rig_simulation.operator.sources import BothHands, Playback, Recording, ScriptedOperator, Source
 
 NAME = "leapd"
+BOTH = "both"
+REQUESTS = ("show", "reach", "hide", "hand")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -52,11 +55,29 @@ def _source(options: argparse.Namespace) -> tuple[Source, dict[str, Callable[...
         R = rotation_about(1, yaw) @ rotation_about(0, pitch) @ rotation_about(2, roll)
         T_desk_leap = pose(R, options.stands[:3])
     centre = tuple(options.centre)
+    if options.hand == BOTH:
+        x, y, z = centre
+        scripts = {
+            side: ScriptedOperator(script, side, options.scale, (x + shift, y, z), options.service, T_desk_leap)
+            for side, shift in (("left", -options.apart / 2.0), ("right", options.apart / 2.0))
+        }
+        if not options.guided:
+            return BothHands((scripts["left"], scripts["right"]), options.service), {}
+        both = {side: GuidedOperator(of_side) for side, of_side in scripts.items()}
+        source = BothHands((both["left"], both["right"]), options.service)
+        return source, {name: functools.partial(_of_side, both, name) for name in REQUESTS}
     scripted = ScriptedOperator(script, options.hand, options.scale, centre, options.service, T_desk_leap)
     if not options.guided:
         return scripted, {}
     guided = GuidedOperator(scripted)
-    return guided, {name: getattr(guided, name) for name in ("show", "reach", "hide", "hand", "second")}
+    return guided, {name: getattr(guided, name) for name in (*REQUESTS, "second")}
+
+
+def _of_side(both: Mapping[str, GuidedOperator], name: str, side: str = "", **fields: Any) -> Any:
+    """Passes a request on to the hand of its `side`."""
+    if side not in both:
+        raise ValueError(f"The side is {side!r}, but must be left or right: both hands are there.")
+    return getattr(both[side], name)(**fields)
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
@@ -84,7 +105,9 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--speed", type=positive, default=150.0, help="highest speed of the palm, mm/s; people move at 50 to 250")
     add("--plane", choices=sorted(motion.PLANES), default="upright", help="plane of the figure")
     add("--away", type=positive, default=3.0, help="time without a hand between two visits, s")
-    add("--hand", choices=("right", "left"), default="right", help="which hand")
+    which = "which hand; with both, requests of the control port name the side"
+    add("--hand", choices=("right", "left", BOTH), default="right", help=which)
+    add("--apart", type=positive, default=320.0, help="of both hands' workspaces, mm along the Leap's x axis")
     add("--scale", type=positive, default=1.05, help="size of the hand against the template; adults: 1.03 to 1.10")
     centre = "centre of the hand's workspace, mm in Leap axes"
     add("--centre", type=finite, nargs=3, default=(0.0, 350.0, 0.0), metavar=xyz, help=centre)
