@@ -178,6 +178,7 @@ def ros_master(tmp_path_factory):
     uri = f"http://localhost:{port}"
     folder = tmp_path_factory.mktemp("ros")
     environment = {"ROS_MASTER_URI": uri, "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / "log")}
+    environment["ROS_ETC_DIR"] = str(_etc_ros(folder / "etc"))
     with pytest.MonkeyPatch.context() as patch:
         for name, value in {**environment, "ROS_HOSTNAME": "localhost"}.items():
             patch.setenv(name, value)
@@ -330,6 +331,20 @@ def _state(thread: Path) -> str:
     except (FileNotFoundError, ProcessLookupError):
         return "T"
     return stat[stat.rindex(")") + 2]
+
+
+def _etc_ros(folder: Path) -> Path:
+    """Makes ROS's folder of settings, whose roscore.xml asks no programs for the version of ROS at each roslaunch."""
+    import rospkg
+
+    folder.mkdir()
+    for file in Path(rospkg.get_etc_ros_dir()).iterdir():
+        (folder / file.name).symlink_to(file)
+    core = folder / "roscore.xml"
+    core.unlink(missing_ok=True)
+    versions = "".join(f'<param name="{name}" value="of the tests"/>' for name in ("rosversion", "rosdistro"))
+    core.write_text(f'<launch>{versions}<node pkg="rosout" type="rosout" name="rosout" respawn="true"/></launch>')
+    return folder
 
 
 def _master_answers(uri: str) -> bool:

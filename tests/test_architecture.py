@@ -300,6 +300,15 @@ def test_live_grasping_does_not_import_the_laboratory(room):
         assert rooms <= LIVE_ROOMS[room] | {room}, f"{path}: {room} must not import {rooms - LIVE_ROOMS[room] - {room}}"
 
 
+def test_the_node_that_holds_the_tool_above_a_grasp_loads_no_torch():
+    """It would take seconds of the processor and 150 MB."""
+    reached, left = set(), {"grasping.ros.execution_node"}
+    while left:
+        reached |= left
+        left = {name for module in left & MODULES.keys() for name in imports_at_top(MODULES[module])} - reached
+    assert "grasping.execution.execution" in reached and "torch" not in reached
+
+
 def test_grasping_has_no_other_rooms():
     assert {p.parent.name for p in GRASPING.glob("*/*.py")} == {*LIVE_ROOMS, "lab"}
 

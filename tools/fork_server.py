@@ -24,8 +24,8 @@ from typing import Any
 PR_SET_CHILD_SUBREAPER = 36
 ROOM_FOR_COMMAND = 4096
 """What `/proc/PID/cmdline` of a child can hold [bytes]."""
-OWN_VARIABLES = ("ROS", "PYTEST_", "LEAP_RIG_", "QT_API", "LD_LIBRARY_PATH")
-"""Beginnings of variables that may differ from the server's own: no module reads the first three when it is imported,
+OWN_VARIABLES = ("ROS", "PYTEST_", "LEAP_RIG_", "DISPLAY", "QT_QPA_PLATFORM", "QT_API", "LD_LIBRARY_PATH")
+"""Beginnings of variables that may differ from the server's own: no module reads the first five when it is imported,
 and the others are what python_qt_binding and cv2 set in a process that imports them."""
 
 

@@ -29,5 +29,9 @@ def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:
 
 
 def _config(package: str, file: str, arguments: tuple[str, ...]) -> Any:
+    """Loads the file without that of roscore, for which roslaunch starts two programs each time."""
     (path,) = roslaunch.rlutil.resolve_launch_arguments([package, file])
-    return roslaunch.config.load_config_default([(path, list(arguments))], None, assign_machines=False)
+    config, loader = roslaunch.config.ROSLaunchConfig(), roslaunch.xmlloader.XmlLoader()
+    loader.ignore_unset_args = False
+    loader.load(path, config, argv=list(arguments), verbose=False)
+    return config

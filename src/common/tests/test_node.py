@@ -300,7 +300,7 @@ def test_of_two_nodes_with_one_name_the_newer_one_stays(ros, processes, wait_unt
 def test_a_node_logs_while_the_master_hangs(ros_master, processes, tmp_path, free_port, suspend, wait_until):
     """Else a controller would hang with it, in the midst of a motion."""
     uri = f"http://localhost:{free_port()}"
-    core = processes.start("roscore", "-p", uri.rpartition(":")[2], env={"ROS_MASTER_URI": uri})
+    core = processes.start("rosmaster", "--core", "-p", uri.rpartition(":")[2])
     master = xmlrpc.client.ServerProxy(uri)
     pid = wait_until(lambda: pid_of(master), 20.0, "the master")
     go_on = tmp_path / "go_on"

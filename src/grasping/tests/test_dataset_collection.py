@@ -22,8 +22,8 @@ from grasping.lab.dataset.frame_buffer import MAP_SIDE, FrameBufferConfig, KeptF
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import project_grasp as grasp_at
-from grasping.pipeline.settings import grasp_in_tool, overlaid, rig_configuration, settings_from
-from grasping.pipeline.tool_pose import ToolPoseConfig, tool_pose
+from grasping.pipeline.settings import overlaid, rig_configuration, settings_from
+from grasping.pipeline.tool_pose import ToolPoseConfig, grasp_in_tool, tool_pose
 from grasping.pipeline.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"

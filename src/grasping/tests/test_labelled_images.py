@@ -15,7 +15,7 @@ from common.errors import RigError
 from grasping.lab.dataset import labelled_images as li
 from grasping.lab.evaluation.trials import is_right
 from grasping.network.depth_image import Crop
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX
 
 PIXELS = st.floats(0.0, 400.0)
 RECTANGLES = st.builds(

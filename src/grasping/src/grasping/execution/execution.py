@@ -16,8 +16,7 @@ import numpy as np
 from common.config import number
 from common.rotations import rotation_angle
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
-from grasping.pipeline.settings import grasp_in_tool
-from grasping.pipeline.tool_pose import ToolPoseConfig, above, tool_pose
+from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
 
 UNABLE = ("starting", "zero", "stopped")  # modes of the arm's controller in which it follows no desired tool frame
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"

@@ -12,9 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from grasping.network.networks import WIDTH_SCALE_PX
-
 PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
+WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 

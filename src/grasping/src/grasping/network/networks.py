@@ -4,7 +4,7 @@ The layer names are those of the published files, so that those load. For the CP
 convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
 at a third of the size followed by a pixel shuffle; the outputs are the same to rounding.
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
-(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `WIDTH_SCALE_PX`.
+(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `maps.WIDTH_SCALE_PX`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from grasping.network.depth_image import NETWORK_SIDE
 MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
-WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
 
 
 class Borders(NamedTuple):

@@ -22,8 +22,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE, NetworkImage, table_depth
-from grasping.network.maps import gaussian
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX, gaussian
 
 SHRINK = 4  # pixels of the network's image, in rows and in columns, to one of the refinement network's
 SIDE = NETWORK_SIDE // SHRINK

@@ -6,7 +6,6 @@ A fingerprint of what decides whether two episodes belong together is made of `r
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, get_type_hints
@@ -16,15 +15,13 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import choice, flag, integer, number, parse_part, text
 from common.errors import ConfigError
-from common.poses import pose
-from common.rotations import rotation_about
 from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
 from grasping.network.refinement_file import Origin
 from grasping.pipeline.pipeline import PipelineSettings
 from grasping.pipeline.projection import ApproachConfig
-from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig
+from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig, grasp_in_tool
 from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
 
@@ -135,11 +132,6 @@ def sentences(settings: GgcnnSettings) -> list[str]:
         values = ", ".join(f"{f.name}={getattr(section, f.name)}" for f in dataclasses.fields(section))
         lines.append(values if name == "main" else f"{name}: {values}")
     return lines
-
-
-def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:
-    """Returns T_tool_grasp, shape (4, 4) [m], of the hand on the tool: x through its fingers."""
-    return pose(rotation_about(2, math.radians(settings.closing_angle)), settings.grip_in_tool)
 
 
 def rig_configuration(

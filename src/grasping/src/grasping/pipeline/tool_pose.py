@@ -76,6 +76,11 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
     return pose(R, T_base_grasp[:3, 3] - R @ settings.grip_in_tool)
 
 
+def grasp_in_tool(settings: ToolPoseConfig) -> np.ndarray:
+    """Returns T_tool_grasp, shape (4, 4) [m], of the hand on the tool: x through its fingers."""
+    return pose(rotation_about(2, math.radians(settings.closing_angle)), settings.grip_in_tool)
+
+
 def above(T_base_tool: np.ndarray, clearance: float) -> np.ndarray:
     """Returns the tool's pose so far before it, against its z axis: above it where it points down [m]."""
     return T_base_tool @ translation(0.0, 0.0, -clearance)

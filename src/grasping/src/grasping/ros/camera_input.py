@@ -1,4 +1,4 @@
-"""The newest depth image of a camera and the camera pose at its stamp, or why they cannot be used."""
+"""The newest depth image of a camera, or why it cannot be used."""
 
 from __future__ import annotations
 
@@ -7,18 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 import rospy
-import tf2_ros
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
 from common.camera_model import CameraModel
-from common.frames import BASE, FLANGE_MEASURED
-from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, depth_from_image
 from grasping.pipeline.settings import InputConfig
 
 BUFFER_BYTES = 2**24  # room for many images: rospy drops all but the newest only among those that it has read
-PATIENCE_S = 0.1  # the camera pose at an image's stamp may arrive this much later than the image
 
 
 class DepthImage(NamedTuple):
@@ -87,49 +83,3 @@ class DepthStream:
             size = f"{depth.shape[1]} x {depth.shape[0]}"
             return refused(f"the depth image is {size}, but its camera_info says {camera.width} x {camera.height}")
         return DepthImage(image.header, depth, camera, "")
-
-
-class PoseLookup:
-    """Looks poses up in tf, which comes through `subscribers`."""
-
-    def __init__(self) -> None:
-        self._buffer = tf2_ros.Buffer()
-        self._listener = tf2_ros.TransformListener(self._buffer)
-        self.subscribers = (self._listener.tf_sub, self._listener.tf_static_sub)
-
-    def in_base(self, frame: str, stamp: rospy.Time) -> tuple[np.ndarray | None, str]:
-        """Returns T_base_camera, shape (4, 4) [m], at a moment, or None and why it is missing or stale, a clause."""
-        try:
-            try:
-                return self.at(frame, stamp), ""
-            except tf2_ros.ExtrapolationException:
-                return self.at(frame, stamp, PATIENCE_S), ""
-        except tf2_ros.ExtrapolationException:
-            return None, f"the camera pose is stale: tf has no {frame} in {BASE} at the image's stamp"
-        except tf2_ros.TransformException:
-            return None, f"the camera pose is unknown: tf does not connect {frame} and {BASE}; calibrate the camera"
-        except ValueError as error:
-            return None, f"the camera pose in tf is invalid: {error}"
-
-    def fixed(self, parent: str, child: str) -> np.ndarray | None:
-        """Returns the pose of a frame in another one to which it is fixed, shape (4, 4) [m]; None if tf has it not."""
-        try:
-            return pose_from_transform(self._buffer.lookup_transform(parent, child, rospy.Time(0)).transform)
-        except (tf2_ros.TransformException, ValueError):
-            return None
-
-    def at(self, frame: str, stamp: rospy.Time, wait: float = 0.0) -> np.ndarray:
-        """Returns T_base_frame, shape (4, 4) [m], at a moment; waits for it, `wait` [s] at most.
-
-        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose.
-        """
-        return pose_from_transform(self._buffer.lookup_transform(BASE, frame, stamp, rospy.Duration(wait)).transform)
-
-    def flange(self, max_age: float) -> np.ndarray:
-        """Returns the newest measured T_base_flange, shape (4, 4) [m]. Raises tf2_ros.TransformException if tf does not
-        know it, ValueError if older than `max_age` [s] or not a pose.
-        """
-        found = self._buffer.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
-        if abs((rospy.Time.now() - found.header.stamp).to_sec()) > max_age:
-            raise ValueError(f"the pose of the tool is older than {max_age:g} s")
-        return pose_from_transform(found.transform)

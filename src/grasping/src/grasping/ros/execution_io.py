@@ -28,7 +28,7 @@ from grasping.execution.execution import (
     ToolGoal,
 )
 from grasping.execution.grasp_watch import HandMeasurement
-from grasping.ros.camera_input import PoseLookup
+from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 

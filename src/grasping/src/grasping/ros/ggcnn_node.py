@@ -38,7 +38,8 @@ from grasping.pipeline.projection import depth_between_fingers
 from grasping.pipeline.settings import GgcnnSettings, live_origin, overlaid, sentences, settings_from
 from grasping.pipeline.tool_pose import ASKED, Reachability
 from grasping.ros import ggcnn_messages as messages
-from grasping.ros.camera_input import DepthImage, DepthStream, PoseLookup
+from grasping.ros.camera_input import DepthImage, DepthStream
+from grasping.ros.pose_lookup import PoseLookup
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 

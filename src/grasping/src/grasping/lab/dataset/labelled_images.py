@@ -24,8 +24,7 @@ import numpy as np
 from common.errors import RigError
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import Peak
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX, Peak
 
 SCHEMA = 1
 SUFFIX = ".grasps.json"

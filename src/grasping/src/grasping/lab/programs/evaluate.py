@@ -44,7 +44,8 @@ from grasping.lab.synthetic.scene import world_xml
 from grasping.lab.synthetic.simulated_operator import points
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
-from grasping.network.networks import WIDTH_SCALE_PX, frozen, infer
+from grasping.network.maps import WIDTH_SCALE_PX
+from grasping.network.networks import frozen, infer
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 

@@ -42,8 +42,7 @@ from grasping.lab.training import refinement_examples
 from grasping.lab.training.refinement_examples import OperatorOffset
 from grasping.network import refinement_file
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, prepare
-from grasping.network.maps import Peak, peaks, smoothed
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX, Peak, peaks, smoothed
 from grasping.network.refinement import MapRefiner, RefinementNetwork
 from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.refined_grasp import refined_grasp

@@ -34,8 +34,8 @@ from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
 from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
 from grasping.pipeline.view import NoView
-from grasping.ros.camera_input import PoseLookup
 from grasping.ros.execution_io import hand_measurement
+from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
 
 EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited

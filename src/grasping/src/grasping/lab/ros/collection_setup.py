@@ -24,7 +24,8 @@ from grasping.execution.grasp_watch import GraspWatchConfig, ObservedGrasp
 from grasping.lab.dataset.episode import Metadata
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
 from grasping.network.networks import frozen
-from grasping.pipeline.settings import GgcnnSettings, grasp_in_tool, overlaid, rig_configuration, settings_from
+from grasping.pipeline.settings import GgcnnSettings, overlaid, rig_configuration, settings_from
+from grasping.pipeline.tool_pose import grasp_in_tool
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}

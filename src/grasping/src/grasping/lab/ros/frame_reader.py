@@ -13,7 +13,7 @@ from common.frames import FLANGE_MEASURED
 from common.ros.images import camera_model_from_info, depth_from_image
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand
 from grasping.lab.ros.collection_setup import CollectionSetup
-from grasping.ros.camera_input import PoseLookup
+from grasping.ros.pose_lookup import PoseLookup
 
 BUFFER_BYTES = 2**22  # room for several images: rospy drops all but the newest only among those that it has read
 NOWHERE = np.full((4, 4), np.nan)

@@ -32,7 +32,7 @@ from grasping.lab.dataset.store import encode, file_name
 from grasping.lab.ros.collection_setup import CollectionSetup, default_values, setup_from
 from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
 from grasping.pipeline.view import NoView
-from grasping.ros.camera_input import PoseLookup
+from grasping.ros.pose_lookup import PoseLookup
 from rig_msgs.msg import KukaStatus
 
 NAME = "collect_shown_grasp"

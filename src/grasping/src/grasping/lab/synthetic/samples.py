@@ -15,8 +15,7 @@ import numpy as np
 from common.poses import inverse, pose
 from grasping.lab.synthetic import labels, reflex_labels, scene, shapes
 from grasping.network import depth_image
-from grasping.network.maps import PARALLEL
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import PARALLEL, WIDTH_SCALE_PX
 
 FOCAL_PX = 570.3  # focal length of the 640 x 480 image
 BASELINE_M = 0.075  # between projector and camera, along the rows

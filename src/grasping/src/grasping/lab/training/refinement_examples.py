@@ -14,7 +14,7 @@ import torch
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import RelativeLabel, map_pixel, relative_label, tilt_and_angle
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare, table_depth
-from grasping.network.networks import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX
 from grasping.network.refinement import SHRINK, SIDE, features
 
 SAME_PLACE_M = 0.04  # an operator's grasp further from GGCNN's was not meant to be the same
