@@ -60,7 +60,11 @@ def test_files_that_were_findings_once(monkeypatch):
     packed = bytearray(gzip.compress(b"{}" * 500))
     packed[15] ^= 0xFF
     checked(TARGETS["recordings"], {})(bytes(packed))
-    for line in ("[" * 2000, '{"hands": ["x"], "pointables": [], "timestamp": 1}', '{"hands": [], "timestamp": 1}'):
+    empty = '{{"currentFrameRate": 115.3, "devices": [], "hands": [], "id": 0, "pointables": [], "timestamp": {}}}'
+    for line in (
+        *("[" * 2000, '{"hands": ["x"], "pointables": [], "timestamp": 1}', '{"hands": [], "timestamp": 1}'),
+        "\n".join(empty.format(stamp) for stamp in (1, 10**400)),
+    ):
         checked(TARGETS["recordings"], {})(line.encode())
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))

@@ -291,7 +291,12 @@ def test_close_with_unread_messages_is_bounded(start, wait_until):
 
 
 @pytest.mark.parametrize(
-    ("bad", "reason"), [({"timestamp": "x"}, "not a whole number"), ({"hands": [{}]}, "id is missing")]
+    ("bad", "reason"),
+    [
+        ({"timestamp": "x"}, "not a whole number"),
+        ({"timestamp": 10**400}, "not a whole number"),
+        ({"hands": [{}]}, "id is missing"),
+    ],
 )
 def test_a_stream_without_a_usable_frame_is_a_state_of_the_link_and_one_usable_frame_ends_it(
     start, wait_until, monkeypatch, bad, reason

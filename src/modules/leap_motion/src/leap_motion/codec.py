@@ -41,6 +41,7 @@ THREE_HANDS = '"hands": undefined'  # UltraleapTrackingWebSocket writes this for
 
 UNIT_TOLERANCE = 0.01  # how far the length of a unit vector, or a product of two axes, may be off
 LIMIT = 1e9  # numbers beyond this are not measurements; they would not fit into the fields of messages either
+WHOLE_LIMIT = 2**53  # likewise for counts, numbers of hands and microseconds, of which a float holds each
 MM = 1e-3
 KNUCKLES_M = (0.03, 0.13)  # from the index finger's knuckle to the little finger's; adults have 0.06 to 0.1
 LEAST_ACROSS = 0.3  # cosine between that line and the axis across the palm; the service's hands have 0.99
@@ -317,8 +318,8 @@ def _field(message: dict, key: str) -> Any:
 
 def _whole(message: dict, key: str) -> int:
     value = _field(message, key)
-    if isinstance(value, bool) or not isinstance(value, int):
-        raise LeapProtocolError(f"The field {key} is {str(value)[:40]!r}, not a whole number.")
+    if isinstance(value, bool) or not isinstance(value, int) or not abs(value) <= WHOLE_LIMIT:
+        raise LeapProtocolError(f"The field {key} is {str(value)[:40]!r}, not a whole number up to 2^53.")
     return value
 
 

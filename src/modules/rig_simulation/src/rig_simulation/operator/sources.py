@@ -17,6 +17,7 @@ from typing import List, Protocol, Tuple
 import numpy as np
 
 from common.errors import RigError
+from leap_motion.codec import WHOLE_LIMIT
 from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import Tracker
@@ -179,7 +180,8 @@ class Recording:
     def _check(path: Path, number: int, line: str, offset: Sequence[float]) -> tuple[int, wire.Frame]:
         try:
             frame = json.loads(line)
-            if all(isinstance(hand["id"], int) for hand in frame["hands"]) and isinstance(frame["timestamp"], int):
+            numbers = [frame["timestamp"], *(hand["id"] for hand in frame["hands"])]
+            if all(isinstance(number, int) and abs(number) <= WHOLE_LIMIT for number in numbers):
                 moved = wire.shifted(frame, offset)
                 return frame["timestamp"], wire.frame_from(moved if any(offset) else frame)
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
