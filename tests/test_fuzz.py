@@ -31,6 +31,7 @@ FOUND = [
     ("control_port", b'{"do": "fault", "name": {}, "on": true, "value": 0.3}'),
     ("control_port", b'{"do": "fault", "name": "slow", "value": 1' + b"0" * 400 + b"}"),
     ("control_port", b'{"do": "fault", "name": "slow", "duration": 1' + b"0" * 400 + b"}"),
+    ("control_port", b"[" * 2000),
     ("yaml_files", ("tags", "- 0.0\n- 0.0\n")),
     ("yaml_files", ("obstacles", "post: {kind: box, position: [1, 2, " + 400 * "9" + "]}\n")),
     ("yaml_files", ("camera", "camera_matrix: {data: [" + 8 * "0, " + 400 * "9" + "]}\n")),
@@ -51,7 +52,7 @@ def test_nothing_is_found(name):
     assert found is None, f"{found[1]}: {found[0]!r}; caused by {found[1].__cause__!r}"
 
 
-@pytest.mark.parametrize(("name", "given"), FOUND)
+@pytest.mark.parametrize(("name", "given"), FOUND, ids=[f"{name}-{number}" for number, (name, _) in enumerate(FOUND)])
 def test_what_was_found_once_stays_mended(name, given):
     checked(TARGETS[name], {})(given)
 

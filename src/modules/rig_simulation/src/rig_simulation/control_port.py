@@ -98,7 +98,7 @@ class ControlPort(contextlib.AbstractContextManager):
     def _answer(self, line: bytes) -> bytes:
         try:
             request = json.loads(line.decode("utf-8"), parse_constant=_refuse_constant)
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             return _refusal(f"The request is not JSON: {error}.")
         if not isinstance(request, dict) or not isinstance(request.get("do"), str):
             return _refusal('The request must be a JSON object whose "do" is a string.')
@@ -169,7 +169,7 @@ class ControlClient(contextlib.AbstractContextManager):
             if not line:
                 raise EOFError("the connection was closed")
             return json.loads(line.decode("utf-8"))
-        except (OSError, EOFError, ValueError) as error:
+        except (OSError, EOFError, ValueError, RecursionError) as error:
             self._disconnect()
             kind = PortClosedError if isinstance(error, ConnectionRefusedError) else DeviceError
             raise kind(f"The control port {self._name} does not answer: {error}.") from None

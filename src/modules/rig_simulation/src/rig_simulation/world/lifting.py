@@ -185,7 +185,7 @@ def read(path: Path) -> list[dict[str, Any]]:
             _check(scene)
     except OSError as error:
         raise RigError(f"{path} cannot be read: {error.strerror}.") from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         reason = " ".join(str(error).split())
         raise RigError(f"{path} is not a file of grasps ({reason}); make it again by evaluate_grasps.py.") from None
     if not content["scenes"]:

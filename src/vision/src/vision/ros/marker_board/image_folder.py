@@ -67,7 +67,7 @@ def read_images(folder: Path) -> BoardImageSet:
         entries, plate = list(index["pictures"]), float(max(index["panel"]["size"]))
         rgb, depth = from_calibration(index["rgb"]), from_calibration(index["depth"])
         return BoardImageSet(folder, entries, plate, rgb, depth, check_pose(index["T_rgb_depth"]))
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         fault = f"{folder / INDEX} does not describe images: {type(error).__name__}: {error}."
         raise DeviceError(f"{fault} Fill the folder with rosrun rig_simulation panel_pictures.py.") from None
 
