@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from typing import Any
 
 import roslaunch
@@ -20,7 +21,7 @@ def prefixes(package: str, file: str, *arguments: str) -> list[str]:
 def command_line(package: str, file: str, node: str, *arguments: str) -> list[str]:
     """Returns the words that a node gets."""
     (found,) = (one for one in _config(package, file, arguments).nodes if one.name == node)
-    return found.args.split()
+    return shlex.split(found.args)
 
 
 def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:

@@ -12,6 +12,19 @@ import pytest
 
 pytestmark = pytest.mark.ros
 
+
+@pytest.fixture
+def start(processes, tmp_path):
+    """Starts a program, given its text."""
+
+    def run(text):
+        file = tmp_path / "program.py"
+        file.write_text(text)
+        return processes.start(sys.executable, str(file))
+
+    return run
+
+
 PUBLISHING = """
 import os, signal, sys
 import rospy
@@ -37,11 +50,11 @@ run("talker", main)
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_node_that_is_interrupted_while_it_publishes_ends(ros, processes, wait_until, name):
+def test_a_node_that_is_interrupted_while_it_publishes_ends(ros, start, wait_until, name):
     from std_msgs.msg import String
 
     ros.record("chatter", String)
-    process = processes.start(sys.executable, "-c", PUBLISHING.format(signal=int(getattr(signal, name))))
+    process = start(PUBLISHING.format(signal=int(getattr(signal, name))))
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     log = process.log_path.read_text()
     assert process.returncode == 0 and "Traceback" not in log, log
@@ -68,9 +81,9 @@ run("starter", rospy.spin)
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("method", ["getParam", "registerService"])
-def test_a_node_that_is_interrupted_while_it_starts_ends(ros, processes, wait_until, name, method):
+def test_a_node_that_is_interrupted_while_it_starts_ends(ros, start, wait_until, name, method):
     number = int(getattr(signal, name))
-    process = processes.start(sys.executable, "-c", STARTING.format(signal=number, method=method))
+    process = start(STARTING.format(signal=number, method=method))
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     log = process.log_path.read_text()
     assert process.returncode in (0, 1) and "Traceback" not in log, log
@@ -99,8 +112,8 @@ run("threads", main)
 """
 
 
-def test_only_a_socket_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, processes, wait_until):
-    process = processes.start(sys.executable, "-c", THREADS)
+def test_only_a_socket_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, start, wait_until):
+    process = start(THREADS)
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     log = process.log_path.read_text()
     assert "late" not in log and all(word in log for word in ("early", "other", "full", "defect")), log
@@ -133,8 +146,8 @@ run("listener", main)
 """
 
 
-def test_a_topic_that_is_closed_leaves_no_open_file(ros, processes, wait_until):
-    process = processes.start(sys.executable, "-c", TOPICS)
+def test_a_topic_that_is_closed_leaves_no_open_file(ros, start, wait_until):
+    process = start(TOPICS)
     wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
     log = process.log_path.read_text()
     left = int(log.partition("left: ")[2].split()[0])
@@ -169,9 +182,9 @@ run("worker", main)
 """
 
 
-def test_the_threads_of_a_node_share_one_heap(ros, processes, wait_until, tmp_path):
+def test_the_threads_of_a_node_share_one_heap(ros, start, wait_until, tmp_path):
     found = tmp_path / "heaps.xml"
-    process = processes.start(sys.executable, "-c", HEAPS.format(path=found))
+    process = start(HEAPS.format(path=found))
     wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
     assert found.read_text().count("<heap nr=") == 1, process.log_path.read_text()
 
@@ -282,13 +295,13 @@ run("twin", main)
 """
 
 
-def test_of_two_nodes_with_one_name_the_newer_one_stays(ros, processes, wait_until):
+def test_of_two_nodes_with_one_name_the_newer_one_stays(ros, start, wait_until):
     """What the older one logs at its end is no reason for the master to end the newer one."""
     import rospy
 
     twins = []
     for number in (1, 2):
-        twins.append(processes.start(sys.executable, "-c", LEAVING))
+        twins.append(start(LEAVING))
         wait_until(lambda number=number: rospy.get_param("/started", 0) == number, 20.0, "the node")
     older, newer = twins
     wait_until(lambda: older.poll() is not None, 20.0, "the end of the older one")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from table_scene import CAMERA, depth_picture, looking_at
 
 from common.config import parse
@@ -451,23 +450,21 @@ def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, cal
     import rospy
 
     from grasp_msgs.msg import GraspList
+    from tools import launched
 
     changes = tmp_path / "changes.yaml"
     changes.write_text("peaks: {threshold: 0.95}\n")
 
-    def ask(*question, node=False):
-        launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
-        arguments = (*question, *launch, *(["node:=true"] if node else []))
-        return subprocess.run(["roslaunch", *arguments], check=True, capture_output=True, text=True).stdout
-
-    command = ask("--args", "/ggcnn", node=True)
+    launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
+    question = ("roslaunch", "--args", "/ggcnn", *launch, "node:=true")
+    command = subprocess.run(question, check=True, capture_output=True, text=True).stdout
     assert "/behind.sh 10 " in command and "/ggcnn.py " in command
-    parameters = [yaml.safe_load(ask("--dump-params", node=node)) for node in (False, True)]
-    own = [{name: value for name, value in one.items() if name.startswith("/ggcnn/")} for one in parameters]
+    beside, inside = (launched.parameters(*launch, *more) for more in ((), ("node:=true",)))
+    own = [{name: value for name, value in one.items() if name.startswith("/ggcnn/")} for one in (beside, inside)]
     assert own[0] == own[1] and own[0]
 
-    assert "/ggcnn" not in ask("--nodes").split()
-    for name, value in yaml.safe_load(ask("--dump-params")).items():
+    assert "/ggcnn" not in launched.nodes(*launch)
+    for name, value in beside.items():
         rospy.set_param(name, value)
     lists = ros.record("ggcnn/out/grasps", GraspList)
     start(ros)

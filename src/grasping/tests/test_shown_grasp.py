@@ -23,6 +23,7 @@ from grasping.network.maps import Peak
 
 OPTICS = Optics(CAMERA, CROP, CAMERA)
 LONG_S = 60.0
+PROGRAM = ("rosrun", "grasping", "collect_shown_grasp.py", "cup", "--view", "camera", "--folder")
 
 
 def frame(stamp):
@@ -106,9 +107,8 @@ class Program:
     """The program with a keyboard, what it printed so far, and its folder."""
 
     def __init__(self, folder, *arguments):
-        command = ["rosrun", "grasping", "collect_shown_grasp.py", "cup", "--folder", str(folder), "--view", "camera"]
         self.process = subprocess.Popen(
-            [*command, *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+            [*PROGRAM, str(folder), *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
         )
         self.folder, self._read = folder, b""
         threading.Thread(target=self._loop, daemon=True).start()
@@ -201,19 +201,27 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     assert len({episode.metadata.fingerprint for episode in made}) == 1
 
 
-@pytest.mark.ros
-def test_a_count_out_of_range_and_a_missing_master_are_one_sentence_each(program, monkeypatch):
-    one = program("--maps", "0")
-    assert one.process.wait(LONG_S) == 2 and "--maps is 0 and must be 1 to 10000." in one.said
-    monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:9")
-    one = program()
-    assert one.process.wait(LONG_S) == 1 and "does not answer" in one.said and "Traceback" not in one.said
+@pytest.fixture
+def without_keyboard(ros, processes, tmp_path):
+    """A function that starts the program without a keyboard, in the environment with these changes."""
+    import rospy
+
+    rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
+    return lambda *arguments, **env: processes.start(*PROGRAM, str(tmp_path / "grasps"), *arguments, env=env)
 
 
 @pytest.mark.ros
-def test_without_a_keyboard_it_says_so(program, rig, arm, wait_until):
-    one = program("--maps", "1")
-    one.process.stdin.close()
+def test_a_count_out_of_range_and_a_missing_master_are_one_sentence_each(without_keyboard):
+    one = without_keyboard("--maps", "0")
+    assert one.wait(LONG_S) == 2 and "--maps is 0 and must be 1 to 10000." in one.log_path.read_text()
+    one = without_keyboard(ROS_MASTER_URI="http://localhost:9")
+    assert one.wait(LONG_S) == 1
+    assert "does not answer" in one.log_path.read_text() and "Traceback" not in one.log_path.read_text()
+
+
+@pytest.mark.ros
+def test_without_a_keyboard_it_says_so(without_keyboard, rig, arm, tmp_path):
+    one = without_keyboard("--maps", "1")
     arm("home")
-    assert one.process.wait(LONG_S) == 1, one.said
-    assert "there is no keyboard" in one.said and not one.files()
+    assert one.wait(LONG_S) == 1, one.log_path.read_text()
+    assert "there is no keyboard" in one.log_path.read_text() and not [*(tmp_path / "grasps").glob("*.npz")]

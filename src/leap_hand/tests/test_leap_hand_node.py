@@ -1,7 +1,6 @@
 """The node leap_hand_node on a master of its own, with hands made by hand and a driver that only listens."""
 
 import math
-import subprocess
 import threading
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -357,6 +356,7 @@ def test_the_wizard_stores_a_hand_that_the_launch_file_loads(ros, tracker, wait_
     import rospy
 
     from rig_msgs.msg import KukaStatus
+    from tools import launched
 
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
@@ -372,8 +372,7 @@ def test_the_wizard_stores_a_hand_that_the_launch_file_loads(ros, tracker, wait_
     assert process.wait(20.0) == 0
     stored = yaml.safe_load((tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml").read_text())
     assert stored["thumb_human"] == pytest.approx([77.5, 32.5], abs=0.2)
-    command = ["roslaunch", "--dump-params", "leap_hand", "leap_hand.launch"]
-    params = yaml.safe_load(subprocess.run([*command, "operator:=anna"], capture_output=True, check=True).stdout)
+    params = launched.parameters("leap_hand", "leap_hand.launch", "operator:=anna")
     assert params["/leap_hand/thumb_human"] == stored["thumb_human"]
     assert params["/leap_hand/thumb_robot"] == LIMITS["thumb_robot"] and params["/leap_hand_node/operator"] == "anna"
     unknown = ros.run("leap_hand", "hand_wizard.py", "--check", "bob")

@@ -159,17 +159,17 @@ def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():
 
 
 def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own():
+    from tools import launched
+
     values = parameters("tracker:=webcam")
     assert values["/leap/min_confidence"] > parameters()["/leap/min_confidence"]
     assert parameters("tracker:=webcam", "sim:=false")["/leap/min_confidence"] < values["/leap/min_confidence"]
     assert values["/operator/leapd_port"] == 0 and "/leapd" in nodes("tracker:=webcam")
-    for arguments, wanted in (
-        (("camera_device:=/dev/video2", "gui:=false"), ("--headless", "--camera /dev/video2")),
-        (
-            ("video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7"),
-            ("--video /a b.mp4", "--setup above", "--port 7"),
-        ),
-    ):
-        command = ["roslaunch", "--args", "/leapd", "leap_rig", "demo.launch", "tracker:=webcam", *arguments]
-        line = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
-        assert "webcam_leapd.py" in line and all(part in line for part in wanted)
+    of_a_camera = ("leapd", "tracker:=webcam", "camera_device:=/dev/video2", "gui:=false")
+    line = " ".join(launched.command_line("leap_rig", "demo.launch", *of_a_camera))
+    assert "--headless" in line and "--camera /dev/video2" in line
+    of_a_film = ("tracker:=webcam", "video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7")
+    command = ["roslaunch", "--args", "/leapd", "leap_rig", "demo.launch", *of_a_film]
+    line = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
+    assert "webcam_leapd.py" in line
+    assert all(part in line for part in ("--video /a b.mp4", "--setup above", "--port 7"))
