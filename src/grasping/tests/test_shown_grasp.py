@@ -191,7 +191,8 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     rig.say("/leap_kuka/stream", stream(True))
     rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z)])
     one.enter()
-    assert one.process.wait(LONG_S) == 0, one.said
+    wait_until(lambda: one.process.poll() is not None, LONG_S, "the end of the program")
+    assert one.process.returncode == 0, one.said
     made = [decode(file.read_bytes()) for file in one.files()]
     assert len(made) == 15 and "15 poses of cup with 3 maps" in one.said
     for episode in made:

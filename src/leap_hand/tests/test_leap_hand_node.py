@@ -179,6 +179,13 @@ def tracker(ros):
     tracker.end()
 
 
+@pytest.fixture
+def arm(ros):
+    arm = ArmReports()
+    yield arm
+    arm.end()
+
+
 def newest(driver):
     return np.array(driver.commands[-1].radian_commands) if driver.commands else np.full(4, np.nan)
 
@@ -234,7 +241,7 @@ def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker, wait_until):
     flag.unregister()
 
 
-def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept(ros, driver, tracker, wait_until):
+def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept(ros, driver, tracker, arm, wait_until):
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import Bool
@@ -245,7 +252,6 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
 
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
-    arm = ArmReports()
     rospy.set_param("leap_hand", {**LIMITS, "grip_hold": 3.0})
     flag.publish(True)
     tracker.show(make_hand(20.0))
@@ -263,7 +269,6 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
     assert "the grip is kept for 3 s" in process.log_path.read_text()
     assert int(status()[2]["grips_kept"]) >= 1  # again where a busy machine lets no frames come for a moment
     flag.unregister()
-    arm.end()
 
 
 def test_a_silent_tracker_opens_the_hand(ros, driver, tracker, wait_until):
