@@ -47,6 +47,7 @@ class ArmTrace:
             speeds [rad/s], speed of the tool point [m/s], shape (16,).
         events: what its controller received besides goals and questions, and said of itself, as (time, text).
         pauses: when this process did not run or the arm did not answer for more than 0.1 s, as (end, duration) [s].
+        heard: when the arm last answered [s].
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -56,6 +57,7 @@ class ArmTrace:
         self.events: list[tuple[float, str]] = []
         self.pauses: list[tuple[float, float]] = []
         self.now: Sample | None = None
+        self.heard = time.monotonic()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -84,15 +86,15 @@ class ArmTrace:
         self._client.close()
 
     def _run(self) -> None:
-        seen, told, asked = 0.0, 0.0, time.monotonic()
+        seen, told = 0.0, 0.0
         while not self._stop.wait(PERIOD_S):
             try:
                 answer = self._client.ask("trace", since=seen)
             except DeviceError:
                 continue
-            before, asked = asked, time.monotonic()
-            if asked - before > PAUSE_S:
-                self.pauses.append((asked, asked - before))
+            before, self.heard = self.heard, time.monotonic()
+            if self.heard - before > PAUSE_S:
+                self.pauses.append((self.heard, self.heard - before))
             self.now = _sample(answer)
             seen = self.now.time
             self.samples.append(self.now)

@@ -5,7 +5,8 @@ Pure: the evidence comes in, the findings go out. Times are monotonic seconds, o
 The reactions, as the arm shows them from the fault until the operator acts:
 
 - H: the arm decelerates within its limits and stays until the fault has ended.
-- D: it leaves servo mode and does not come back by itself; it stays where it is, or goes home by a planned motion.
+- D: the controller leaves servo mode and does not come back by itself; the arm stays where it is, or goes home by a
+  planned motion: it does not turn back on its way, and stands at the end.
 - S: servo mode is left by its command.
 - L: the mode is `stopped` and the arm stays, until the operator acts.
 - R: the input is refused with its reason, and moves nothing.
@@ -30,6 +31,10 @@ RESTS_S = 0.12  # an arm that follows a swaying hand is at rest for less where i
 MOVED_S = 1.0  # an arm that holds has moved at most so long before the fault [s]
 STAYS = 5e-3  # and it stays if no joint moves farther than this [rad]
 MOVED_BY_INPUT = 2e-3  # what a refused input may move a joint [rad]
+LEAVES_S = 1.0  # an arm that leaves a hand has come to rest after this time, and then goes home if it does [s]
+TURNS_BACK = 0.03  # a planned motion turns no joint back by more; a controller that starts tries its servo mode [rad]
+STANDS = 0.05  # at the end no joint is faster than this [rad/s]
+WATCHED_S = 2.0  # the arm was last heard at most so long before the end [s]
 MAX_PAUSE_S = 0.3  # after a longer pause of the watch a time that is too long says nothing [s]
 
 
@@ -68,13 +73,15 @@ class Evidence:
 
     `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's speed [m/s]; the arm
     stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended, when the operator
-    acted, and when the watch ended. `pauses`: of the watch, as (end, duration) [s]. `doubts`: conditions of the row
-    that were not met, perhaps because this machine paused.
+    acted, and when the watch ended. `heard`: when the arm last answered, as without steps it stands, or nobody looks.
+    `pauses`: of the watch, as (end, duration) [s]. `doubts`: conditions of the row that were not met, perhaps because
+    this machine paused.
     """
 
     steps: np.ndarray
     fault: float
     end: float
+    heard: float
     mended: float | None = None
     operator: float | None = None
     said: list[tuple[float, str, str]] = field(default_factory=list)
@@ -142,6 +149,8 @@ def judge(expected: Expected, seen: Evidence) -> Verdict:
         by_itself = [mode for when, mode, _ in seen.statuses if seen.fault + expected.within < when < until]
         if set(by_itself) & set(FOLLOWING):
             verdict.faults.append("it followed again without the operator")
+    if seen.end - seen.heard > WATCHED_S:
+        verdict.faults.append(f"the arm was not seen for the last {seen.end - seen.heard:.1f} s")
     verdict.faults += [f"died: {name}" for name in seen.died]
     verdict.faults += [f"{what}: {detail}" if detail else what for what, good, detail in seen.checks if not good]
     excused = seen.doubts + (late if _paused(seen, verdict.reaction_s or 0.0) else [])
@@ -208,7 +217,22 @@ def _disengage(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[f
         return None, "the controller never left servo mode"
     if any(mode in FOLLOWING for when, mode in later if when > out):
         return None, "the arm followed again without the operator"
+    # So far the controller's word; the arm's own is where it went, and the hand goes on to sway.
+    left = after[(after[:, 0] > out + LEAVES_S) & (after[:, 0] < _until(seen))]
+    back = _turned_back(left[:, 1:8])
+    if back > TURNS_BACK:
+        return None, f"the arm turned back by {back:.3f} rad after the controller had left servo mode"
+    if np.any(np.abs(left[left[:, 0] > _until(seen) - LAG_S, 8:15][-1:]) > STANDS):
+        return None, "the arm still moved at the end"
     return out, ""
+
+
+def _turned_back(q: np.ndarray) -> float:
+    """Returns by how much a joint went back on the way it came, at most, with q of shape (n, 7) [rad]."""
+    if not len(q):
+        return 0.0
+    down, up = np.maximum.accumulate(q) - q, q - np.minimum.accumulate(q)
+    return float(np.max(np.minimum(np.max(down, axis=0), np.max(up, axis=0))))
 
 
 def _leave_servo(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:

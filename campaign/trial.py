@@ -256,6 +256,7 @@ class Trial:
             steps=steps,
             fault=self._fault or now,
             end=now,
+            heard=arm.heard,
             mended=self._mended,
             operator=self._operator,
             said=list(self.rig.said),
@@ -276,6 +277,8 @@ def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
         entry.provoke(trial)
     except (pytest.fail.Exception, AssertionError) as failure:
         trial.check(str(getattr(failure, "msg", failure)).strip(), False)
+    if trial._fault is None:
+        trial.check("the row provoked nothing", False)
     died = [name for name, pid in before.items() if name not in trial.killed and not runs(pid)]
     seen = trial.evidence(died)
     if traces is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,6 +47,14 @@ def stops(rate=8.0, speed=0.3, delay=0.0):
     return arm((delay, 0.0), (speed / rate, -rate), speed=speed)
 
 
+def sways(amplitude):
+    """Returns the steps of an arm whose joint 1 sways for ever by so much either way [rad], in 2 s."""
+    t = np.arange(-0.5, 8.0, 1e-3)
+    q, v = np.zeros((2, len(t), 7))
+    q[:, 0], v[:, 0] = amplitude * np.sin(np.pi * t), amplitude * np.pi * np.cos(np.pi * t)
+    return np.column_stack([FAULT + t, q, v, np.abs(v[:, 0])])
+
+
 def statuses(*changes):
     """Returns a status every 0.1 s; `changes`: (time after the fault [s], mode)."""
     found = []
@@ -56,7 +65,7 @@ def statuses(*changes):
 
 
 def seen(**fields):
-    return Evidence(**{"steps": stops(), "fault": FAULT, "end": FAULT + 8.0, **fields})
+    return Evidence(**{"steps": stops(), "fault": FAULT, "end": FAULT + 8.0, "heard": FAULT + 8.0, **fields})
 
 
 def verdict(expected, **fields):
@@ -120,6 +129,21 @@ class TestDisengage:
     def test_otherwise_fails(self, changes, fault):
         found = verdict(self.expected, statuses=statuses(*changes))
         assert found.result == "failed" and any(fault in text for text in found.faults)
+
+    @pytest.mark.parametrize(
+        ("steps", "fault"),
+        [(lambda: sways(0.1), "turned back by 0.2"), (lambda: arm((8.0, 0.0)), "still moved at the end")],
+        ids=["follows a hand that sways", "goes on and on"],
+    )
+    def test_an_arm_that_does_not_do_what_its_controller_says_fails(self, steps, fault):
+        found = verdict(self.expected, steps=steps(), statuses=statuses((0.4, "returning"), (3.0, "home")))
+        assert found.result == "failed" and any(fault in text for text in found.faults), found.faults
+
+    def test_the_way_home_and_the_trial_of_servo_mode_pass(self):
+        home = arm((0.0375, -8.0), (1.5, 0.0), (0.3, -1.0), (1.5, 0.0), (0.3, 1.0))  # first on, then all the way back
+        for steps in (home, sways(0.014)):
+            found = verdict(self.expected, steps=steps, statuses=statuses((0.4, "returning"), (4.0, "home")))
+            assert found.result == "passed", found.faults
 
     def test_the_operator_may_engage_again(self):
         changes = statuses((0.4, "home"), (4.0, "servo"))
@@ -265,6 +289,11 @@ def dash(limit, late):
     return np.array(steps)
 
 
+def test_an_arm_that_nobody_watched_to_the_end_fails():
+    found = verdict(Expected("H", within=0.5), heard=FAULT + 5.0)
+    assert found.faults == ["the arm was not seen for the last 3.0 s"]
+
+
 def test_servo_mode_is_left_by_its_command():
     expected = Expected("S", within=1.0)
     assert verdict(expected, events=[(FAULT + 0.3, "received stopDirectServoJoints")]).result == "passed"
@@ -319,7 +348,7 @@ class TestRows:
         from campaign.trial import Trial
 
         def trial(pauses):
-            arm = SimpleNamespace(steps=stops(delay=0.8).tolist(), events=[], pauses=pauses)
+            arm = SimpleNamespace(steps=stops(delay=0.8).tolist(), events=[], pauses=pauses, heard=time.monotonic())
             found = Trial(SimpleNamespace(arm=arm, said=[], statuses=statuses()))
             found.begins(FAULT)
             found.part("held", Expected("H", within=0.5))
@@ -329,6 +358,16 @@ class TestRows:
         late = "held: H: only after 0.84 s, expected within 0.5 s"
         assert (trial([]).result, trial([]).faults) == ("failed", [late])
         assert (trial([(FAULT + 0.6, 0.5)]).result, trial([(FAULT + 0.6, 0.5)]).faults) == ("slow", [late])
+
+    def test_a_row_that_provokes_nothing_fails(self):
+        from campaign import trial
+
+        arm = SimpleNamespace(steps=[], events=[], pauses=[], heard=time.monotonic())
+        rig = SimpleNamespace(arm=arm, said=[], statuses=[], pids=dict)
+        entry = trial.Row(99, "nothing", Expected("", 1.0), lambda row: row.check("fine", True))
+        assert trial.run(rig, entry).faults == ["the row provoked nothing"]
+        begins = dataclasses.replace(entry, provoke=lambda row: row.begins())
+        assert trial.run(rig, begins).result == "passed"
 
     def test_rows_are_chosen_by_numbers_ranges_and_danger(self):
         from campaign import run

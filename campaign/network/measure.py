@@ -36,7 +36,7 @@ def run_cell(rig, cell: Cell) -> CellResult:
     after_pids = rig.pids()
     died = [name for name, pid in before.items() if after_pids.get(name) != pid]
     expected = Expected("", 1.0, limits=Limits.of_the_drives())  # which hurry behind each late goal
-    verdict = judge(expected, Evidence(steps=steps, fault=began, end=time.monotonic(), died=died))
+    verdict = judge(expected, Evidence(steps, began, time.monotonic(), rig.arm.heard, died=died))
     stops = rig.arm.now.stops - stops
     faults = verdict.faults
     if stops:
