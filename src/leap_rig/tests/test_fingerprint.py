@@ -2,10 +2,16 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import yaml
 
+from common.config import parse
+from common.poses import translation
+from kuka_control.limits.line_plan import plan_line
+from kuka_control.loop.algorithms import line_limits
 from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.rig import Rig
 from leap_rig.recording.fingerprint import GROUPS, KNOWN, LEFT_OUT, differences, fingerprint
 
 CONFIG = "src/kuka_control/config"
@@ -62,6 +68,26 @@ def test_every_parameter_is_compared_or_left_out_on_purpose():
     fields = {field.name for schema in (RealTimeConfig, PtpConfig) for field in dataclasses.fields(schema)}
     assert fields >= KNOWN
     assert fields - KNOWN == LEFT_OUT == {
-        "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "elbow_preference", "rate_joints",
-        "rate_state", "rate_servo", "servo_law", "joints_thresh",
+        "ip", "port", "time_out", "home_pos", "use_home_pos", "named_positions", "rate_joints", "rate_state",
+        "rate_servo", "servo_law", "joints_thresh",
     }  # fmt: skip
+
+
+def test_no_parameter_that_is_left_out_moves_a_joint_elsewhere_on_a_recorded_path(kuka):
+    """The tool's path alone does not say where the elbow goes."""
+    others = {
+        "ip": "10.0.0.1", "port": 30002, "time_out": 0.5, "named_positions": "/another.yaml", "rate_joints": 50.0,
+        "rate_state": 10.0, "rate_servo": 100.0, "servo_law": "lts", "use_home_pos": True,
+        "home_pos": [-30.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0], "elbow_preference": 60.0,
+    }  # fmt: skip
+
+    def path(**changes):
+        config = parse(RealTimeConfig, {**kuka, **changes}, "kuka/")
+        limits = line_limits(config, Rig.of(config, None, None))
+        q = Rig.of(parse(RealTimeConfig, kuka, "kuka/")).home.q
+        T = translation(0.0, 0.1, 0.05) @ limits.kinematics.forward(q)
+        return np.array(plan_line(limits, q, T, 0.1).path)
+
+    moved = {key for key, value in others.items() if not np.array_equal(path(**{key: value}), path())}
+    assert moved == {"elbow_preference"} and others.keys() == (LEFT_OUT | moved) - {"joints_thresh"}
+    assert moved <= KNOWN

@@ -19,6 +19,7 @@ LIMITS = (
     *("opening_angle", "z_lower_limit", "z_upper_limit", "inner_sphere_limit", "outer_sphere_limit"),
     *("joint_speed", "tcp_speed", "joint_acceleration", "joint_jerk", "velocity_ptp_slow", "velocity_ptp_fast"),
     *("velocity_ptp", "shaping", "collision_guard", "guard_margin", "guard_obstacles", "allow_contact"),
+    "elbow_preference",
 )
 GROUPS = {"model": MODEL, "tool": TOOL, "mounting": MOUNTING, "limits": LIMITS}
 FILES = ("dh_parameters", "guard_obstacles")  # compared by what is in them
@@ -80,4 +81,4 @@ def _plain(value: Any) -> Any:
 KNOWN = frozenset(key for keys in GROUPS.values() for key in keys)
 """All keys of a fingerprint."""
 LEFT_OUT = frozenset(field.name for schema in (RealTimeConfig, PtpConfig) for field in fields(schema)) - KNOWN
-"""Parameters that change neither the arm nor where and how fast it may move: address, rates, time-outs, home."""
+"""Parameters that change neither the arm, nor where it goes on a recorded path, nor how fast: address, rates, home."""
