@@ -113,6 +113,15 @@ def test_a_killed_recording_keeps_every_flushed_chunk_wherever_its_file_ends(tmp
     assert "not completed" in verify(tmp_path / "run")[1]
 
 
+def test_a_killed_recording_says_what_was_dropped_before_each_chunk_it_keeps(tmp_path):
+    writer = writer_in(tmp_path / "run")
+    assert verify(tmp_path / "run")[0]["dropped"] == {}
+    for dropped in ({"/a": 3}, {"/a": 3, "/b": 1}):
+        writer.add(few(1)[0])
+        writer.flush(dropped)
+        assert verify(tmp_path / "run")[0]["dropped"] == dropped
+
+
 def test_a_damaged_file_never_gives_a_message_that_was_not_recorded(tmp_path):
     stored, random = few(6), Random(0)
     write(tmp_path / "run", [stored[:3], stored[3:]])

@@ -109,6 +109,19 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
     assert again.wait(20.0) == 1 and "exists already" in again.log_path.read_text()
 
 
+def test_a_slow_disk_is_told_with_the_next_chunk(tmp_path):
+    from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages, verify
+    from leap_rig.recording.ros.record_program import Inbox, _store
+
+    writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(100), MessageKind("a/B", "")
+    for rounds in (1, 2, 3):
+        inbox.put("/a", kind, bytes(60))
+        inbox.put("/a", kind, bytes(60))  # for which there is no room
+        _store(inbox, writer)
+        assert len(list(messages(tmp_path / "run" / "messages.mcap"))) == rounds
+        assert verify(tmp_path / "run")[0]["dropped"] == {"/a": rounds}
+
+
 def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
     from leap_rig.recording.recording_files import RecordingWriter
     from leap_rig.recording.ros.record_program import _files

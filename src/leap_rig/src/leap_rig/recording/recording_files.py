@@ -23,6 +23,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, BinaryIO, cast
 
 import zstandard
@@ -179,7 +180,7 @@ class RecordingWriter:
         self._topics: Counter[str] = Counter()
         hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         self._manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, **about}
-        self._manifest.update(start_ns=now, end_ns=None, complete=False, ended_by="", files=hashes)
+        self._manifest.update(start_ns=now, end_ns=None, complete=False, ended_by="", dropped={}, files=hashes)
         try:
             for name, content in files.items():
                 write_whole(folder / name, content)
@@ -201,8 +202,13 @@ class RecordingWriter:
         self._topics[message.topic] += 1
         self._sink.add(message)
 
-    def flush(self) -> None:
-        """Brings all messages so far to the disk. Raises OSError if the disk does not take them; then `close`."""
+    def flush(self, dropped: Mapping[str, int] = MappingProxyType({})) -> None:
+        """Brings all messages so far to the disk, but first how many were `dropped` among them by topic, which a reader
+        must know even of a recording that is killed. Raises OSError if the disk does not take them; then `close`.
+        """
+        if self._manifest["dropped"] != dropped:
+            self._manifest["dropped"] = dict(dropped)
+            self._write_manifest()
         self._sink.end_chunk()
         self._file.commit()
 

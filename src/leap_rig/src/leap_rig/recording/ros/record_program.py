@@ -119,7 +119,7 @@ def record(options: argparse.Namespace) -> int:
 def _store(inbox: Inbox, writer: RecordingWriter) -> None:
     for message in inbox.take():
         writer.add(message)
-    writer.flush()
+    writer.flush(dict(inbox.dropped))
 
 
 def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, folder: Path, code: int) -> int:
