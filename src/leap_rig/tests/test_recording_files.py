@@ -122,6 +122,26 @@ def test_a_killed_recording_says_what_was_dropped_before_each_chunk_it_keeps(tmp
         assert verify(tmp_path / "run")[0]["dropped"] == dropped
 
 
+def test_a_killed_recording_that_is_damaged_says_how_much_is_read(tmp_path):
+    writer = writer_in(tmp_path / "run")
+    file, ends = tmp_path / "run" / MESSAGES, []
+    assert "up to a second" in verify(tmp_path / "run")[1]
+    for first in (0, 10, 20):
+        for message in few(2, 9, first=first):
+            writer.add(message)
+        writer.flush()
+        ends.append(writer.size)
+    assert "up to a second" in verify(tmp_path / "run")[1]
+    data = bytearray(file.read_bytes())
+    data[ends[0] + 60] ^= 1
+    file.write_bytes(data)
+    assert len(list(messages(file))) == 2
+    assert f"only the first {ends[0]} of {ends[2]} bytes" in verify(tmp_path / "run")[1]
+    file.unlink()
+    with pytest.raises(RecordingFault, match=str(file)):
+        verify(tmp_path / "run")
+
+
 def test_a_damaged_file_never_gives_a_message_that_was_not_recorded(tmp_path):
     stored, random = few(6), Random(0)
     write(tmp_path / "run", [stored[:3], stored[3:]])

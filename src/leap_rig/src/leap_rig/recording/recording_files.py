@@ -278,13 +278,25 @@ def verify(folder: Path) -> tuple[dict[str, Any], str]:
         except OSError as error:
             raise RecordingFault(f"{folder / name} cannot be read: {error.strerror}.") from error
         if found != expected:
-            raise RecordingFault(f"{folder / name} was changed since it was recorded: its hash differs.")
+            raise RecordingFault(
+                f"{folder / name} was changed since it was recorded: its hash differs, so nothing of it is read; take an unchanged copy."
+            )
     if manifest.get("complete") is True and MESSAGES in manifest["files"]:
         return manifest, ""
-    return (
-        manifest,
-        f"{folder} was not completed (power, kill -9 or a full disk): up to a second is missing at its end.",
-    )
+    return manifest, f"{folder} was not completed (power, kill -9 or a full disk): {_missing(folder / MESSAGES)}."
+
+
+def _missing(path: Path) -> str:
+    """Returns what is missing of messages without a hash, whose chunks have checksums."""
+    try:
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            whole = max((file.tell() for _ in _records(file)), default=0)
+    except OSError as error:
+        raise RecordingFault(f"{path} cannot be read: {error.strerror}.") from error
+    if whole == size:
+        return "up to a second is missing at its end"
+    return f"only the first {whole} of {size} bytes of {path.name} are whole, and what comes after them is not read"
 
 
 def write_mcap(path: Path, stored: Iterable[StoredMessage], attachments: Mapping[str, bytes]) -> int:
@@ -369,7 +381,7 @@ class _Capped:
 
 
 def _records(file: BinaryIO) -> Iterator[Any]:
-    """Yields the records of the chunks, up to the first chunk that is not whole."""
+    """Yields the records of the file and of its chunks, up to the first that is not whole."""
     try:
         for record in StreamReader(cast(Any, _Capped(file)), emit_chunks=True).records:
             if isinstance(record, Chunk):
@@ -378,6 +390,8 @@ def _records(file: BinaryIO) -> Iterator[Any]:
                 yield from breakup_chunk(record, validate_crc=True)
             elif isinstance(record, Footer):
                 return
+            else:
+                yield record
     except (McapError, ValueError, struct.error, zstandard.ZstdError, OSError, MemoryError, OverflowError):
         return
 
