@@ -19,6 +19,7 @@ from grasping.network import weights
 from kst.client import KstClient
 from kst.codec import KstLineSplitter
 from leap_motion import codec as leap_codec
+from leap_motion.headset import hand_stream
 from leap_rig.recording import recording_files
 from reflex import codec as reflex_codec
 from rig_simulation.faults import injection
@@ -97,6 +98,11 @@ PLANTED = {
     "the length of a datagram is not checked": ("reflex_datagrams", reflex_codec, "STATE_BYTES", 198),
     "a damaged file of a run ends its reader": (
         "runs", recording_files, "_records", lambda file: StreamReader(file).records),
+    "bytes that are no message raise another error": (
+        "human_bytes", "leap_motion.ros.tracking.ReceivedHuman", "deserialize",
+        lambda self, data: (self._read_usual(data), self)[1]),
+    "a headset's error is the library's": (
+        "headset_messages", hand_stream, "_number", lambda value: type(value) is float and math.log(value) < 9.0),
     "a fault's number may be anything": ("control_port", injection, "is_number", lambda value: True),
 }  # fmt: skip
 
@@ -108,7 +114,10 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     name, place, attribute, wrong = PLANTED[fault]
     target = TARGETS[name]
     inputs = target.inputs()
-    monkeypatch.setattr(place, attribute, wrong)
+    if isinstance(place, str):  # of a module that needs ROS
+        monkeypatch.setattr(f"{place}.{attribute}", wrong)
+    else:
+        monkeypatch.setattr(place, attribute, wrong)
     assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
 
 

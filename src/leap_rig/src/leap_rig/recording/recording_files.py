@@ -279,7 +279,8 @@ def verify(folder: Path) -> tuple[dict[str, Any], str]:
             raise RecordingFault(f"{folder / name} cannot be read: {error.strerror}.") from error
         if found != expected:
             raise RecordingFault(
-                f"{folder / name} was changed since it was recorded: its hash differs, so nothing of it is read; take an unchanged copy."
+                f"{folder / name} was changed since it was recorded: its hash differs, so nothing of it is read. "
+                "Take an unchanged copy."
             )
     if manifest.get("complete") is True and MESSAGES in manifest["files"]:
         return manifest, ""
