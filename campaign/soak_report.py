@@ -29,6 +29,7 @@ BOUNDS = {
     "log": (100.0, "MiB", "a laboratory day then fills 1 GiB of the disk"),
 }
 """The largest growth an hour of each measure, its unit, and why."""
+WORKS_H = 0.15  # so long after the start the arm has followed a hand, and a device has failed [h]
 OF_A_PROCESS = ("rss", "pss", "threads", "sockets", "files")
 
 
@@ -36,14 +37,16 @@ def read(path: Path) -> list[dict]:
     """Returns the records of a run; a line that kill -9 cut off is left out. RigError: the file is not of a run."""
     records = []
     for line in path.read_bytes().splitlines():
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, RecursionError):
             records.append(json.loads(line))
     try:
-        if any(len(values) for values, _ in series(records).values()):
+        times = [float(record["t"]) for record in records if "processes" in record]
+        if times and np.all(np.diff(times) > 0.0):
+            judge(records)
             return records
-    except (AttributeError, KeyError, TypeError, ValueError):
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError):
         pass
-    raise RigError(f"{path} holds no samples of an endurance run.")
+    raise RigError(f"{path} holds no samples of an endurance run, or was changed since: judge its data as written.")
 
 
 def series(records: list[dict]) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
@@ -62,25 +65,32 @@ def series(records: list[dict]) -> dict[tuple[str, str], tuple[np.ndarray, np.nd
 
 def judge(records: list[dict]) -> dict:
     """Returns the judgement: a row for each process and measure, the findings, and what happened."""
-    rows = []
+    rows, idle = [], []
     for (name, measure), (hours, values) in series(records).items():
         found = growth(hours, values)
-        if found is not None:
+        if found is None:
+            idle += [f"{name}: {measure} was never measured"] * (not np.isfinite(values).any())
+        else:
             bound = BOUNDS[measure][0] * (3 if (name, measure) == ("rig", "pss") else 1)
             rows.append({
                 "process": name, "measure": measure, **found._asdict(), "bound": bound, "verdict": found.verdict(bound),
             })  # fmt: skip
     samples = [r for r in records if "processes" in r]
     faults = [r["fault"].rsplit(" ", 2)[0] for r in records if "fault" in r]
+    hours = samples[-1]["t"] / 3600.0
+    streams, servo, per_s = samples[-1]["streams"], samples[-1]["servo"], float(np.mean([r["goals"] for r in samples]))
+    # A rig that does nothing grows nowhere.
+    idle += ["the arm followed no hand"] * (hours > WORKS_H and not (streams and servo and per_s))
+    idle += ["no fault was provoked"] * (hours > WORKS_H and not faults)
     return {
-        "hours": samples[-1]["t"] / 3600.0 if samples else 0.0,
-        "streams": samples[-1]["streams"] if samples else 0,
-        "servo": samples[-1]["servo"] if samples else 0,
-        "goals": float(np.mean([r["goals"] for r in samples]) * samples[-1]["t"]) if samples else 0.0,
+        "hours": hours,
+        "streams": streams,
+        "servo": servo,
+        "goals": per_s * samples[-1]["t"],
         "faults": len(faults),
         "different_faults": len(set(faults)),
         "listeners": sum("listener" in r for r in records),
-        "findings": [f"{r['t']:.0f} s: {r['finding']}" for r in records if "finding" in r],
+        "findings": [*idle, *(f"{r['t']:.0f} s: {r['finding']}" for r in records if "finding" in r)],
         "rows": rows,
     }
 

@@ -56,6 +56,61 @@ def test_values_that_are_missing_do_not_count_and_too_few_are_no_judgement(seed,
     assert growth(HOURS, np.full(len(HOURS), np.nan)) is None
 
 
+def sample(t, **changes):
+    """Returns a record of a rig that works, and one of a fault."""
+    process = {"pid": 5, "rss": 80.0, "pss": 70.0, "threads": 12, "sockets": 7, "files": 20, "cpu": 3.0}
+    works = {"delay": {"p50": 3.0}, "goals": 100.0, "streams": 3, "servo": 3, "mode": "servo", "log": 2.0}
+    return {"t": t, "processes": {"leap_driver.py": {**process, **changes.pop("process", {})}}, **works, **changes}
+
+
+def judged(tmp_path, records):
+    path = tmp_path / "soak.jsonl"
+    path.write_text("".join(json.dumps(record) + "\n" for record in records))
+    return soak.main(["--judge", str(path)])
+
+
+FAULT = {"t": 60.0, "fault": "arm slow 2.0 s"}
+TIMES = HOURS * 3600.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"streams": 0, "servo": 0, "goals": 0.0}, "followed no hand"),
+        ({"goals": 0.0}, "followed no hand"),
+        ({"delay": {}}, "delay was never measured"),
+        ({"process": {"rss": float("nan")}}, "leap_driver.py: rss was never measured"),
+    ],
+)
+def test_a_rig_that_does_nothing_is_not_called_steady(tmp_path, capsys, changes, said):
+    assert judged(tmp_path, [FAULT, *(sample(t, **changes) for t in TIMES)]) == 1
+    assert said in capsys.readouterr().out
+    assert judged(tmp_path, [FAULT, *(sample(t) for t in TIMES)]) == 0
+    assert judged(tmp_path, [sample(t) for t in TIMES]) == 1 and "no fault" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda records: [{k: v for k, v in r.items() if k != "streams"} for r in records],
+        lambda records: [*records, {"t": 1.0, "fault": 3}],
+        lambda records: [*records, {"finding": "x"}],
+        lambda records: [{**r, "goals": None} for r in records],
+        lambda records: [{**r, "processes": {"a": {"rss": 10**400}}} for r in records],
+        lambda records: [sample(t, process={"rss": 10**400}) for t in TIMES],
+        lambda records: [sample(t, process={"rss": "x"}) for t in TIMES],
+        lambda records: [{**r, "t": 5.0} for r in records],
+        lambda records: records[::-1],
+        lambda records: ["[" * 10**5],
+        lambda records: [],
+    ],
+)
+def test_a_damaged_file_is_refused_in_a_sentence(tmp_path, capsys, damage):
+    assert judged(tmp_path, damage([sample(t) for t in TIMES])) == 2
+    assert "holds no samples" in capsys.readouterr().err
+    assert not (tmp_path / "soak.json").exists()
+
+
 @pytest.mark.parametrize("leak", [0.0, 40.0])
 def test_a_run_is_judged_from_its_file_even_if_its_last_line_was_cut_off(tmp_path, capsys, leak):
     path, rng = tmp_path / "soak.jsonl", np.random.default_rng(0)
