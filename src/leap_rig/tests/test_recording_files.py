@@ -335,7 +335,35 @@ def test_nothing_starts_on_a_disk_without_the_reserve(tmp_path, monkeypatch):
 
     monkeypatch.setattr(files.os, "posix_fallocate", no_room)
     with pytest.raises(RecordingFault, match="No space"):
-        writer_in(tmp_path / "run")
+        writer_in(tmp_path / "run", a=b"1")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("left", [0, 100, 3000])
+def test_a_full_disk_leaves_no_part_of_an_export(tmp_path, left):
+    def full():
+        yield from few(20, 300)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (left, limits[1]))
+        yield from few(9000, 300)
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        with pytest.raises(RecordingFault, match="cannot be written: File too large"):
+            write_mcap(tmp_path / "whole.mcap", full(), {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_export_without_a_message_is_refused_and_one_that_exists_stays(tmp_path):
+    with pytest.raises(RecordingFault, match="no message"):
+        write_mcap(tmp_path / "none.mcap", [], {})
+    (tmp_path / "there.mcap").write_bytes(b"mine")
+    with pytest.raises(RecordingFault, match="exists"):
+        write_mcap(tmp_path / "there.mcap", few(1), {})
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [b"mine"]
 
 
 @pytest.mark.parametrize(("start", "end"), [(5.0, 5.0), (5.0, 1.0), (float("nan"), 5.0), (0.0, float("nan"))])

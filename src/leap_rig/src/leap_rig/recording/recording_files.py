@@ -11,11 +11,13 @@ a power cut, loses what came after. The manifest is replaced as a whole, so ther
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
 import os
 import re
+import shutil
 import stat
 import struct
 import tempfile
@@ -189,6 +191,7 @@ class RecordingWriter:
             os.posix_fallocate(self._spare.fileno(), 0, reserve)
             self._file = _Pending(folder / MESSAGES)
         except OSError as error:
+            shutil.rmtree(folder, ignore_errors=True)  # it was made here; the name is free again
             raise RecordingFault(f"Nothing can be recorded in {folder}: {error.strerror}.") from error
         self._sink = McapSink(self._file, UNBOUNDED)
 
@@ -301,22 +304,36 @@ def _missing(path: Path) -> str:
 
 
 def write_mcap(path: Path, stored: Iterable[StoredMessage], attachments: Mapping[str, bytes]) -> int:
-    """Writes messages and files into one MCAP file and returns the number of messages; RecordingFault: it exists, or
-    the disk does not take it.
+    """Writes messages and files into one MCAP file and returns the number of messages; RecordingFault: it exists, the
+    disk does not take it, or there is no message.
     """
     count = 0
+    with new_file(path) as file:
+        sink = McapSink(file, CHUNK_BYTES)
+        for name, content in attachments.items():
+            sink.attach(0, 0, name, "application/json" if name.endswith(".json") else "application/yaml", content)
+        for message in stored:
+            sink.add(message)
+            count += 1
+        sink.finish()
+        if not count:
+            raise RecordingFault(f"There is no message on these topics in this time, so {path} is not written.")
+    return count
+
+
+@contextlib.contextmanager
+def new_file(path: Path) -> Iterator[BinaryIO]:
+    """Opens a file for writing that must not exist, and removes it where that fails; RecordingFault for an OSError."""
     try:
         with open(path, "xb") as file:
-            sink = McapSink(file, CHUNK_BYTES)
-            for name, content in attachments.items():
-                sink.attach(0, 0, name, "application/json" if name.endswith(".json") else "application/yaml", content)
-            for message in stored:
-                sink.add(message)
-                count += 1
-            sink.finish()
+            try:
+                yield file
+                file.flush()
+            except Exception:
+                path.unlink()
+                raise
     except OSError as error:
         raise RecordingFault(f"{path} cannot be written: {error.strerror}.") from error
-    return count
 
 
 def is_stored_name(name: str) -> bool:

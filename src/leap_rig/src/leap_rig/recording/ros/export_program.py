@@ -15,8 +15,17 @@ import rospy
 import common.errors
 from common.ros.node import run_program
 from leap_rig.recording import lerobot_export, topics
-from leap_rig.recording.recording_files import MANIFEST, MESSAGES, RecordingFault, folder_of, verify, write_mcap
+from leap_rig.recording.recording_files import (
+    MANIFEST,
+    MESSAGES,
+    RecordingFault,
+    folder_of,
+    new_file,
+    verify,
+    write_mcap,
+)
 from leap_rig.recording.run import between, read
+from vision.ros.number_arguments import whole
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
@@ -46,8 +55,10 @@ def export(options: argparse.Namespace) -> int:
     if options.frames is not None:
         texts = read(folder, options.start, options.end).frames
         frames = [line for text in texts if '"hands"' in text and (line := _line(text)) is not None]
-        with gzip.open(options.frames, "xb") as file:
-            file.writelines(frames)
+        if not frames:
+            raise RecordingFault(f"{folder} has no tracker frames in this time, so nothing is written.")
+        with new_file(options.frames) as file, gzip.open(file, "wb") as packed:
+            packed.writelines(frames)
         print(f"Wrote {len(frames)} frames to {options.frames}.")
         return 0
     wanted = topics.recorded("rgbd") if options.topic is None else options.topic
@@ -93,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
-    parser.add_argument("--fps", type=_fps, default=30, help="rows a second of the dataset (default: 30)")
+    parser.add_argument("--fps", type=whole(1, MOST_FPS), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
     parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)
@@ -103,10 +114,3 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, in seconds")
     return parser
-
-
-def _fps(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= MOST_FPS:
-        raise argparse.ArgumentTypeError(f"{text} is not between 1 and {MOST_FPS}")
-    return value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import math
 import os
 import platform
 import signal
@@ -36,6 +37,7 @@ from leap_rig.recording.recording_files import (
 )
 from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
 from leap_rig.ros.live_status import CLEAR_LINE
+from vision.ros.number_arguments import real
 
 FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
 QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped
@@ -271,15 +273,10 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="record.py", description="Records a run of the rig; Ctrl-C ends it.")
     parser.add_argument("name", help="of the recording, in ~/.ros/leap_rig/recordings; or a path, with a slash")
     parser.add_argument("--camera", choices=CAMERA, default="off", help="images to record (default: off)")
-    parser.add_argument("--seconds", type=_seconds, help="record for so long; without it until Ctrl-C")
+    parser.add_argument(
+        "--seconds", type=real(0.0, math.inf, open_low=True), help="record for so long; without it until Ctrl-C"
+    )
     parser.add_argument("--task", default="", help="what is done, in a sentence; exports to LeRobot need it")
     parser.add_argument("--topic", nargs="*", default=[], help="further topics")
     parser.add_argument("--reserve", type=int, default=16 * 2**20, help=argparse.SUPPRESS)
     return parser
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not value > 0.0:  # nor NaN
-        raise argparse.ArgumentTypeError(f"{text} is no time")
-    return value

@@ -37,6 +37,7 @@ from leap_rig.recording.ros.record_program import file_hash
 from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
 from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
+from vision.ros.number_arguments import real, whole
 
 SLOWLY = 0.2  # rate of the first pass on the robot
 SHARE = 0.95  # of tcp_speed, for the fastest line
@@ -341,19 +342,14 @@ def _parser() -> argparse.ArgumentParser:
     how.add_argument("--view", action="store_true", help="in RViz, on a ROS master without a rig")
     how.add_argument("--tracker", action="store_true", help="as a Leap service, for leap_driver and the whole chain")
     how.add_argument("--robot", action="store_true", help="the arm's motion, first slowly; asks before each pass")
-    parser.add_argument("--rate", type=_rate, default=1.0, metavar="FACTOR", help="pace, 0.1 to 10; --robot at most 1")
+    parser.add_argument(
+        "--rate", type=real(0.1, 10.0), default=1.0, metavar="FACTOR", help="pace, 0.1 to 10; --robot at most 1"
+    )
     parser.add_argument(
         "--from", dest="start", type=float, default=0.0, metavar="S", help="begin so long after the start"
     )
     parser.add_argument(
         "--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, seconds after the start"
     )
-    parser.add_argument("--port", type=int, default=6437, help="of --tracker; 0: any free one")
+    parser.add_argument("--port", type=whole(0, 65535), default=6437, help="of --tracker; 0: any free one")
     return parser
-
-
-def _rate(text: str) -> float:
-    value = float(text)
-    if not 0.1 <= value <= 10.0:
-        raise argparse.ArgumentTypeError(f"{text} is not between 0.1 and 10")
-    return value
