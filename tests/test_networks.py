@@ -42,6 +42,14 @@ def test_no_cell_of_the_table_failed():
     assert {name: result["result"] for name, result in STORED.items()} == dict.fromkeys(STORED, "passed")
 
 
+def test_a_cell_whose_link_did_nothing_shows_nothing():
+    assert "no packet passed" in cells.unprovoked("clear", 0, 0)[0]
+    assert "lost no packet" in cells.unprovoked("loss_5", 1000, 0)[0] == cells.unprovoked("down_5", 1000, 0)[0]
+    assert not cells.unprovoked("delay_20", 1000, 0) and not cells.unprovoked("loss_1", 1000, 9)
+    for name, result in STORED.items():
+        assert not cells.unprovoked(name.partition(":")[2], result["packets"], result["lost"]), name
+
+
 def test_cells_are_chosen_by_name_wire_and_condition():
     assert [cell.number for cell in cells.chosen("arm:loss_5, leap:clear")] == ["arm:loss_5", "leap:clear"]
     assert {cell.wire for cell in cells.chosen("loss_10")} == set(cells.WIRES)

@@ -102,6 +102,8 @@ def test_what_is_safe_is_allowed(code):
 def listens(code: str) -> bool:
     """Returns whether a file binds a socket to an address, or serves WebSockets."""
     tree = ast.parse(code)
+    sockets = any(isinstance(node, ast.Import) and "socket" in {a.name for a in node.names} for node in ast.walk(tree))
+    sockets |= any(isinstance(node, ast.ImportFrom) and node.module == "socket" for node in ast.walk(tree))
     servers = {
         alias.name
         for node in ast.walk(tree)
@@ -111,10 +113,28 @@ def listens(code: str) -> bool:
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             name = dotted(node.func).rpartition(".")[2]
-            binds = name in ("bind", "bind_to") and len(node.args) == 1 and isinstance(node.args[0], ast.Tuple)
+            binds = name == "bind" and len(node.args) == 1 and (sockets or isinstance(node.args[0], ast.Tuple))
             if binds or name in servers | {"create_server", "start_server", "create_datagram_endpoint"}:
                 return True
     return False
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ('import socket\ns.bind(("127.0.0.1", 0))', True),
+        ("import socket\ns.bind(address)", True),
+        ("from socket import socket\ns.bind(self._address)", True),
+        ("self.socket.bind((host, port))", True),
+        ("from websockets.sync.server import serve\nserve(take, host, port)", True),
+        ("from http.server import HTTPServer\nHTTPServer(address, Handler)", True),
+        ("import asyncio\nasyncio.start_server(take, host, port)", True),
+        ("part.bind(self)", False),
+        ("import socket\nsocket.create_connection(address)", False),
+    ],
+)
+def test_what_listens_is_found(code, expected):
+    assert listens(code) == expected
 
 
 def test_the_table_names_every_file_that_listens():

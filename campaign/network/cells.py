@@ -41,6 +41,14 @@ class Cell:
         return SHORT_S if self.short else CELL_S
 
 
+def unprovoked(condition: str, packets: int, lost: int) -> list[str]:
+    """Returns why a cell shows nothing of its condition, in sentences; none if packets met it."""
+    loses = any(link.loss > 0.0 for _, link in CONDITIONS[condition].phases)
+    if not packets:
+        return ["no packet passed the link, so the cell shows nothing"]
+    return ["the link lost no packet, so the cell shows nothing"] if loses and not lost else []
+
+
 CELLS = {cell.number: cell for cell in (Cell(wire, condition) for wire in WIRES for condition in CONDITIONS)}
 SHORT = {cell.number: cell for cell in (Cell("arm", name, short=True) for name in ("loss_5", "freezes_300"))}
 

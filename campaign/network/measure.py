@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from campaign.judge import Evidence, Expected, Limits, judge
-from campaign.network.cells import Cell, CellResult
+from campaign.network.cells import Cell, CellResult, unprovoked
 from campaign.network.link import CLEAR, CONDITIONS
 
 ITSELF_S, OPERATOR_S = 3.0, 20.0
@@ -38,7 +38,7 @@ def run_cell(rig, cell: Cell) -> CellResult:
     expected = Expected("", 1.0, limits=Limits.of_the_drives())  # which hurry behind each late goal
     verdict = judge(expected, Evidence(steps, began, time.monotonic(), rig.arm.heard, died=died))
     stops = rig.arm.now.stops - stops
-    faults = verdict.faults
+    faults = verdict.faults + unprovoked(cell.condition, counts["packets"], counts["lost"])
     if stops:
         faults.append(f"the robot stopped itself {stops} times")
     if recovery == "none":
