@@ -74,8 +74,8 @@ class Evidence:
     `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's speed [m/s]; the arm
     stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended, when the operator
     acted, and when the watch ended. `heard`: when the arm last answered, as without steps it stands, or nobody looks.
-    `pauses`: of the watch, as (end, duration) [s]. `doubts`: conditions of the row that were not met, perhaps because
-    this machine paused.
+    `pauses`: of the watch, as (end, duration) [s]. `failed`: what the row found wrong; `doubts`: likewise, but perhaps
+    because this machine paused.
     """
 
     steps: np.ndarray
@@ -89,7 +89,7 @@ class Evidence:
     events: list[tuple[float, str]] = field(default_factory=list)
     died: list[str] = field(default_factory=list)
     pauses: list[tuple[float, float]] = field(default_factory=list)
-    checks: list[tuple[str, bool, str]] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
 
 
@@ -152,7 +152,7 @@ def judge(expected: Expected, seen: Evidence) -> Verdict:
     if seen.end - seen.heard > WATCHED_S:
         verdict.faults.append(f"the arm was not seen for the last {seen.end - seen.heard:.1f} s")
     verdict.faults += [f"died: {name}" for name in seen.died]
-    verdict.faults += [f"{what}: {detail}" if detail else what for what, good, detail in seen.checks if not good]
+    verdict.faults += seen.failed
     excused = seen.doubts + (late if _paused(seen, verdict.reaction_s or 0.0) else [])
     verdict.faults += [fault for fault in late if fault not in excused]
     if excused and not verdict.faults:

@@ -108,7 +108,7 @@ class Trial:
     _fault: float | None = None
     _mended: float | None = None
     _operator: float | None = None
-    _checks: list[tuple[str, bool, str]] = field(default_factory=list)
+    _failed: list[str] = field(default_factory=list)
     _doubts: list[str] = field(default_factory=list)
 
     def follow(self, sway: bool = True) -> None:
@@ -194,9 +194,9 @@ class Trial:
 
     def part(self, name: str, expected: Expected) -> None:
         """Judges what was seen since the fault as one of the row's parts; the next fault begins the next part."""
-        verdict = judge(expected, replace(self.evidence([]), checks=[], doubts=[]))
+        verdict = judge(expected, replace(self.evidence([]), failed=[], doubts=[]))
         for fault in verdict.faults:
-            self.check(f"{name}: {fault}", False, doubtful=verdict.result == "slow")
+            self.fail(f"{name}: {fault}", doubtful=verdict.result == "slow")
         self._fault = self._mended = self._operator = None
 
     def stays_away(self, seconds: float) -> None:
@@ -235,11 +235,16 @@ class Trial:
         rig.engage(right=-0.04)
 
     def check(self, what: str, good: bool, detail: object = "", doubtful: bool = False) -> None:
-        """Notes a condition of this row alone; a false one fails the row, a `doubtful` one makes it slow."""
-        if doubtful and not good:
-            self._doubts.append(f"{what}: {detail}" if detail else what)
-        else:
-            self._checks.append((what, bool(good), str(detail)))
+        """Notes a condition of this row alone, as a sentence of what is to be; a false one fails the row, a `doubtful`
+        one makes it slow.
+        """
+        if not good:
+            text = str(detail)
+            self.fail(f"not so: {what} ({text})" if text else f"not so: {what}", doubtful)
+
+    def fail(self, what: str, doubtful: bool = False) -> None:
+        """Notes what went wrong."""
+        (self._doubts if doubtful else self._failed).append(what)
 
     def call(self, name: str, kind: Any, *values: Any) -> Any:
         """Calls a service and takes note of its answer."""
@@ -264,7 +269,7 @@ class Trial:
             events=list(arm.events),
             died=died,
             pauses=list(arm.pauses),
-            checks=list(self._checks),
+            failed=list(self._failed),
             doubts=list(self._doubts),
         )
 
@@ -276,9 +281,9 @@ def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
     try:
         entry.provoke(trial)
     except (pytest.fail.Exception, AssertionError) as failure:
-        trial.check(str(getattr(failure, "msg", failure)).strip(), False)
+        trial.fail(str(getattr(failure, "msg", failure)).strip())
     if trial._fault is None:
-        trial.check("the row provoked nothing", False)
+        trial.fail("the row provoked nothing")
     died = [name for name, pid in before.items() if name not in trial.killed and not runs(pid)]
     seen = trial.evidence(died)
     if traces is not None:

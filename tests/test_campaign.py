@@ -303,8 +303,7 @@ def test_servo_mode_is_left_by_its_command():
 def test_deaths_and_the_conditions_of_a_row_fail_it():
     expected = Expected("H", within=0.5)
     assert verdict(expected, died=["/leap_driver"]).faults == ["died: /leap_driver"]
-    assert verdict(expected, checks=[("the hand opens", False, "0.3 rad")]).faults == ["the hand opens: 0.3 rad"]
-    assert verdict(expected, checks=[("the hand opens", True, "")]).result == "passed"
+    assert verdict(expected, failed=["not so: the hand opens"]).faults == ["not so: the hand opens"]
 
 
 def test_the_worst_of_several_joints_counts():
@@ -358,6 +357,15 @@ class TestRows:
         late = "held: H: only after 0.84 s, expected within 0.5 s"
         assert (trial([]).result, trial([]).faults) == ("failed", [late])
         assert (trial([(FAULT + 0.6, 0.5)]).result, trial([(FAULT + 0.6, 0.5)]).faults) == ("slow", [late])
+
+    def test_a_condition_is_a_sentence_of_what_is_to_be_and_said_only_if_it_is_not_so(self):
+        from campaign.trial import Trial
+
+        trial = Trial(None)
+        trial.check("the hand opens", True, "0.3 rad")
+        trial.check("the arm stands", np.bool_(False), np.zeros(2))
+        trial.check("the arm follows", False, doubtful=True)
+        assert (trial._failed, trial._doubts) == (["not so: the arm stands ([0. 0.])"], ["not so: the arm follows"])
 
     def test_a_row_that_provokes_nothing_fails(self):
         from campaign import trial

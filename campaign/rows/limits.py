@@ -73,8 +73,8 @@ def comes_back(trial, **to: float) -> None:
     desired = np.array([T[:3, 3] for T in rig.desired[since:]])
     hand = 1.875 / OUT_S * float(np.linalg.norm(desired[-1] - desired[0]))
     fastest = mean_speed(rig.arm.since(start))
-    trial.check("the tool is faster than the hand", fastest < 1.15 * hand + 0.03, f"{fastest:.3f} of {hand:.3f} m/s")
-    trial.check("the tool is not where the hand is", off(trial) < 2e-3, f"{off(trial):.4f} m, after {way:.3f} m")
+    trial.check("the tool is no faster than the hand", fastest < 1.15 * hand + 0.03, f"{fastest:.3f} of {hand:.3f} m/s")
+    trial.check("the tool is where the hand is", off(trial) < 2e-3, f"{off(trial):.4f} m, after {way:.3f} m")
 
 
 def turned(trial) -> float:
@@ -86,7 +86,7 @@ def stays_in_servo(trial) -> None:
     """Checks that the arm followed the hand all the time. Where this machine paused, a pick-up motion may catch up."""
     modes = {mode for when, mode, _ in trial.rig.statuses if when >= trial.begins()}
     caught_up = bool(trial.rig.arm.pauses) and modes <= {"pick_up", "servo"}
-    trial.check("it did not follow all the time", modes == {"servo"}, modes, doubtful=caught_up)
+    trial.check("it follows all the time", modes == {"servo"}, modes, doubtful=caught_up)
 
 
 @row(57, "Target outside workspace box", "", named_by="opening angle", limits=FOLLOWS,
@@ -101,7 +101,7 @@ def outside_the_workspace(trial):
         for bound in bounds:
             rig.wait(lambda bound=bound: bound in rig.status.limited_by, f"the bound {bound}")
         rig.settle()
-        trial.check("the hand is not far out", outside(rig.desired[-1][:3, 3]) > 0.1)
+        trial.check("the hand is far out", outside(rig.desired[-1][:3, 3]) > 0.1)
         comes_back(trial)
     # Along a side plane.
     rig.hand.glide(1.0, right=0.35)
@@ -110,12 +110,12 @@ def outside_the_workspace(trial):
     rig.hand.glide(1.0, up=0.1)
     rig.settle()
     slid = rig.arm.now.T_base_tool[2, 3] - height
-    trial.check("the tool does not slide along the bound", abs(slid - 0.1) < 5e-3, f"{slid:.3f} of 0.1 m")
+    trial.check("the tool slides along the bound", abs(slid - 0.1) < 5e-3, f"{slid:.3f} of 0.1 m")
     farthest = max(outside(sample.T_base_tool[:3, 3]) for sample in rig.arm.since(start))
-    trial.check("the tool left the workspace", farthest < BEYOND_M, f"{1e3 * farthest:.1f} mm")
+    trial.check("the tool stays in the workspace", farthest < BEYOND_M, f"{1e3 * farthest:.1f} mm")
     aimed = max(outside(T[:3, 3]) for T in rig.commanded)
-    trial.check("a goal was outside of the workspace", aimed < 1e-6, f"{1e3 * aimed:.3f} mm")
-    trial.check("the robot stopped the arm", rig.arm.now.safety_stop is None, rig.arm.now.safety_stop)
+    trial.check("all goals are in the workspace", aimed < 1e-6, f"{1e3 * aimed:.3f} mm")
+    trial.check("the robot never stops the arm", rig.arm.now.safety_stop is None, rig.arm.now.safety_stop)
     rig.wait(lambda: rig.count("kuka_control", "workspace_clips") >= clips + 3, "the clips to be counted")
     stays_in_servo(trial)
 
@@ -128,17 +128,17 @@ def workspace_changed(trial):
     rig.hand.glide(1.0, up=0.12)
     rig.settle()
     before, high = rig.arm.now.time, rig.arm.now.T_base_tool[2, 3]
-    trial.check("the tool is not above the new limit", high > 0.5, high)
+    trial.check("the tool is above the new limit", high > 0.5, high)
     trial.begins()
     kept = rig.parameters(*low)
     rig.set(**low)
     try:
         # The values at the start count: nothing moves, and the hand leads on within the old bounds.
         rig.watch(1.5)
-        trial.check("the arm moved when the limit was edited", rig.arm.way(before) < 2e-3, rig.arm.way(before))
+        trial.check("the arm stands when the limit is edited", rig.arm.way(before) < 2e-3, rig.arm.way(before))
         rig.hand.glide(1.0, up=0.05)
         rig.settle()
-        trial.check("the arm follows no more", off(trial) < 2e-3, off(trial))
+        trial.check("the arm follows on", off(trial) < 2e-3, off(trial))
         rig.hand.glide(1.0, up=0.12)
         rig.settle()
         # A controller that starts with the arm above the limit goes home, down all the way.
@@ -152,7 +152,9 @@ def workspace_changed(trial):
     with trial.controller(**low):
         heights = [sample.T_base_tool[2, 3] for sample in rig.arm.since(again)]
         up = max(np.max(heights) - heights[0], 0.0)
-        trial.check("the tool rose", heights[0] > 0.5 and up < 2e-3, f"by {1e3 * up:.1f} mm from {heights[0]:.3f} m")
+        trial.check(
+            "the tool never rises", heights[0] > 0.5 and up < 2e-3, f"by {1e3 * up:.1f} mm from {heights[0]:.3f} m"
+        )
         assert rig.control(True).success
         rig.modes.clear()
         rig.bring_hand(up=0.09)
@@ -161,7 +163,7 @@ def workspace_changed(trial):
         rig.hand.glide(1.0, up=0.3)
         rig.settle()
         highest = max(sample.T_base_tool[2, 3] for sample in rig.arm.since(within))
-        trial.check("the tool left the smaller workspace", 0.44 < highest < 0.45 + BEYOND_M, f"{highest:.3f} m")
+        trial.check("the tool stays in the smaller workspace", 0.44 < highest < 0.45 + BEYOND_M, f"{highest:.3f} m")
 
 
 @row(59, "Target out of reach (elbow straight)", "", within=3.0, named_by="out of the arm's reach", limits=FOLLOWS)
@@ -174,11 +176,11 @@ def out_of_reach(trial):
     rig.settle()
     stands = rig.arm.now.time
     rig.watch(2.0)
-    trial.check("the arm shakes", rig.arm.way(stands) < 1e-3, rig.arm.way(stands))
+    trial.check("the arm does not shake", rig.arm.way(stands) < 1e-3, rig.arm.way(stands))
     tool = rig.arm.now.T_base_tool
-    trial.check("the tool is not as far as it may be", outside(tool[:3, 3]) < BEYOND_M and tool[2, 3] > 0.595, tool)
+    trial.check("the tool is as far as it may be", outside(tool[:3, 3]) < BEYOND_M and tool[2, 3] > 0.595, tool)
     comes_back(trial)
-    trial.check("the orientation did not come back", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
+    trial.check("the orientation comes back", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
     stays_in_servo(trial)
 
 
@@ -197,7 +199,7 @@ def near_singular(trial):
     rig.hand.sway(0.7, back=-0.35)
     rig.watch(5.0)
     elbow = min(abs(sample.q[3]) for sample in rig.arm.since(start))
-    trial.check("the elbow was not nearly straight", np.degrees(elbow) < 12.0, np.degrees(elbow))
+    trial.check("the elbow is nearly straight", np.degrees(elbow) < 12.0, np.degrees(elbow))
     rig.hand.glide(0.01)
     comes_back(trial)
     stays_in_servo(trial)
@@ -217,13 +219,13 @@ def near_singular(trial):
     _, arm = checked_rig(rospy.get_param("kuka"), "kuka/")
     goal = stamped_pose(arm.kinematics.forward(AFTER_SINGULAR), BASE, rospy.Time())
     along = rig.move(kind=MoveGoal.POSE, pose=goal, straight=True, velocity=0.1)
-    trial.check("a program could not move the arm", there.success and along.success, (there.message, along.message))
+    trial.check("a program can move the arm", there.success and along.success, (there.message, along.message))
     samples = rig.arm.since(start)
     wrist = min(abs(sample.q[5]) for sample in samples)
-    trial.check("joint 6 was not near zero", wrist < np.radians(3.0), np.degrees(wrist))
+    trial.check("joint 6 is near zero", wrist < np.radians(3.0), np.degrees(wrist))
     way = samples[-1].T_base_tool[:3, 3] - begin
     beside = [np.linalg.norm(np.cross(s.T_base_tool[:3, 3] - begin, way)) / np.linalg.norm(way) for s in samples]
-    trial.check("the tool left the line", max(beside) < 5e-3, max(beside))
+    trial.check("the tool stays on the line", max(beside) < 5e-3, max(beside))
 
 
 @row(61, "Joint limit reached", "", limits=FOLLOWS)
@@ -243,19 +245,19 @@ def joint_limit(trial):
     rig.hand.glide(1.5, yaw=-30.0)
     rig.settle()
     at_limit = rig.arm.now.q
-    trial.check("joint 7 is not at its limit", at_limit[6] < np.radians(-169.0), np.degrees(at_limit[6]))
+    trial.check("joint 7 is at its limit", at_limit[6] < np.radians(-169.0), np.degrees(at_limit[6]))
     rig.hand.glide(1.0, right=0.05)
     rig.settle()
-    trial.check("the other joints stop, too", off(trial) < 2e-3, off(trial))
-    trial.check("the tool is not as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
-    trial.check("the elbow stays", abs(at_limit[2]) > np.radians(5.0), np.degrees(at_limit[2]))
+    trial.check("the other joints go on", off(trial) < 2e-3, off(trial))
+    trial.check("the tool is as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
+    trial.check("the elbow gives way", abs(at_limit[2]) > np.radians(5.0), np.degrees(at_limit[2]))
     rig.hand.glide(1.5, yaw=0.0)
     rig.settle()
     trial.check(
-        "joint 7 stays at its limit", rig.arm.now.q[6] > at_limit[6] + np.radians(5.0), np.degrees(rig.arm.now.q)
+        "joint 7 comes away from its limit", rig.arm.now.q[6] > at_limit[6] + np.radians(5.0), np.degrees(rig.arm.now.q)
     )
     beyond = max(np.max(np.abs(sample.q) - RANGES) for sample in rig.arm.since(start))
-    trial.check("a joint left its range", beyond < 0.0, np.degrees(beyond))
+    trial.check("the joints stay in their ranges", beyond < 0.0, np.degrees(beyond))
     stays_in_servo(trial)
 
 
@@ -300,10 +302,10 @@ def _press_against(trial) -> None:
         rig.settle()
         if not number:
             trial.ends()
-        trial.check(f"the hand is not beyond the {name}", off(trial) > 0.02, off(trial))
+        trial.check(f"the hand is beyond the {name}", off(trial) > 0.02, off(trial))
         near = min((guard.nearest_at(s.q.tolist()) for s in rig.arm.since(start)[::4]), key=lambda pair: pair.distance)
-        trial.check(f"another body than the {name} was met", near.pair[1] == name, near)
-        trial.check("it came too near", near.distance > config.guard_margin - SLACK_M, near)
+        trial.check(f"the {name} is what is met", near.pair[1] == name, near)
+        trial.check("it keeps its distance", near.distance > config.guard_margin - SLACK_M, near)
         comes_back(trial)
     stays_in_servo(trial)
     # A motion for a program into its own links.
@@ -311,8 +313,8 @@ def _press_against(trial) -> None:
     rig.wait_for_modes("servo", "home")
     start = rig.arm.now.time
     result = rig.move(kind=MoveGoal.JOINTS, joints=INTO_ITSELF.tolist())
-    trial.check("the arm would run into itself", not result.success and "finger" in result.message, result.message)
-    trial.check("the arm moved", rig.arm.way(start) < 1e-3, rig.arm.way(start))
+    trial.check("the arm does not run into itself", not result.success and "finger" in result.message, result.message)
+    trial.check("the arm stands", rig.arm.way(start) < 1e-3, rig.arm.way(start))
 
 
 @row(63, "IK fails or flips branch", "H", within=4.0, named_by="The arm keeps its joints", limits=FOLLOWS)
@@ -331,10 +333,10 @@ def no_solution(trial):
     held = rig.arm.now.time
     rig.hand.glide(0.5, up=0.3)
     rig.settle()
-    trial.check("the arm does not hold", rig.arm.way(held) < 5e-3, rig.arm.way(held))
+    trial.check("the arm holds", rig.arm.way(held) < 5e-3, rig.arm.way(held))
     trial.ends()
     comes_back(trial, yaw=0.0, pitch=0.0, roll=0.0)
-    trial.check("the tool is not as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
+    trial.check("the tool is as the hand asks", turned(trial) < np.radians(0.5), np.degrees(turned(trial)))
     branches = {tuple(np.sign(sample.q[[1, 3, 5]])) for sample in rig.arm.since(start)}
-    trial.check("the arm folded otherwise", branches == {tuple(branch)}, branches)
+    trial.check("the arm stays folded as it was", branches == {tuple(branch)}, branches)
     stays_in_servo(trial)

@@ -23,9 +23,9 @@ def motion_while_following(trial):
     trial.follow()
     trial.begins()
     result = rig.move(program, kind=MoveGoal.NAMED, name="home")
-    trial.check("it moved for a program while it followed", not result.success, result.message)
+    trial.check("it moves for no program while it follows", not result.success, result.message)
     rig.watch(0.5)
-    trial.check("it no longer follows", rig.mode == "servo", rig.mode)
+    trial.check("it follows on", rig.mode == "servo", rig.mode)
     # And a hand that comes while a program moves the arm.
     rig.hand.hide()
     rig.wait_for_modes("servo", "home")
@@ -35,16 +35,14 @@ def motion_while_following(trial):
     rig.wait_for_mode("moving")
     rig.hand.show(right=0.05)
     refused = rig.move(another, kind=MoveGoal.NAMED, name="home")
-    trial.check("two programs at once", not refused.success and "has not ended" in refused.message, refused.message)
+    trial.check("no two programs at once", not refused.success and "has not ended" in refused.message, refused.message)
     result = rig.moved(program)
-    trial.check(
-        "the motion did not end", result.success and np.allclose(rig.arm.now.q, AWAY, atol=2e-3), result.message
-    )
+    trial.check("the motion ends", result.success and np.allclose(rig.arm.now.q, AWAY, atol=2e-3), result.message)
     rig.wait(lambda: rig.stream_state == "running", "the stream of the hand", 15.0)
     there = rig.arm.now.time
     rig.watch(1.5)
-    trial.check("the hand took the arm over unasked", rig.arm.way(there) < 2e-3, rig.arm.way(there))
-    trial.check("nothing was said", "began to move" in rig.status.reason or rig.mode == "holding", rig.status.reason)
+    trial.check("the hand takes nothing over unasked", rig.arm.way(there) < 2e-3, rig.arm.way(there))
+    trial.check("the reason is said", "began to move" in rig.status.reason or rig.mode == "holding", rig.status.reason)
     trial.operator()
     rig.modes.clear()
     rig.hand.hide()
@@ -67,9 +65,9 @@ def end_of_motion_is_not_reported(trial):
     named = time.monotonic() - there
     rig.wait_for_mode("stopped")
     latched = time.monotonic() - there
-    trial.check("it was not named before it was latched", 0.8 < named < latched - 1.0, f"{named:.1f}, {latched:.1f} s")
+    trial.check("it is named before it is latched", 0.8 < named < latched - 1.0, f"{named:.1f}, {latched:.1f} s")
     result = rig.moved(program)
-    trial.check("the program was told that it ended well", not result.success, result.message)
+    trial.check("the program is told that it ended badly", not result.success, result.message)
     rig.hand.show()
     trial.stays_away(1.5)
     trial.mend("arm", "unfinished")
@@ -92,10 +90,10 @@ def cancelled(trial):
     program.cancel_goal()
     at = rig.arm.now.T_base_tool[2, 3]
     result = rig.moved(program)
-    trial.check("it is not cancelled", program.get_state() == GoalStatus.PREEMPTED, program.get_state())
+    trial.check("it is cancelled", program.get_state() == GoalStatus.PREEMPTED, program.get_state())
     rig.wait_for_mode("holding")
     ran_on = rig.arm.now.T_base_tool[2, 3] - at
-    trial.check("the line did not brake", ran_on < 0.06 and not result.success, f"{ran_on:.3f} m, {result.message}")
+    trial.check("the line brakes", ran_on < 0.06 and not result.success, f"{ran_on:.3f} m, {result.message}")
     # Nothing stops a point-to-point motion: it ends at its goal, and says so.
     program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist()))
     rig.wait_for_mode("moving")
@@ -103,8 +101,8 @@ def cancelled(trial):
     program.cancel_goal()
     trial.says("point-to-point motion cannot be stopped")
     result = rig.moved(program)
-    trial.check("the answer came before the arm stood", np.allclose(rig.arm.now.q, AWAY, atol=2e-3), rig.arm.now.q)
-    trial.check("the cancel is not mentioned", "It was cancelled on the way" in result.message, result.message)
+    trial.check("the answer comes when the arm stands", np.allclose(rig.arm.now.q, AWAY, atol=2e-3), rig.arm.now.q)
+    trial.check("the cancel is mentioned", "It was cancelled on the way" in result.message, result.message)
     # Control off: at its goal the arm goes home, and the program hears of it.
     program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=np.radians([-70.0, 35, 0, -70, 0, 75, 20]).tolist()))
     rig.wait_for_mode("moving")
@@ -113,4 +111,4 @@ def cancelled(trial):
     assert rig.control(False).success
     result = rig.moved(program)
     rig.wait_for_modes("returning", "home")
-    trial.check("it stays away although control is off", np.linalg.norm(rig.arm.now.T_base_tool - home) < 0.01)
+    trial.check("it goes home when control is off", np.linalg.norm(rig.arm.now.T_base_tool - home) < 0.01)
