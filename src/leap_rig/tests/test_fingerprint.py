@@ -12,7 +12,7 @@ from kuka_control.limits.line_plan import plan_line
 from kuka_control.loop.algorithms import line_limits
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.rig import Rig
-from leap_rig.recording.fingerprint import GROUPS, KNOWN, LEFT_OUT, differences, fingerprint
+from leap_rig.recording.fingerprint import GROUPS, KNOWN, LEFT_OUT, address, differences, fingerprint, moved_away
 
 CONFIG = "src/kuka_control/config"
 OTHER = {"robot": "LBR14R820", "flange": "MF_touch_pneumatisch", "shaping": "none"}
@@ -56,6 +56,14 @@ def test_another_robot_and_another_calibration_differ(kuka):
     two = [fingerprint({**kuka, "dh_parameters": "/file"}, lambda _: next(contents)) for _ in range(2)]
     (line,) = differences(*two)
     assert "hash 1" in line and "hash 2" in line
+
+
+def test_a_robot_at_another_address_is_said(kuka):
+    here = {**kuka, "ip": "172.31.1.147", "port": 30001}
+    assert not moved_away({"address": address(here)}, here)
+    for there in ({"address": "127.0.0.1:30001"}, {"address": "172.31.1.147:30002"}, {}):
+        sentence = moved_away(there, here)
+        assert "172.31.1.147:30001" in sentence and there.get("address", "nothing") in sentence
 
 
 @pytest.mark.parametrize("recorded", [None, {}, {"model": {}}, [], {"model": []}])

@@ -54,9 +54,11 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_unti
 
     # From where the arm is, nothing moves without a yes, nor with other limits than those of the recording.
     before = goals()
-    for answers in ("", "no\n"):
+    for answers, port in (("", robot.port), ("no\n", 1)):
+        rospy.set_param("kuka/port", port)
         ended = replay(answers)
         assert ended.returncode == 1, ended.stderr
+        assert ("what stands around this arm may differ" in ended.stdout) == (port == 1)
     rospy.set_param("kuka/tcp_speed", 0.1)
     assert "tcp_speed" in replay("yes\n").stderr and goals() == before
     rospy.set_param("kuka/tcp_speed", run.manifest["robot"]["limits"]["tcp_speed"])

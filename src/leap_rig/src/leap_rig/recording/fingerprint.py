@@ -60,6 +60,21 @@ def differences(recorded: object, here: Mapping[str, Mapping[str, Any]]) -> list
     return lines
 
 
+def address(kuka: Mapping[str, Any]) -> str:
+    """Returns where the robot's controller is by the parameters under `kuka/`: host and port."""
+    return f"{kuka.get('ip', '')}:{kuka.get('port', '')}"
+
+
+def moved_away(recorded: Mapping[str, Any], kuka: Mapping[str, Any]) -> str:
+    """Returns a sentence if the recording is of a robot at another address, such as a simulated one; else ""."""
+    there, here = recorded.get("address", NOTHING), address(kuka)
+    if there == here:
+        return ""
+    return (
+        f"It was recorded on the robot at {there}, and this one is at {here}: what stands around this arm may differ."
+    )
+
+
 def controller_config(kuka: object) -> ControllerConfig | None:
     """Returns the configuration that the parameters under `kuka/` describe; None if they are not valid."""
     if not isinstance(kuka, Mapping):

@@ -26,7 +26,7 @@ from common.errors import RigError
 from common.ros.node import run_program
 from kuka_control.ros.parameter_server import master_of_this_graph
 from leap_motion.ros.registrations import registration_file
-from leap_rig.recording.fingerprint import fingerprint
+from leap_rig.recording.fingerprint import address, fingerprint
 from leap_rig.recording.recording_files import (
     PARAMETERS,
     MessageKind,
@@ -191,7 +191,7 @@ def _absolute(topic: str) -> str:
 def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
     kuka = parameters.get("kuka", {})
     kuka = kuka if isinstance(kuka, dict) else {}
-    robot = {"address": f"{kuka.get('ip', '')}:{kuka.get('port', '')}", **fingerprint(kuka, file_hash)}
+    robot = {"address": address(kuka), **fingerprint(kuka, file_hash)}
     return {
         "name": folder_of(options.name).name,
         "task": options.task,

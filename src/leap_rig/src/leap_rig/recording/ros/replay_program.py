@@ -31,7 +31,7 @@ from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, ma
 from kuka_msgs.msg import MoveGoal
 from leap_motion.codec import DeviceEvent, LeapProtocolError, read_message
 from leap_motion.service.server import LeapService, LeapServiceError
-from leap_rig.recording.fingerprint import controller_config, differences, fingerprint
+from leap_rig.recording.fingerprint import controller_config, differences, fingerprint, moved_away
 from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, folder_of, verify
 from leap_rig.recording.ros.record_program import file_hash
 from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
@@ -296,6 +296,8 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
         raise RecordingFault(f"{folder} has no goals of a moving arm in this time.")
     rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
     print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
+    if elsewhere := moved_away(manifest["robot"], values):
+        print(elsewhere)
     for rate in sorted({min(SLOWLY, options.rate), min(options.rate, 1.0)}):
         goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest, usual)]
         print(
