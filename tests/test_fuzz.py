@@ -12,7 +12,7 @@ import pytest
 from mcap.stream_reader import StreamReader
 
 from common import config
-from fuzz.run import checked, run_batch
+from fuzz.run import checked, fuzz, run_batch
 from fuzz.targets import TARGETS
 from grasping.lab.dataset import store
 from grasping.network import weights
@@ -119,6 +119,14 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     else:
         monkeypatch.setattr(place, attribute, wrong)
     assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
+
+
+def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
+    results: dict[str, dict] = {}
+    fuzz(["kst_answers", "no such target"], 0.4, 0, tmp_path, results)
+    assert results["kst_answers"]["examples"] > 0 and not results["kst_answers"]["findings"]
+    assert results["no such target"]["findings"] == [f"the process died, see {tmp_path / 'no such target-died.txt'}"]
+    assert "KeyError" in (tmp_path / "no such target-died.txt").read_text()
 
 
 @pytest.mark.ros
