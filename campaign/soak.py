@@ -378,7 +378,7 @@ class Soak:
 
     def _sample(self, rig: Rig, ears: Ears, operator: Operator, seconds: float) -> None:
         before, goals = time.monotonic(), ears.goals
-        rig.processes(1.0)
+        rig.died(rig.processes(1.0))
         self._began = before
         operator.start()
         for i in itertools.count(1):

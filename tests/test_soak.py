@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,6 +132,18 @@ def test_a_run_is_judged_from_its_file_even_if_its_last_line_was_cut_off(tmp_pat
     with open(path, "a") as file:
         file.write("\n" + json.dumps({"t": 7201, "finding": "leapd.py has ended"}) + "\n")
     assert soak.main(["--judge", str(path)]) == 1 and "leapd.py has ended" in capsys.readouterr().out
+
+
+def test_a_node_that_ends_before_the_first_sample_is_a_finding(tmp_path, monkeypatch):
+    monkeypatch.setattr(soak, "SAMPLE_S", 0.01)
+    process = {"pid": 5, "pss": 1.0, "cpu": 1.0}
+    seen = iter([{"a": process, "b": process}, {"a": process}])
+    rig = soak.Rig.__new__(soak.Rig)
+    rig._nodes, rig.log_folder, rig.processes = None, tmp_path, lambda seconds: next(seen)
+    ears = SimpleNamespace(goals=0, streams=0, servo=0, mode="home", delay=dict)
+    run = soak.Soak(tmp_path / "soak.jsonl")
+    run._sample(rig, ears, SimpleNamespace(start=lambda: None, doing=""), 0.0)
+    assert run.findings == ["b has ended"]
 
 
 def test_the_measures_of_this_process_are_plausible():
