@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from pathlib import Path
@@ -30,5 +31,16 @@ def story(seen: dict) -> list[str]:
     return [f"{when - fault:8.3f} {text}" for when, text in sorted(lines)]
 
 
+def main(argv: list[str] | None = None) -> None:
+    """Tells the story of a file."""
+    parser = argparse.ArgumentParser(prog="python -m campaign.story", description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path, help="row_N.json of a folder that run --traces wrote")
+    file = parser.parse_args(argv).file
+    try:
+        print("\n".join(story(json.loads(file.read_text()))))
+    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+        sys.exit(f"story: {file} is no trace of a row ({error}); python -m campaign.run --traces FOLDER writes them.")
+
+
 if __name__ == "__main__":
-    print("\n".join(story(json.loads(Path(sys.argv[1]).read_text()))))
+    main()

@@ -396,6 +396,26 @@ class TestRows:
         )
 
 
+@pytest.mark.parametrize("content", [None, "", "[1]", "{}", '{"fault": 1.0, "steps": [1]}', "\xff"])
+def test_what_is_no_trace_has_no_story(tmp_path, content):
+    from campaign import story
+
+    file = tmp_path / "row_1.json"
+    if content is not None:
+        file.write_text(content, encoding="latin-1")
+    with pytest.raises(SystemExit, match="is no trace of a row"):
+        story.main([str(file)])
+
+
+def test_a_trace_has_a_story(tmp_path, capsys):
+    from campaign import story
+
+    file = tmp_path / "row_1.json"
+    file.write_text(json.dumps({**vars(seen(statuses=statuses((0.4, "home")))), "steps": stops().tolist()}))
+    story.main([str(file)])
+    assert "mode home, control on" in capsys.readouterr().out
+
+
 def test_what_a_message_says_of_the_run_alone_is_left_out():
     said = f"log: \x1b[31m[ERROR] [1795450883.424379]: {page.ROOT}/devel/lib/a.py and /tmp/pytest-1/b.log ended"
     assert (
