@@ -1,7 +1,8 @@
 """What is stored of a trace, and how another one is compared with it.
 
-Numbers are stored as the means of blocks of samples, so every sample counts although few numbers are stored. Events are
-stored as text, all of them.
+Numbers are stored as the weighted means of blocks of samples, so every sample counts although few numbers are stored.
+The weights are the square roots of primes, of which no sum with whole factors is zero: goals that are exchanged, or
+that tremble about the old ones, have another mean. Events are stored as text, all of them.
 
 Two machines agree to 1e-13 in all that is compared, except in the goals of one recording. Products of matrices differ
 in the last digit between processors (BLAS kernels, fused multiplication). Ruckig's search for roots, and the search for
@@ -20,6 +21,7 @@ from golden.chain import CYCLE_S, Trace
 
 FOLDER = Path(__file__).parent / "stored"
 BLOCK = {"tools": 5, "hands": 5, "goals": 10}  # samples in a block
+WEIGHTS = np.sqrt([17, 5, 23, 13, 3, 19, 29, 2, 11, 7])  # of the samples in a block, by their places; neighbours differ
 TOLERANCE = {"tools": 1e-9, "hands": 1e-9, "goals": 1e-9}  # m and no unit, rad, rad
 ALONG_BOUNDS = {**TOLERANCE, "goals": 1e-7}
 TOLERANCES = {"confidence-74fps": ALONG_BOUNDS}  # of recordings, where it is not TOLERANCE
@@ -33,8 +35,8 @@ NAMES = {
 
 @dataclass(frozen=True)
 class Stored:
-    """The means of blocks by kind, shape (n, SHAPE[kind]), NaN where a block has no sample; counts of samples that are
-    there, shape (n,); the times of the frames' blocks, shape (n,) [s]; and the events.
+    """The weighted means of blocks by kind, shape (n, SHAPE[kind]), NaN where a block has no sample; counts of samples
+    that are there, by kind, shape (n,); and the events.
     """
 
     means: dict[str, np.ndarray]
@@ -63,12 +65,17 @@ def stored(trace: Trace) -> Stored:
     for kind, size in BLOCK.items():
         samples = np.array(getattr(trace, kind)).reshape(-1, SHAPE[kind])
         blocks = [samples[i : i + size] for i in range(0, len(samples), size)]
-        there = [block[np.isfinite(block[:, 0])] for block in blocks]
-        counts[kind] = np.array([len(block) for block in there], dtype=np.uint8)
-        means[kind] = np.array(
-            [block.mean(axis=0) if len(block) else np.full(SHAPE[kind], np.nan) for block in there]
-        ).reshape(-1, SHAPE[kind])
+        there = [np.isfinite(block[:, 0]) for block in blocks]
+        counts[kind] = np.array([np.sum(given) for given in there], dtype=np.uint8)
+        means[kind] = np.array([_mean(block, given) for block, given in zip(blocks, there)]).reshape(-1, SHAPE[kind])
     return Stored(means, counts, tuple(trace.events))
+
+
+def _mean(block: np.ndarray, given: np.ndarray) -> np.ndarray:
+    """Returns the weighted mean of the samples of a block that are `given`, NaN if none is."""
+    if not given.any():
+        return np.full(block.shape[1], np.nan)
+    return np.average(block[given], axis=0, weights=WEIGHTS[: len(block)][given])
 
 
 def differing(kind: str, old: Stored, new: Stored, tolerance: dict[str, float] = TOLERANCE) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from golden import stored as stored_module
 from golden.chain import PureChain, Trace, World
 from golden.runs import RUNS, Missing
 from golden.stored import FOLDER, TOLERANCE, TOLERANCES, Stored, differences, stored
@@ -59,6 +60,32 @@ def test_one_sample_that_differs_or_is_missing_is_noticed(kind):
     assert kind in differences(old, stored(trace))[0]
 
 
+@pytest.mark.parametrize("kind", ["tools", "hands", "goals"])
+@pytest.mark.parametrize(
+    "pattern",
+    [(1, -1), (1, -2, 1), (1, -1, -1, 1), (1, 0, -1), (1, -1, 1, -1), (2, -1, -1)],
+    ids=["one step", "a kick", "a step and back", "two apart", "trembling", "uneven"],
+)
+def test_changes_that_cancel_each_other_within_a_block_are_noticed(kind, pattern):
+    """Goals that tremble would shake an arm although their plain mean is as before."""
+    size, first = stored_module.SHAPE[kind], stored_module.BLOCK[kind]
+    trace = Trace(**{kind: [np.zeros(size) for _ in range(3 * first)]})
+    for begin in range(first, 2 * first - len(pattern) + 1):
+        shaken = [row.copy() for row in getattr(trace, kind)]
+        for i, part in enumerate(pattern):
+            shaken[begin + i][-1] = 1e-7 * part
+        assert kind in differences(stored(trace), stored(Trace(**{kind: shaken})))[0], begin
+
+
+def test_samples_that_are_exchanged_are_noticed():
+    goals = list(np.random.default_rng(5).normal(size=(30, 7)))
+    for i in range(10, 20):
+        for j in range(10, i):
+            other = list(goals)
+            other[i], other[j] = goals[j], goals[i]
+            assert differences(stored(Trace(goals=goals)), stored(Trace(goals=other))), (i, j)
+
+
 def test_a_sentence_says_what_differs_most_and_from_what_to_what():
     goals = [np.zeros(7) for _ in range(200)]
     old = stored(Trace(goals=goals))
@@ -93,3 +120,20 @@ def test_writing_and_reading_changes_nothing(tmp_path):
     assert not differences(stored(trace), again)
     again.write("other", tmp_path)
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["nowhere", "x", "0", "1"], "There is no recording nowhere"),
+        (["nowhere", "../x", "0", "1"], "is no name"),
+        (["nowhere", "x", "nan", "1"], "is not a number"),
+        ([], "required"),
+    ],
+)
+def test_a_part_that_cannot_be_taken_is_refused_in_a_sentence(capsys, arguments, said):
+    from golden import take
+
+    with pytest.raises(SystemExit) as ended:
+        take.main(arguments)
+    assert said in f"{capsys.readouterr().err}{ended.value.code}"
