@@ -25,7 +25,7 @@ from kst.session import KstTiming
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 GOAL = "jp_-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_"
-BRIEF = KstTiming(connect_settle=0.0, tool_settle=0.0, reply=0.15, quiet=0.02, tries=2)
+BRIEF = KstTiming(connect_settle=0.0, tool_settle=0.0, reply=0.4, quiet=0.02, tries=2)
 
 SERVO_CALLS = {
     Feedback.DONE: ("jp", b"done\n", None),
@@ -219,7 +219,7 @@ def test_a_refusal_is_not_made_good_by_a_later_word(server, connect, wait_until)
 
 
 def test_a_tool_that_cannot_be_attached_again(server, connect):
-    client = connect(reply=0.15, tries=2, quiet=0.02)
+    client = connect(reply=0.4, tries=2, quiet=0.02)
     server.answers["TFtrans"] = b""
     server.once("doPTPinJS", b"done\nnak\n")
     with pytest.raises(ToolNotAttached):

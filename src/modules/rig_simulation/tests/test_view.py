@@ -283,14 +283,14 @@ def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, t
 
 def test_the_film_continues_after_a_world_that_hangs(world_port):
     port, world = world_port
-    with ControlClient("127.0.0.1", port, 0.2) as client:
+    with ControlClient("127.0.0.1", port, 1.0) as client:
         view = record.FilmView(client, (32, 24), (150.0, -20.0, 1.6))
         assert record._follow(view, threading.Event())
         before = view.time
         world.send_signal(signal.SIGSTOP)
         with pytest.raises(DeviceError):
             view.follow()
-        threading.Timer(0.5, world.send_signal, [signal.SIGCONT]).start()
+        threading.Timer(1.5, world.send_signal, [signal.SIGCONT]).start()
         assert record._follow(view, threading.Event())
         assert view.time > before
 
