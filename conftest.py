@@ -161,6 +161,12 @@ def _without_search(command: tuple[str, ...]) -> tuple[str, ...]:
     return command
 
 
+@pytest.fixture(name="without_search")
+def without_search_fixture():
+    """The function _without_search, for a program with a terminal or input, which `processes` does not start."""
+    return _without_search
+
+
 @pytest.fixture
 def processes(tmp_path):
     """Starts programs that end with the test."""

@@ -102,10 +102,10 @@ def run_here(monkeypatch, capsys):
 class Person:
     """Somebody who runs the program at a terminal."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *command):
         self._terminal, slave = pty.openpty()
         self.process = subprocess.Popen(
-            ["rosrun", "kuka_control", "simple_controller.py", *map(str, arguments)],
+            [*map(str, command)],
             stdin=slave,
             stdout=slave,
             stderr=slave,
@@ -145,12 +145,13 @@ class Person:
 
 
 @pytest.fixture
-def person():
+def person(without_search):
     """Starts the program for a person."""
     people = []
+    program = without_search(("rosrun", "kuka_control", "simple_controller.py"))
 
     def sit_down(*arguments):
-        people.append(Person(*arguments))
+        people.append(Person(*program, *arguments))
         return people[-1]
 
     yield sit_down

@@ -14,7 +14,7 @@ pytestmark = pytest.mark.ros
 sys.path.append(str(Path(__file__).parents[2] / "kuka_control" / "tests"))
 
 
-def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_until, tmp_path, processes):
+def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_until, tmp_path, processes, without_search):
     import actionlib
     import rospy
     from std_msgs.msg import String
@@ -46,7 +46,7 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_unti
     assert np.all(np.diff(run.goal_times) >= 0.0)
 
     def replay(answers, *options):
-        command = ["rosrun", "leap_rig", "replay.py", f"{tmp_path}/run", "--robot", *options]
+        command = without_search(("rosrun", "leap_rig", "replay.py", f"{tmp_path}/run", "--robot", *options))
         return subprocess.run(command, input=answers, text=True, capture_output=True, timeout=120, check=False)
 
     def goals():
