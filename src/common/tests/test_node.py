@@ -95,10 +95,10 @@ import rospy
 from common.ros.node import run
 
 def main():
-    for error in (OSError(9, "early"), ValueError("other")):
+    for error in (OSError(9, "early socket"), rospy.ROSException("early topic"), ValueError("other")):
         raises(error)
     rospy.core.signal_shutdown("the end")
-    for error in (OSError(9, "late"), OSError(28, "full"), ValueError("defect")):
+    for error in (OSError(9, "late"), rospy.ROSException("late"), OSError(28, "full"), ValueError("defect")):
         raises(error)
 
 def raises(error):
@@ -112,11 +112,12 @@ run("threads", main)
 """
 
 
-def test_only_a_socket_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, start, wait_until):
+def test_only_a_socket_or_topic_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, start, wait_until):
     process = start(THREADS)
     wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
     log = process.log_path.read_text()
-    assert "late" not in log and all(word in log for word in ("early", "other", "full", "defect")), log
+    said = ("early socket", "early topic", "other", "full", "defect")
+    assert "late" not in log and all(word in log for word in said), log
 
 
 TOPICS = """

@@ -56,7 +56,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     _shut_down_beside_the_main_thread(disposable)
-    hide_closed_sockets()
+    hide_closed_connections()
     try:
         rospy.init_node(name, disable_signals=True)
     except rospy.exceptions.ROSInitException:
@@ -85,7 +85,7 @@ def run_program(
     Ctrl-C or SIGTERM, which print `interrupted`.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    hide_closed_sockets()
+    hide_closed_connections()
     sys.stdout.reconfigure(line_buffering=True)
     try:
         code = main() or 0
@@ -145,13 +145,15 @@ def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[l
     return guarded
 
 
-def hide_closed_sockets() -> None:
-    """Prints no traceback of a thread that rospy ends at shutdown by closing its socket."""
+def hide_closed_connections() -> None:
+    """Prints no traceback of a thread that rospy ends at shutdown by closing its socket or its topic."""
     report = threading.excepthook
 
     def reported(thread: threading.ExceptHookArgs) -> None:
-        closed = isinstance(thread.exc_value, OSError) and thread.exc_value.errno == errno.EBADF
-        if not (closed and rospy.core.is_shutdown_requested()):
+        error = thread.exc_value
+        socket_closed = isinstance(error, OSError) and error.errno == errno.EBADF
+        topic_closed = isinstance(error, rospy.ROSException)  # as in actionlib's timer
+        if not ((socket_closed or topic_closed) and rospy.core.is_shutdown_requested()):
             report(thread)
 
     threading.excepthook = reported

@@ -17,8 +17,8 @@ class DirectPublisher(rospy.Publisher):
     and the next `publish` sends them.
     """
 
-    def __init__(self, name: str, kind: type[rospy.Message], queue_size: int) -> None:
-        super().__init__(name, kind, tcp_nodelay=True, queue_size=queue_size)
+    def __init__(self, name: str, kind: type[rospy.Message], queue_size: int, latch: bool = False) -> None:
+        super().__init__(name, kind, tcp_nodelay=True, queue_size=queue_size, latch=latch)
         add = self.impl.add_connection
 
         def add_connection(connection) -> bool:

@@ -6,40 +6,53 @@ import time
 
 import numpy as np
 import rospy
-import tf2_ros
 from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE
 from common.ros.conversions import stamped_transform
+from common.ros.publishing import DirectPublisher
+from common.ros.service_calls import MasterLost, ask_master
 
 TOPIC = "camera_calibration/markers"
 COLOURS = {"old": (0.55, 0.55, 0.55), "new": (0.1, 0.7, 0.2)}
 DEPTH_M, HALF_WIDTH_M, HALF_HEIGHT_M = 0.15, 0.09, 0.066
 LINE_M = 0.004
-VIEWER_WAIT_S, POLL_S = 1.0, 0.05
+VIEWER_WAIT_S, POLL_S = 5.0, 0.05
 
 
 class RvizComparison:
     """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each. Create it at
-    the start of the program: RViz needs a moment to subscribe, and the program may exit after `show`.
+    the start of the program: RViz needs a moment to subscribe. The program may exit after `show`.
     """
 
     def __init__(self) -> None:
-        self._static = tf2_ros.StaticTransformBroadcaster()
-        self._markers = rospy.Publisher(TOPIC, MarkerArray, queue_size=1, latch=True)
+        # rospy's own publisher hands messages to threads, which an exit may leave no time.
+        self._static = DirectPublisher("/tf_static", TFMessage, queue_size=1, latch=True)
+        self._markers = DirectPublisher(TOPIC, MarkerArray, queue_size=1, latch=True)
 
     def show(self, old: np.ndarray | None, new: np.ndarray) -> None:
-        """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits a moment for RViz."""
+        """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits until RViz is connected,
+        if it has subscribed.
+        """
         deadline = time.monotonic() + VIEWER_WAIT_S
-        while not self._markers.get_num_connections() and time.monotonic() < deadline:
+        while self._markers.get_num_connections() < self._viewers() and time.monotonic() < deadline:
             time.sleep(POLL_S)
         poses = {"new": new} if old is None else {"old": old, "new": new}
         now = rospy.Time.now()
         frames = [stamped_transform(T, BASE, f"camera_calibration/{name}", now) for name, T in poses.items()]
-        self._static.sendTransform(frames)
+        self._static.publish(TFMessage(frames))
         self._markers.publish(MarkerArray([_marker(i, name, now) for i, name in enumerate(poses)]))
+
+    def _viewers(self) -> int:
+        """Returns how many nodes subscribe to the markers, 0 where the master does not say."""
+        try:
+            _, subscribers, _ = ask_master("getSystemState") or ([], [], [])
+        except MasterLost:
+            return 0
+        return len(dict(subscribers).get(self._markers.resolved_name, []))
 
 
 def _marker(number: int, name: str, stamp: rospy.Time) -> Marker:
