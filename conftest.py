@@ -290,7 +290,7 @@ class Recording(list):
         return self
 
 
-PATIENCE = 3.0
+PATIENCE = 4.0
 """Waits are this many times longer than a quiet machine needs: a busy one must not fail a test."""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import json
 import math
 import re
@@ -23,6 +24,7 @@ BODY = {  # stiffness [N/m], mass [kg]
 }  # fmt: skip
 
 
+@functools.lru_cache(maxsize=None)
 def functions(path: Path) -> set[str]:
     """Returns the names of the functions in a file."""
     return {node.name for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)}

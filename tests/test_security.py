@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from pathlib import Path
 
@@ -34,10 +35,16 @@ EXCEPTIONS = {
 }
 
 
+@functools.lru_cache(maxsize=None)
+def nodes_of(code: str) -> list[ast.AST]:
+    """Returns all nodes of a file's syntax tree."""
+    return list(ast.walk(ast.parse(code)))
+
+
 def dangers(code: str) -> set[str]:
     """Returns what a file does that could run its input."""
     found = set()
-    for node in ast.walk(ast.parse(code)):
+    for node in nodes_of(code):
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names} & PICKLES
         elif isinstance(node, ast.ImportFrom):
@@ -101,16 +108,16 @@ def test_what_is_safe_is_allowed(code):
 
 def listens(code: str) -> bool:
     """Returns whether a file binds a socket to an address, or serves WebSockets."""
-    tree = ast.parse(code)
-    sockets = any(isinstance(node, ast.Import) and "socket" in {a.name for a in node.names} for node in ast.walk(tree))
-    sockets |= any(isinstance(node, ast.ImportFrom) and node.module == "socket" for node in ast.walk(tree))
+    nodes = nodes_of(code)
+    sockets = any(isinstance(node, ast.Import) and "socket" in {a.name for a in node.names} for node in nodes)
+    sockets |= any(isinstance(node, ast.ImportFrom) and node.module == "socket" for node in nodes)
     servers = {
         alias.name
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.ImportFrom) and str(node.module).split(".")[0] in ("websockets", "http", "socketserver")
         for alias in node.names
     } & {"serve", "unix_serve", "HTTPServer", "ThreadingHTTPServer", "TCPServer", "ThreadingTCPServer", "UDPServer"}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call):
             name = dotted(node.func).rpartition(".")[2]
             binds = name == "bind" and len(node.args) == 1 and (sockets or isinstance(node.args[0], ast.Tuple))

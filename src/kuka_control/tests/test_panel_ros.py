@@ -42,9 +42,10 @@ def panel(ros, application, failures):
     widget.close()
 
 
-def close(link):
-    """Closes the link; its thread unsubscribes at its end, which must not be later than that of the test's graph."""
-    link.close()
+def close(*links):
+    """Closes all links; their threads unsubscribe at their end, which must not be later than that of the test's graph."""
+    for link in links:
+        link.close()
     for thread in threading.enumerate():
         if thread.name == "watch":
             thread.join(LONG_S)
@@ -334,8 +335,7 @@ def window(ros, application, failures):
     widget, links = linked_panels(["left", "right"])
     widget.show()
     yield widget
-    for link in links:
-        close(link)
+    close(*links)
     widget.close()
 
 

@@ -211,7 +211,8 @@ def test_a_web_page_of_another_site_gets_no_hands_and_takes_none(start, origin, 
 def test_a_web_page_of_this_computer_is_served(start, origin):
     served = start()
     headers = {"Origin": origin}
-    with connect(f"ws://127.0.0.1:{served.port}/v6.json", compression=None, additional_headers=headers) as page:
+    options = {"compression": None, "close_timeout": 0.05, "additional_headers": headers}
+    with connect(f"ws://127.0.0.1:{served.port}/v6.json", **options) as page:
         assert "version" in page.recv(5.0)
 
 
