@@ -43,7 +43,7 @@ def panel(ros, application, failures):
 
 
 def close(*links):
-    """Closes all links; their threads unsubscribe at their end, which must not be later than that of the test's graph."""
+    """Closes the links; their threads unsubscribe at their end, which must not be later than that of the graph."""
     for link in links:
         link.close()
     for thread in threading.enumerate():
