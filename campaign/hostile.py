@@ -163,12 +163,11 @@ def by_message(topic: str, says: str, message: Any, what: str = "", count: int =
 
 def by_move(what: str, says: str, **goal: Any) -> Attack:
     """Returns the attack by a goal of the action kuka/move."""
-    import actionlib
-
+    from common.ros.action_client import ActionClient
     from kuka_msgs.msg import MoveAction, MoveGoal
 
     def send(trial: Any) -> Any:
-        client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+        client = ActionClient("kuka/move", MoveAction)
         trial.rig.wait(lambda: client.wait_for_server(rospy.Duration(0.5)), "the action kuka/move")
         client.send_goal(MoveGoal(**goal))
         client.wait_for_result(rospy.Duration(3.0 * HEARD_S))

@@ -13,7 +13,6 @@ import xmlrpc.client
 from pathlib import Path
 from typing import Any
 
-import actionlib
 import numpy as np
 import pytest
 import rosgraph
@@ -29,6 +28,7 @@ from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
 from common.frames import BASE
+from common.ros.action_client import ActionClient
 from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
 from kuka_msgs.msg import MoveAction, MoveGoal
 from kuka_msgs.srv import setGripperControl, setKukaControl
@@ -372,10 +372,12 @@ class RigUnderTest:
         self.engage(**at)
 
     def engage(self, **at: float) -> None:
-        """Brings a hand in until the arm stands where it has sent it; again where the stream ended for a pause."""
+        """Brings a hand in until the arm stands where it has sent it; again where the stream ended for a pause, or the
+        controller saw the hand before it saw that control is on.
+        """
 
         def lost() -> bool:
-            return self.stream_state != "running"
+            return self.stream_state != "running" or "take the hand out" in self.status.reason
 
         for _ in range(ENGAGEMENTS):
             self.bring_hand(**at)
@@ -385,6 +387,7 @@ class RigUnderTest:
             self.wait(lambda: lost() or self._stands_in_servo_mode(), "the arm to stand still in servo mode", MOVE_S)
             if not lost():
                 return
+            self.hand.hide()
         pytest.fail(f"no hand was followed to where it is{self.situation}")
 
     def bring_hand(self, **at: float) -> None:
@@ -444,19 +447,19 @@ class RigUnderTest:
         desired = stamped_pose(pose_from_message(check.desired), BASE, rospy.Time.now())
         return self.call("leap_kuka/hold_tool", HoldTool, desired, duration)
 
-    def moves(self) -> actionlib.SimpleActionClient:
+    def moves(self) -> ActionClient:
         """Returns a client of kuka/move, connected."""
-        client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+        client = ActionClient("kuka/move", MoveAction)
         assert client.wait_for_server(rospy.Duration(MOVE_S))
         return client
 
-    def move(self, client: actionlib.SimpleActionClient | None = None, **goal):
+    def move(self, client: ActionClient | None = None, **goal):
         """Has a program move the arm (kuka_msgs/MoveGoal); returns the result as `moved`."""
         client = client or self.moves()
         client.send_goal(MoveGoal(**goal))
         return self.moved(client)
 
-    def moved(self, client: actionlib.SimpleActionClient):
+    def moved(self, client: ActionClient):
         """Waits for the end of a motion for a program and returns its result, whose sentence is heard."""
         self.wait(lambda: client.wait_for_result(rospy.Duration(0.1)), "the end of the motion", 2.0 * MOVE_S)
         result = client.get_result()

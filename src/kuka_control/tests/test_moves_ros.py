@@ -18,11 +18,11 @@ def robot(ros, wait_until):
 
 
 def test_programs_move_the_arm(ros, robot, wait_until):
-    import actionlib
     import rospy
     from geometry_msgs.msg import Vector3Stamped
     from std_msgs.msg import String
 
+    from common.ros.action_client import ActionClient
     from common.ros.conversions import stamped_pose
     from kuka_msgs.msg import MoveAction, MoveGoal, jointTorquesExternal
 
@@ -34,7 +34,7 @@ def test_programs_move_the_arm(ros, robot, wait_until):
     force = ros.record("kuka/flange_force", Vector3Stamped)
     node.process = ros.run("kuka_control", "real_time_controller.py")
     node.wait_for_mode("home")
-    client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+    client = ActionClient("kuka/move", MoveAction)
     assert client.wait_for_server(rospy.Duration(20.0))
 
     def move(**goal):
@@ -88,7 +88,7 @@ def test_programs_move_the_arm(ros, robot, wait_until):
     # A line that is cancelled stops on its way; the arm stays.
     client.send_goal(MoveGoal(**pose_goal(home, straight=True, velocity=0.02)))
     wait_until(lambda: node.modes[-1].data == "moving", 20.0, "a line")
-    other = actionlib.SimpleActionClient("kuka/move", MoveAction)
+    other = ActionClient("kuka/move", MoveAction)
     assert other.wait_for_server(rospy.Duration(20.0))
     other.send_goal(MoveGoal(kind=MoveGoal.NAMED, name="home"))
     assert other.wait_for_result(rospy.Duration(20.0)) and "has not ended" in other.get_result().message

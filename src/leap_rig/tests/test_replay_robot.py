@@ -15,11 +15,11 @@ sys.path.append(str(Path(__file__).parents[2] / "kuka_control" / "tests"))
 
 
 def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_until, tmp_path, processes, without_search):
-    import actionlib
     import rospy
     from std_msgs.msg import String
     from test_controllers_ros import MOVE_S, Node, home_tool, run_robot, set_params, shifted, tool_of
 
+    from common.ros.action_client import ActionClient
     from common.ros.conversions import stamped_pose
     from kuka_msgs.msg import MoveAction, MoveGoal
 
@@ -31,7 +31,7 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_unti
     recorder = ros.run("leap_rig", "record.py", f"{tmp_path}/run")
     node.wait_for_mode("home")
     wait_until(lambda: "frames" in recorder.log_path.read_text(), 20.0, "the recorder")
-    client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+    client = ActionClient("kuka/move", MoveAction)
     assert client.wait_for_server(rospy.Duration(20.0))
     assert node.control(True).success
     ends = [shifted(home_tool(), *p) for p in ((0.0, 0.04, 0.0), (0.0, 0.04, 0.05))]

@@ -6,7 +6,6 @@ import argparse
 import sys
 import time
 
-import actionlib
 import numpy as np
 import rospy
 from tqdm import tqdm
@@ -14,6 +13,7 @@ from tqdm import tqdm
 from common.errors import DeviceError, RigError
 from common.frames import BASE
 from common.poses import pose
+from common.ros.action_client import ActionClient
 from common.ros.conversions import stamped_pose
 from common.ros.node import INTERRUPTED
 from common.ros.params import arm_frames
@@ -53,7 +53,7 @@ def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
 
     Raises DeviceError if no controller answers.
     """
-    client = actionlib.SimpleActionClient("kuka/move", MoveAction)
+    client = ActionClient("kuka/move", MoveAction)
     if not client.wait_for_server(rospy.Duration(SERVER_S)):
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")
     heard = time.monotonic()

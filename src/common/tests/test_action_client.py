@@ -1,0 +1,34 @@
+"""A client of actions learns of the end of a goal, however early it comes."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+pytestmark = pytest.mark.ros
+
+
+def test_a_result_that_comes_before_the_goal_is_sent_counts(ros):
+    import rospy
+    from actionlib_msgs.msg import GoalStatus
+
+    from common.ros.action_client import ActionClient
+    from kuka_msgs.msg import MoveAction, MoveActionResult, MoveGoal, MoveResult
+
+    client = ActionClient("move", MoveAction)
+    manager = client.action_client.manager
+    servers = []
+
+    def refuse_at_once(goal):
+        status = GoalStatus(goal_id=goal.goal_id, status=GoalStatus.REJECTED)
+        result = MoveActionResult(status=status, result=MoveResult(message="refused"))
+        servers.append(threading.Thread(target=manager.update_results, args=(result,)))
+        servers[0].start()
+        servers[0].join(0.2)  # longer than a result takes that does not wait
+
+    manager.register_send_goal_fn(refuse_at_once)
+    client.send_goal(MoveGoal())
+    servers[0].join(20.0)
+    assert client.wait_for_result(rospy.Duration(20.0))
+    assert client.get_result().message == "refused"
