@@ -83,13 +83,16 @@ def test_runs(port_of, tmp_path, number, device, arguments, prints):
 
 
 @pytest.mark.ros
-def test_the_subscriber_hears_the_rig(ros, tmp_path):
+def test_the_subscriber_hears_the_rig(ros, processes, wait_until):
     import rospy
     from sensor_msgs.msg import JointState
 
     publisher = rospy.Publisher("joint_states", JointState, queue_size=1, latch=True)
     publisher.publish(JointState(name=["A1"], position=[0.25]))
-    assert "A1 0.250" in run("10", tmp_path, "--seconds", "2")
+    (example,) = (path for path in EXAMPLES if path.name.startswith("10"))
+    process = processes.start(sys.executable, str(example), "--seconds", "1000")
+    wait_until(lambda: "A1 0.250" in process.log_path.read_text(), 20.0, "the joints")
+    assert process.poll() is None
 
 
 def test_all_are_listed_and_short():

@@ -34,8 +34,10 @@ QUICK = {
 }
 """Quicker motions and fewer goals than in the yaml files, whose values one test has: the others need half the time."""
 RATES = {"rate_joints": 25.0, "rate_state": 10.0}
+FOLLOWS = ("pick_up", "servo")
 SLOW = {"velocity_ptp_slow": 0.15}
 """For what must happen while the arm moves."""
+LINK_LOST = "The link to the robot is lost for the moment"
 
 
 class Robot:
@@ -97,6 +99,16 @@ class Node:
     def wait_for_end(self, timeout=MOVE_S):
         self._wait_until(lambda: self.process.poll() is not None, timeout, "the end of the node")
         return self.process.returncode
+
+    def engage(self):
+        """Switches control on and waits until the arm came home, from where it may at once follow a hand that is still
+        shown: where a busy machine lets its frames pause, they count as another stream.
+        """
+        self.modes.clear()
+        answer = self.control(True)
+        assert answer.success
+        self._wait_until(lambda: "home" in self.moved_through(), MOVE_S, "the arm at home")
+        return answer
 
     def moved_through(self):
         """Returns the modes so far, without that of a controller that is still judging its first motion."""
@@ -170,18 +182,29 @@ class Hand:
 
 
 @pytest.fixture
-def hand():
+def hand(wait_until):
     shown = []
 
     def show(T, **kwargs):
         shown.append(Hand(T, **kwargs))
         return shown[-1]
 
-    def show_again(one):
-        """The hand leaves the box and comes back: a stream counts only if it begins after control went on."""
-        one.hide()
-        time.sleep(0.5)
-        return show(one.T)
+    def show_again(one, node):
+        """The hand leaves the box and comes back, as a stream counts only if it begins after control went on; again
+        where the controller of a busy machine has not seen the pause.
+        """
+
+        def follows():
+            nonlocal one
+            one.hide()
+            time.sleep(0.5)
+            one = show(one.T)
+            late = time.monotonic() + 3.0
+            wait_until(lambda: node.modes[-1].data in FOLLOWS or time.monotonic() > late, 10.0, "the arm to follow")
+            return node.modes[-1].data in FOLLOWS
+
+        wait_until(follows, MOVE_S, "the arm to follow the hand that came back")
+        return one
 
     show.again = show_again
     yield show
@@ -329,6 +352,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, start, hand, wait_unti
     assert node.wait_for_end() == 0
     np.testing.assert_allclose(robot.joints, np.zeros(7), atol=1e-3)
     modes = ["homing", "home", "pick_up", "servo", "returning", "home", "zero", "stopped"]
+    wait_until(lambda: node.moved_through()[-1] == "stopped", 10.0, "the last mode")
     assert node.moved_through() == modes
     del listener
 
@@ -356,9 +380,8 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released_and_th
     answer = node.control(True)
     assert not answer.success and "off and on again" in answer.message
     assert node.control(False).success
-    assert node.control(True).success
-    node.wait_for_mode("home")
-    shown = hand.again(shown)
+    node.engage()
+    shown = hand.again(shown, node)
     node.wait_for_mode("servo")
     wait_until(lambda: at(robot, shown.T), 20.0, "the tool where the hand is")
     assert robot.ask()["stops"] == 1
@@ -443,7 +466,8 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
     )
     told = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
     assert any(values.get("estimated_in_servo") == "moment, pose, force" for values in told)
-    assert int(told[-1].get("missed_answers", "0")) <= 2, "a busy machine may delay an answer, but none is missing"
+    late = node.log.count(LINK_LOST)  # on a busy machine
+    assert int(told[-1].get("missed_answers", "0")) <= 2 + late, "an answer may come late, but none is missing"
     assert node.modes[-1].data == "servo"
 
 
@@ -556,10 +580,8 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
     assert {(state.mode, state.control_on) for state in node.states} == {("stopped", False)} and not node.modes
     assert not back.joints.any() and back.ask()["connected"]
 
-    answer = node.control(True)
-    assert answer.success and "goes home first" in answer.message
-    node.wait_for_mode("home")
-    hand.again(shown)
+    assert "goes home first" in node.engage().message
+    hand.again(shown, node)
     node.wait_for_mode("servo")
     wait_until(lambda: at(back, home_tool()), MOVE_S, "the tool where the hand is")
     assert node.moved_through()[0] == "homing"
@@ -590,10 +612,16 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection_and_for_a_lost_one_
         values = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
         return [int(v["holds"]) for v in values if "holds" in v][-1:]
 
+    named = node.log.count(LINK_LOST)
+
+    def held():
+        return node.log.count(LINK_LOST) > named and any("ms; the goals hold" in state.reason for state in states)
+
     suspend(robot.process.pid)
-    time.sleep(0.3)
+    long = time.monotonic() + 0.7  # after a second control would go off
+    wait_until(lambda: held() or time.monotonic() > long, 10.0, "the hold")
     robot.process.send_signal(signal.SIGCONT)
-    wait_until(lambda: any("ms; the goals hold" in state.reason for state in states), 10.0, "the hold")
+    wait_until(held, 10.0, "the hold")
     wait_until(lambda: "The robot answers again after" in node.log, 10.0, "the end of the hold")
     wait_until(lambda: any(holds()), 10.0, "the count")
     assert not node.modes and states[-1].mode == "servo"
@@ -607,11 +635,11 @@ def test_a_frozen_robot_is_waited_for_on_the_same_connection_and_for_a_lost_one_
     wait_until(lambda: "connected again" in states[-1].reason, 20.0, "the robot's return")
     truth = robot.ask()
     assert truth["mode"] == "idle" and truth["connected"] and "deaf" not in node.log
-    assert node.control(True).success
-    node.wait_for_mode("home")
-    hand.again(shown)
+    assert node.moved_through() == ["stopped"]
+    node.engage()
+    hand.again(shown, node)
     node.wait_for_mode("servo")
-    assert node.moved_through()[:2] == ["stopped", "homing"]
+    assert node.moved_through()[0] == "homing"
 
     lose(robot, states, wait_until)
     node.process.send_signal(signal.SIGTERM)

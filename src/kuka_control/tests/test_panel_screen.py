@@ -229,12 +229,19 @@ def test_a_person_clicks(ros, screen, panel, fake, wait_until, suspend):
 @pytest.mark.parametrize("key", ["Escape", "space"])
 def test_a_key_stops(ros, screen, panel, fake, wait_until, key):
     panel()
-    controller = fake()
-    screen.wait_for("control", GREY)
-    screen.click("control")  # leaves the focus on Emergency Stop
-    screen.wait_for("control", GREEN)
-    screen.key(key)
-    assert ended(wait_until, controller) == 2
+
+    def exits():
+        """Whether a controller exits by itself; one that a busy machine keeps from it for half a second is killed."""
+        controller = fake()
+        screen.wait_for("control", GREY)
+        screen.click("control")  # leaves the focus on Emergency Stop
+        screen.wait_for("control", GREEN)
+        screen.key(key)
+        code = ended(wait_until, controller)
+        assert code in (2, -signal.SIGKILL)
+        return code == 2
+
+    wait_until(exits, LONG_S, "a controller that exits by itself")
 
 
 def test_the_panel_of_the_real_controller(ros, screen, panel, wait_until, suspend):

@@ -6,6 +6,7 @@ import contextlib
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -124,6 +125,11 @@ class Person:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self.process.wait(3.0)
                 return
+            with contextlib.suppress(OSError):  # a terminal without a program
+                while select.select([self._terminal], [], [], 0.0)[0]:
+                    self.seen += os.read(self._terminal, 4096).decode()
+            if "Nothing was moved." in self.seen:
+                return  # it ends; another Ctrl-C would fall into that
 
     def reads_until(self, text):
         while text not in self.seen:

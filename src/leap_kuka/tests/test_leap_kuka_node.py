@@ -147,6 +147,33 @@ def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
     import rospy
     import tf2_ros
 
+    rests = "out of the box and back in"
+
+    def comes_in(**changes):
+        tracker.show(hand(position=(0.0, 0.35, 0.3), **changes))
+        wait_until(lambda: "in front of the box" in node.stream[-1].message, 10.0, "the hand in front of the box")
+        node.stream.clear()
+        tracker.show(hand(**changes))
+        wait_until(
+            lambda: "running" in node.states() or any(rests in m.message for m in node.stream), 20.0, "the hand inside"
+        )
+        return "running" in node.states()
+
+    def goes():
+        """The hand goes; whether the node sees that: a busy machine may end the stream before, by a pause."""
+        tracker.show()
+        wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the frames of the hand to end")
+        wait_until(lambda: node.states()[-1] == "waiting", 5.0, "the end to be announced")
+        return any(m.level == 1 and m.message == "right hand 12 was lost" for m in node.stream)
+
+    def comes_in_and_gets_another_number():
+        """Whether the stream of hand 13 continues by hand 14, as it does without a pause."""
+        wait_until(lambda: comes_in(id=13), 60.0, "the hand that came in")
+        assert ("13", "right") in node.owners()
+        tracker.show(hand(id=14, position=(0.005, 0.35, 0.0)))
+        wait_until(lambda: node.owners()[-1] in (("14", "right"), ("", "")), 10.0, "the same hand with another number")
+        return node.owners()[-1] == ("14", "right")
+
     set_params()
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
@@ -156,13 +183,13 @@ def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
 
     tracker.show(hand(yaw=50.0))
     wait_until(lambda: "kuka/flange_frame/desired" in node.children(), 20.0, "the desired flange")
-    message = node.tf[-1]
+    message = next(m for m in node.tf if any(t.child_frame_id == "kuka/flange_frame/desired" for t in m.transforms))
     assert {t.child_frame_id: t.header.frame_id for t in message.transforms} == PARENTS
     assert len({t.header.stamp for t in message.transforms}) == 1
     assert message.transforms[0].header.stamp in tracker.stamps
 
     desired = buffer.lookup_transform("kuka/base_frame", "kuka/tool_frame/desired", rospy.Time(0), rospy.Duration(5.0))
-    nearest = min(abs((desired.header.stamp - stamp).to_nsec()) for stamp in tracker.stamps)
+    nearest = min(abs((desired.header.stamp - stamp).to_nsec()) for stamp in tracker.stamps.copy())
     assert nearest <= TF_ROUNDING_NS
     t, q = desired.transform.translation, desired.transform.rotation
     np.testing.assert_allclose([t.x, t.y, t.z], [0.5, 0.0, 0.4], atol=1e-6)
@@ -170,26 +197,19 @@ def test_a_hand_is_followed_and_lost(ros, node, tracker, hand, wait_until):
     flange = buffer.lookup_transform("kuka/base_frame", "kuka/flange_frame/desired", rospy.Time(0), rospy.Duration(5.0))
     assert flange.transform.translation.z == pytest.approx(0.506, abs=1e-6)
 
-    wait_until(lambda: node.states()[-1] == "running", 5.0, "the stream to be announced")
-    assert node.stream[-1].level == 0 and "right hand 12 is followed" in node.stream[-1].message
+    wait_until(lambda: "running" in node.states(), 5.0, "the stream to be announced")
+    followed = node.stream[node.states().index("running")]
+    assert followed.level == 0 and "right hand 12 is followed" in followed.message
     wait_until(lambda: node.times, 5.0, "a stage time")
     assert node.times[-1].source == "leap_kuka" and node.times[-1].header.stamp in tracker.stamps
 
-    tracker.show()
-    wait_until(lambda: node.children() == {"leap_motion/virtual_frame"}, 20.0, "the frames of the hand to end")
-    wait_until(lambda: node.states()[-1] == "waiting", 5.0, "the end to be announced")
-    assert any(m.level == 1 and m.message == "right hand 12 was lost" for m in node.stream)
+    while not goes():
+        wait_until(lambda: comes_in(yaw=50.0), 60.0, "the hand that came in again")
     assert node.owners()[-1] == ("", "") and ("12", "right") in node.owners()
     tracker.show(hand(id=13))
-    rests = "out of the box and back in"
     wait_until(lambda: rests in node.stream[-1].message, 10.0, "the reason of a hand that is found in the box")
-    tracker.show(hand(id=13, position=(0.0, 0.35, 0.3)))
-    wait_until(lambda: "in front of the box" in node.stream[-1].message, 10.0, "the hand in front of the box")
-    tracker.show(hand(id=13))
-    wait_until(lambda: node.owners()[-1] == ("13", "right"), 10.0, "the hand that came in")
-    tracker.show(hand(id=14, position=(0.005, 0.35, 0.0)))
-    wait_until(lambda: node.owners()[-1] == ("14", "right"), 10.0, "the same hand with another number")
-    assert node.states()[-1] == "running"
+    wait_until(comes_in_and_gets_another_number, 60.0, "a stream that lasts")
+    assert ("running", ("14", "right")) in zip(node.states(), node.owners())
     listener.unregister()
 
 
@@ -211,7 +231,8 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
     tool = stamped_pose(T, "kuka/base_frame", rospy.Time())
 
     wait_until(lambda: node.children(), 20.0, "frames")
-    assert hold(tool, 30.0).message == "The tool is not held: control of the arm is off."
+    off = "The tool is not held: control of the arm is off."  # where frames come in
+    wait_until(lambda: hold(tool, 30.0).message == off, 10.0, "the refusal")
     wait_until(lambda: status.get_num_connections() > 0, 10.0, "the node to listen")
     status.publish(KukaStatus(control_on=False))
     seen = len(node.tf)
@@ -267,10 +288,10 @@ def test_a_silent_tracker_ends_the_stream_and_nothing_is_sent_again(ros, node, t
     set_params()
     tracker.show(hand())
     node.start()
-    wait_until(lambda: node.states()[-1:] == ["running"], 20.0, "the stream")
+    wait_until(lambda: "running" in node.states(), 20.0, "the stream")
     tracker.stop()
-    wait_until(lambda: node.states()[-1] == "waiting", 10.0, "the end of the stream")
-    assert node.stream[-1].message == "no tracking frames come in"
+    silent = ("waiting", "no tracking frames come in")
+    wait_until(lambda: (node.states()[-1], node.stream[-1].message) == silent, 10.0, "the end of the stream")
     node.diagnostics.clear()
     wait_until(lambda: len(node.diagnostics) >= 2, 10.0, "a second of diagnostics")
     stamps = [message.transforms[0].header.stamp for message in node.tf]
@@ -306,7 +327,8 @@ def test_the_box_is_shown_in_the_colour_of_the_state_with_the_reason(ros, node, 
     waiting = box.color
     tracker.show(hand())
     wait_until(lambda: node.markers[-1].markers[0].color != waiting, 20.0, "the other colour")
-    assert "is followed" in node.markers[-1].markers[1].text
+    followed = next(message for message in reversed(node.markers) if message.markers[0].color != waiting)
+    assert "is followed" in followed.markers[1].text
 
 
 def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker, wait_until):
@@ -461,6 +483,9 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
                 return T
         return None
 
+    def frames():
+        return sum(t.child_frame_id == "leap_motion/virtual_frame" for m in node.tf[:] for t in m.transforms)
+
     def state():
         return states[-1].state if states else ""
 
@@ -518,8 +543,8 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
     try:
         wait_until(lambda: state() == "waiting", 20.0, "the state")
         wait_until(lambda: status.get_num_connections() > 0, 20.0, "the node that listens to the arm")
-        known = time.monotonic() + 1.0
-        wait_until(lambda: time.monotonic() > known, 10.0, "a status with control off")
+        node.tf.clear()
+        wait_until(lambda: frames() > 50, 20.0, "frames, and meanwhile a status with control off")
         control["on"] = True
         pedal.write(("KEY_B", 1), ("KEY_B", 0))
         tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.0)))

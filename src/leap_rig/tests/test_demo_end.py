@@ -16,7 +16,7 @@ def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(ro
     from kuka_msgs.srv import exitApp
     from leap_rig.ros import demo
 
-    monkeypatch.setattr(demo, "EXIT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(demo, "EXIT_TIMEOUT_S", 3.0 if hangs else 0.5)  # in which even a busy one is called
     resume, called, deaths = threading.Event(), threading.Event(), demo.Deaths()
 
     def answer(_):

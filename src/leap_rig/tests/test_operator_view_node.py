@@ -83,7 +83,7 @@ def test_it_shows_what_came_to_those_who_look_and_says_once_that_there_is_no_sou
         wait_until(lambda: texts()["Hand"] == f"{state}: why", LONG_S, "the change", poll=0.05)  # noqa: B023
     bones, joints = wait_until(lambda: texts() and hands and hands[-1].markers, LONG_S, "the hand")
     assert (len(bones.points), len(joints.points)) == (40, 26)
-    wait_until(lambda: len(markers[-1].markers) == 7, LONG_S, "text and bars")
+    wait_until(lambda: texts() and markers and len(markers[-1].markers) == 7, LONG_S, "text and bars", poll=0.05)
     assert "Hand: " in markers[-1].markers[0].text
     wait_until(lambda: "no soundcards found" in node.log_path.read_text(), LONG_S, "the word about sounds")
     assert no_card.read_text().count("call") == 1 and node.log_path.read_text().count("No sounds") == 1

@@ -86,8 +86,13 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
     ]
     for program in programs:
         started(program, wait_until)
-    sizes = [tmp_path / name / "messages.mcap" for name in ("ended", "killed")]
-    wait_until(lambda: (publish(), all(size.stat().st_size > 20000 for size in sizes))[1], 20.0, "the frames")
+
+    def is_stored(folder):
+        run = read(folder)
+        return len(run.frames) > 60 and time.time() - run.frame_times[-1] < 1.0 and len(run.goals) and len(run.desired)
+
+    folders = [tmp_path / name for name in ("ended", "killed")]
+    wait_until(lambda: (publish(), all(map(is_stored, folders)))[1], 20.0, "the frames", poll=0.1)
     killed_at = time.time()
     os.killpg(programs[1].pid, signal.SIGKILL)
     assert processes.end(programs[0]) == 0, programs[0].log_path.read_text()

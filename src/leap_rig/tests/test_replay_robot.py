@@ -67,6 +67,7 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, wait_unti
     watcher = rospy.Timer(rospy.Duration(0.05), lambda _: corner.append(tool_of(robot)[:3, 3]))
     ended = replay("yes\nno\n")
     watcher.shutdown()
+    watcher.join()  # it speaks to the robot over the same connection
     assert "Cancelled" in ended.stdout, ended.stdout + ended.stderr  # the second pass, at full pace, was not agreed to
     np.testing.assert_allclose(tool_of(robot)[:3, 3], ends[-1][:3, 3], atol=8e-3)
     for T in (home_tool(), ends[0]):

@@ -30,7 +30,7 @@ def transforms(seconds, *frames):
 
 @pytest.fixture
 def session(tmp_path):
-    """A recording of 6 s with tf, a latched marker, a hand command, a goal and a desired tool."""
+    """A recording of 60 s with tf, a latched marker, a hand command, a goal and a desired tool."""
     from std_msgs.msg import String
     from visualization_msgs.msg import Marker, MarkerArray
 
@@ -48,9 +48,9 @@ def session(tmp_path):
     ]
     for i in range(300):
         messages += [
-            stored("/tf", transforms(0.02 * i, *desired), 0.02 * i),
-            stored("/reflex_takktile/radian_hand_command", RadianServoCommands(), 0.02 * i),
-            stored("/kuka/move/goal", MoveActionGoal(), 0.02 * i),
+            stored("/tf", transforms(0.2 * i, *desired), 0.2 * i),
+            stored("/reflex_takktile/radian_hand_command", RadianServoCommands(), 0.2 * i),
+            stored("/kuka/move/goal", MoveActionGoal(), 0.2 * i),
         ]
     return write_recording(tmp_path / "run", messages, b"robot_description: <robot/>\n", name="run")
 
@@ -67,15 +67,15 @@ def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session, wa
     markers = ros.record("/kuka/workspace", MarkerArray)
     begin = rospy.Time.now()
     program = ros.run("leap_rig", "replay.py", str(session), "--view")
-    tf.wait(20)
+    tf.wait(5)
     wait_until(lambda: markers and static, 10.0, "latched topics")
+    wait_until(lambda: {t.child_frame_id for t in static[-1].transforms} == {"a", "b"}, 10.0, "what two nodes latched")
     children = {t.child_frame_id for message in tf for t in message.transforms}
     assert children == {VIRTUAL_LEAP, *(f"recorded/{frame}" for frame in DRIVING)}
     parents = {t.header.frame_id for message in tf for t in message.transforms}
     assert not parents & set(DRIVING)
     stamps = [t.header.stamp for message in tf for t in message.transforms]
     assert all(begin <= stamp <= rospy.Time.now() + rospy.Duration(1) for stamp in stamps)
-    assert {t.child_frame_id for t in static[-1].transforms} == {"a", "b"}
     published = {topic for topic, nodes in ros_master().getSystemState()[0] if any("replay" in n for n in nodes)}
     assert published <= {"/tf", "/tf_static", "/kuka/workspace", "/rosout"}
     assert rospy.get_param("robot_description") == "<robot/>"
@@ -83,10 +83,9 @@ def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session, wa
     try:
         assert program.wait(15.0) == 1
         assert "runs on this ROS master" in program.log_path.read_text()
-        count = len(tf)
         again = ros.run("leap_rig", "replay.py", str(session), "--view")
         assert again.wait(15.0) == 1
-        assert len(tf) == count
+        assert len({message._connection_header["callerid"] for message in tf}) == 1, "of the first one alone"
     finally:
         service.shutdown()
     assert "left out" in program.log_path.read_text()
@@ -105,7 +104,7 @@ def test_the_tracker_sends_what_was_recorded_at_its_pace(ros, tmp_path, wait_unt
 
     from leap_motion.msg import RawFrame
 
-    texts = [f'{{"id":{i},  "timestamp":{9000 * i},"hands":[],"pointables":[],"x":"é"}}' for i in range(100)]
+    texts = [f'{{"id":{i},  "timestamp":{9000 * i},"hands":[],"pointables":[],"x":"é"}}' for i in range(300)]
     known = [KeyValue("service_version", "2.3.1"), KeyValue("serial", "LP1")]
     status = DiagnosticArray(status=[DiagnosticStatus(name="leap_motion", values=known)])
     messages = [stored("/diagnostics", status, 0.0)]
@@ -113,15 +112,15 @@ def test_the_tracker_sends_what_was_recorded_at_its_pace(ros, tmp_path, wait_unt
         frame = RawFrame(rospy.Time(0, START + 10**7 * i), text)
         messages.append(stored("/leap_motion/raw_frames", frame, 0.01 * i + 0.001))
     folder = write_recording(tmp_path / "run", messages, name="run")
-    run = read(folder, 0.2, 0.8)
-    assert run.frames == tuple(texts[20:80]) and run.frame_times[0] == pytest.approx(1e-9 * START + 0.2, abs=1e-6)
+    run = read(folder, 0.2, 2.8)
+    assert run.frames == tuple(texts[20:280]) and run.frame_times[0] == pytest.approx(1e-9 * START + 0.2, abs=1e-6)
 
     program = ros.run(
-        "leap_rig", "replay.py", str(folder), "--tracker", "--port", "0", "--from", "0.2", "--to", "0.8",
+        "leap_rig", "replay.py", str(folder), "--tracker", "--port", "0", "--from", "0.2", "--to", "2.8",
         "--rate", str(rate),
     )  # fmt: skip
     port = int(wait_until(lambda: re.search(r"127.0.0.1:(\d+)", program.log_path.read_text()), 20.0, "a port")[1])
-    heard = []
+    heard, begin = [], time.monotonic()
     client = LeapClient(port=port, clock=time.monotonic, tap=lambda text, stamp: heard.append((text, stamp)))
     try:
         assert program.wait(20.0) == 0, program.log_path.read_text()
@@ -132,10 +131,11 @@ def test_the_tracker_sends_what_was_recorded_at_its_pace(ros, tmp_path, wait_unt
     numbers = [json.loads(text)["id"] for text, _ in heard]
     assert len(heard) > 30 and numbers == sorted(set(numbers))
     if rate == 1.0:
-        assert {text for text, _ in heard} <= set(texts[20:80])
+        assert {text for text, _ in heard} <= set(texts[20:280])
     else:
         assert all(json.loads(text)["timestamp"] == 18000 * number for (text, _), number in zip(heard, numbers))
-    assert heard[-1][1] - heard[0][1] > 0.4 / rate
+    # The frames begin later than the connection, and a busy client reads them later than they come, but never sooner.
+    assert all(stamp - begin > 0.01 * (number - 20) / rate for (_, stamp), number in zip(heard, numbers))
 
 
 def test_another_robot_is_refused_with_what_differs(ros, tmp_path):

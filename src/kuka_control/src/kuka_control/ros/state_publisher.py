@@ -95,11 +95,12 @@ class StatePublisher:
         self._torques_measured = DirectPublisher("kuka/joint_torques_measured", jointTorquesMeasured, queue_size=10)
         self._force = DirectPublisher("kuka/flange_force", Vector3Stamped, queue_size=10)
         self._torque = DirectPublisher("kuka/flange_torque", Vector3Stamped, queue_size=10)
-        self._gripper = rospy.Publisher("kuka/gripper_control", Bool, queue_size=10, latch=True)
-        self._moving_rt = rospy.Publisher("kuka/moving_rt", Bool, queue_size=10, latch=True)
-        self._moving_ptp = rospy.Publisher("kuka/moving_ptp", Bool, queue_size=10, latch=True)
-        self._modes = rospy.Publisher("kuka/mode", String, queue_size=50, latch=True)
-        self._status = rospy.Publisher("kuka/status", KukaStatus, queue_size=10, latch=True)
+        # These too, for the last state: rospy's own publisher leaves it to threads, which the exit may cut off.
+        self._gripper = DirectPublisher("kuka/gripper_control", Bool, queue_size=10, latch=True)
+        self._moving_rt = DirectPublisher("kuka/moving_rt", Bool, queue_size=10, latch=True)
+        self._moving_ptp = DirectPublisher("kuka/moving_ptp", Bool, queue_size=10, latch=True)
+        self._modes = DirectPublisher("kuka/mode", String, queue_size=50, latch=True)
+        self._status = DirectPublisher("kuka/status", KukaStatus, queue_size=10, latch=True)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="state", daemon=True)
 

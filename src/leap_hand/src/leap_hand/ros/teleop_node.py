@@ -62,7 +62,7 @@ class HandTeleopNode:
             time.sleep(WATCH_PERIOD_S)
 
     def _on_gripper(self, message: Bool) -> None:
-        with self._lock:
+        with while_running(), self._lock:
             self._carry_out(self._teleop.switch(message.data))
 
     def _on_stream(self, stream: DiagnosticStatus) -> None:
