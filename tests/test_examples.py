@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -15,10 +14,20 @@ ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SIMULATORS = ROOT / "src" / "modules" / "rig_simulation" / "scripts"
 DEVICES = {
-    "arm": ("sunrise_controller.py", socket.SOCK_STREAM),
-    "hand": ("reflex_hand.py", socket.SOCK_DGRAM),
-    "leap": ("leapd.py", socket.SOCK_STREAM),
+    "arm": ("sunrise_controller.py", "127.0.0.1:"),
+    "hand": ("reflex_hand.py", "UDP port "),
+    "leap": ("leapd.py", "127.0.0.1:"),
 }
+PATIENT = """
+import functools, runpy, sys
+from kst import KstTiming
+from reflex import HandSettings
+for kind, waits in ((KstTiming, {"reply": 20.0, "servo_reply": 20.0}), (HandSettings, {"silence_time": 5.0})):
+    kind.__init__ = functools.partialmethod(kind.__init__, **waits)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+"""Runs an example whose devices may take long to answer: this machine may be busy."""
 
 
 @pytest.fixture(scope="module")
@@ -28,20 +37,17 @@ def port_of(tmp_path_factory):
 
     def port(device: str) -> str:
         if device not in running:
-            program, kind = DEVICES[device]
-            with socket.socket(socket.AF_INET, kind) as free:
-                free.bind(("127.0.0.1", 0))
-                number = str(free.getsockname()[1])
-            command = [sys.executable, str(SIMULATORS / program), "--port", number, "--control-port", "0"]
+            program, before_port = DEVICES[device]
+            command = [sys.executable, str(SIMULATORS / program), "--port", "0", "--control-port", "0"]
             process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True)
-            running[device] = process, number
-            assert "control port" in process.stdout.readline()
+            ready = process.stdout.readline()
+            running[device] = process, re.search(before_port + r"(\d+), control port", ready)[1]
         return running[device][1]
 
     yield port
     for process, _ in running.values():
         process.terminate()
-        process.communicate(timeout=30.0)
+        process.communicate(timeout=120.0)
 
 
 def environment() -> dict[str, str]:
@@ -51,7 +57,7 @@ def environment() -> dict[str, str]:
 def run(number: str, home: Path, *arguments: str) -> str:
     (example,) = (path for path in EXAMPLES if path.name.startswith(number))
     done = subprocess.run(
-        [sys.executable, str(example), *arguments],
+        [sys.executable, "-c", PATIENT, str(example), *arguments],
         env={**environment(), "HOME": str(home)},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -123,7 +123,7 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
 
 def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
     results: dict[str, dict] = {}
-    fuzz(["kst_answers", "no such target"], 0.4, 0, tmp_path, results)
+    fuzz(["kst_answers", "no such target"], 2.0, 0, tmp_path, results)
     assert results["kst_answers"]["examples"] > 0 and not results["kst_answers"]["findings"]
     assert results["no such target"]["findings"] == [f"the process died, see {tmp_path / 'no such target-died.txt'}"]
     assert "KeyError" in (tmp_path / "no such target-died.txt").read_text()

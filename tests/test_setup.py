@@ -43,7 +43,7 @@ def set_up_and_said(project: Path, noetic: Path) -> tuple[list[str], str]:
     calls = project / "calls"
     environment = {"PATH": f"{project}/bin:{os.defpath}", "CALLS": str(calls), "LEAP_RIG_NOETIC": str(noetic)}
     done = subprocess.run(
-        [project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, timeout=60.0
+        [project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True, timeout=240.0
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return calls.read_text().splitlines(), done.stdout

@@ -121,7 +121,7 @@ def test_only_a_socket_or_topic_that_is_closed_at_the_end_ends_its_thread_in_sil
 
 
 TOPICS = """
-import gc, os
+import gc, os, time
 import rospy
 from std_msgs.msg import String
 from common.ros.node import run
@@ -140,7 +140,9 @@ def main():
             rospy.sleep(0.01)
         subscriber.unregister()
         del subscriber
-    rospy.sleep(1.0)
+    end = time.monotonic() + 30.0
+    while watches() - before > 4 and time.monotonic() < end:  # connections that are just ending
+        rospy.sleep(0.1)
     print(f"left: {watches() - before}")
 
 run("listener", main)

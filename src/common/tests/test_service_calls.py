@@ -26,14 +26,21 @@ def offer():
         service.shutdown()
 
 
-def test_a_call_answers_or_is_given_up(ros, offer):
+def test_a_call_answers_or_is_given_up(ros, offer, monkeypatch):
     from std_srvs.srv import SetBool, SetBoolResponse
 
+    from common.ros import service_calls
     from common.ros.service_calls import ServiceFailed, call
 
-    resume = threading.Event()
+    asked, resume = threading.Event(), threading.Event()
+    response = service_calls._Attempt.response
+
+    def response_once_asked(attempt, timeout):
+        asked.wait(30.0)
+        return response(attempt, timeout)
 
     def answer(request):
+        asked.set()
         if not request.data:
             resume.wait(30.0)
         return SetBoolResponse(request.data, "so it is")
@@ -41,6 +48,8 @@ def test_a_call_answers_or_is_given_up(ros, offer):
     offer("answers", answer)
     try:
         assert call("answers", SetBool, True, timeout=30.0).message == "so it is"
+        asked.clear()
+        monkeypatch.setattr(service_calls._Attempt, "response", response_once_asked)
         with pytest.raises(ServiceFailed) as caught:
             call("answers", SetBool, False, timeout=0.5)
         assert (caught.value.service, caught.value.sent) == ("answers", True)

@@ -34,7 +34,8 @@ def attempts():
     return [thread for thread in threading.enumerate() if thread.name == "hangs"]
 
 
-def test_no_second_call_while_the_first_waits_for_the_handshake(client):
+def test_no_second_call_while_the_first_waits_for_the_handshake(client, monkeypatch):
+    monkeypatch.setattr(service_calls, "HANDSHAKE_TIMEOUT_S", 60.0)
     for _ in range(5):
         with pytest.raises(ServiceFailed) as caught:
             client(True, timeout=0.05)
@@ -54,12 +55,22 @@ def test_the_handshake_is_given_up_and_is_no_absence(client, monkeypatch):
 
 def test_a_call_that_is_given_up_after_the_request_ends(client, monkeypatch):
     here, there = socket.socketpair()
+    sent, response = threading.Event(), service_calls._Attempt.response
 
     def connection(proxy, address):
         return SimpleNamespace(socket=here, close=here.close)
 
+    def send(proxy, _):
+        sent.set()
+        return proxy.transport.socket.recv(1)
+
+    def response_once_sent(attempt, timeout):
+        sent.wait(30.0)
+        return response(attempt, timeout)
+
     monkeypatch.setattr(service_calls, "_connection", connection)
-    monkeypatch.setattr(service_calls.rospy.ServiceProxy, "call", lambda proxy, _: proxy.transport.socket.recv(1))
+    monkeypatch.setattr(service_calls.rospy.ServiceProxy, "call", send)
+    monkeypatch.setattr(service_calls._Attempt, "response", response_once_sent)
     with here, there:
         with pytest.raises(ServiceFailed) as caught:
             client(True, timeout=0.2)

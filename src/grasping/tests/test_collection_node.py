@@ -284,10 +284,13 @@ def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder, wait
 def test_frames_in_which_ggcnn_takes_the_robot_for_an_object_make_no_episode(rig, start, status, folder, wait_until):
     process = start(frames__hand_radius=2.0, frames__hand_reach=1.0)
     wait_until(lambda: int(status().get("frames_on_hand", 0)) > 0, 60.0, "frames that are left out")
-    rig.perform([(1.0, FIST, True, GRASP_Z, GRASP_Z), (1.5, FIST, True, GRASP_Z, GRASP_Z + 0.1)])
-    wait_until(
-        lambda: "no frame was kept since the operator began" in process.log_path.read_text(), 15.0, "the sentence"
-    )
+
+    def told():
+        rig.perform([(1.0, FIST, True, GRASP_Z, GRASP_Z), (1.5, FIST, True, GRASP_Z, GRASP_Z + 0.1)])
+        rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z)])
+        return "no frame was kept since the operator began" in process.log_path.read_text()
+
+    wait_until(told, 15.0, "the sentence")
     assert status()["frames_kept"] == "0" and not files(folder)
 
 

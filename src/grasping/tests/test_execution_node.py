@@ -48,7 +48,7 @@ class Rig:
         self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, 0.0), True, "home"
         self.grasps, self.why_none, self.hold = [self.grasp(7)], "", "none"
         self.out_of_reach, self.not_held = "", ""
-        self.checked, self.held = [], []
+        self.checked, self.held, self.rounds = [], [], 0
         self.answers = threading.Event()
         self.answers.set()
         self._services = [
@@ -133,6 +133,7 @@ class Rig:
             grasps = GraspList(grasps=self.grasps, reason=self.why_none)
             grasps.header.stamp = now
             self._grasps.publish(grasps)
+            self.rounds += 1
 
 
 @pytest.fixture
@@ -213,9 +214,10 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
     node.wait_for("waiting_for_hand")
     rig.say_hold("taken", "right hand 12 is followed")
     node.wait_for("person")
-    rig.tool = translation(0.0, 0.0, -0.12) @ ABOVE
+    rig.tool = closed_at = translation(0.0, 0.0, -0.12) @ ABOVE
+    there = rig.rounds + 10
+    wait_until(lambda: rig.rounds > there, 10.0, "the node to know, as the fingers' state comes by another topic")
     rig.fingers = 1.2, 30.0
-    closed_at = rig.tool
     wait_until(lambda: node.now["reason"] == "The fingers have closed; now lift.", 20.0, "closed fingers")
     rig.tool = translation(0.0, 0.0, 0.08) @ closed_at
     node.wait_for("over")

@@ -153,7 +153,13 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
     start(ros, reach__ask=False)
-    found = newest(got["out/grasps"], wait_until, lambda m: m.grasps, "a grasp")
+
+    def on_both_topics():
+        stamps = {m.header.stamp for m in got["out/target_pose"]}
+        reachable = (m for m in got["out/grasps"] if m.grasps and m.grasps[0].reachable)
+        return next((m for m in reachable if m.header.stamp in stamps), None)
+
+    found = wait_until(on_both_topics, PATIENCE_S, "a grasp in the base, and the target pose of the same image")
     best, stamp = found.grasps[0], found.header.stamp
     assert (found.header.frame_id, found.reason) == (DEPTH_OPTICAL, "")
     assert (best.reachable, best.reason) == (True, "")
@@ -165,11 +171,8 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     assert 0.05 < best.width < 0.12
     np.testing.assert_allclose(CAMERA.project(T_camera[:3, 3]), best.pixel, atol=1e-2)
 
-    def with_stamp(name):
-        wait_until(lambda: any(m.header.stamp == stamp for m in got[name]), PATIENCE_S, name)
-        return next(m for m in got[name] if m.header.stamp == stamp)
-
-    np.testing.assert_allclose(pose_from_message(with_stamp("out/target_pose").pose), T_base, atol=1e-6)
+    target = next(m for m in got["out/target_pose"] if m.header.stamp == stamp)
+    np.testing.assert_allclose(pose_from_message(target.pose), T_base, atol=1e-6)
     data = got["out/command"].wait(1)[-1].data
     assert len(data) == 6
     np.testing.assert_allclose(data[:3], T_camera[:3, 3], atol=5e-3)
@@ -185,7 +188,7 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
     )
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
-    assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))
+    wait_until(lambda: buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0)), PATIENCE_S, "the view in tf")
     wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
     wait_until(lambda: status()["message"] == "There are grasps.", PATIENCE_S, "a good state")
     assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()

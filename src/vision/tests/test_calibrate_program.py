@@ -45,7 +45,7 @@ class SimulatedArm:
             "it",
         )
         self.port, control = int(line[1]), int(line[2])
-        self.client = ControlClient("127.0.0.1", control, 5.0)
+        self.client = ControlClient("127.0.0.1", control, 30.0)
 
     def flange(self):
         return np.array(self.client.ask("state")["flange"])

@@ -73,7 +73,7 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     found = buffer.lookup_transform(
-        "kuka/base_frame", record.camera_frame, rospy.Time(0), rospy.Duration(10.0)
+        "kuka/base_frame", record.camera_frame, rospy.Time(0), rospy.Duration(60.0)
     ).transform
     listener.unregister()
     np.testing.assert_allclose(pose_from_transform(found), record.T_base_camera, atol=1e-6)

@@ -52,7 +52,7 @@ def statuses(ros, name: str):
     return read
 
 
-def test_the_xtions_images_have_the_drivers_names(xtion, ros):
+def test_the_xtions_images_have_the_drivers_names(xtion, ros, wait_until):
     from sensor_msgs.msg import CameraInfo, Image
 
     topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
@@ -64,7 +64,8 @@ def test_the_xtions_images_have_the_drivers_names(xtion, ros):
     assert facts == [("rgb8", rgb, 32), ("16UC1", depth, 32), ("32FC1", depth, 32)]
     assert np.frombuffer(images["depth/image"][-1].data, "<f4")[0] == pytest.approx(1.0, abs=0.1)
     info.wait(2)
-    assert {m.header.stamp for m in info} & {m.header.stamp for m in images["depth/image_raw"]}
+    pair = info, images["depth/image_raw"]
+    wait_until(lambda: set.intersection(*({m.header.stamp for m in r} for r in pair)), 15.0, "an image with its info")
     import rospy
 
     assert rospy.get_param("camera/driver/serial") == "1207290099"

@@ -62,9 +62,9 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, proces
 
     from common.ros.conversions import pose_from_transform
 
-    found = buffer.lookup_transform("kuka/base_frame", "camera_link", rospy.Time(0), rospy.Duration(5.0))
+    found = buffer.lookup_transform("kuka/base_frame", "camera_link", rospy.Time(0), rospy.Duration(30.0))
     np.testing.assert_allclose(pose_from_transform(found.transform), link, atol=0.01)
-    found = buffer.lookup_transform("tag_frame", "kuka/flange_frame/seen", rospy.Time(0), rospy.Duration(5.0))
+    found = buffer.lookup_transform("tag_frame", "kuka/flange_frame/seen", rospy.Time(0), rospy.Duration(30.0))
     np.testing.assert_allclose(pose_from_transform(found.transform), inverse(T_FLANGE_BOARD), atol=1e-9)
     answer = wait_until(lambda: (lambda a: a if a.success else None)(call("camera_place/store")), 15.0, "the storing")
     assert "is stored in" in answer.message
@@ -78,7 +78,7 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, proces
     buffer.clear()
     again = ros.run("vision", "camera_place_node.py", "_mode:=stored")
     np.testing.assert_allclose(camera_pose(buffer), T_BASE_CAMERA, atol=0.005)
-    assert file.name in again.log_path.read_text()
+    wait_until(lambda: file.name in again.log_path.read_text(), 15.0, "the sentence about the file")
     assert "one view without confirmation" in again.log_path.read_text()
     assert "is a stored one already" in call("camera_place/store").message
     assert call("camera_place/reload").message.startswith("The camera pose is stored on ")

@@ -50,7 +50,7 @@ class ScriptedServer:
 
     def push(self, data: bytes) -> None:
         """Sends bytes unasked."""
-        assert self._connected.wait(10.0)
+        assert self._connected.wait(60.0)
         self.connection.sendall(data)
 
     def words(self) -> list[str]:
@@ -59,7 +59,7 @@ class ScriptedServer:
 
     def end(self, reset: bool = False) -> None:
         """Closes the client's connection, with a reset instead of an end of file where asked."""
-        assert self._connected.wait(10.0)
+        assert self._connected.wait(60.0)
         if reset:
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
         # Wakes the reading thread, which then closes; with no lingering that is a reset.
@@ -67,7 +67,7 @@ class ScriptedServer:
 
     def wait_for_end(self) -> bool:
         """Returns whether the client's connection is over."""
-        return self._ended.wait(10.0)
+        return self._ended.wait(60.0)
 
     def close(self) -> None:
         """Ends everything."""
@@ -120,7 +120,7 @@ def connect(server):
 
     def connect(**waits):
         quick = {"connect_settle": 0.0, "tool_settle": 0.0, "servo_start": 0.01, "servo_stop": 0.02, "rest": 0.0}
-        timing = KstTiming(**{"reply": 5.0, "servo_reply": 5.0, "quiet": 0.05, "main_pause": 0.005, **quick, **waits})
+        timing = KstTiming(**{"reply": 20.0, "servo_reply": 20.0, "quiet": 0.05, "main_pause": 0.005, **quick, **waits})
         clients.append(KstClient.connect("127.0.0.1", server.port, timing=timing, timeout=10.0))
         return clients[-1]
 

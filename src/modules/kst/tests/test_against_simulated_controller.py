@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from rig_simulation.control_port import ControlClient
 PROGRAM = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "sunrise_controller.py"
 TOOL = translation(0.0, 0.0, 0.106)
 ABOVE_ZERO = np.array([0.1, -0.1, 0.05, -0.2, 0.1, 0.2, -0.1])
-WAITS = {"connect_settle": 0.0, "tool_settle": 0.0, "servo_reply": 2.0, "reply": 2.0}
+WAITS = {"connect_settle": 0.0, "tool_settle": 0.0, "servo_reply": 20.0, "reply": 20.0}
 READY = re.compile(
     r"^sunrise_controller: listening on 127\.0\.0\.1:(\d+), control port 127\.0\.0\.1:(\d+)$", re.MULTILINE
 )
@@ -76,7 +77,7 @@ def stream(client, feedback, q_from, q_to, count=25):
 
 
 def test_a_motion_whose_final_word_is_lost_ends_by_its_joints_and_the_next_one_is_paired(rig, wait_until):
-    client = rig.connect()
+    client = rig.connect(reply=2.0)  # so long the arm has to stand
     q = client.joints()
     rig.ask("fault", name="unfinished")
     for goal in (q + 0.05, q):
@@ -155,7 +156,7 @@ def test_every_servo_goal_and_a_still_arm_after_the_stop(rig):
 
 @pytest.mark.parametrize("window", ["0.003", "0.03"])
 def test_a_server_that_wipes_commands(start, window):
-    client = start("--wiped-window", window).connect(reply=0.4)
+    client = start("--wiped-window", window).connect(reply=1.0)
     client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
     for _ in range(3):
         assert client.external_torques().shape == (7,)
@@ -219,9 +220,11 @@ def test_the_program_dies(start, processes):
 @pytest.mark.parametrize("longer", [False, True])
 def test_a_server_that_freezes_is_regained_or_left_in_order(start, wait_until, longer):
     rig = start("--deaf-after-lost-client")
-    client = rig.connect(servo_reply=0.05, reply=0.5, silence=1.0 if longer else 60.0)
+    client = rig.connect(silence=1.0 if longer else 60.0)
     client.start_joint_servo()
-    rig.ask("fault", name="half_open", duration=2.0)
+    rig.ask("fault", name="half_open")
+    patient = client._session.timing
+    client._session.timing = replace(patient, servo_reply=0.05, reply=0.5)
     with pytest.raises(ReplyTimeout):
         client.servo(client.joints(), Feedback.JOINTS)
     if longer:
@@ -229,10 +232,13 @@ def test_a_server_that_freezes_is_regained_or_left_in_order(start, wait_until, l
             while client.silence(0.05):
                 pass
         client.close()
+        rig.ask("fault", name="half_open", on=False)
         wait_until(lambda: not rig.state("connected"), 10.0, "the server to hear the farewell")
         client = wait_until(lambda: connected(rig), 20.0, "the server to serve another client")
     else:
+        rig.ask("fault", name="half_open", on=False)
         wait_until(lambda: client.silence(0.05) == 0.0, 10.0, "the server to answer again")
+        client._session.timing = patient
         client.stop_joint_servo()
     assert client.mode is KstMode.IDLE
     client.ptp_joints(ABOVE_ZERO, 0.5, timeout=20.0)

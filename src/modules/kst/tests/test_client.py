@@ -2,6 +2,7 @@
 
 import math
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_a_server_that_does_not_attach_the_tool(server, answer):
 def test_something_else_listens_there(server):
     server.answers["TFtrans"] = b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * 50
     with pytest.raises(UnexpectedReply) as caught:
-        KstClient.connect("127.0.0.1", server.port, timing=BRIEF)
+        KstClient.connect("127.0.0.1", server.port, timing=replace(BRIEF, reply=20.0))
     assert caught.value.command == "TFtrans"
 
 
@@ -396,9 +397,10 @@ def test_closing_in_the_servo_mode_stops_it(server, connect):
 
 
 def test_a_server_that_was_given_up_hears_the_farewell(server, connect):
-    client = connect(servo_reply=0.05, reply=0.05, silence=0.2)
+    client = connect(silence=0.2)
     client.start_joint_servo()
     server.answers.clear()
+    client._session.timing = replace(client._session.timing, reply=0.05, servo_reply=0.05)
     with pytest.raises(ReplyTimeout):
         client.servo(HOME)
     with pytest.raises(ConnectionLost):

@@ -36,7 +36,7 @@ def leapd(ros, processes, wait_until, tmp_path, monkeypatch):
     process = processes.start(sys.executable, str(LEAPD), *ports, "--stands", *map(str, STANDS))
     words = wait_until(process.log_path.read_text, 20.0, "the ready line").replace(",", "").split()
     port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
-    with ControlClient("127.0.0.1", control_port) as control:
+    with ControlClient("127.0.0.1", control_port, 30.0) as control:
         yield port, control
 
 
@@ -56,7 +56,7 @@ class Person:
             )
             self._control.ask("show", right=right, up=up, back=back)
             if len(self.asked) == 1:  # the first time in a hurry
-                self._control.ask("reach", right=right + 0.2, up=up, back=back, seconds=1.0)
+                self._control.ask("reach", right=right + 0.25, up=up, back=back, seconds=2.5)
             time.sleep(SHOWN_S)
         return ""
 
@@ -66,7 +66,9 @@ def test_a_tilted_tracker_is_registered(leapd, capsys):
     person = Person(control)
     assert register_program.main(["desk", "--port", str(port)], person) == 0
     out = capsys.readouterr().out
-    assert "The finger moved by" in out and len(person.asked) == 5
+    touched = [name for question in person.asked for name in SHEET if name in question]
+    # One that is not seen well enough, as the service had no time, is asked for once more.
+    assert "The finger moved by" in out and list(dict.fromkeys(touched)) == list(SHEET) and touched[1] == touched[0]
     assert "Start the rig with registration:=desk" in out
     found = load("desk", datetime.now())
     pitch, yaw, roll = np.radians(STANDS[3:])
@@ -129,7 +131,7 @@ def test_what_cannot_be_done_is_said_before_anybody_is_asked(
 ):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(register_program, "CONNECT_S", 0.5)
+    monkeypatch.setattr(register_program, "CONNECT_S", 2.0)
     Path("list.yaml").write_text("- [0, 0, 0]")
     Path("mm.yaml").write_text("a: [100, 200, 70]\nb: [0, 0.2, 0]\nc: [0.1, .nan, 0]")
     Path("line.yaml").write_text("a: [0, 0, 0]\nb: [0.1, 0, 0]\nc: [0.2, 0, 0]")

@@ -41,7 +41,7 @@ def start():
     yield start
     for service, thread in running:
         service.stop()
-        thread.join(10.0)
+        thread.join(60.0)
         assert not thread.is_alive()
         service.offer("{}"), service.plug(False)  # afterwards nobody is harmed
 
@@ -77,7 +77,7 @@ def test_frames_offered_by_another_thread_reach_our_client_in_order(start, offer
     offering(service)
     client = LeapClient(port=service.port)
     try:
-        ids = [client.next_frame(10.0).frame.id for _ in range(20)]
+        ids = [client.next_frame(60.0).frame.id for _ in range(20)]
         assert ids == sorted(set(ids))
         assert client.status.service == "2.3.1+webcam" and service.clients == 1
         service.plug(False)
@@ -116,13 +116,13 @@ def test_clients_that_break_every_rule_harm_only_themselves(start, offering):
         for message in ("[" * 3000, b"\xff\x00", '{"focused":[1]}', os.urandom(100), '"background"'):
             with plain(service) as odd:
                 odd.send(message)
-                odd.recv(5.0)
+                odd.recv(60.0)
         with plain(service) as huge, pytest.raises(ConnectionClosed) as closed:
             huge.send("x" * (MAX_MESSAGE_BYTES + 1))
             while True:
-                huge.recv(5.0)
+                huge.recv(60.0)
         assert closed.value.rcvd.code == 1009
-        frames = [json.loads(good.recv(5.0)).get("id", 0) for _ in range(20)]
+        frames = [json.loads(good.recv(60.0)).get("id", 0) for _ in range(20)]
         assert frames == sorted(frames) and frames[-1] > frames[3]
 
 
@@ -169,14 +169,14 @@ def test_a_client_of_another_machine_is_served_with_the_code_only(start, offerin
     service = start(host="0.0.0.0", code="secret7")
     offering(service)
     with plain(service) as here:
-        assert "version" in here.recv(5.0), "this machine needs none"
+        assert "version" in here.recv(60.0), "this machine needs none"
     monkeypatch.setattr("leap_motion.service.server.is_loopback", lambda host: False)
     for path in ("/v6.json", "/v6.json?code=secret", "/v6.json?code="):
         with pytest.raises(Exception, match="403"), plain(service, path):
             pass
     clients = [LeapClient(port=service.port, code=code) for code in ("secret7", "secret8")]
     try:
-        assert clients[0].next_frame(10.0) is not None
+        assert clients[0].next_frame(60.0) is not None
         wait_until(lambda: clients[1].status.link is LeapLink.REFUSED, 10.0, "the refusal")
         assert "`code`" in clients[1].status.sentence
     finally:
@@ -213,7 +213,7 @@ def test_a_web_page_of_this_computer_is_served(start, origin):
     headers = {"Origin": origin}
     options = {"compression": None, "close_timeout": 0.05, "additional_headers": headers}
     with connect(f"ws://127.0.0.1:{served.port}/v6.json", **options) as page:
-        assert "version" in page.recv(5.0)
+        assert "version" in page.recv(60.0)
 
 
 @given(st.lists(st.text(), max_size=20))
@@ -238,15 +238,15 @@ def test_a_port_in_use_is_a_sentence(start):
 def test_the_server_of_todays_service_sends_at_once_and_each_frame_to_one_client_only(start, offering):
     service = start(service="gemini")
     with plain(service) as first, plain(service) as second:
-        assert [first.recv(5.0), first.recv(5.0)[:10]] == ['{"version":6}', '{"event":{']
-        second.recv(5.0), second.recv(5.0)
+        assert [first.recv(60.0), first.recv(60.0)[:10]] == ['{"version":6}', '{"event":{']
+        second.recv(60.0), second.recv(60.0)
         offering(service)
-        ids = [[json.loads(client.recv(5.0))["id"] for _ in range(15)] for client in (first, second)]
+        ids = [[json.loads(client.recv(60.0))["id"] for _ in range(15)] for client in (first, second)]
         assert not set(ids[0]) & set(ids[1])
         first.send('{"optimizeHMD": true}')
         first.send('{"optimizeScreentop":true}')
         while service.mode == "desktop":
-            first.recv(5.0)
+            first.recv(60.0)
         assert service.mode == "screen-top"
     with plain(service, "/v5.json") as lower, pytest.raises(ConnectionClosed):
-        lower.recv(5.0)
+        lower.recv(60.0)

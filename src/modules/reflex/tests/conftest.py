@@ -127,7 +127,7 @@ def simulated_hand(processes, free_port, wait_until):
             *arguments,
         )
         wait_until(lambda: "control port" in process.log_path.read_text(), 20.0, "the simulated hand")
-        clients.append(ControlClient("127.0.0.1", control_port))
+        clients.append(ControlClient("127.0.0.1", control_port, 60.0))
         return process, port, clients[-1]
 
     yield start

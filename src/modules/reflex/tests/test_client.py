@@ -19,6 +19,10 @@ def threads():
     return [thread for thread in threading.enumerate() if thread.name == "reflex hand"]
 
 
+PATIENT = HandSettings(silence_time=5.0, calibration_max_time=60.0)
+"""Hand and client may get no processor for seconds."""
+
+
 @pytest.fixture
 def hand_of(tmp_path):
     """Makes a client whose calibration is kept in a folder of the test."""
@@ -28,7 +32,7 @@ def hand_of(tmp_path):
 def test_calibrates_closes_feels_and_lets_go(simulated_hand, hand_of, wait_until):
     _, port, control = simulated_hand("--seed", "4")
     readings, notes = [], []
-    with hand_of(port, on_reading=readings.append, on_note=notes.append) as hand:
+    with hand_of(port, settings=PATIENT, on_reading=readings.append, on_note=notes.append) as hand:
         with pytest.raises(CommandRefused) as caught:
             hand.close()
         assert "calibrate" in caught.value.reason and not hand.calibrated
@@ -45,7 +49,7 @@ def test_calibrates_closes_feels_and_lets_go(simulated_hand, hand_of, wait_until
         control.ask("press", finger=2, cell=3, value=60)
         wait_until(lambda: hand.state.contact[2][3], 10.0, "the touch")
         hand.set_speed((1.0, 1.0, 1.0, 1.0))
-        assert control.ask("state")["speed_settings"] == [118, 1142, 118, 1149]
+        wait_until(lambda: control.ask("state")["speed_settings"] == [118, 1142, 118, 1149], 10.0, "the speed")
         for bad in (lambda: hand.command((math.nan, 0, 0, 0)), lambda: hand.set_speed((math.inf,) * 4)):
             with pytest.raises(CommandRefused):
                 bad()
@@ -80,7 +84,7 @@ def test_a_callback_may_close_the_connection_on_a_fault_of_the_wire(hand_of, fre
 
 def test_a_failed_calibration_is_a_refusal(simulated_hand, hand_of):
     _, port, control = simulated_hand()
-    with hand_of(port) as hand:
+    with hand_of(port, settings=PATIENT) as hand:
         control.ask("stick_encoder", finger=0, on=True)
         with pytest.raises(CommandRefused) as caught:
             hand.calibrate_fingers()

@@ -29,7 +29,7 @@ class Host:
         self.reading = result.reading or self.reading
         return result
 
-    def until(self, condition, timeout=15.0):
+    def until(self, condition, timeout=60.0):
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, (self.notes, self.hand.state(time.monotonic()))
@@ -43,8 +43,8 @@ class Host:
 def host(make_settings, shipped):
     hosts = []
 
-    def make(port):
-        hosts.append(Host(make_settings(), shipped, port))
+    def make(port, **changes):
+        hosts.append(Host(make_settings(**changes), shipped, port))
         return hosts[-1]
 
     yield make
@@ -54,7 +54,7 @@ def host(make_settings, shipped):
 
 def test_calibrates_commands_and_lets_go(simulated_hand, host):
     _, port, control = simulated_hand("--seed", "4")
-    h = host(port)
+    h = host(port, silence_time=5.0, calibration_max_time=60.0)
     h.until(lambda: h.reading)
     h.act(h.hand.calibrate_fingers(time.monotonic()))
     h.act(h.hand.calibrate_tactile(time.monotonic()))
@@ -114,7 +114,7 @@ def test_only_the_named_interface_is_heard(free_port):
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
     sender.sendto(b"simulated", (GROUP, port))
-    assert here.receive(1.0)[0] == b"simulated"
+    assert here.receive(60.0)[0] == b"simulated"
     assert there.receive(0.1) is None
     for s in (here, there, sender):
         s.close()
@@ -143,7 +143,7 @@ def test_a_port_in_use_is_one_sentence(free_port):
 def test_the_simulated_hand_sends_whole_packets(simulated_hand):
     _, port, _ = simulated_hand()
     transport = HandTransport("lo", port)
-    datagrams = [transport.receive(2.0) for _ in range(5)]
+    datagrams = [transport.receive(60.0) for _ in range(5)]
     transport.close()
     times = [decode_state(data).device_time for data, _ in datagrams]
     assert times == sorted(set(times))

@@ -30,12 +30,12 @@ def port():
 
 @pytest.fixture
 def client(port):
-    with ControlClient(port.host, port.port, 5.0) as client:
+    with ControlClient(port.host, port.port, 60.0) as client:
         yield client
 
 
 def talk(port, data: bytes) -> dict:
-    with socket.create_connection((port.host, port.port), 5.0) as s:
+    with socket.create_connection((port.host, port.port), 60.0) as s:
         s.sendall(data)
         return json.loads(s.makefile("rb").readline())
 
@@ -74,23 +74,23 @@ def test_what_is_no_request_is_refused(port, line):
 def test_a_web_page_cannot_hide_a_request_in_its_own(head):
     done = []
     with ControlPort({"push": lambda: done.append(1)}) as port:
-        with socket.create_connection((port.host, port.port), 5.0) as s:
+        with socket.create_connection((port.host, port.port), 60.0) as s:
             s.sendall(head + b'{"do": "push"}\n')
             answers = s.makefile("rb").read().splitlines()
         assert not done and len(answers) == 1 and json.loads(answers[0])["ok"] is False
-        with ControlClient(port.host, port.port, 5.0) as client:
+        with ControlClient(port.host, port.port, 60.0) as client:
             client.ask("push")
     assert done
 
 
 def test_wire_text(port):
-    with socket.create_connection((port.host, port.port), 5.0) as s:
+    with socket.create_connection((port.host, port.port), 60.0) as s:
         s.sendall(b'{"do": "double", "value": 1.5}\n')
         assert s.recv(100) == b'{"ok": true, "value": 3.0}\n'
 
 
 def test_torn_and_glued_requests_keep_their_order(port):
-    with socket.create_connection((port.host, port.port), 5.0) as s:
+    with socket.create_connection((port.host, port.port), 60.0) as s:
         replies = s.makefile("rb")
         s.sendall(b'{"do": "dou')
         s.sendall(b'ble", "value": 1}\n\n{"do": "double", "value": 2}\n')
@@ -105,7 +105,7 @@ def test_a_line_without_end_closes_that_connection_only(port, client):
 
 def test_many_clients_at_once(port):
     def ask():
-        with ControlClient(port.host, port.port, 10.0) as client:
+        with ControlClient(port.host, port.port, 60.0) as client:
             results.extend(client.ask("double", value=k)["value"] for k in range(50))
 
     results = []
@@ -118,7 +118,7 @@ def test_many_clients_at_once(port):
 
 
 def test_the_client_comes_back_after_the_port_did(port):
-    client = ControlClient(port.host, port.port, 5.0)
+    client = ControlClient(port.host, port.port, 60.0)
     client.ask("state")
     port.close()
     with pytest.raises(DeviceError):

@@ -16,7 +16,7 @@ from rig_simulation.devices.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTE
 from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults
 
-SOON_S = 10.0
+SOON_S = 60.0
 TIME, ENCODERS, POSITIONS, LOADS = 4, 160, 170, 186
 PRESSURES_F2 = 44
 

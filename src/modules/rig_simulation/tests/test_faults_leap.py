@@ -26,7 +26,7 @@ from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 SCRIPT = Path(__file__).parents[1] / "scripts" / "leapd.py"
-SOON_S = 10.0
+SOON_S = 60.0
 SOON_FRAMES = 1000
 
 

@@ -140,15 +140,16 @@ def test_the_program_sends_the_hand_where_its_control_port_says(processes, wait_
     process = processes.start(sys.executable, str(SCRIPT), "--guided", "--port", "0", "--control-port", "0")
     words = wait_until(process.log_path.read_text, 20.0, "the ready line").replace(",", "").split()
     port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
-    with ControlClient("127.0.0.1", control_port) as control, connect(f"ws://127.0.0.1:{port}/v6.json") as service:
+    address = f"ws://127.0.0.1:{port}/v6.json"
+    with ControlClient("127.0.0.1", control_port, 60.0) as control, connect(address) as service:
         service.send('{"background":true}')
-        header_and_device_event = service.recv(10.0), service.recv(10.0)
+        header_and_device_event = service.recv(60.0), service.recv(60.0)
         assert all('"hands"' not in message for message in header_and_device_event)
         control.ask("show", right=0.05)
         control.ask("reach", up=0.1, seconds=0.3)
 
         def arrived():
-            palms = [hand.palm - CENTRE for hand in read_message(service.recv(10.0)).hands]
+            palms = [hand.palm - CENTRE for hand in read_message(service.recv(60.0)).hands]
             return palms and np.abs(palms[0] - [0.0, 0.1, 0.0]).max() < NOISE_M
 
         wait_until(arrived, 10.0, "the hand where it was sent", poll=0.0)

@@ -40,7 +40,7 @@ def start():
     yield start
     for service, thread in running:
         service.stop()
-        thread.join(10.0)
+        thread.join(60.0)
         assert not thread.is_alive()
 
 
@@ -57,7 +57,7 @@ def ask(service, request, **fields):
         return control.ask(request, **fields)
 
 
-def receive(connection, timeout=10.0):
+def receive(connection, timeout=60.0):
     return json.loads(connection.recv(timeout))
 
 
@@ -170,17 +170,17 @@ def test_paused_it_sends_empty_frames_until_told_to_play(start, wait_until):
     service = start(playing=False)
     client = LeapClient(port=service.port)
     try:
-        frames = [client.next_frame(10.0).frame for _ in range(10)]
+        frames = [client.next_frame(60.0).frame for _ in range(10)]
         assert not any(frame.hands for frame in frames)
         assert ask(service, "state")["playing"] is False
         ask(service, "play")
-        wait_until(lambda: client.next_frame(10.0).frame.hands, 10.0, "a hand")
+        wait_until(lambda: client.next_frame(60.0).frame.hands, 10.0, "a hand")
         state = ask(service, "state")
         assert state["playing"] is True
         assert state["position"] > 0
         assert state["frames_sent"] > 10
         ask(service, "pause")
-        wait_until(lambda: not client.next_frame(10.0).frame.hands, 10.0, "the hand gone")
+        wait_until(lambda: not client.next_frame(60.0).frame.hands, 10.0, "the hand gone")
     finally:
         client.close()
 
@@ -189,7 +189,7 @@ def test_an_unplugged_device_is_told_and_silent(start, wait_until):
     service = start()
     client = LeapClient(port=service.port)
     try:
-        assert client.next_frame(10.0)
+        assert client.next_frame(60.0)
         ask(service, "unplug")
         wait_until(lambda: client.status.link is LeapLink.SILENT, 10.0, "silence")
         wait_until(lambda: "not plugged in" in client.status.sentence, 10.0, "the cause")
@@ -203,7 +203,7 @@ def test_our_client_follows_a_restart_on_the_same_port(start, wait_until):
     service = start()
     client = LeapClient(port=service.port)
     try:
-        assert client.next_frame(10.0)
+        assert client.next_frame(60.0)
         port = service.port
         service.stop()
         wait_until(lambda: client.status.link not in (LeapLink.STREAMING, LeapLink.SILENT), 20.0, "the loss")
@@ -235,7 +235,7 @@ def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(s
     service = start(playing=False, requests={"play_late": play_late})
     with pytest.raises(DeviceError):  # its connection is closed by then
         ask(service, "play_late")
-    wait_until(lambda: service._playback.playing, 3.0, "the request to be carried out")
+    wait_until(lambda: service._playback.playing, 15.0, "the request to be carried out")
 
 
 def test_a_port_in_use_and_a_foreign_address_are_refused(start):
@@ -262,13 +262,13 @@ def test_the_program_says_where_it_listens_and_ends_with_an_interrupt(processes,
     words = line.replace(",", "").split()
     assert words[:3] == ["leapd:", "listening", "on"]
     address, control = words[3], words[6]
-    with ControlClient("127.0.0.1", int(control.rpartition(":")[2])) as client:
+    with ControlClient("127.0.0.1", int(control.rpartition(":")[2]), 60.0) as client:
         assert client.ask("state")["playing"] is False
     leap = LeapClient(port=int(address.rpartition(":")[2]))
-    assert leap.next_frame(10.0) is not None
+    assert leap.next_frame(60.0) is not None
     before = time.monotonic()
     assert processes.end(process, 10.0) == 0
-    assert time.monotonic() - before < 9.0
+    assert time.monotonic() - before < 39.0, "then it would have been killed"
     leap.close()
     assert process.log_path.read_text() == line, "one line, and no traceback at the end"
 

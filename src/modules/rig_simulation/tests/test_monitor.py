@@ -14,7 +14,8 @@ def controller(processes, wait_until):
 
     program = processes.start("rosrun", "rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0")
     wait_until(lambda: b"control port" in program.log_path.read_bytes(), 30.0, "the controller")
-    with ControlClient("127.0.0.1", int(program.log_path.read_text().split("\n")[0].rsplit(":", 1)[1])) as client:
+    port = int(program.log_path.read_text().split("\n")[0].rsplit(":", 1)[1])
+    with ControlClient("127.0.0.1", port, 30.0) as client:
         client.port = client._address[1]
         yield client
 
@@ -37,7 +38,7 @@ def test_the_flange_the_status_and_the_key(ros, controller, wait_until):
     values = {v.key: v.value for v in status[-1].values}
     assert (values["mode"], values["stops"], values["goals"], values["safety_stop"]) == ("idle", "0", "0", "")
 
-    rospy.wait_for_service("simulation/release", 10.0)
+    rospy.wait_for_service("simulation/release", 30.0)
     release = rospy.ServiceProxy("simulation/release", Trigger)
     back_off = rospy.ServiceProxy("simulation/back_off", Trigger)
     assert not release().success

@@ -157,7 +157,7 @@ def start(*arguments):
         [sys.executable, str(SCRIPT), *arguments],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=240,
         env={**os.environ, **PATHS},
     )
 
@@ -185,7 +185,7 @@ def program(processes, wait_until):
     )
     line = wait_until(lambda: process.log_path.read_text(), 20.0, "the ready line")
     port, control_port = int(line.split("UDP port ")[1].split(",")[0]), int(line.rsplit(":", 1)[1])
-    control = ControlClient("127.0.0.1", control_port)
+    control = ControlClient("127.0.0.1", control_port, 60.0)
     yield process, port, control
     control.close()
 

@@ -14,7 +14,7 @@ import yaml
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from kst import KstClient
+from kst import KstClient, KstTiming
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.paths import JointMove
@@ -34,6 +34,7 @@ KIND, DT = ("LBR7R800", "MF_elektrisch"), 1e-3
 SHIPPED = Path(__file__).parents[3] / "kuka_control" / "config" / "two_arms.yaml"
 SCRIPT = Path(__file__).parents[1] / "scripts" / "world.py"
 FREE_PORTS = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
+PATIENT = KstTiming(reply=20.0, servo_reply=20.0)
 HOME = np.radians([0, 30, 0, -80, 0, 70, 0])
 
 
@@ -186,7 +187,7 @@ def program(processes, wait_until):
             controls = dict(re.findall(r"^(\w+/\w+): .*, control port \S+:(\d+)$", read(), re.M))
             controls["world"] = found[1]
             clients = {
-                n: resources.enter_context(ControlClient("127.0.0.1", int(at), 20.0)) for n, at in controls.items()
+                n: resources.enter_context(ControlClient("127.0.0.1", int(at), 60.0)) for n, at in controls.items()
             }
             return process, clients, {name: int(at) for name, at in arms.items()}
 
@@ -200,7 +201,7 @@ def test_each_arm_and_each_hand_answers_on_its_own_wire(program, wait_until):
     assert set(clients) == {"world", *(f"{side}/{device}" for side in ports for device in devices)}
     goals = {"left": HOME, "right": HOME + 0.1}
     for side in ports:
-        client = KstClient.connect("127.0.0.1", ports[side], tool=np.eye(4), timeout=20.0)
+        client = KstClient.connect("127.0.0.1", ports[side], tool=np.eye(4), timeout=60.0, timing=PATIENT)
         try:
             client.ptp_joints(goals[side], 0.25, 60.0)
             for arm, q in goals.items():

@@ -267,7 +267,7 @@ def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, t
         "__name:=recorder",
     )  # fmt: skip
     wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
-    with ControlClient("127.0.0.1", port, 10.0) as control:
+    with ControlClient("127.0.0.1", port, 60.0) as control:
         start = control.ask("state")["time"]
         wait_until(lambda: control.ask("state")["time"] > start + 1.0, 60.0, "a second of the world")
         control.ask("set_scene", scene="empty")

@@ -34,7 +34,7 @@ def test_objects_and_forces_are_shown(ros, world_port, wait_until):
     cup = of(objects[-1], Marker.CUBE, "object/cup")
     assert len(cup) == 16
     assert {marker.header.frame_id for marker in table + cup} == {"kuka/base_frame"}
-    with ControlClient("127.0.0.1", world_port) as world:
+    with ControlClient("127.0.0.1", world_port, 30.0) as world:
         truth = world.ask("objects")["objects"]["cup"]["position"]
         heights = [marker.pose.position.z for marker in cup]
         assert abs(sum(heights) / len(heights) - truth[2]) < 0.005

@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
+from common.ros.publishing import DirectPublisher
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.execution.execution import (
     NONE,
@@ -125,7 +126,8 @@ class ExecutionDisplay:
 
     def __init__(self) -> None:
         self._state = rospy.Publisher("grasping/state", DiagnosticStatus, queue_size=10, latch=True)
-        self._outcome = rospy.Publisher("grasping/outcome", GraspOutcome, queue_size=10)
+        # An outcome that the end of the node brings is not left to a thread that no longer comes to send it.
+        self._outcome = DirectPublisher("grasping/outcome", GraspOutcome, queue_size=10)
         self._marker = rospy.Publisher("grasping/proposal_marker", MarkerArray, queue_size=10, latch=True)
         self._shown: tuple[int, str, str] | None = None
 

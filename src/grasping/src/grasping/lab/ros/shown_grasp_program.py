@@ -191,7 +191,7 @@ def _run(options: argparse.Namespace) -> None:
 
 def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, step: Callable[[], None]) -> None:
     """Runs `step` until a phase is over, with a progress bar."""
-    with tqdm(total=total, desc=name) as bar:
+    with tqdm(total=total, desc=name, miniters=0) as bar:  # why nothing is taken is shown, too
         while recorder.session.phase is phase:
             if rospy.is_shutdown():
                 raise RigError("ROS shut down; the poses that are written stay.")
