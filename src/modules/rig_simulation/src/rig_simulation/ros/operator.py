@@ -46,9 +46,6 @@ class Operator:
         self._arms = [f"{arm}/" for arm in config.arms] or [""]
         self._joints: dict[str, np.ndarray] = {}
         self._why = ""
-        for arm in self._arms:
-            take = partial(self._take_joints, arm)
-            rospy.Subscriber(f"{arm}kuka/joint_positions", jointPositions, take, queue_size=1)
 
     def run(self) -> None:
         """Starts the rig and the scenario, then spins until ROS shuts down; raises RigError if a step timed out."""
@@ -89,12 +86,15 @@ class Operator:
     def _start(self, arm: str) -> None:
         """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty."""
         of = f" {arm[:-1]}" if arm else ""
+        topic, take = f"{arm}kuka/joint_positions", partial(self._take_joints, arm)
+        joints = rospy.Subscriber(topic, jointPositions, take, queue_size=1)
         param = f"{arm}kuka/joints_home"
         self._wait(lambda: rospy.has_param(param), f"the controller{of} has computed the home position")
         home = np.asarray(rospy.get_param(param), dtype=float)
         self._wait(
             lambda: arm in self._joints and np.abs(self._joints[arm] - home).max() < AT_HOME, f"the arm{of} is at home"
         )
+        joints.unregister()  # they come with each goal, and cost a small machine more than the rest of this node
         if self._config.auto_start:
             self._switch(f"{arm}kuka/gripper_control", setGripperControl)
             self._switch(f"{arm}kuka/kuka_control", setKukaControl)
