@@ -122,7 +122,7 @@ def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
     return [
         f"robots:=2 does not go with {name}:={given[name]}"
         for name, value in needed.items()
-        if given.get(name, value) != value
+        if given.get(name, value).lower() != value
     ]
 
 
