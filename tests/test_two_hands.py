@@ -1,4 +1,4 @@
-"""Both hands of an operator over one Leap at the frame rate of two arms: each steers the arm and robot hand of its side."""
+"""Both hands over one Leap at the frame rate of two arms: each steers the arm and the robot hand of its side."""
 
 from __future__ import annotations
 
