@@ -54,7 +54,12 @@ NODES: dict[str, Node] = {
     ),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
     "leap_rig/leap_teleop.py": Node(
-        {"driver": "leap_motion.ros.parameters:DriverConfig", "hand": "leap_hand.config:NodeConfig"}, {}
+        {
+            "": "leap_rig.teleop_config:LeapTeleopConfig",
+            "driver": "leap_motion.ros.parameters:DriverConfig",
+            "hand": "leap_hand.config:NodeConfig",
+        },
+        {},
     ),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
     "leap_motion/visualizer.py": Node({"": "leap_motion.ros.parameters:VisualizerConfig"}, {}),

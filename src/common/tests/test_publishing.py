@@ -97,3 +97,25 @@ def test_messages_reach_subscribers_that_come_early_and_late(ros, wait_until):
     wait_until(lambda: published() and late, 10.0, "messages at the second subscriber")
     subscriber.unregister()
     publisher.unregister()
+
+
+def test_a_second_publisher_of_a_topic_ends_the_messages_that_the_first_has_begun(monkeypatch):
+    import rospy
+
+    from common.ros.publishing import DirectPublisher
+
+    connection, receiver = connection_of()
+    connection.write_data = None
+    impl = SimpleNamespace(connections=[connection], add_connection=bool, set_queue_size=lambda _: None)
+    monkeypatch.setattr(rospy.Publisher, "__init__", lambda self, *_, **__: setattr(self, "impl", impl))
+    monkeypatch.setattr(rospy.Publisher, "__del__", lambda self: None, raising=False)
+    data = b""
+    publishers = [DirectPublisher("tf", rospy.AnyMsg, queue_size=10)]
+    connection.write_data(message(1, 200_000))
+    publishers.append(DirectPublisher("tf", rospy.AnyMsg, queue_size=10))
+    receiver.setblocking(False)
+    for number in range(2, 200):
+        connection.write_data(message(number, 10))
+        with contextlib.suppress(BlockingIOError):
+            data += receiver.recv(10**6)
+    assert whole_messages(data)[0] == 1

@@ -32,17 +32,20 @@ def message(*transforms, publisher="/controller"):
     return SimpleNamespace(_buff=buffer.getvalue(), _connection_header={"callerid": publisher})
 
 
-def made(T_tool_flange, callbacks=1):
-    """The object, as rospy calls it, and how long it rests."""
+def made(T_tool_flange, others=()):
+    """The object, as rospy calls it beside the callbacks of `others`, and how long it rests."""
     import rospy
 
     from leap_kuka.ros import hand_to_arm
 
-    rests, subscriber = [], SimpleNamespace(impl=SimpleNamespace(callbacks=[None] * callbacks))
+    rests, impl = [], SimpleNamespace(callbacks=[(other, None) for other in others])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rospy, "Subscriber", lambda *_, **__: subscriber)
+        patch.setattr(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
         patch.setattr(hand_to_arm.time, "sleep", rests.append)
-        yield hand_to_arm.DelayMonitor(T_tool_flange), rests
+        patch.setattr(hand_to_arm.DelayMonitor, "_looked", {})
+        monitor = hand_to_arm.DelayMonitor(T_tool_flange)
+        impl.callbacks.append((monitor._take, None))
+        yield monitor, rests
 
 
 @settings(max_examples=50, deadline=None)
@@ -77,6 +80,14 @@ def test_it_rests_once_for_each_publisher_unless_another_subscriber_would_wait_t
         for publisher in ("/controller", "/other", "/controller"):
             meter._take(message(publisher=publisher))
         assert len(rests) == 2
-    for meter, rests in made(np.eye(4), callbacks=2):
+    for meter, rests in made(np.eye(4), others=[print]):
         meter._take(message())
         assert not rests
+
+
+def test_monitors_of_two_arms_rest_together():
+    for first, _ in made(np.eye(4)):
+        for second, rests in made(np.eye(4), others=[first._take]):
+            for monitor in (first, second):
+                monitor._take(message())
+            assert len(rests) == 1

@@ -60,6 +60,15 @@ def demo(processes, free_port, tmp_path):
     return start
 
 
+def free_pair(free_port, kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """Returns a port of loopback that is free, as is the next one."""
+    while True:
+        port = free_port(kind)
+        with socket.socket(socket.AF_INET, kind) as second, contextlib.suppress(OSError):
+            second.bind(("127.0.0.1", port + 1))
+            return port
+
+
 def descendants(pid: int) -> set[int]:
     children = {}
     for entry in os.listdir("/proc"):
@@ -266,3 +275,18 @@ def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo)
     report = json.loads(process.report.read_text())["scenario"]
     assert report["step"] == "done" and report["way_back"] == "true"
     assert float(report["smallest_mm"]) > 29.0 and float(report["held_s"]) > 1.0
+
+
+@pytest.mark.alone
+def test_two_arms_pick_up_a_cup_each_with_the_hand_of_their_side(demo, free_port, wait_until, tmp_path):
+    pairs = {name: free_pair(free_port) for name in ("robot_port", "robot_control_port", "hand_control_port")}
+    pairs["hand_port"] = free_pair(free_port, socket.SOCK_DGRAM)
+    process = demo("--scenario", "two_cups", robots=2, **pairs)
+    assert process.wait(350) == 0, process.log_path.read_text()
+    summary = json.loads(process.report.read_text())
+    assert summary["faults"] == [] and set(summary["arms"]) == {"left", "right"}
+    for arm, part in summary["arms"].items():
+        assert part["scenario"]["step"] == "done" and part["streams"] and part["safety_stops"] == 0
+        assert summary["objects"][f"{arm}_cup"]["picked_and_placed"]
+        assert max(part["hand_travel_rad"]) > 1.0
+    wait_until(lambda: not started_by(tmp_path), 20.0, "the end of all nodes")

@@ -36,6 +36,12 @@ pytestmark = pytest.mark.ros
         ),
         (["--tracker", "webcam", "--", "video:=no_such.mp4"], "no_such.mp4 is not a file"),
         (["--", "robot_port"], "'robot_port' is not of the form name:=value"),
+        (["--", "robots:=3"], "robots is '3', but must be 1 or 2"),
+        (["--scenario", "two_cups"], "the scenario two_cups needs two arms: robots:=2"),
+        (["--scenario", "wall", "--", "robots:=2"], "the scenario wall is for one arm; for two arms there is two_cups"),
+        (["--tutorial", "--", "robots:=2"], "robots:=2 does not go with tutorial:=true"),
+        (["--", "robots:=2", "world:=false"], "robots:=2 does not go with world:=false"),
+        (["--tracker", "webcam", "--", "robots:=2"], "robots:=2 does not go with tracker:=webcam"),
         (["--", "sim:=false"], "the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo"),
     ],
 )
@@ -62,10 +68,14 @@ def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, m
 def test_the_scenarios_are_those_of_the_simulated_person():
     from common.config import parse
     from common.errors import ConfigError
-    from leap_rig.ros.demo import SCENARIOS
+    from leap_rig.ros.demo import OF_TWO_ARMS, SCENARIOS
     from rig_simulation.node_parameters import OperatorConfig
 
-    assert all(parse(OperatorConfig, {"scenario": name}).scenario == name for name in SCENARIOS)
+    for name in SCENARIOS:
+        arms = ["left", "right"] if name in OF_TWO_ARMS else []
+        assert parse(OperatorConfig, {"scenario": name, "arms": arms}).scenario == name
+        with pytest.raises(ConfigError):
+            parse(OperatorConfig, {"scenario": name, "arms": [] if arms else ["left", "right"]})
     with pytest.raises(ConfigError) as refusal:
         parse(OperatorConfig, {"scenario": "juggle"})
     assert all(name in str(refusal.value) for name in SCENARIOS)

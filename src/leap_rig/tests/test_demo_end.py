@@ -34,3 +34,25 @@ def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(ro
         resume.set()
         if service is not None:
             service.shutdown()
+
+
+def test_all_of_several_controllers_are_asked_to_exit(ros, monkeypatch):
+    import rospy
+
+    from kuka_msgs.srv import exitApp
+    from leap_rig.ros import demo
+
+    monkeypatch.setattr(demo, "EXIT_TIMEOUT_S", 5.0)
+    deaths = demo.Deaths()
+
+    def answer(_):
+        deaths.process_died("right/kuka_real_time_node-3", 0)
+        return True, "the arm goes"
+
+    service = rospy.Service("right/kuka/exit_app", exitApp, answer)
+    try:
+        demo.end_in_order(deaths, ("left", "right"))
+    finally:
+        service.shutdown()
+    (fault,) = deaths.sentences
+    assert fault.startswith("left/kuka_real_time_node did not accept the request to exit")

@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytestmark = pytest.mark.ros
 
@@ -173,3 +174,101 @@ def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own()
     line = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
     assert "webcam_leapd.py" in line
     assert all(part in line for part in ("--video /a b.mp4", "--setup above", "--port 7"))
+
+
+ARMS = ("left", "right")
+OF_AN_ARM = {"kuka_real_time_node", "reflex_takktile_driver", "robot_state_publisher"}
+
+
+def of_both(names: set[str]) -> set[str]:
+    return {f"/{arm}/{name}" for arm in ARMS for name in names}
+
+
+def test_two_arms_have_their_nodes_in_namespaces_and_share_world_leap_and_panel():
+    shared = {"/simulated_world", "/leapd", "/simulation", "/operator"}
+    hidden = ("robots:=2", "rviz:=false", "gui:=false")
+    both = of_both(OF_AN_ARM | {"simulation"})
+    assert nodes(*hidden) == shared | both | {"/leap_teleop"}
+    shown = nodes("robots:=2") - nodes(*hidden)
+    assert shown == {PANEL, "/rviz"} | of_both({"operator_view"})
+    apart = of_both({"leap_kuka_node", "leap_hand_node"}) | {"/leap_driver"}
+    assert nodes(*hidden, "one_process:=false") == shared | both | apart
+    assert nodes(*hidden, "sim:=false") == of_both(OF_AN_ARM) | {"/leap_teleop"}
+    assert nodes("robots:=3") == set()
+
+
+def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():
+    ports = {"robot_port": 5000, "robot_control_port": 5010, "hand_port": 5020, "hand_control_port": 5030}
+    values = parameters("robots:=2", *(f"{name}:={value}" for name, value in ports.items()))
+    for number, arm in enumerate(ARMS):
+        expected = {
+            "kuka/port": 5000 + number, "kuka/ip": "127.0.0.1", "reflex_takktile_driver/port": 5020 + number,
+            "simulation/arm_port": 5010 + number, "simulation/hand_port": 5030 + number, "tf_prefix": arm,
+            "leap/hand": arm, "leap/box_offset": pytest.approx(0.16 * (2 * number - 1)),
+        }  # fmt: skip
+        assert {key: values[f"/{arm}/{key}"] for key in expected} == expected
+        assert values[f"/{arm}/reflex_takktile_driver/calibration_folder"].endswith(f"/reflex/lo/{arm}")
+    assert values["/leap_teleop/arms"] == values["/operator/arms"] == list(ARMS)
+    apart = parameters("robots:=2", "one_process:=false")
+    assert [apart[f"/{arm}/leap_hand_node/hand"] for arm in ARMS] == list(ARMS)
+    assert apart["/left/leap_hand_node/hand_only"] is False
+    real = parameters("robots:=2", "sim:=false")
+    assert real["/left/kuka/ip"] != real["/right/kuka/ip"] and real["/left/kuka/port"] == real["/right/kuka/port"]
+    interfaces = [real[f"/{arm}/reflex_takktile_driver/network_interface"] for arm in ARMS]
+    assert interfaces == ["eth0", "eth1"]
+    assert real["/left/kuka/rate_servo"] > values["/left/kuka/rate_servo"], "lower rates are for simulated arms alone"
+
+
+def test_the_controllers_of_two_arms_accept_what_the_launch_files_set():
+    from common.arms import arms_from
+    from common.config import parse
+    from kuka_control.model.arms import placement_faults
+    from kuka_control.model.config import RealTimeConfig, neighbours
+    from kuka_control.model.rig import workspace_of
+    from leap_kuka.config import LeapConfig
+
+    values = parameters("robots:=2")
+
+    def under(name: str) -> dict:
+        tree: dict = {}
+        for key, value in values.items():
+            if key.startswith(name):
+                *path, last = key[len(name) :].split("/")
+                at = tree
+                for part in path:
+                    at = at.setdefault(part, {})
+                at[last] = value
+        return tree
+
+    configs = {arm: parse(RealTimeConfig, under(f"/{arm}/kuka/"), others=neighbours(RealTimeConfig)) for arm in ARMS}
+    workspaces = {arm: workspace_of(config) for arm, config in configs.items()}
+    arms = arms_from(under("/arms/"))
+    for arm, config in configs.items():
+        assert placement_faults(arms, arm, config.mounting, workspaces) == []
+        assert parse(LeapConfig, under(f"/{arm}/leap/")).hand == arm
+
+
+def test_an_own_file_stands_above_the_rates_of_two_simulated_arms(tmp_path):
+    (tmp_path / "own.yaml").write_text("rate_servo: 77.0\n")
+    values = parameters("robots:=2", f"overrides:={tmp_path}/own.yaml")
+    assert values["/left/kuka/rate_servo"] == values["/right/kuka/rate_servo"] == 77.0
+    assert values["/left/kuka/rate_joints"] == 25.0 and values["/left/kuka/center_line"] == [1, 0, 0]
+
+
+def test_the_presets_of_rviz_show_topics_and_frames_of_each_arm():
+    def named(display: dict, keys: tuple[str, ...]) -> set[str]:
+        here = {display[key] for key in keys if key in display} | set(display.get("Frames", ()))
+        return here.union(*(named(inner, keys) for inner in display.get("Displays", ())))
+
+    keys = ("Marker Topic", "Robot Description")
+    one, two = (
+        {name for display in preset["Visualization Manager"]["Displays"] for name in named(display, keys)}
+        for preset in (yaml.safe_load((ROOT / f"src/leap_rig/rviz/{name}.rviz").read_text()) for name in PRESETS)
+    )
+    shared = {"All Enabled", "simulation/objects", "simulation/contacts"}
+    assert shared < two and {name.split("/")[0] for name in two - shared} == set(ARMS)
+    for arm in ARMS:
+        assert {name[len(arm) + 1 :] for name in two if name.startswith(f"{arm}/")} <= one
+
+
+PRESETS = ("rig", "two_arms")

@@ -18,25 +18,40 @@ ARM = {
 
 
 @pytest.fixture
-def rig(ros, processes, wait_until):
-    """The parameters, the hand's services, and a Leap service that plays; yields its port."""
+def rig_of(ros, processes, wait_until):
+    """Sets the parameters of arms in these namespaces, offers their hands' services, and starts a Leap service that
+    plays; returns its port.
+    """
     import rospkg
     import rospy
     from std_srvs.srv import Empty, EmptyResponse
 
-    packages = rospkg.RosPack()
-    for name, file in (("leap", "leap_kuka/config/leap_params"), ("leap_hand", "leap_hand/config/leap_hand")):
-        package, _, path = file.partition("/")
-        with open(f"{packages.get_path(package)}/{path}.yaml") as text:
-            rospy.set_param(name, yaml.safe_load(text))
-    rospy.set_param("kuka", ARM)
-    names = ("calibrate_fingers", "calibrate_tactile")
-    services = [rospy.Service(f"reflex_takktile/{name}", Empty, lambda _: EmptyResponse()) for name in names]
-    leapd = processes.start("rosrun", "rig_simulation", "leapd.py", "--port", "0", "--control-port", "0")
-    wait_until(lambda: "control port" in leapd.log_path.read_text(), 30.0, "the Leap service")
-    yield int(leapd.log_path.read_text().split("listening on ")[1].split(",")[0].rsplit(":", 1)[1])
+    packages, services = rospkg.RosPack(), []
+
+    def start(*namespaces: str, arguments: tuple[str, ...] = ()) -> int:
+        for of in namespaces:
+            for name, file in (("leap", "leap_kuka/config/leap_params"), ("leap_hand", "leap_hand/config/leap_hand")):
+                package, _, path = file.partition("/")
+                with open(f"{packages.get_path(package)}/{path}.yaml") as text:
+                    rospy.set_param(of + name, yaml.safe_load(text))
+            rospy.set_param(f"{of}kuka", ARM)
+            for name in ("calibrate_fingers", "calibrate_tactile"):
+                service = f"{of}reflex_takktile/{name}"
+                services.append(rospy.Service(service, Empty, lambda _: EmptyResponse()))
+        ports = ("--port", "0", "--control-port", "0")
+        leapd = processes.start("rosrun", "rig_simulation", "leapd.py", *ports, *arguments)
+        wait_until(lambda: "control port" in leapd.log_path.read_text(), 30.0, "the Leap service")
+        return int(leapd.log_path.read_text().split("listening on ")[1].split(",")[0].rsplit(":", 1)[1])
+
+    yield start
     for service in services:
         service.shutdown()
+
+
+@pytest.fixture
+def rig(rig_of):
+    """The rig of an only arm; the port of its Leap service."""
+    return rig_of("")
 
 
 def test_each_frame_reaches_arm_and_hand_and_the_topics_are_there(ros, rig, wait_until):
@@ -62,6 +77,48 @@ def test_each_frame_reaches_arm_and_hand_and_the_topics_are_there(ros, rig, wait
         lambda: {human.header.stamp for human in humans} & {t.header.stamp for m in tf for t in m.transforms},
         20.0,
         "a frame on both topics",
+    )
+    node.send_signal(signal.SIGINT)
+    assert node.wait(20.0) == 0, node.log_path.read_text()
+    assert "Traceback" not in node.log_path.read_text()
+
+
+def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros, rig_of, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+    from tf2_msgs.msg import TFMessage
+
+    from leap_motion.msg import Human
+    from reflex_msgs.msg import RadianServoCommands
+
+    arms = ("left", "right")
+    port = rig_of(*(f"{arm}/" for arm in arms), arguments=("--hand", "both"))
+    for arm in arms:
+        rospy.set_param(f"{arm}/tf_prefix", arm)
+        rospy.set_param(f"{arm}/leap/hand", arm)
+        rospy.set_param(f"{arm}/leap/box_offset", -0.16 if arm == "left" else 0.16)
+    rospy.set_param("/leap_teleop_test/arms", list(arms))
+    tf, diagnostics = ros.record("/tf", TFMessage), ros.record("/diagnostics", DiagnosticArray)
+    humans = ros.record("leap_motion/leap_device", Human)
+    streams = {arm: ros.record(f"{arm}/leap_kuka/stream", DiagnosticStatus) for arm in arms}
+    commands = {arm: ros.record(f"{arm}/reflex_takktile/radian_hand_command", RadianServoCommands) for arm in arms}
+    arguments = ("__name:=leap_teleop_test", f"_driver/port:={port}", "_hand/hand_only:=true")
+    node = ros.run("leap_rig", "leap_teleop.py", *arguments)
+
+    def steering(arm: str) -> set[str]:
+        return {value.value for message in tuple(streams[arm]) for value in message.values if value.key == "hand_side"}
+
+    wait_until(lambda: all(arm in steering(arm) for arm in arms), 90.0, "each arm's hand to steer it")
+    assert all(steering(arm) <= {"", arm} for arm in arms)
+    wait_until(lambda: all(commands.values()) and humans, 30.0, "commands to both robot hands")
+    desired = {f"{arm}/kuka/tool_frame/desired" for arm in arms}
+    children = {transform.child_frame_id for message in tuple(tf) for transform in message.transforms}
+    assert desired <= children and all(child.split("/")[0] in arms for child in children)
+    names = {f"{arm}/{name}" for arm in arms for name in ("leap_kuka", "leap_hand")} | {"leap_motion"}
+    wait_until(
+        lambda: names <= {status.name for message in tuple(diagnostics) for status in message.status},
+        20.0,
+        "diagnostics",
     )
     node.send_signal(signal.SIGINT)
     assert node.wait(20.0) == 0, node.log_path.read_text()

@@ -96,6 +96,29 @@ def test_old_and_incomplete_frames_are_missing(listener, monkeypatch):
     assert listener._fresh(TOOL_DESIRED) is not None
 
 
+def test_a_listener_of_one_of_two_arms_takes_the_names_of_this_arm_alone(ros):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+    from common.ros.conversions import stamped_transform
+    from leap_rig.recorder import Recorder
+    from leap_rig.ros.listener import RigListener
+
+    left, right = (RigListener(Recorder(), arm) for arm in ("left", "right"))
+    names = ("left/kuka_control", "right/kuka_control", "simulated_world")
+    statuses = [DiagnosticStatus(name=name, values=[KeyValue("goals_sent", name)]) for name in names]
+    frame = raw([stamped_transform(np.eye(4), f"left/{BASE}", f"left/{TOOL_DESIRED}", rospy.Time.now())])
+    for listener in (left, right):
+        listener._diagnostics(DiagnosticArray(status=statuses))
+        listener._transforms(frame)
+    assert left.recorder.counters["kuka_control"] == {"goals_sent": "left/kuka_control"}
+    assert right.recorder.counters["kuka_control"] == {"goals_sent": "right/kuka_control"}
+    assert left.recorder.counters["simulated_world"] == right.recorder.counters["simulated_world"]
+    assert left._fresh(f"left/{TOOL_DESIRED}") is not None and not right._frames
+    for listener in (left, right):
+        listener.stop()
+
+
 def test_a_stage_time_is_read_as_genpy_reads_it(listener):
     import rospy
     from sensor_msgs.msg import TimeReference

@@ -173,7 +173,7 @@ class Recorder:
     ) -> None:
         """Adds pose, clearance above the table [m] and contacts of an object of the simulated world."""
         bodies = set(touches)
-        held = any(body.startswith(("reflex/", "kuka/")) for body in bodies)
+        held = any({"reflex", "kuka"} & set(body.split("/")[:-1]) for body in bodies)  # behind an arm's prefix, too
         self.objects.setdefault(name, ObjectTrack()).observe(T_world_object, clearance, "table" in bodies, held, now)
 
     def hand(self, angles: np.ndarray) -> None:

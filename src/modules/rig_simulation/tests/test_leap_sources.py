@@ -255,3 +255,23 @@ def test_both_hands_move_each_as_one_alone():
     either = [(a is None) != (b is None) for a, b in zip(*palms.values())]
     assert sum(together) > 300 and sum(either) > 0, "each comes and goes by itself"
     assert not palms_of(both, "left")[1] & palms_of(both, "right")[1]
+
+
+def test_at_a_lower_frame_rate_the_same_hand_comes_in_fewer_frames():
+    slow, usual = (
+        played(Playback(ScriptedOperator(SHORT, frame_rate=rate), 3, frame_rate=rate), round(2.0 * rate))
+        for rate in (57.65, 115.3)
+    )
+    assert slow[-1].time == pytest.approx(usual[-1].time, rel=0.02) == pytest.approx(2.0, rel=0.02)
+    assert read_message(slow[0].text).rate == pytest.approx(57.65, abs=0.01)
+
+    def path(frames):
+        found, _ = palms_of([frame.text for frame in frames], "right")
+        return np.array([(frame.time, *palm) for frame, palm in zip(frames, found) if palm is not None])
+
+    few, many = path(slow), path(usual)
+    assert len(few) == pytest.approx(len(many) / 2, rel=0.1)
+    both = few[few[:, 0] < many[-1, 0]]
+    for axis in (1, 2, 3):
+        between = np.interp(both[:, 0], many[:, 0], many[:, axis])
+        assert np.abs(between - both[:, axis]).max() < 10.0, "noise and wandering differ, the motion does not"

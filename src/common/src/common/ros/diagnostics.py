@@ -22,13 +22,13 @@ BURST_S = 0.1
 class Diagnostics:
     """Publishes a node's state and counters on /diagnostics twice a second.
 
-    They stand there under `name`; where there are two arms, behind the prefix of this node's arm.
-    `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
+    They stand there under `name`; where there are two arms, behind the prefix of this node's arm, or of that in the
+    namespace `of`. `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
     Raises ConfigError if the parameter tf_prefix is invalid.
     """
 
-    def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]]) -> None:
-        self._name, self._read = arm_frames()(name), read
+    def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]], of: str = "") -> None:
+        self._name, self._read = arm_frames(of)(name), read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         repeat(self.publish, PERIOD_S, "diagnostics")
 
@@ -48,11 +48,12 @@ class StageTimes:
     Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame (its time of receipt),
     `time_ref` the time at which the stage passed its result on, `source` the name of the stage. The messages come up to
     BURST_S later, several at once: to write and to read each of them alone would delay the frames.
+    `of`: the namespace of the arm with a slash, in a node for several.
     """
 
-    def __init__(self, stage: str) -> None:
+    def __init__(self, stage: str, of: str = "") -> None:
         self._stage = stage
-        self._publisher = DirectPublisher(STAGE_TIMES, TimeReference, queue_size=100)
+        self._publisher = DirectPublisher(of + STAGE_TIMES, TimeReference, queue_size=100)
         self._done: deque[tuple[rospy.Time, rospy.Time]] = deque()
         repeat(self._publish, BURST_S, "stage times")
 

@@ -33,13 +33,13 @@ def private_config(schema: type[Schema], section: str = "", others: Iterable[str
     return parse(schema, values, prefix=f"~{section}/" if section else "~", others=others)
 
 
-def arm_frames() -> ArmFrames:
+def arm_frames(of: str = "") -> ArmFrames:
     """Returns the tf frames of this node's arm, by the parameter tf_prefix in its namespace or one above it.
 
-    Raises ConfigError if that is no prefix.
+    `of`: the namespace of the arm with a slash, in a node for several. Raises ConfigError if that is no prefix.
     """
-    name = rospy.search_param("tf_prefix")
-    values = {} if name is None else {"tf_prefix": rospy.get_param(name)}
+    name = f"{of}tf_prefix" if of else rospy.search_param("tf_prefix")
+    values = {} if name is None or not rospy.has_param(name) else {"tf_prefix": rospy.get_param(name)}
     return parse(ArmFrames, values, prefix="" if name is None else name[: -len("tf_prefix")])
 
 

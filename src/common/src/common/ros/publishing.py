@@ -28,7 +28,9 @@ class DirectPublisher(rospy.Publisher):
         self.impl.set_queue_size(None)  # with one, rospy adds the thread
         self.impl.add_connection = add_connection
         for connection in self.impl.connections:  # of subscribers that were faster
-            connection.write_data = _Outbox(connection, queue_size).write
+            # Another publisher of this topic in this process may have sent half a message.
+            if not isinstance(getattr(connection.write_data, "__self__", None), _Outbox):
+                connection.write_data = _Outbox(connection, queue_size).write
 
 
 class _Outbox:

@@ -35,26 +35,31 @@ SETTLING_S = 2.0
 
 
 class HandTeleopNode:
-    """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent."""
+    """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent.
 
-    def __init__(self, teleop: HandTeleop, force_limit: ForceLimit) -> None:
-        self._teleop, self._force_limit = teleop, force_limit
+    `of`: namespace of the arm with a slash, in a node for several.
+    """
+
+    def __init__(self, teleop: HandTeleop, force_limit: ForceLimit, of: str = "") -> None:
+        self._teleop, self._force_limit, self._of = teleop, force_limit, of
         self._wanted: np.ndarray | None = None
         self._limited = LimitedCommand(teleop.open_pose, {}, "")
         self._lock = threading.Lock()
         self._result = GripperResult(GripperState.WAITING, "no tracking frames came yet", None)
         self._commands_sent = 0
-        self._commands = DirectPublisher("reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
-        self._stage_times = StageTimes("leap_hand")
-        Diagnostics("leap_hand", self._diagnostics)
+        self._commands = DirectPublisher(f"{of}reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
+        self._stage_times = StageTimes("leap_hand", of)
+        Diagnostics("leap_hand", self._diagnostics, of)
         self._state_received = threading.Event()
-        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
+        hand_state = f"{of}reflex_takktile/hand_state"
+        rospy.Subscriber(hand_state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
     def run(self, subscribe: Subscribe) -> None:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
         self._state_received.wait(FIRST_STATE_S)
-        rospy.Subscriber("kuka/gripper_control", Bool, self._on_gripper, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
+        rospy.Subscriber(f"{self._of}kuka/gripper_control", Bool, self._on_gripper, queue_size=1, tcp_nodelay=True)
+        stream = f"{self._of}leap_kuka/stream"
+        rospy.Subscriber(stream, DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
         subscribe(self._on_frame, ReceivedHuman)
         while not rospy.is_shutdown():
             with self._lock:
@@ -92,7 +97,8 @@ class HandTeleopNode:
             self._send(result.command)
         if (result.state, result.reason) != (self._result.state, self._result.reason):
             lost = result.state is GripperState.KEEPING
-            (rospy.logwarn if lost else rospy.loginfo)("Hand %s: %s.", result.state.value, result.reason)
+            log = rospy.logwarn if lost else rospy.loginfo
+            log("%sHand %s: %s.", f"{self._of[:-1]}: " if self._of else "", result.state.value, result.reason)
         self._result = result
 
     def _send(self, wanted: np.ndarray) -> None:
@@ -139,14 +145,17 @@ def finger_feedback(hand: Hand) -> FingerFeedback:
     )
 
 
-def calibrate(timeout: float) -> None:
+def calibrate(timeout: float, of: str = "") -> None:
     """Has the robot hand calibrate itself, once its services are there within `timeout` [s], and waits for the end.
+
+    `of`: namespace of the arm with a slash, in a node for several.
 
     Raises:
         DeviceError: a service is not there, refuses, or does not answer.
         rospy.ROSInterruptException: ROS shut down.
     """
-    for name in CALIBRATIONS:
+    services = [of + name for name in CALIBRATIONS]
+    for name in services:
         rospy.loginfo("Waiting for the service %s.", name)
         try:
             rospy.wait_for_service(name, timeout)
@@ -155,7 +164,7 @@ def calibrate(timeout: float) -> None:
         except rospy.ROSException:
             absent = f"The service {name} is not there after {timeout:g} s"
             raise DeviceError(f"{absent}: is the driver of the ReFlex hand running?") from None
-    for name in CALIBRATIONS:
+    for name in services:
         call(name, Empty, timeout=ANSWER_TIMEOUT_S)
     rospy.loginfo("The hand calibrates; commands follow in %g s.", SETTLING_S)
     end = time.monotonic() + SETTLING_S
@@ -165,13 +174,13 @@ def calibrate(timeout: float) -> None:
         time.sleep(0.05)
 
 
-def start(node: NodeConfig, subscribe: Subscribe = subscribe) -> None:
-    """Follows the tracking frames of `subscribe` until ROS shuts down."""
-    config = wait_for_config(HandConfig, "leap_hand")
+def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> None:
+    """Follows the tracking frames of `subscribe` until ROS shuts down; `of` as of HandTeleopNode."""
+    config = wait_for_config(HandConfig, f"{of}leap_hand")
     if node.operator:
         rospy.loginfo("The finger mapping is that of %s.", node.operator)
-    calibrate(node.service_timeout)
-    HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config)).run(subscribe)
+    calibrate(node.service_timeout, of)
+    HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config), of).run(subscribe)
 
 
 def main() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from typing import ClassVar
 
 import numpy as np
 import rospy
@@ -23,13 +24,14 @@ class DelayMonitor:
         palm: track of the hand that steers, in the Leap frame.
     """
 
+    _looked: ClassVar[dict[str, float]] = {}  # by publisher [s]; of all monitors of the process, which rest together
+
     def __init__(self, T_tool_flange: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
         names = frames(BASE), frames(FLANGE_MEASURED)
         # As they stand in a tf message, after its stamp and before its seven numbers.
         self._flange_in_base = b"".join(struct.pack("<I", len(name)) + name.encode() for name in names)
         self._meter = DelayMeter()
         self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
-        self._looked: dict[str, float] = {}  # by publisher
         self.palm = self._meter.palm
         self._subscriber: rospy.Subscriber | None = None
         self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=BUFFER_BYTES, tcp_nodelay=True)
@@ -43,11 +45,12 @@ class DelayMonitor:
 
     def _take(self, message: rospy.AnyMsg) -> None:
         """Takes a message of tf, as bytes. Each publisher has a thread here, which rests: the messages that came
-        meanwhile are then read at once, at a fraction of the cost. Where this process subscribes to tf a second time,
-        it does not, since rospy calls both in this thread.
+        meanwhile are then read at once, at a fraction of the cost. Where this process subscribes to tf for something
+        else, too, it does not, since rospy calls both in this thread.
         """
         publisher, now = message._connection_header["callerid"], time.monotonic()
-        alone = self._subscriber is not None and len(self._subscriber.impl.callbacks) == 1
+        callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks
+        alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f, _ in callbacks)
         if alone and now - self._looked.get(publisher, 0.0) > READ_S:
             time.sleep(REST_S)
             self._looked[publisher] = time.monotonic()

@@ -27,13 +27,14 @@ SILENT = "the controller does not answer whether the arm can come"
 class ReachCheck:
     """The controller's newest answer. Only where nobody offers the service, every pose counts as reachable.
 
-    `ws_center` is the point from which the scaling factor `scale` counts, shape (3,) [m].
+    `ws_center` is the point from which the scaling factor `scale` counts, shape (3,) [m]; `of`: the controller's
+    namespace with a slash, if it is not this node's own.
     """
 
-    def __init__(self, ws_center: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
+    def __init__(self, ws_center: np.ndarray, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._base = frames(BASE)
         self._ws_center, self.scale = ws_center, 1.0
-        self._client = ServiceClient("kuka/check_tool_pose", CheckToolPose)
+        self._client = ServiceClient(f"{of}kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
         self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
         self._asked, self._period = threading.Event(), PERIOD_S

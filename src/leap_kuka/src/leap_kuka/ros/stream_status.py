@@ -81,14 +81,15 @@ class StreamStatus(NewestResult):
 
     Without either it publishes every HEARTBEAT_S.
 
-    The reason may change with every frame (the distance to the box), faster than anybody can read.
+    The reason may change with every frame (the distance to the box), faster than anybody can read. `of`: namespace of
+    the arm with a slash, in a node for several.
     """
 
-    def __init__(self, box: InteractionBox, frame_id: str) -> None:
+    def __init__(self, box: InteractionBox, frame_id: str, of: str = "") -> None:
         super().__init__(HEARTBEAT_S)
-        self._box, self._frame_id = box, frame_id
-        self._status = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
-        self._markers = rospy.Publisher("leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
+        self._box, self._frame_id, self._whose = box, frame_id, f"{of[:-1]}: " if of else ""
+        self._status = rospy.Publisher(f"{of}leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+        self._markers = rospy.Publisher(f"{of}leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
 
     def _key(self, result: TeleopResult) -> tuple:
         return result.state, result.hold, result.owner
@@ -98,7 +99,7 @@ class StreamStatus(NewestResult):
 
     def _changed(self, result: TeleopResult) -> None:
         held = ", the tool is held" if result.hold in (HoldState.HELD, HoldState.KEPT) else ""
-        rospy.loginfo("Stream %s%s: %s.", result.state.value, held, result.reason)
+        rospy.loginfo("%sStream %s%s: %s.", self._whose, result.state.value, held, result.reason)
 
     @property
     def text(self) -> tuple[int, str, str]:

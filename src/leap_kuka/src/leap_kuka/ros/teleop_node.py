@@ -39,7 +39,10 @@ WATCH_PERIOD_S = 0.1
 
 
 class ArmTeleopNode:
-    """Runs the chain on each frame, and watches for the stream falling silent."""
+    """Runs the chain on each frame, and watches for the stream falling silent.
+
+    `of`: namespace of the arm with a slash, in a node for several.
+    """
 
     def __init__(
         self,
@@ -48,6 +51,7 @@ class ArmTeleopNode:
         engagement: str,
         subscribe: Subscribe,
         frames: ArmFrames = ONE_ARM,
+        of: str = "",
     ) -> None:
         self._teleop, self._reach = teleop, reach
         self._base, self._virtual = frames(BASE), frames(VIRTUAL_LEAP)
@@ -57,14 +61,15 @@ class ArmTeleopNode:
         self._lock = threading.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
-        self._stage_times = StageTimes("leap_kuka")
-        self._status = StreamStatus(teleop.box, self._virtual)
-        self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed)
+        self._stage_times = StageTimes("leap_kuka", of)
+        self._status = StreamStatus(teleop.box, self._virtual, of)
+        self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed, of)
         self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange, frames), False
-        rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
-        rospy.Subscriber("leap_kuka/operator_input", OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
-        rospy.Service("leap_kuka/hold_tool", HoldTool, self._on_hold_request)
-        Diagnostics("leap_kuka", self._diagnostics)
+        rospy.Subscriber(f"{of}kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
+        operator_input = f"{of}leap_kuka/operator_input"
+        rospy.Subscriber(operator_input, OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
+        rospy.Service(f"{of}leap_kuka/hold_tool", HoldTool, self._on_hold_request)
+        Diagnostics("leap_kuka", self._diagnostics, of)
         subscribe(self._on_frame, ReceivedPalms)
 
     def watch(self) -> None:
@@ -150,21 +155,24 @@ class ArmTeleopNode:
         return level, reason, {**values, **self._hand_to_arm.values(), **dataclasses.asdict(self._teleop.counts)}
 
 
-def read_arm_placement() -> ArmPlacement:
-    """Waits for the arm's parameters, of which the controller uploads kuka/ws_center last, and returns them."""
+def read_arm_placement(of: str = "") -> ArmPlacement:
+    """Waits for the arm's parameters, of which the controller uploads kuka/ws_center last, and returns them.
+
+    `of`: namespace of the arm with a slash, in a node for several.
+    """
     for key in required(ArmPlacement):
-        wait_for_param(f"kuka/{key}")
-    return wait_for_config(ArmPlacement, "kuka", others=rospy.get_param("kuka"))
+        wait_for_param(f"{of}kuka/{key}")
+    return wait_for_config(ArmPlacement, f"{of}kuka", others=rospy.get_param(f"{of}kuka"))
 
 
-def start(subscribe: Subscribe = subscribe) -> None:
-    """Follows the tracking frames of `subscribe` until ROS shuts down."""
-    leap = wait_for_config(LeapConfig, "leap", others=(OPERATOR_INPUT,))
-    arm = read_arm_placement()
-    frames = arm_frames()
-    reach = ReachCheck(arm.ws_center, frames)
+def start(subscribe: Subscribe = subscribe, of: str = "") -> None:
+    """Follows the tracking frames of `subscribe` until ROS shuts down; `of` as of ArmTeleopNode."""
+    leap = wait_for_config(LeapConfig, f"{of}leap", others=(OPERATOR_INPUT,))
+    arm = read_arm_placement(of)
+    frames = arm_frames(of)
+    reach = ReachCheck(arm.ws_center, frames, of)
     measured = MeasuredTool(arm.T_flange_tool, frames) if leap.engagement == RELATIVE else no_measured_tool
-    ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe, frames).watch()
+    ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe, frames, of).watch()
 
 
 def main() -> None:

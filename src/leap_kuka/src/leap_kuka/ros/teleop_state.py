@@ -15,12 +15,15 @@ PERIOD_S = 0.2
 
 
 class TeleopStatePublisher(NewestResult):
-    """Publishes a change of what the operator switches and steers at once, and the whole state every PERIOD_S."""
+    """Publishes a change of what the operator switches and steers at once, and the whole state every PERIOD_S.
 
-    def __init__(self, engagement: str, enabling_needed: bool) -> None:
+    `of`: namespace of the arm with a slash, in a node for several.
+    """
+
+    def __init__(self, engagement: str, enabling_needed: bool, of: str = "") -> None:
         super().__init__(PERIOD_S)
         self._engagement, self._enabling_needed = engagement, enabling_needed
-        self._publisher = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=10, latch=True)
+        self._publisher = rospy.Publisher(f"{of}leap_kuka/state", TeleopState, queue_size=10, latch=True)
 
     def _key(self, result: TeleopResult) -> tuple:
         switches = result.follows, result.enabled, result.clutched

@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,9 +37,13 @@ READY_TIMEOUT_S = 90.0
 TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
 EXIT_TIMEOUT_S = 60.0
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
-SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands")
+SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups")
 TRACKERS = ("leap", "webcam", "headset")
 SCENE, YAML, VIDEO = "scene", ".yaml", "video"
+ONE_ARM, TWO_ARMS = ("",), ("left", "right")
+"""The namespaces of the arms; an only arm has none."""
+OF_TWO_ARMS = ("two_cups",)
+"""Scenarios for robots:=2; the others are for one arm."""
 
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:
@@ -72,8 +77,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         parser.error(f"{item!r} is not of the form name:=value")
     if "sim:=false" in [item.lower() for item in arguments.launch]:
         parser.error("the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo sim:=false`")
-    # A later argument wins, as in roslaunch.
-    given = dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
+    given = _given(arguments)
     scenario, scene = given.get("scenario"), Path(given.get(SCENE, ""))
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
@@ -86,6 +90,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         parser.error(f"there is no tracker {tracker!r}; known are {' and '.join(TRACKERS)}")
     if tracker != "leap" and (scenario or given.get("recording")):
         parser.error(f"the tracker {tracker} sees your own hand; a scenario or recording moves the simulated one")
+    for fault in _faults_of_two_arms(given):
+        parser.error(fault)
     if given.get(VIDEO) and not Path(given[VIDEO]).is_file():
         parser.error(f"the video {given[VIDEO]} is not a file")
     if scene.suffix == YAML and not scene.is_file():
@@ -96,6 +102,28 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         except RigError as error:
             parser.error(str(error))
     return arguments
+
+
+def _given(arguments: argparse.Namespace) -> dict[str, str]:
+    """Returns the arguments of the launch file by their names; a later one wins, as in roslaunch."""
+    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
+
+
+def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
+    """Returns why these arguments do not fit the number of arms."""
+    robots, scenario = given.get("robots", "1"), given.get("scenario", "")
+    if robots not in ("1", "2"):
+        return [f"robots is {robots!r}, but must be 1 or 2"]
+    if robots == "1":
+        return [f"the scenario {scenario} needs two arms: robots:=2"] if scenario in OF_TWO_ARMS else []
+    if scenario and scenario not in OF_TWO_ARMS:
+        return [f"the scenario {scenario} is for one arm; for two arms there is {' and '.join(OF_TWO_ARMS)}"]
+    needed = {"tracker": "leap", "world": "true", "recording": "", "grasping": "false", "tutorial": "false"}
+    return [
+        f"robots:=2 does not go with {name}:={given[name]}"
+        for name, value in needed.items()
+        if given.get(name, value).lower() != value
+    ]
 
 
 def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
@@ -159,23 +187,28 @@ def refuse_second_rig() -> None:
         return
     publishers, subscribers, services = rosgraph.Master("/demo").getSystemState()
     nodes = {node for _, names in publishers + subscribers + services for node in names}
-    if f"/{CONTROLLER}" in nodes:
+    if any(node.split("/")[-1] == CONTROLLER for node in nodes):
         raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
 
 
-def end_in_order(deaths: Deaths) -> None:
-    """Sends the arm to its zero position and waits for the controller to end."""
-    deaths.expected.add(CONTROLLER)
-    try:
-        call("kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
-    except ServiceFailed as error:
-        deaths.sentences.append(f"{CONTROLLER} did not accept the request to exit: {error}")
-        return
+def end_in_order(deaths: Deaths, arms: Sequence[str] = ONE_ARM) -> None:
+    """Sends all arms to their zero position and waits for the controllers to end."""
+    waiting = []
+    for of in [f"{arm}/" if arm else "" for arm in arms]:
+        controller = of + CONTROLLER
+        deaths.expected.add(controller)
+        try:
+            call(f"{of}kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
+        except ServiceFailed as error:
+            deaths.sentences.append(f"{controller} did not accept the request to exit: {error}")
+        else:
+            waiting.append(controller)
     deadline = time.monotonic() + EXIT_TIMEOUT_S
-    while CONTROLLER not in deaths.ended and time.monotonic() < deadline:
+    while not deaths.ended.issuperset(waiting) and time.monotonic() < deadline:
         time.sleep(0.1)
-    if CONTROLLER not in deaths.ended:
-        deaths.sentences.append(f"{CONTROLLER} did not end within {EXIT_TIMEOUT_S:.0f} s after exit_app")
+    for controller in waiting:
+        if controller not in deaths.ended:
+            deaths.sentences.append(f"{controller} did not end within {EXIT_TIMEOUT_S:.0f} s after exit_app")
 
 
 class Interrupts:
@@ -229,28 +262,32 @@ def run(arguments: argparse.Namespace) -> int:
         deaths.take_early(parent.pm)
         # Imported while the nodes start, which would wait for them otherwise.
         from leap_rig.recorder import Recorder
-        from leap_rig.report import TUTORIAL, as_text, summarise
+        from leap_rig.report import TUTORIAL
+        from leap_rig.report_of_arms import as_text, summarise
         from leap_rig.ros.listener import RigListener
 
         rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
-        recorder = Recorder()
+        arms = TWO_ARMS if _given(arguments).get("robots") == "2" else ONE_ARM
+        recorders = {arm: Recorder() for arm in arms}
         if arguments.tutorial:  # until its node reports
-            recorder.set_scenario({"scenario": TUTORIAL, "step": "begin", "failure": ""})
-        listener = RigListener(recorder)
+            recorders[""].set_scenario({"scenario": TUTORIAL, "step": "begin", "failure": ""})
+        listeners = {arm: RigListener(recorder, arm) for arm, recorder in recorders.items()}
         limit = TUTORIAL_S if arguments.tutorial and not screen else None
-        ended = wait_for_end(listener, deaths, status, arguments.duration or limit, arguments.tutorial and screen)
-        listener.stop()
+        ended = wait_for_end(listeners, deaths, status, arguments.duration or limit, arguments.tutorial and screen)
+        for listener in listeners.values():
+            listener.stop()
         summary_time = time.monotonic()
         if ended in ("duration", "scenario"):
             why = "The time is up" if ended == "duration" else "The scenario is over"
-            status.say(f"{why}: the arm goes to the zero position.")
-            end_in_order(deaths)
+            what = "the arm goes" if len(arms) == 1 else "the arms go"
+            status.say(f"{why}: {what} to the zero position.")
+            end_in_order(deaths, arms)
     finally:
         interrupts.ignore()
         with contextlib.suppress(OSError):  # the terminal may be closed
             status.finish()
         parent.shutdown()
-    summary = summarise(listener.recorder, summary_time, deaths.sentences, deaths.remarks)
+    summary = summarise(recorders, summary_time, deaths.sentences, deaths.remarks)
     print(as_text(summary))
     if arguments.report is not None:
         try:
@@ -261,38 +298,44 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def wait_for_end(
-    listener: RigListener, deaths: Deaths, status: LiveStatus, duration: float | None, visitor: bool
+    listeners: Mapping[str, RigListener], deaths: Deaths, status: LiveStatus, duration: float | None, visitor: bool
 ) -> str:
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
-    `visitor` may stay when the tutorial is over. Raises RigError if the arm is not at home after READY_TIMEOUT_S.
+    `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S.
     """
     from leap_rig.report import TUTORIAL  # as late as in `run`
 
+    first = next(iter(listeners.values()))
     try:
         deadline = time.monotonic() + READY_TIMEOUT_S
-        while listener.mode not in AT_HOME_OR_LATER:
+        while late := [arm for arm, listener in listeners.items() if listener.mode not in AT_HOME_OR_LATER]:
             if deaths.sentences:
                 return "death"
             if time.monotonic() > deadline:
-                raise RigError(f"The arm did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
-            status.update(listener, "starting")
+                which = f"The arm {' and '.join(late)}".rstrip()
+                raise RigError(f"{which} did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
+            status.update(listeners, "starting")
             time.sleep(0.1)
         begin = time.monotonic()
-        listener.recorder.start(begin)
+        for listener in listeners.values():
+            listener.recorder.start(begin)
         processor = ProcessorLoad()
         while not deaths.sentences:
             now = time.monotonic()
             elapsed, load = now - begin, processor.sample(now)
             if load is not None:
-                listener.recorder.loads.append((now, load))
+                for listener in listeners.values():
+                    listener.recorder.loads.append((now, load))
             if duration is not None and elapsed >= duration:
                 return "duration"
-            while listener.sentences:
-                status.say(listener.sentences.popleft())
-            tutorial = (listener.recorder.scenario or {}).get("scenario") == TUTORIAL
-            if listener.recorder.scenario_over and (not visitor if tutorial else duration is None):
+            while first.sentences:
+                status.say(first.sentences.popleft())
+            tutorial = (first.recorder.scenario or {}).get("scenario") == TUTORIAL
+            if all(listener.recorder.scenario_over for listener in listeners.values()) and (
+                not visitor if tutorial else duration is None
+            ):
                 return "scenario"
-            status.update(listener, f"{elapsed:.0f} s")
+            status.update(listeners, f"{elapsed:.0f} s")
             time.sleep(0.1)
         return "death"
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from common.config import parse
-from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED
+from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames
 from common.hand_tracking import LEFT, RIGHT
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
@@ -25,7 +25,6 @@ from leap_rig.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 
-ENCODED = {name: struct.pack("<I", len(name)) + name.encode() for name in (TOOL_DESIRED, TOOL_COMMANDED)}
 STAGE_TIME = struct.Struct("<7I")
 """A TimeReference as `StageTimes` writes it, up to its source: seq, stamp, length of the empty frame_id, time_ref,
 length of the source."""
@@ -34,10 +33,15 @@ FRESH_S = 0.2
 
 
 class RigListener:
-    """Feeds a Recorder. `mode` is the controller's mode."""
+    """Feeds a Recorder. `mode` is the controller's mode; `arm`: of several, its namespace and its names' prefix."""
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Recorder, arm: str = "") -> None:
         self.recorder = recorder
+        self._of = of = f"{arm}/" if arm else ""
+        self._base, self._desired, self._commanded = map(ArmFrames(arm), (BASE, TOOL_DESIRED, TOOL_COMMANDED))
+        self._encoded = {
+            name: struct.pack("<I", len(name)) + name.encode() for name in (self._desired, self._commanded)
+        }
         self.mode = ""
         self.sentences: deque[str] = deque()  # of the tutorial, not yet shown
         self._owner: tuple[str, str] | None = None  # number and side of the hand that steers
@@ -46,17 +50,17 @@ class RigListener:
         self._subscribers: list[rospy.Subscriber] = []
         self._frames: dict[str, bytes] = {}  # the newest tf message with each of the tool's frames
         for topic, kind, callback, queue in (
-            (STAGE_TIMES, rospy.AnyMsg, self._locked(self._stage), 500),
-            ("leap_kuka/stream", DiagnosticStatus, self._locked(self._stream), 50),
+            *((topic, rospy.AnyMsg, self._locked(self._stage), 500) for topic in {STAGE_TIMES, of + STAGE_TIMES}),
+            (f"{of}leap_kuka/stream", DiagnosticStatus, self._locked(self._stream), 50),
             ("/diagnostics", DiagnosticArray, self._locked(self._diagnostics), 50),
-            ("simulation/status", DiagnosticStatus, self._locked(self._simulation), 10),
+            (f"{of}simulation/status", DiagnosticStatus, self._locked(self._simulation), 10),
             ("/tf", rospy.AnyMsg, self._locked(self._transforms), 100),
-            ("simulation/flange", rospy.AnyMsg, self._sampled(PoseStamped, self._flange, 0.03), 1),
+            (f"{of}simulation/flange", rospy.AnyMsg, self._sampled(PoseStamped, self._flange, 0.03), 1),
             ("simulation/object_states", rospy.AnyMsg, self._sampled(ObjectStates, self._objects, 0.1), 1),
-            ("simulation/scenario", DiagnosticStatus, self._locked(self._scenario), 10),
+            (f"{of}simulation/scenario", DiagnosticStatus, self._locked(self._scenario), 10),
             ("leap_rig/tutorial", DiagnosticStatus, self._locked(self._tutorial), 10),
-            ("kuka/mode", String, self._locked(self._mode), 50),
-            ("reflex_takktile/hand_state", rospy.AnyMsg, self._sampled(Hand, self._hand, 0.1), 1),
+            (f"{of}kuka/mode", String, self._locked(self._mode), 50),
+            (f"{of}reflex_takktile/hand_state", rospy.AnyMsg, self._sampled(Hand, self._hand, 0.1), 1),
             ("leap_motion/leap_device", rospy.AnyMsg, self._sampled(ReceivedPalms, self._palm, 0.02), 1),
         ):
             self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
@@ -110,7 +114,8 @@ class RigListener:
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.recorder.status(status.name, _values(status))
+            name = status.name[len(self._of) :] if status.name.startswith(self._of) else status.name
+            self.recorder.status(name, _values(status))
 
     def _simulation(self, status: DiagnosticStatus) -> None:
         self.recorder.status("simulation", _values(status))
@@ -135,18 +140,18 @@ class RigListener:
 
     def _flange(self, message: PoseStamped) -> None:
         if self._T_flange_tool is None:
-            kuka = rospy.get_param("kuka")
-            self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
+            kuka = rospy.get_param(f"{self._of}kuka")
+            self._T_flange_tool = parse(ToolConfig, kuka, f"{self._of}kuka/", others=kuka).T_flange_tool
         T_base_tool = pose_from_message(message.pose) @ self._T_flange_tool
         if self._following:
             self.recorder.tools.add(message.header.stamp.to_sec(), T_base_tool[:3, 3].tolist())
-        targets = [self._fresh(frame) if self._following else None for frame in (TOOL_DESIRED, TOOL_COMMANDED)]
+        targets = [self._fresh(frame) if self._following else None for frame in (self._desired, self._commanded)]
         self.recorder.tool(T_base_tool, *targets)
 
     def _transforms(self, message: rospy.AnyMsg) -> None:
         """Keeps the messages that are needed, as bytes: to read all of them costs more than all else here."""
-        for frame in (TOOL_DESIRED, TOOL_COMMANDED):
-            if ENCODED[frame] in message._buff:
+        for frame, encoded in self._encoded.items():
+            if encoded in message._buff:
                 self._frames[frame] = message._buff
 
     def _fresh(self, frame: str) -> np.ndarray | None:
@@ -158,7 +163,7 @@ class RigListener:
             return None
         transforms = {t.child_frame_id: t for t in TFMessage().deserialize(self._frames[frame]).transforms}
         T, name, oldest = np.eye(4), frame, rospy.Time.now() - rospy.Duration.from_sec(FRESH_S)
-        while name != BASE:
+        while name != self._base:
             transform = transforms.pop(name, None)
             if transform is None or transform.header.stamp < oldest:
                 return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -24,19 +25,22 @@ class LiveStatus:
         self._frames = 0
         self._time = time.monotonic()
 
-    def update(self, listener: RigListener, phase: str) -> None:
-        """Prints the state, at most once a period."""
+    def update(self, listeners: Mapping[str, RigListener], phase: str) -> None:
+        """Prints the state of each arm by its name, at most once a period."""
         now = time.monotonic()
-        recorder = listener.recorder
+        recorder = next(iter(listeners.values())).recorder
         if now < self._next:
             return
         self._next = now + self._period
         rate = max(recorder.frames - self._frames, 0) / max(now - self._time, 1e-3)
         self._frames, self._time = recorder.frames, now
+        text = f"{phase:>8}"
+        for arm, listener in listeners.items():
+            hand = "steers" if listener.recorder.streaming else "waits"
+            text += f" | {arm or 'arm'} {listener.mode or '-':<9} | hand {hand:<6}"
+        text += f" | {rate:4.0f} frames/s"
         speed = recorder.counters.get("simulation", {}).get("tcp_speed")
-        hand = "steers" if recorder.streaming else "waits"
-        text = f"{phase:>8} | arm {listener.mode or '-':<9} | hand {hand:<6} | {rate:4.0f} frames/s"
-        if speed is not None:
+        if speed is not None and len(listeners) == 1:
             text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
         if recorder.scenario is not None:
             text += f" | {recorder.scenario['step']}"

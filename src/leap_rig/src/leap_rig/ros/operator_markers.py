@@ -9,7 +9,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from common.frames import BASE
+from common.frames import BASE, ONE_ARM, ArmFrames
 from common.operator_rows import BRIGHT_COLOURS, Row, RowTone, plain_text
 from leap_motion.ros.hand_markers import marker
 from leap_motion.skeleton import traffic_light
@@ -23,27 +23,27 @@ TEXT_AT = (0.0, 0.5, 0.6)  # in the base, beside the arm [m]
 WORST = (RowTone.FAULT, RowTone.WARNING, RowTone.GOOD, RowTone.NORMAL, RowTone.STALE)
 
 
-def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]]) -> MarkerArray:
+def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]], frames: ArmFrames = ONE_ARM) -> MarkerArray:
     """Returns the rows as a text beside the arm, and a bar for each taxel on the back of its finger.
 
     `pressures` are those of the nine taxels of index, middle and thumb as fractions of a full bar; empty if unknown.
     """
-    text = marker("text", Marker.TEXT_VIEW_FACING, 0, BASE, LIFETIME)
+    text = marker("text", Marker.TEXT_VIEW_FACING, 0, frames(BASE), LIFETIME)
     text.pose.position, text.scale.z = Point(*TEXT_AT), TEXT_HEIGHT_M
     text.text = plain_text(rows, TEXT_COLUMNS)
     tones = {row.tone for row in rows}
     colour = BRIGHT_COLOURS[next((tone for tone in WORST if tone in tones), RowTone.STALE)]
     text.color = ColorRGBA(*(int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)), 1.0)
     bars = [
-        _bars(f"{part}_{finger + 1}", part, fractions)
+        _bars(f"{part}_{finger + 1}", part, fractions, frames)
         for finger, taxels in enumerate(pressures)
         for part, fractions in (("proximal", taxels[:5]), ("distal", taxels[5:]))
     ]
     return MarkerArray([text, *bars])
 
 
-def _bars(link: str, part: str, fractions: Sequence[float]) -> Marker:
-    bars = marker(f"touch {link}", Marker.LINE_LIST, 0, f"reflex/{link}", LIFETIME)
+def _bars(link: str, part: str, fractions: Sequence[float], frames: ArmFrames) -> Marker:
+    bars = marker(f"touch {link}", Marker.LINE_LIST, 0, frames(f"reflex/{link}"), LIFETIME)
     bars.scale.x = BAR_WIDTH_M
     back = TAXEL_POSITIONS[part].copy()
     back[:, 2] = EXTENT[part][0][2]

@@ -19,9 +19,10 @@ from visualization_msgs.msg import MarkerArray
 
 from common.config import parse
 from common.frames import VIRTUAL_LEAP
+from common.hand_tracking import ANY, LEFT, RIGHT
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
-from common.ros.params import private_config
+from common.ros.params import arm_frames, private_config
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
@@ -51,9 +52,10 @@ HAND_TO_ARM = "hand_to_arm_ms"  # key of the measured delay in /diagnostics
 
 
 class OperatorViewNode:
-    """The topics of the view."""
+    """The topics of the view; `hand`: of the operator, which is shown: left, right or any."""
 
-    def __init__(self, config: OperatorViewConfig, touch: TouchConfig) -> None:
+    def __init__(self, config: OperatorViewConfig, touch: TouchConfig, hand: str = ANY) -> None:
+        self._frames, self._hand = arm_frames(), hand
         self._view, self._lock = OperatorView(touch.force_limit_pressure), threading.Lock()
         self._sounds, self._speaker = Sounds(), Speaker() if config.sounds else None
         self._listen = OnDemand(self._input_subscribers)
@@ -79,7 +81,7 @@ class OperatorViewNode:
             return
         self._published = rows, now
         if self._markers.get_num_connections():
-            self._markers.publish(view_markers(rows, taxels))
+            self._markers.publish(view_markers(rows, taxels, self._frames))
         if self._rows.get_num_connections():
             lines = [OperatorRow(r.name, r.text, r.tone.value, r.kind, r.labels, r.values) for r in rows]
             self._rows.publish(OperatorViewMessage(Header(stamp=rospy.Time.now()), lines))
@@ -116,6 +118,8 @@ class OperatorViewNode:
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if status.name.rpartition("/")[0] != self._frames.tf_prefix:
+                continue  # of another arm
             for item in status.values:
                 if item.key == HAND_TO_ARM:
                     try:
@@ -124,14 +128,16 @@ class OperatorViewNode:
                         continue
 
     def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
-        self._hands.publish(MarkerArray(hand_markers(frame.hands, VIRTUAL_LEAP, LIFETIME)))
+        hands = [hand for hand in frame.hands if self._hand in (ANY, LEFT if hand.is_left else RIGHT)]
+        self._hands.publish(MarkerArray(hand_markers(hands, self._frames(VIRTUAL_LEAP), LIFETIME)))
         time.sleep(SKELETON_PERIOD_S)
 
 
 def main() -> None:
     """Runs the node with its private parameters."""
     hand = rospy.get_param("leap_hand", {})
-    node = OperatorViewNode(private_config(OperatorViewConfig), parse(TouchConfig, hand, "leap_hand/", others=hand))
+    touch = parse(TouchConfig, hand, "leap_hand/", others=hand)
+    node = OperatorViewNode(private_config(OperatorViewConfig), touch, rospy.get_param("leap/hand", ANY))
     while not rospy.is_shutdown():
         with while_running():
             node.step()

@@ -8,6 +8,7 @@ from common.config import choice, flag, integer, names, number, text
 
 LOOPBACK = "127.0.0.1"
 PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS = "pick_cup", "assisted_grasp", "wall", "clutch", "two_hands"
+TWO_CUPS = "two_cups"
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class SimulationConfig:
     leap_port: int = integer(low=0, high=65535, doc="control port of the Leap service; 0: none", absent=16437)
     hand_port: int = integer(low=0, high=65535, doc="control port of the hand; 0: none", absent=11433)
     camera_port: int = integer(low=0, high=65535, doc="control port of the camera; 0: none", absent=30031)
+    flange_rate: float = number("Hz", above=0.0, high=100.0, doc="how often the flange is published", absent=100.0)
     world_rate: float = number("Hz", above=0.0, high=100.0, doc="how often the objects are published", absent=30.0)
     view_rate: float = number("Hz", above=0.0, high=60.0, doc="how often their markers are published", absent=10.0)
 
@@ -100,7 +102,7 @@ class OperatorConfig:
     )
     world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios", absent=30021)
     scenario: str = choice(
-        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS),
+        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS, TWO_CUPS),
         doc="what the hand does; empty: what the simulated Leap service plays",
         absent="",
     )
@@ -109,6 +111,8 @@ class OperatorConfig:
 
     def faults(self) -> list[str]:
         """Returns faults of several keys together."""
-        if self.arms and self.scenario:
+        if self.arms and self.scenario not in ("", TWO_CUPS):
             return [f"scenario is {self.scenario}, which is for one arm, but arms are {', '.join(self.arms)}."]
+        if self.scenario == TWO_CUPS and not self.arms:
+            return [f"scenario is {self.scenario}, which is for several arms, but arms names none."]
         return []

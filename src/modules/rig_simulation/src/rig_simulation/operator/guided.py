@@ -112,21 +112,21 @@ class GuidedOperator:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, empty ones while no hand is in view."""
-        return as_frames(self.hands(rng, first_id), self._scripted.service)
+        return as_frames(self.hands(rng, first_id), self._scripted.service, self._scripted.frame_rate)
 
     def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
         """Yields what is sensed."""
-        model = self._scripted.hand_model
+        model, frame_rate = self._scripted.hand_model, self._scripted.frame_rate
         tracker, shown, age = None, 0, 0.0
         second = SecondHand(self._scripted, first_id + 1000, rng)
         order = rng.permutation(5).tolist()
         while True:
-            interval = next_interval(rng)
+            interval = next_interval(rng, frame_rate)
             state, speed, left, count = self._advance(interval)
             hands = []
             if state is not None:
                 if tracker is None or count != shown:
-                    tracker, shown, age = Tracker(model, first_id + count - 1, rng), count, 0.0
+                    tracker, shown, age = Tracker(model, first_id + count - 1, rng, frame_rate), count, 0.0
                 curl = float(state[motion.CURL])
                 hands = [tracker.report(self._scripted.pose(state), curl, speed, age, left)]
                 age += interval
@@ -160,7 +160,7 @@ class SecondHand:
     def __init__(self, scripted: ScriptedOperator, hand_id: int, rng: np.random.Generator) -> None:
         side = "left" if scripted.side == "right" else "right"
         self._scripted = replace(scripted, side=side)
-        self._tracker = Tracker(self._scripted.hand_model, hand_id, rng)
+        self._tracker = Tracker(self._scripted.hand_model, hand_id, rng, scripted.frame_rate)
         x, y, z = SECOND_AT_MM
         self._state = np.array([x if side == "left" else -x, y, z, 0.0, 0.0, 0.0, 0.0])
         self._age = 0.0

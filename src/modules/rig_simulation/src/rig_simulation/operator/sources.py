@@ -20,11 +20,11 @@ from common.errors import RigError
 from leap_motion.codec import WHOLE_LIMIT
 from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
-from rig_simulation.devices.leap.sensing import Tracker
+from rig_simulation.devices.leap.sensing import FRAME_RATE, Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
-PERIOD_S = 1.0 / 115.3
+PERIOD_S = 1.0 / FRAME_RATE
 JITTER_S = 0.08e-3
 LOST_FRAME = 0.005  # probability that the sensor loses a frame: the interval is double, the id continues
 BETWEEN_IDS = 100_000  # between the ids of an operator's two hands
@@ -39,21 +39,25 @@ class RecordingError(RigError):
         super().__init__(f"The recording {path} {problem}. Record it again, or choose another file.")
 
 
-def empty_frames(rng: np.random.Generator, service: str) -> Iterator[tuple[float, wire.Frame]]:
-    """Yields frames without hands and without end, at the rate of the device with its jitter."""
-    empty = wire.frame([], 1.0 / PERIOD_S, service)
+def empty_frames(
+    rng: np.random.Generator, service: str, frame_rate: float = FRAME_RATE
+) -> Iterator[tuple[float, wire.Frame]]:
+    """Yields frames without hands and without end, at the rate of the device [Hz] with its jitter."""
+    empty = wire.frame([], frame_rate, service)
     while True:
-        yield next_interval(rng), empty
+        yield next_interval(rng, frame_rate), empty
 
 
 Sensed = Tuple[float, List[ReportedHand], List[int]]
 """Time since the last frame [s], the hands in view, and the order of their fingers."""
 
 
-def as_frames(sensed: Iterator[Sensed], service: str) -> Iterator[tuple[float, wire.Frame]]:
-    """Yields the frames of a service."""
+def as_frames(
+    sensed: Iterator[Sensed], service: str, frame_rate: float = FRAME_RATE
+) -> Iterator[tuple[float, wire.Frame]]:
+    """Yields the frames of a service, which says that their rate is `frame_rate` [Hz]."""
     for interval, hands, order in sensed:
-        yield interval, wire.frame(hands, 1.0 / PERIOD_S, service, order)
+        yield interval, wire.frame(hands, frame_rate, service, order)
 
 
 class OperatorHand(Protocol):
@@ -69,6 +73,7 @@ class BothHands:
 
     both: tuple[OperatorHand, OperatorHand]
     service: str = "2.3"
+    frame_rate: float = FRAME_RATE  # of both hands [Hz]
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, with the hands that are in view."""
@@ -77,7 +82,7 @@ class BothHands:
             hand.hands(np.random.default_rng(seed), first_id + number * BETWEEN_IDS)
             for number, (hand, seed) in enumerate(zip(self.both, seeds))
         ]
-        return as_frames(self._merged(sensed), self.service)
+        return as_frames(self._merged(sensed), self.service, self.frame_rate)
 
     @staticmethod
     def _merged(sensed: Sequence[Iterator[Sensed]]) -> Iterator[Sensed]:
@@ -95,6 +100,7 @@ class ScriptedOperator:
     centre: tuple[float, float, float] = (0.0, 350.0, 0.0)  # of the workspace, in Leap axes [mm]
     service: str = "2.3"  # whose frames
     T_desk_leap: np.ndarray | None = None  # pose of the device where the motions are, shape (4, 4) [mm]
+    frame_rate: float = FRAME_RATE  # [Hz]
 
     @property
     def hand_model(self) -> HandModel:
@@ -103,7 +109,7 @@ class ScriptedOperator:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields visits without end, each with its own hand id and a pause after it."""
-        return as_frames(self.hands(rng, first_id), self.service)
+        return as_frames(self.hands(rng, first_id), self.service, self.frame_rate)
 
     def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
         """Yields what is sensed of the same visits."""
@@ -115,8 +121,8 @@ class ScriptedOperator:
             hand_id += 1
 
     def _visit(self, visit: motion.Visit, model: HandModel, hand_id: int, rng: np.random.Generator) -> Iterator[Sensed]:
-        tracker, order = Tracker(model, hand_id, rng), rng.permutation(5).tolist()
-        t, interval = visit.appears, next_interval(rng)
+        tracker, order = Tracker(model, hand_id, rng, self.frame_rate), rng.permutation(5).tolist()
+        t, interval = visit.appears, next_interval(rng, self.frame_rate)
         while t < visit.vanishes + self.script.away:
             hands = []
             if visit.visible(t):
@@ -125,7 +131,7 @@ class ScriptedOperator:
                 pose, curl = self.pose(state), float(state[motion.CURL])
                 hands = [tracker.report(pose, curl, speed, t - visit.appears, visit.vanishes - t)]
             yield interval, hands, order
-            interval = next_interval(rng)
+            interval = next_interval(rng, self.frame_rate)
             t += interval
 
     def pose(self, state: np.ndarray) -> HandPose:
@@ -201,10 +207,10 @@ def _read(path: Path) -> list[str]:
     return lines
 
 
-def next_interval(rng: np.random.Generator) -> float:
+def next_interval(rng: np.random.Generator, frame_rate: float = FRAME_RATE) -> float:
     """Returns the time to the next frame [s]: the period of the device with its jitter, doubled for a lost frame."""
     frames = 2 if rng.random() < LOST_FRAME else 1
-    return frames * PERIOD_S + JITTER_S * min(max(float(rng.standard_normal()), -3.0), 3.0)
+    return frames / frame_rate + JITTER_S * min(max(float(rng.standard_normal()), -3.0), 3.0)
 
 
 START_US = 1_000_000
@@ -232,9 +238,16 @@ class Playback:
     The same seed of the noise and the same calls give the same frames.
     """
 
-    def __init__(self, source: Source, seed: int = 0, service: str = "2.3", playing: bool = True) -> None:
+    def __init__(
+        self,
+        source: Source,
+        seed: int = 0,
+        service: str = "2.3",
+        playing: bool = True,
+        frame_rate: float = FRAME_RATE,  # of the empty frames [Hz]
+    ) -> None:
         self._source, self._seed = source, seed
-        self._idle = empty_frames(np.random.default_rng(seed), service)
+        self._idle = empty_frames(np.random.default_rng(seed), service, frame_rate)
         self._frames = self._idle
         self._time = 0.0
         self._id = 0

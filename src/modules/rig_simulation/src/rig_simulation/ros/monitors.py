@@ -86,7 +86,7 @@ def trigger(client: ControlClient, request: str, done: str) -> Callable[[Trigger
     return handle
 
 
-FLANGE_PERIOD_S, STATUS_PERIOD_S = 0.01, 0.1
+STATUS_PERIOD_S = 0.1
 SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
 
 
@@ -285,7 +285,7 @@ def simulation() -> None:
     FaultService(config)
     jobs: list[Callable[[], None]] = [rospy.spin]
     if config.arm_port:
-        jobs.append(partial(poll, ArmMonitor(config).publish, FLANGE_PERIOD_S))
+        jobs.append(partial(poll, ArmMonitor(config).publish, 1.0 / config.flange_rate))
     if config.world_port:
         jobs.append(partial(poll, WorldMonitor(config).publish, 1.0 / config.world_rate))
         jobs.append(partial(show_world, config))

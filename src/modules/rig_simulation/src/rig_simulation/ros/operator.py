@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 
 import numpy as np
@@ -19,7 +20,15 @@ from common.ros.service_calls import ServiceClient, ServiceFailed
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_simulation.control_port import ControlClient
-from rig_simulation.node_parameters import ASSISTED_GRASP, BY_CLUTCH, LOOPBACK, TWO_HANDS, WALL, OperatorConfig
+from rig_simulation.node_parameters import (
+    ASSISTED_GRASP,
+    BY_CLUTCH,
+    LOOPBACK,
+    TWO_CUPS,
+    TWO_HANDS,
+    WALL,
+    OperatorConfig,
+)
 from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
@@ -37,9 +46,6 @@ class Operator:
         self._arms = [f"{arm}/" for arm in config.arms] or [""]
         self._joints: dict[str, np.ndarray] = {}
         self._why = ""
-        for arm in self._arms:
-            take = partial(self._take_joints, arm)
-            rospy.Subscriber(f"{arm}kuka/joint_positions", jointPositions, take, queue_size=1)
 
     def run(self) -> None:
         """Starts the rig and the scenario, then spins until ROS shuts down; raises RigError if a step timed out."""
@@ -55,19 +61,40 @@ class Operator:
             WallScenario(name, self._leapd, world).run()
         elif name in (BY_CLUTCH, TWO_HANDS):
             ClutchScenario(name, name == TWO_HANDS, self._leapd, world).run()
+        elif name == TWO_CUPS:
+            self._pick_with_all(name)
         elif name:
             PickScenario(name, "cup", self._leapd, world).run()
         rospy.spin()
 
+    def _pick_with_all(self, name: str) -> None:
+        """Picks up with each hand the cup before its arm, all at the same time."""
+        scenarios = [
+            PickScenario(
+                name,
+                f"{arm}_cup",
+                ControlClient(LOOPBACK, self._config.leapd_port),
+                ControlClient(LOOPBACK, self._config.world_port),
+                arm,
+            )
+            for arm in self._config.arms
+        ]
+        with ThreadPoolExecutor(len(scenarios)) as threads:
+            for scenario in as_completed([threads.submit(scenario.run) for scenario in scenarios]):
+                scenario.result()
+
     def _start(self, arm: str) -> None:
         """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty."""
         of = f" {arm[:-1]}" if arm else ""
+        topic, take = f"{arm}kuka/joint_positions", partial(self._take_joints, arm)
+        joints = rospy.Subscriber(topic, jointPositions, take, queue_size=1)
         param = f"{arm}kuka/joints_home"
         self._wait(lambda: rospy.has_param(param), f"the controller{of} has computed the home position")
         home = np.asarray(rospy.get_param(param), dtype=float)
         self._wait(
             lambda: arm in self._joints and np.abs(self._joints[arm] - home).max() < AT_HOME, f"the arm{of} is at home"
         )
+        joints.unregister()  # they come with each goal, and cost a small machine more than the rest of this node
         if self._config.auto_start:
             self._switch(f"{arm}kuka/gripper_control", setGripperControl)
             self._switch(f"{arm}kuka/kuka_control", setKukaControl)

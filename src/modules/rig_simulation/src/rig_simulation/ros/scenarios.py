@@ -2,6 +2,7 @@
 
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
 are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
+Of several arms each has its own, in its namespace.
 assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
 """
 
@@ -17,9 +18,11 @@ from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from common.arms import arms_from
 from common.config import parse
 from common.errors import RigError
 from common.mounting import ToolConfig
+from common.poses import inverse
 from common.ros.conversions import array, pose_from_message
 from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_from_quaternion
@@ -50,15 +53,19 @@ class Scenario(abc.ABC):
     """The scenario `name`: observes the rig, moves the operator's hand, and publishes the progress when it changes.
 
     `leapd` and `world` are the control ports of the simulated Leap service, which must run guided, and of the world.
+    `arm`: of several, its namespace, which is also the side of the hand that steers it.
     Raises RigError if the arm is not upright.
     """
 
-    def __init__(self, name: str, leapd: ControlClient, world: ControlClient) -> None:
+    def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arm: str = "") -> None:
         self._name, self._leapd, self._world = name, leapd, world
-        kuka = rospy.get_param("kuka")
+        self._side, of = ({"side": arm}, f"{arm}/") if arm else ({}, "")
+        kuka = rospy.get_param(f"{of}kuka")
         if any(kuka.get("mounting", [0.0])):
             raise RigError(f"The scenario {name} needs an upright arm; kuka/mounting is {kuka['mounting']}.")
-        self._T_flange_tool = parse(ToolConfig, kuka, "kuka/", others=kuka).T_flange_tool
+        self._T_flange_tool = parse(ToolConfig, kuka, f"{of}kuka/", others=kuka).T_flange_tool
+        arms = arms_from(rospy.get_param("arms"), "arms/") if arm else None
+        self._T_base_world = np.eye(4) if arms is None else inverse(arms.placements[arm].T_world_base)
         self._center_line = np.asarray(kuka["center_line"], dtype=float)
         self._shapes = scene_from(world.ask("scene")["scene"]).objects
         # Orientation of the tool and its gripping point in the base; None before the first message
@@ -67,9 +74,9 @@ class Scenario(abc.ABC):
         self._mode = ""
         self._visits = Visits()
         self._published: dict[str, str] = {}
-        self._publisher = rospy.Publisher("simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
-        rospy.Subscriber("simulation/flange", PoseStamped, self._take_flange, queue_size=1)
-        rospy.Subscriber("kuka/mode", String, self._take_mode, queue_size=10)
+        self._publisher = rospy.Publisher(f"{of}simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
+        rospy.Subscriber(f"{of}simulation/flange", PoseStamped, self._take_flange, queue_size=1)
+        rospy.Subscriber(f"{of}kuka/mode", String, self._take_mode, queue_size=10)
 
     def run(self) -> None:
         """Runs until the scenario is over or ROS shuts down, then takes the hand away; DeviceError if devices fail."""
@@ -80,16 +87,16 @@ class Scenario(abc.ABC):
                 continue
             result = self._step(time.monotonic())
             if result.move is not None:
-                self._leapd.ask("reach", **result.move.fields)
+                self._leapd.ask("reach", **result.move.fields, **self._side)
             self._publish(result)
             if result.over:
                 break
-        self._leapd.ask(assisted.HIDE)
+        self._leapd.ask(assisted.HIDE, **self._side)
 
     def _show_hand(self) -> None:
         """Brings the hand into the interaction box, from the operator's side of it."""
-        self._leapd.ask(assisted.SHOW, back=ENTRY_M)
-        self._leapd.ask("reach", seconds=ENTRY_S)
+        self._leapd.ask(assisted.SHOW, back=ENTRY_M, **self._side)
+        self._leapd.ask("reach", seconds=ENTRY_S, **self._side)
         self._visits.enter(time.monotonic())
 
     def _starts_over(self, now: float) -> bool:
@@ -97,7 +104,7 @@ class Scenario(abc.ABC):
         if not self._visits.over(self._mode == FOLLOWING, now):
             return False
         rospy.logwarn("The arm does not follow: the hand leaves the view, comes in again, and starts over.")
-        self._leapd.ask(assisted.HIDE)
+        self._leapd.ask(assisted.HIDE, **self._side)
         time.sleep(AWAY_S)
         self._start()
         return True
@@ -126,10 +133,11 @@ class Scenario(abc.ABC):
         self._publisher.publish(status)
 
     def _objects(self) -> dict[str, dict]:
-        """Returns the states of the objects, with `top`, the centre of the upper side, shape (3,) [m]."""
+        """Returns the states of the objects, with `top`, the centre of the upper side in the base, shape (3,) [m]."""
         found = self._world.ask("objects")["objects"]
         for name, seen in found.items():
-            seen["top"] = np.add(seen["position"], (0.0, 0.0, self._shapes[name].height / 2.0))
+            top = np.add(seen["position"], (0.0, 0.0, self._shapes[name].height / 2.0))
+            seen["top"] = self._T_base_world[:3, :3] @ top + self._T_base_world[:3, 3]
         return found
 
     def _take_flange(self, message: PoseStamped) -> None:
@@ -143,10 +151,13 @@ class Scenario(abc.ABC):
 
 
 class PickScenario(Scenario):
-    """Picks the object `thing` up and puts it down; raises RigError if the scene has no such object."""
+    """Picks the object `thing` up and puts it down; raises RigError if the scene has no such object. With several arms
+    the published values name the `thing`.
+    """
 
-    def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient) -> None:
-        super().__init__(name, leapd, world)
+    def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient, arm: str = "") -> None:
+        super().__init__(name, leapd, world, arm)
+        self._named = {"thing": thing} if arm else {}
         self._thing = thing
         if thing not in self._shapes:
             raise RigError(f"The scenario {name} needs an object {thing!r}; the scene has {sorted(self._shapes)}.")
@@ -160,6 +171,9 @@ class PickScenario(Scenario):
             return PickStep("wait")
         seen = self._objects()[self._thing]
         return self._operator.step(PickView(self._grip, seen["top"], seen["clearance"], self._mode == FOLLOWING), now)
+
+    def _publish(self, result: PickStep, **more: str) -> None:
+        super()._publish(result, **self._named, **more)
 
 
 class WallScenario(Scenario):

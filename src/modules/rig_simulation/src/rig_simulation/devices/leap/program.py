@@ -14,6 +14,7 @@ from common.poses import pose
 from common.rotations import rotation_about
 from leap_motion.service import wire
 from rig_simulation.command_line import failed, finite, parse_options, port, positive, stop_on_signals
+from rig_simulation.devices.leap.sensing import FRAME_RATE
 from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.faults.injection import add_option, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
@@ -31,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parse(arguments)
     try:
         source, requests = _source(options)
-        playback = Playback(source, options.seed, options.service, playing=not options.paused)
+        playback = Playback(source, options.seed, options.service, not options.paused, options.frame_rate)
         ports = options.host, options.port, options.control_port
         service = SimulatedLeapService(playback, *ports, options.service, requests)
     except RigError as error:
@@ -54,19 +55,19 @@ def _source(options: argparse.Namespace) -> tuple[Source, dict[str, Callable[...
         pitch, yaw, roll = map(math.radians, options.stands[3:])
         R = rotation_about(1, yaw) @ rotation_about(0, pitch) @ rotation_about(2, roll)
         T_desk_leap = pose(R, options.stands[:3])
-    centre = tuple(options.centre)
+    centre, service = tuple(options.centre), (options.service, T_desk_leap, options.frame_rate)
     if options.hand == BOTH:
         x, y, z = centre
         scripts = {
-            side: ScriptedOperator(script, side, options.scale, (x + shift, y, z), options.service, T_desk_leap)
+            side: ScriptedOperator(script, side, options.scale, (x + shift, y, z), *service)
             for side, shift in (("left", -options.apart / 2.0), ("right", options.apart / 2.0))
         }
         if not options.guided:
-            return BothHands((scripts["left"], scripts["right"]), options.service), {}
+            return BothHands((scripts["left"], scripts["right"]), options.service, options.frame_rate), {}
         both = {side: GuidedOperator(of_side) for side, of_side in scripts.items()}
-        source = BothHands((both["left"], both["right"]), options.service)
+        source = BothHands((both["left"], both["right"]), options.service, options.frame_rate)
         return source, {name: functools.partial(_of_side, both, name) for name in REQUESTS}
-    scripted = ScriptedOperator(script, options.hand, options.scale, centre, options.service, T_desk_leap)
+    scripted = ScriptedOperator(script, options.hand, options.scale, centre, *service)
     if not options.guided:
         return scripted, {}
     guided = GuidedOperator(scripted)
@@ -90,6 +91,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--paused", action="store_true", help="send empty frames until the control port starts the source")
     add("--seed", type=int, default=0, help="seed of the noise and of the operator's variations")
     add("--service", choices=wire.SERVICES, default="2.3", help="leapd, or the server of Ultraleap's current service")
+    rate = "frames per second; those of a recording have their own times"
+    add("--frame-rate", type=positive, default=FRAME_RATE, metavar="HZ", help=rate)
     add_option(parser, LEAP_FAULTS)
     xyz = ("X", "Y", "Z")
     add = parser.add_argument_group("a recording").add_argument

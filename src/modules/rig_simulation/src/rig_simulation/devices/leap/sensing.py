@@ -13,12 +13,14 @@ import numpy as np
 from leap_motion.service.hand import FIRST_VELOCITY_MM_S, ReportedHand, extended
 from rig_simulation.operator.hand_model import HandModel, HandPose
 
+FRAME_RATE = 115.3  # of the device [Hz]
 PALM_NOISE_MM = 0.04
 ANGLE_NOISE = np.radians(0.04)
 FLEXION_NOISE = np.radians(0.1)
 WANDER_MM = 1.2
 WANDER_ANGLE = np.radians(0.5)
-NOISE_MEMORY, WANDER_MEMORY = 0.86, 0.992  # fraction of a filter's value that remains from frame to frame
+NOISE_MEMORY, WANDER_MEMORY, CONFIDENCE_MEMORY = 0.86, 0.992, 0.95
+"""Fraction of a filter's value that remains from frame to frame at FRAME_RATE."""
 NOISE_SPEED_MM_S = 40.0  # at this speed of the palm the noise is twice that at rest
 FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
@@ -79,13 +81,16 @@ def at_rest(
 
 
 class Tracker:
-    """Follows one hand from its entry to its exit."""
+    """Follows one hand from its entry to its exit, with `frame_rate` reports a second [Hz]."""
 
-    def __init__(self, model: HandModel, hand_id: int, rng: np.random.Generator) -> None:
+    def __init__(
+        self, model: HandModel, hand_id: int, rng: np.random.Generator, frame_rate: float = FRAME_RATE
+    ) -> None:
         self._model, self._id, self._rng = model, hand_id, rng
-        self._noise = LowPassNoise(rng, 21, NOISE_MEMORY)
-        self._wander = LowPassNoise(rng, 6, WANDER_MEMORY)
-        self._confidence_noise = LowPassNoise(rng, 1, 0.95)
+        frames = FRAME_RATE / frame_rate
+        self._noise = LowPassNoise(rng, 21, NOISE_MEMORY**frames)
+        self._wander = LowPassNoise(rng, 6, WANDER_MEMORY**frames)
+        self._confidence_noise = LowPassNoise(rng, 1, CONFIDENCE_MEMORY**frames)
         self._entry_confidence = rng.uniform(0.55, 0.8)
         self._last: ReportedHand | None = None
 
