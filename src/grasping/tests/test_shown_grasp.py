@@ -179,7 +179,8 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     assert "3/3" in one.said and not one.files()
     arm("servo")
     rig.say("/leap_kuka/stream", stream(True))
-    rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z)])
+    # The tool stays for a while: Enter comes by another way than its pose.
+    rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z), (2.0, OPEN, False, GRASP_Z, GRASP_Z)])
     wait_until(lambda: "Enter starts" in one.said, LONG_S, "that it waits for Enter")
     assert not one.files(), "the tool is on its way"
     one.enter()
@@ -191,8 +192,7 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])
     assert len(one.files()) == count < 25, "it pauses"
     rig.say("/leap_kuka/stream", stream(True))
-    # The tool stays for a while: Enter comes by another way than its pose.
-    rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (1.0, FIST, False, GRASP_Z, GRASP_Z)])
+    rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (2.0, FIST, False, GRASP_Z, GRASP_Z)])
     one.enter()
     wait_until(lambda: one.process.poll() is not None, LONG_S, "the end of the program")
     assert one.process.returncode == 0, one.said
