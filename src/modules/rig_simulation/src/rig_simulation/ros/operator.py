@@ -94,7 +94,8 @@ class Operator:
         self._wait(
             lambda: arm in self._joints and np.abs(self._joints[arm] - home).max() < AT_HOME, f"the arm{of} is at home"
         )
-        joints.unregister()  # they come with each goal, and cost a small machine more than the rest of this node
+        if len(self._arms) > 1:
+            joints.unregister()  # of two arms they would cost a small machine more than the rest of this node
         if self._config.auto_start:
             self._switch(f"{arm}kuka/gripper_control", setGripperControl)
             self._switch(f"{arm}kuka/kuka_control", setKukaControl)
