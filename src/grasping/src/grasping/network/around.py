@@ -21,13 +21,12 @@ from torch import nn
 from grasping.network.networks import GGCNN, GGCNN2, ShuffledHeads, stacked_heads
 
 Tile = tuple[int, int]  # first row and column
-Convolution = tuple[torch.Tensor, torch.Tensor, int]  # weight, bias, dilation
 
-ROWS = 10  # of GG-CNN's features, a third of the maps' size, in a band
+BAND = 10  # rows of GG-CNN's features, at a third of the maps' size
 BATCH = 8  # tiles of GG-CNN2
-TILE = 14  # rows and columns of a tile of GG-CNN2's features, at half and quarter size
+FULL_TILE = 28  # rows and columns of a tile of GG-CNN2's features at full size
+HALF_TILE = 14  # and at half size
 CONSTANT_SIDE = 40  # of the constant image; the border reaches 4 of its 10 quarter-size pixels from each side
-FIRST, SECOND = ((0, 2), (5, 7))  # GG-CNN2's convolutions before and behind its first pooling
 
 
 class GGCNNAround:
@@ -47,21 +46,24 @@ class GGCNNAround:
         maps = np.zeros((4, *image.shape), np.float32)
         with torch.inference_mode():
             features = self._network.features(torch.from_numpy(image)[None, None])
-            self._heads.into(torch.from_numpy(maps), features, bands(wanted, ROWS))
+            self._heads.into(torch.from_numpy(maps), features, bands(wanted, BAND))
         return _only(maps, _enlarged(wanted, 3))
 
 
 class GGCNN2Around:
-    """GG-CNN2, whose layers are evaluated near the objects only; the fifth convolution is evaluated everywhere."""
+    """GG-CNN2, whose layers of full and half size before the middle ones, and of full size behind them, are evaluated
+    near the objects only.
+    """
 
     def __init__(self, network: GGCNN2) -> None:
-        layers = network.features
-        self._convolutions = {
-            i: (m.weight.detach().contiguous(memory_format=torch.channels_last), m.bias.detach(), m.dilation[0])
-            for i, m in enumerate(layers)
-            if isinstance(m, nn.Conv2d)
-        }
-        self._encoder = layers[:10]
+        layers = network.to(memory_format=torch.channels_last).features  # type: ignore[call-overload]
+        self._first, self._second, self._middle, self._twice, self._last = (
+            layers[:5],
+            layers[5:10],
+            layers[10:17],
+            layers[17],
+            layers[18],
+        )
         weight, bias = stacked_heads(network)
         self._heads = weight.detach()[:, :, 0, 0].t().contiguous(), bias.detach()
 
@@ -69,72 +71,61 @@ class GGCNN2Around:
         """Returns the maps, shape (4, h, w), and where they are the network's, shape (h, w), bool: at least within
         `margin` rows and columns of the objects. Elsewhere they are 0.
 
-        `image`: network's input, shape (h, w), float32 [m], one constant beside the objects; `objects`: shape (h, w),
-        bool.
+        `image`: network's input, shape (h, w), float32 [m], at least `CONSTANT_SIDE` rows and columns, one constant
+        beside the objects; `objects`: shape (h, w), bool.
         """
         with torch.inference_mode():
             blocks = _blocks(objects, 2)
-            encoded = self._encoded(image, blocks, float(image[~objects][0]) if not objects.all() else 0.0)
             wanted = _near(blocks, -(-margin // 2))
-            return _only(self._decoded(encoded, wanted), _enlarged(wanted, 2))
+            maps = self._decoded(self._encoded(image, objects, blocks), wanted)
+            return _only(maps, _enlarged(wanted, 2))
 
-    def _encoded(self, image: np.ndarray, blocks: np.ndarray, constant: float) -> np.ndarray:
+    def _encoded(self, image: np.ndarray, objects: np.ndarray, blocks: np.ndarray) -> np.ndarray:
         """Returns the features behind the second pooling, shape (h / 4, w / 4, 16). `blocks`: where objects are."""
         h, w = blocks.shape
-        of_constant = torch.full((1, 1, CONSTANT_SIDE, CONSTANT_SIDE), constant)
-        halves = _channels_last(self._encoder[:5](of_constant))
-        quarters = _channels_last(self._encoder[5:](torch.from_numpy(halves)[None].permute(0, 3, 1, 2)))
-        half = np.zeros((h + 8, w + 8, halves.shape[2]), np.float32)
-        half[4:-4, 4:-4] = _spread(halves, h, w)
-        quarter = _spread(quarters, h // 2, w // 2)
-        padded = np.zeros((2 * h + 14, 2 * w + 14, 1), np.float32)
-        padded[7:-7, 7:-7, 0] = image
+        constant = 0.0 if objects.all() else float(image.flat[np.argmin(objects)])
+        halves = self._first(torch.full((1, 1, CONSTANT_SIDE, CONSTANT_SIDE), constant))
+        half = _spread(_channels_last(halves), h, w)
+        quarter = _spread(_channels_last(self._second(halves)), h // 2, w // 2)
         reached = _near(blocks, 4)  # half-size pixels that an object reaches through 11 x 11 and 5 x 5
-        self._two_and_pool(padded, half[4:-4, 4:-4], FIRST, _tiles(reached, TILE))
+        _two_and_pool(self._first, image[..., None], half, reached, FULL_TILE // 2)
         reached = _near(_blocks(reached, 2), 2)  # quarter-size pixels, through 5 x 5 twice
-        self._two_and_pool(half, quarter, SECOND, _tiles(reached, TILE // 2))
+        _two_and_pool(self._second, half, quarter, reached, HALF_TILE // 2)
         return quarter
-
-    def _two_and_pool(
-        self, padded: np.ndarray, into: np.ndarray, numbers: tuple[int, int], tiles: Sequence[Tile]
-    ) -> None:
-        """Writes tiles of what two convolutions and a pooling make of an array that is padded for both."""
-        (first, second), (h, w) = (self._convolutions[i] for i in numbers), into.shape[:2]
-        reach = second[0].shape[2] // 2
-        pad = first[0].shape[2] // 2 + reach
-        side = min(TILE if numbers == FIRST else TILE // 2, h, w)
-        for batch in _batches(tiles):
-            x = _convolved(_cut(padded, [(2 * r, 2 * c) for r, c in batch], 2 * side + 2 * pad), first)
-            for i, (row, column) in enumerate(batch):  # the second convolution has zeros outside of the image
-                for axis, start, size in ((1, 2 * row, 2 * h), (2, 2 * column, 2 * w)):
-                    if start < reach:
-                        x[i].narrow(axis, 0, reach - start).zero_()
-                    after = start + 2 * side + reach - size
-                    if after > 0:
-                        x[i].narrow(axis, x.shape[axis + 1] - after, after).zero_()
-            _put(into, batch, F.max_pool2d(_convolved(x, second), 2))
 
     def _decoded(self, encoded: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """Returns the maps, shape (4, 2 h, 2 w), right where `wanted`, shape (h, w), at half size."""
+        x = self._middle(torch.from_numpy(encoded)[None].permute(0, 3, 1, 2))
+        features = self._twice(x)[0].permute(1, 2, 0).numpy()
         h, w = wanted.shape
-        x = torch.from_numpy(encoded)[None].permute(0, 3, 1, 2)
-        fifth = _convolved(x, self._convolutions[10], padding=4)
-        padded = np.zeros((h // 2 + 16, w // 2 + 16, fifth.shape[1]), np.float32)
-        padded[8:-8, 8:-8] = _channels_last(fifth)
-        half = _near(wanted, 1)
-        sixth = np.zeros((h // 2, w // 2, 32), np.float32)
-        for batch in _batches(_tiles(_near(_blocks(half, 2), 1), TILE)):
-            _put(sixth, batch, _convolved(_cut(padded, batch, min(TILE, h // 2, w // 2) + 16), self._convolutions[12]))
-        seventh = np.zeros((h, w, 16), np.float32)
-        for batch in _batches(_tiles(half, TILE)):
-            _put(seventh, batch, _convolved(_twice(sixth, batch, min(TILE, h, w)), self._convolutions[15]))
         maps = np.zeros((2 * h, 2 * w, 4), np.float32)
-        for batch in _batches(_tiles(wanted, TILE)):
-            batch = [(2 * row, 2 * column) for row, column in batch]
-            x = _convolved(_twice(seventh, batch, 2 * min(TILE, h, w)), self._convolutions[18])
-            heads = torch.addmm(self._heads[1], x.permute(0, 2, 3, 1).reshape(-1, 16), self._heads[0])
-            _put(maps, batch, heads.view(len(x), *x.shape[2:], 4).permute(0, 3, 1, 2))
+        side = min(FULL_TILE, 2 * h, 2 * w)
+        for batch in _batches(tiles(wanted, side // 2)):
+            x = _convolved(self._last, _cut(features, [(2 * row - 1, 2 * column - 1) for row, column in batch], side + 2))
+            heads = torch.addmm(self._heads[1], x.permute(0, 2, 3, 1).reshape(-1, x.shape[1]), self._heads[0])
+            _put(maps, [(2 * row, 2 * column) for row, column in batch], heads.view(-1, side, side, 4).permute(0, 3, 1, 2))
         return np.ascontiguousarray(maps.transpose(2, 0, 1))
+
+
+def _two_and_pool(layers: nn.Sequential, x: np.ndarray, into: np.ndarray, wanted: np.ndarray, side: int) -> None:
+    """Writes what two convolutions and a pooling make of the features `x`, shape (2 h, 2 w, c), where it is wanted,
+    shape (h, w), in tiles of `side` rows and columns.
+    """
+    first, second = layers[0], layers[2]
+    (h, w), reach = wanted.shape, second.padding[0]
+    side = min(side, h, w)
+    pad = first.padding[0] + reach
+    for batch in _batches(tiles(wanted, side)):
+        padded = _cut(x, [(2 * row - pad, 2 * column - pad) for row, column in batch], 2 * (side + pad))
+        between = _convolved(first, padded)
+        for tile, (row, column) in zip(between, batch):  # the second convolution has zeros outside of the image
+            for axis, start, size in ((1, 2 * row, 2 * h), (2, 2 * column, 2 * w)):
+                before, after = reach - start, start + 2 * side + reach - size
+                if before > 0:
+                    tile.narrow(axis, 0, before).zero_()
+                if after > 0:
+                    tile.narrow(axis, tile.shape[axis] - after, after).zero_()
+        _put(into, batch, F.max_pool2d(_convolved(second, between), 2))
 
 
 Around = Callable[[np.ndarray, np.ndarray, int], "tuple[np.ndarray, np.ndarray]"]
@@ -150,19 +141,21 @@ def around(network: nn.Module) -> Around | None:
 def bands(wanted: np.ndarray, rows: int) -> list[tuple[int, int, int, int]]:
     """Returns rectangles (first row, first column, rows, columns) that hold all that is wanted, shape (h, w), bool."""
     found, row = [], 0
-    occupied = wanted.any(axis=1)
+    occupied = wanted.any(axis=1).tolist()
+    edge = np.zeros(wanted.shape[1] + 2, bool)
     while row < len(wanted):
         if not occupied[row]:
             row += 1
             continue
         count = min(rows, len(wanted) - row)
-        edges = np.flatnonzero(np.diff(wanted[row : row + count].any(axis=0).astype(np.int8), prepend=0, append=0))
-        found += [(row, int(a), count, int(b - a)) for a, b in edges.reshape(-1, 2)]
+        np.any(wanted[row : row + count], axis=0, out=edge[1:-1])
+        ends = np.flatnonzero(edge[1:] != edge[:-1]).tolist()
+        found += [(row, a, count, b - a) for a, b in zip(ends[::2], ends[1::2])]
         row += count
     return found
 
 
-def _tiles(wanted: np.ndarray, side: int) -> list[Tile]:
+def tiles(wanted: np.ndarray, side: int) -> list[Tile]:
     """Returns squares inside of the image that hold all that is wanted."""
     h, w = wanted.shape
     side = min(side, h, w)
@@ -181,14 +174,22 @@ def _batches(tiles: Sequence[Tile]) -> Iterator[list[Tile]]:
         yield batch + [batch[-1]] * (size - len(batch))
 
 
-def _convolved(x: torch.Tensor, convolution: Convolution, padding: int = 0) -> torch.Tensor:
-    weight, bias, dilation = convolution
-    return F.conv2d(x, weight, bias, padding=padding, dilation=dilation).relu_()
+def _convolved(layer: nn.Conv2d, padded: torch.Tensor) -> torch.Tensor:
+    return F.conv2d(padded, layer.weight, layer.bias).relu_()
 
 
 def _cut(features: np.ndarray, tiles: Sequence[Tile], side: int) -> torch.Tensor:
-    """Returns the tiles, shape (n, c, side, side)."""
-    cut = np.stack([features[row : row + side, column : column + side] for row, column in tiles])
+    """Returns the tiles, shape (n, c, side, side), with zeros outside of the image."""
+    h, w, c = features.shape
+    cut = np.empty((len(tiles), side, side, c), np.float32)
+    for into, (row, column) in zip(cut, tiles):
+        if row < 0 or column < 0 or row + side > h or column + side > w:
+            into[:] = 0.0
+            part = features[max(0, row) : row + side, max(0, column) : column + side]
+            row, column = max(0, -row), max(0, -column)
+            into[row : row + part.shape[0], column : column + part.shape[1]] = part
+        else:
+            into[:] = features[row : row + side, column : column + side]
     return torch.from_numpy(cut).permute(0, 3, 1, 2)
 
 
@@ -197,32 +198,6 @@ def _put(features: np.ndarray, tiles: Sequence[Tile], values: torch.Tensor) -> N
     side = values.shape[2]
     for (row, column), tile in zip(tiles, values.permute(0, 2, 3, 1).numpy()):
         features[row : row + side, column : column + side] = tile
-
-
-def _twice(features: np.ndarray, tiles: Sequence[Tile], side: int) -> torch.Tensor:
-    """Returns tiles of the features at twice the size, interpolated as nn.UpsamplingBilinear2d does, with one row and
-    column more on each side, zero outside of the image; shape (n, c, side + 2, side + 2).
-    """
-    h, w, c = features.shape
-    size = min(side // 2 + 3, h, w)
-    rows, columns = ([_interpolation(tile[axis] - 1, side + 2, n, size) for tile in tiles] for axis, n in enumerate((h, w)))
-    cut = np.stack([features[r : r + size, q : q + size] for (r, _), (q, _) in zip(rows, columns)])
-    down, across = (torch.from_numpy(np.stack([matrix for _, matrix in part])) for part in (rows, columns))
-    tall = torch.bmm(down, torch.from_numpy(cut.reshape(len(tiles), size, size * c)))
-    wide = torch.matmul(across[:, None], tall.view(len(tiles), side + 2, size, c))
-    return wide.permute(0, 3, 1, 2)
-
-
-def _interpolation(first: int, count: int, n: int, size: int) -> tuple[int, np.ndarray]:
-    """Returns the first of the `size` of `n` pixels that `count` pixels of the doubled row are made of, from its pixel
-    `first` on, and their weights, shape (count, size); zeros for what is outside of the row.
-    """
-    pixels = np.arange(first, first + count)
-    at = np.clip(pixels, 0, 2 * n - 1) * ((n - 1) / (2 * n - 1))
-    begin = min(int(at[0]), n - size)
-    weights = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(begin, begin + size)))
-    weights[(pixels < 0) | (pixels >= 2 * n)] = 0.0
-    return begin, weights.astype(np.float32)
 
 
 def _spread(features: np.ndarray, h: int, w: int) -> np.ndarray:

@@ -32,13 +32,13 @@ class Borders(NamedTuple):
 
     conv: tuple[tuple[int, int], ...]  # rows and columns of zeros before and after the input of the three convolutions
     crop: tuple[int, int, int]  # first row and column kept of the three transposed convolutions' full outputs
-    rest: tuple[int, int, int]  # rows and columns kept beyond (stride x input size)
+    rest: int  # rows and columns kept of the last one beyond (stride x input size)
     head: tuple[int, int]  # zeros before and after the input of the heads
 
 
-TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=(0, 0, 1), head=(0, 0))
+TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=1, head=(0, 0))
 """The published torch network: symmetric padding."""
-KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=(0, 0, 0), head=(0, 1))
+KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=0, head=(0, 1))
 """The published Keras network: "same" padding of a 300 x 300 image, which is not symmetric."""
 
 
@@ -63,7 +63,7 @@ class GGCNN(nn.Module):
     def forward(self, depth: torch.Tensor) -> torch.Tensor:
         """Returns the maps, shape (n, 4, h, w)."""
         full = shuffled_transpose(self.features(depth), self.convt3.weight, self.convt3.bias)
-        start, (rows, columns) = self.borders.crop[2], (n + self.borders.rest[2] for n in depth.shape[2:])
+        start, (rows, columns) = self.borders.crop[2], (n + self.borders.rest for n in depth.shape[2:])
         before, after = self.borders.head
         x = F.relu(full[:, :, start : start + rows, start : start + columns])
         return _heads(self, F.pad(x, (before, after, before, after)))
@@ -73,11 +73,18 @@ class GGCNN(nn.Module):
         check_side(depth, self.side_multiple)
         x = depth
         for layer, (before, after) in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
-            x = F.relu(layer(F.pad(x, (before, after, before, after))))
-        for i, transposed in enumerate((self.convt1, self.convt2)):
-            rows, columns = (2 * n + self.borders.rest[i] for n in x.shape[2:])
-            start = self.borders.crop[i]
-            x = F.relu(transposed(x)[:, :, start : start + rows, start : start + columns])
+            if before == after:
+                x = F.conv2d(x, layer.weight, layer.bias, layer.stride, before)
+            else:
+                x = layer(F.pad(x, (before, after, before, after)))
+            x = F.relu(x)
+        for layer, start in zip((self.convt1, self.convt2), self.borders.crop):
+            rows, columns = (2 * n for n in x.shape[2:])
+            if start == layer.kernel_size[0] // 2:
+                x = F.conv_transpose2d(x, layer.weight, layer.bias, layer.stride, start, output_padding=1)
+            else:
+                x = layer(x)[:, :, start : start + rows, start : start + columns]
+            x = F.relu(x)
         return x
 
 
