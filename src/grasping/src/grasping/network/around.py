@@ -18,11 +18,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from grasping.network.networks import GGCNN, GGCNN2, ShuffledHeads, stacked_heads
+from grasping.network.networks import BAND, GGCNN, GGCNN2, ShuffledHeads, stacked_heads
 
 Tile = tuple[int, int]  # first row and column
 
-BAND = 10  # rows of GG-CNN's features, at a third of the maps' size
 BATCH = 8  # tiles of GG-CNN2
 FULL_TILE = 28  # rows and columns of a tile of GG-CNN2's features at full size
 HALF_TILE = 14  # and at half size
@@ -46,7 +45,7 @@ class GGCNNAround:
         maps = np.zeros((4, *image.shape), np.float32)
         with torch.inference_mode():
             features = self._network.features(torch.from_numpy(image)[None, None])
-            self._heads.into(torch.from_numpy(maps), features, bands(wanted, BAND))
+            self._heads.into(torch.from_numpy(maps), features, windows(wanted, BAND))
         return _only(maps, _enlarged(wanted, 3))
 
 
@@ -138,8 +137,8 @@ def around(network: nn.Module) -> Around | None:
     return GGCNN2Around(network) if isinstance(network, GGCNN2) else None
 
 
-def bands(wanted: np.ndarray, rows: int) -> list[tuple[int, int, int, int]]:
-    """Returns rectangles (first row, first column, rows, columns) that hold all that is wanted, shape (h, w), bool."""
+def windows(wanted: np.ndarray, rows: int) -> list[tuple[slice, slice]]:
+    """Returns windows of at most so many rows, slices of rows and columns, that hold all that is wanted, shape (h, w)."""
     found, row = [], 0
     occupied = wanted.any(axis=1).tolist()
     edge = np.zeros(wanted.shape[1] + 2, bool)
@@ -147,11 +146,11 @@ def bands(wanted: np.ndarray, rows: int) -> list[tuple[int, int, int, int]]:
         if not occupied[row]:
             row += 1
             continue
-        count = min(rows, len(wanted) - row)
-        np.any(wanted[row : row + count], axis=0, out=edge[1:-1])
+        end = min(row + rows, len(wanted))
+        np.any(wanted[row:end], axis=0, out=edge[1:-1])
         ends = np.flatnonzero(edge[1:] != edge[:-1]).tolist()
-        found += [(row, a, count, b - a) for a, b in zip(ends[::2], ends[1::2])]
-        row += count
+        found += [(slice(row, end), slice(first, last)) for first, last in zip(ends[::2], ends[1::2])]
+        row = end
     return found
 
 
@@ -160,9 +159,9 @@ def tiles(wanted: np.ndarray, side: int) -> list[Tile]:
     h, w = wanted.shape
     side = min(side, h, w)
     return [
-        (min(row, h - side), min(column + i, w - side))
-        for row, column, _, width in bands(wanted, side)
-        for i in range(0, width, side)
+        (min(rows.start, h - side), min(column, w - side))
+        for rows, columns in windows(wanted, side)
+        for column in range(columns.start, columns.stop, side)
     ]
 
 
@@ -214,8 +213,8 @@ def _channels_last(x: torch.Tensor) -> np.ndarray:
 
 def _blocks(mask: np.ndarray, side: int) -> np.ndarray:
     """Returns which blocks of `side` rows and columns hold anything, shape (h / side, w / side), bool."""
-    h, w = mask.shape
-    return mask.reshape(h // side, side, w // side, side).any(axis=(1, 3))
+    rows = np.logical_or.reduce([mask[i::side] for i in range(side)])
+    return np.logical_or.reduce([rows[:, i::side] for i in range(side)])
 
 
 def _near(mask: np.ndarray, distance: int) -> np.ndarray:

@@ -124,10 +124,10 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2
 
 
 class ShuffledHeads:
-    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, by rectangles.
+    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, by windows.
 
     A head is a 2 x 2 convolution, so each of its four taps can be evaluated where the transposed convolution leaves
-    its 3 x 3 remainders; what is shuffled are the sums of the taps. A rectangle's features stay in the cache.
+    its 3 x 3 remainders; what is shuffled are the sums of the taps. A window's features stay in the cache.
     """
 
     def __init__(self, network: GGCNN) -> None:
@@ -140,14 +140,15 @@ class ShuffledHeads:
         self._bias = head_bias.detach()[:, None, None]
         self._padded_heads = network.borders.head == (0, 1)
 
-    def into(self, maps: torch.Tensor, x: torch.Tensor, rectangles: Iterable[tuple[int, int, int, int]]) -> None:
-        """Writes rectangles (first row, first column, rows, columns of `x`) of the maps, shape (4, 3 h, 3 w); `x`: the
-        features, shape (1, 16, h, w).
+    def into(self, maps: torch.Tensor, x: torch.Tensor, windows: Iterable[tuple[slice, slice]]) -> None:
+        """Writes windows, slices of rows and columns of `x`, of the maps, shape (4, 3 h, 3 w); `x`: the features, shape
+        (1, 16, h, w).
         """
         _, channels, h, w = x.shape
         x = F.pad(x, (1, 2, 1, 2)).contiguous()[0]
         shuffled = maps.view(len(maps), h, 3, w, 3)
-        for row, column, rows, columns in rectangles:
+        for window in windows:
+            (row, rows), (column, columns) = ((part.start, part.stop - part.start) for part in window)
             # One row and column more than are wanted: a head's second tap can be in the next pixel.
             size = channels, 3, 3, rows + 1, columns + 1
             strides = x.stride(0), x.stride(1), x.stride(2), x.stride(1), x.stride(2)
@@ -182,8 +183,8 @@ class FrozenGGCNN:
         with torch.no_grad():
             for image, found in zip(depth, maps):
                 x = self._network.features(image[None])
-                bands = ((row, 0, min(BAND, h // 3 - row), w // 3) for row in range(0, h // 3, BAND))
-                self._heads.into(found, x, bands)
+                bands = (slice(row, min(row + BAND, h // 3)) for row in range(0, h // 3, BAND))
+                self._heads.into(found, x, ((band, slice(0, w // 3)) for band in bands))
         return maps
 
 

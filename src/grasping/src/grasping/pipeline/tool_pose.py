@@ -92,13 +92,16 @@ def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: 
     """
     if tool.outside_quality == 1.0:
         return maps
-    opening = pixel_m * np.maximum(maps.width, 0.0)
+    above = np.nonzero(maps.quality > threshold)
+    found = maps.quality[above]
+    opening = pixel_m[above] * np.maximum(maps.width[above], 0.0)
     low, high = tool.preferred_opening
     outside = np.maximum(low - opening, opening - high) / tool.outside_ramp
     left = 1.0 - (1.0 - tool.outside_quality) * np.clip(outside, 0.0, 1.0)
-    shrunk = np.minimum(maps.quality, threshold + left * (maps.quality - threshold))
-    quality = np.where((maps.quality > threshold) & (left < 1.0), shrunk, maps.quality)
-    return maps._replace(quality=quality.astype(maps.quality.dtype))
+    shrunk = np.minimum(found, threshold + left * (found - threshold))
+    quality = maps.quality.copy()
+    quality[above] = np.where(left < 1.0, shrunk, found)
+    return maps._replace(quality=quality)
 
 
 @dataclass(frozen=True)

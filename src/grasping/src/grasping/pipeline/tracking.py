@@ -41,17 +41,25 @@ class MapAverage:
     def reset(self) -> None:
         """Forgets all maps."""
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
+        self._known: np.ndarray | None = None
 
-    def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
+    def step(self, output: np.ndarray, depth: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
         """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
-        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m].
+        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]; `known`: where the
+        output is the network's, shape (h, w), None for everywhere. A pixel's average begins when it becomes known.
         """
-        averages = self._averages
+        averages, before, self._known = self._averages, self._known, known
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
             return output.copy(), True
         for average, newest in zip(averages, (output, depth)):
             average += np.float32(self._config.weight) * (newest - average)
+        if before is not None:
+            begins = ~before if known is None else before != known  # also what is known no more, and is zero then
+            if begins.any():
+                averages[0][:, begins] = output[:, begins]
+        elif known is not None:
+            averages[0][:, ~known] = 0.0
         return averages[0].copy(), False
 
     def _moved(self, average: np.ndarray, depth: np.ndarray) -> bool:
