@@ -115,7 +115,8 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
     if not wide.any():
         return None
     planes = np.linalg.solve(triples[wide], inverse[picks[wide]][..., None])[..., 0]
-    cost = [_clipped(part @ rays.T, inverse, gate) for part in np.array_split(planes, -(-len(planes) // AT_ONCE))]
+    parts = (planes[i : i + AT_ONCE] for i in range(0, len(planes), AT_ONCE))
+    cost = [_clipped(part @ rays.T, inverse, gate) for part in parts]
     a = planes[np.argmin(np.concatenate(cost))]
     for _ in range(ROUNDS):
         inside = np.abs(rays @ a - inverse) < gate

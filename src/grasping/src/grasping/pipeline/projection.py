@@ -14,7 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import choice, integer, number
 from common.poses import pose, read_only
-from common.rotations import rotation_about, unit
+from common.rotations import cross, rotation_about, unit
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
@@ -82,7 +82,7 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     ends = rays * (p @ n) / (rays @ n)[:, None]
     across = ends[1] - ends[0]
     x = unit(across)
-    T = pose(np.column_stack([x, np.cross(n, x), n]), p)
+    T = pose(np.column_stack([x, cross(n, x), n]), p)
     width = float(np.linalg.norm(across)) * half / max(half, 1.0)
     return grasp._replace(T_camera_grasp=read_only(T), width=width)
 

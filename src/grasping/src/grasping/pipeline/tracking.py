@@ -16,7 +16,7 @@ import numpy as np
 
 from common.config import integer, number
 from common.poses import pose, read_only
-from common.rotations import unit
+from common.rotations import cross, unit
 
 EDGE = np.ones((3, 3), np.uint8)
 ALIGNED = 0.9  # an approach nearer to the frame's axis, by this cosine, has its turns counted from another one
@@ -141,7 +141,7 @@ class GraspTracker:
     def _owners(self, detections: Sequence[GraspDetection]) -> dict[int, _Track]:
         """Returns the track of each detection: the nearest pairs first, a new track where none is near."""
         pairs = sorted(
-            (float(np.linalg.norm(s.T[:3, 3] - t.position)), i, k)
+            (math.dist(s.T[:3, 3], t.position), i, k)
             for i, s in enumerate(detections)
             for k, t in enumerate(self._tracks)
         )
@@ -212,7 +212,7 @@ class PoseFilter:
                 self._accepted.extend(self._doubted)
                 self._doubted.clear()
                 self._state, self.held = None, False
-        median = np.median(self._accepted, axis=0)
+        median = _median(self._accepted)
         state = median
         if self._state is not None:
             past = max(0.0, now - self._time)
@@ -232,25 +232,32 @@ class PoseFilter:
         e1, e2 = self._across(z)
         theta = 0.5 * math.atan2(values[4], values[3])
         x = math.cos(theta) * e1 + math.sin(theta) * e2
-        return read_only(pose(np.column_stack([x, np.cross(z, x), z]), values[:3])), float(values[8])
+        return read_only(pose(np.column_stack([x, cross(z, x), z]), values[:3])), float(values[8])
 
     def _across(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns two directions across the approach; the first is as near as it can be to an axis of the frame."""
         e1 = unit(np.eye(3)[self._axis] - z[self._axis] * z)
-        return e1, np.cross(z, e1)
+        return e1, cross(z, e1)
 
     def _near(self, values: np.ndarray, others: Iterable[np.ndarray]) -> bool:
         """Returns whether a pose is within the gate of the median of others."""
-        median = np.median(list(others), axis=0)
-        far = np.linalg.norm(values[:3] - median[:3])
+        median = _median(others)
+        far = math.dist(values[:3], median[:3])
         turned = 0.5 * _between(values[3:5], median[3:5])
         tilted = _between(values[5:8], median[5:8])
         return bool(far <= self._config.gate_distance and max(turned, tilted) <= math.radians(self._config.gate_angle))
 
 
+def _median(values: Iterable[np.ndarray]) -> np.ndarray:
+    """Returns the median of each component, shape (n,); np.median, made for large arrays, takes thirty times as long."""
+    ordered = np.sort(list(values), axis=0)
+    middle = len(ordered) // 2
+    return ordered[middle] if len(ordered) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle])
+
+
 def _between(a: np.ndarray, b: np.ndarray) -> float:
     """Returns the angle between two vectors [rad]; a quarter turn where one of them has no direction."""
-    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    norms = math.sqrt(float(a @ a) * float(b @ b))
     return math.acos(max(-1.0, min(1.0, float(a @ b) / norms))) if norms > 1e-9 else 0.5 * math.pi
 
 

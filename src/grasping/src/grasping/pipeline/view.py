@@ -16,7 +16,7 @@ import numpy as np
 from common.camera_model import CameraModel, pinhole
 from common.config import integer, number
 from common.poses import pose, read_only
-from common.rotations import unit
+from common.rotations import cross, unit
 from grasping.network.depth_image import (
     GATE_SD,
     NETWORK_SIDE,
@@ -224,4 +224,4 @@ def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.
     """Returns the pose of a camera above `middle`, shape (3,) [m], its x axis nearest to the real camera's."""
     z = table.direction
     x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
-    return pose(np.column_stack([x, np.cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)
+    return pose(np.column_stack([x, cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)
