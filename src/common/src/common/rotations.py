@@ -38,7 +38,7 @@ def unit(vector: ArrayLike) -> np.ndarray:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Returns the cross product of two vectors, shape (3,); np.cross, made for arrays of them, takes ten times as long."""
+    """Returns the cross product of two vectors, shape (3,); np.cross, made for arrays of them, is slow."""
     (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
     return np.array((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0))
 

@@ -10,7 +10,7 @@ convolution anew for each size. Arrays of features have the channels last, shape
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -18,12 +18,11 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from grasping.network.networks import BAND, GGCNN, GGCNN2, ShuffledHeads, stacked_heads
+from grasping.network.networks import BAND, GGCNN, GGCNN2, ShuffledHeads, channels_last, stacked_heads
 
-Tile = tuple[int, int]  # first row and column
-
-BATCH = 8  # tiles of GG-CNN2
-FULL_TILE = 28  # rows and columns of a tile of GG-CNN2's features at full size
+BATCH = 16  # tiles of GG-CNN2 at most, and a multiple of
+STEP = 4
+FULL_TILE = 20  # rows and columns of a tile of GG-CNN2's features at full size
 HALF_TILE = 14  # and at half size
 CONSTANT_SIDE = 40  # of the constant image; the border reaches 4 of its 10 quarter-size pixels from each side
 
@@ -55,14 +54,9 @@ class GGCNN2Around:
     """
 
     def __init__(self, network: GGCNN2) -> None:
-        layers = network.to(memory_format=torch.channels_last).features  # type: ignore[call-overload]
-        self._first, self._second, self._middle, self._twice, self._last = (
-            layers[:5],
-            layers[5:10],
-            layers[10:17],
-            layers[17],
-            layers[18],
-        )
+        layers = list(network.features)
+        self._first, self._second = (_TwoAndPool(*_convolutions(part)) for part in (layers[:5], layers[5:10]))
+        self._middle, self._twice, (self._last,) = nn.Sequential(*layers[10:17]), layers[17], _convolutions(layers[18:])
         weight, bias = stacked_heads(network)
         self._heads = weight.detach()[:, :, 0, 0].t().contiguous(), bias.detach()
 
@@ -83,13 +77,13 @@ class GGCNN2Around:
         """Returns the features behind the second pooling, shape (h / 4, w / 4, 16). `blocks`: where objects are."""
         h, w = blocks.shape
         constant = 0.0 if objects.all() else float(image.flat[np.argmin(objects)])
-        halves = self._first(torch.full((1, 1, CONSTANT_SIDE, CONSTANT_SIDE), constant))
+        halves = self._first.everywhere(torch.full((1, 1, CONSTANT_SIDE, CONSTANT_SIDE), constant))
         half = _spread(_channels_last(halves), h, w)
-        quarter = _spread(_channels_last(self._second(halves)), h // 2, w // 2)
+        quarter = _spread(_channels_last(self._second.everywhere(halves)), h // 2, w // 2)
         reached = _near(blocks, 4)  # half-size pixels that an object reaches through 11 x 11 and 5 x 5
-        _two_and_pool(self._first, image[..., None], half, reached, FULL_TILE // 2)
+        self._first.into(half, image[..., None], reached, FULL_TILE // 2)
         reached = _near(_blocks(reached, 2), 2)  # quarter-size pixels, through 5 x 5 twice
-        _two_and_pool(self._second, half, quarter, reached, HALF_TILE // 2)
+        self._second.into(quarter, half, reached, HALF_TILE // 2)
         return quarter
 
     def _decoded(self, encoded: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -100,45 +94,53 @@ class GGCNN2Around:
         maps = np.zeros((2 * h, 2 * w, 4), np.float32)
         side = min(FULL_TILE, 2 * h, 2 * w)
         for batch in _batches(tiles(wanted, side // 2)):
-            x = _convolved(self._last, _cut(features, [(2 * row - 1, 2 * column - 1) for row, column in batch], side + 2))
+            corners = [(2 * row, 2 * column) for row, column in batch]
+            x = _convolved(self._last, _cut(features, [(row - 1, column - 1) for row, column in corners], side + 2))
             heads = torch.addmm(self._heads[1], x.permute(0, 2, 3, 1).reshape(-1, x.shape[1]), self._heads[0])
-            _put(maps, [(2 * row, 2 * column) for row, column in batch], heads.view(-1, side, side, 4).permute(0, 3, 1, 2))
+            _put(maps, corners, heads.view(-1, side, side, 4).permute(0, 3, 1, 2))
         return np.ascontiguousarray(maps.transpose(2, 0, 1))
 
 
-def _two_and_pool(layers: nn.Sequential, x: np.ndarray, into: np.ndarray, wanted: np.ndarray, side: int) -> None:
-    """Writes what two convolutions and a pooling make of the features `x`, shape (2 h, 2 w, c), where it is wanted,
-    shape (h, w), in tiles of `side` rows and columns.
-    """
-    first, second = layers[0], layers[2]
-    (h, w), reach = wanted.shape, second.padding[0]
-    side = min(side, h, w)
-    pad = first.padding[0] + reach
-    for batch in _batches(tiles(wanted, side)):
-        padded = _cut(x, [(2 * row - pad, 2 * column - pad) for row, column in batch], 2 * (side + pad))
-        between = _convolved(first, padded)
-        for tile, (row, column) in zip(between, batch):  # the second convolution has zeros outside of the image
-            for axis, start, size in ((1, 2 * row, 2 * h), (2, 2 * column, 2 * w)):
-                before, after = reach - start, start + 2 * side + reach - size
-                if before > 0:
-                    tile.narrow(axis, 0, before).zero_()
-                if after > 0:
-                    tile.narrow(axis, tile.shape[axis] - after, after).zero_()
-        _put(into, batch, F.max_pool2d(_convolved(second, between), 2))
+class _TwoAndPool:
+    """Two convolutions and a pooling."""
+
+    def __init__(self, first: nn.Conv2d, second: nn.Conv2d) -> None:
+        self._first, self._second = first, second
+        self._reach = int(second.padding[0])
+        self._pad = int(first.padding[0]) + self._reach
+
+    def everywhere(self, x: torch.Tensor) -> torch.Tensor:
+        """Returns what they make of images, shape (n, c, h, w)."""
+        return F.max_pool2d(F.relu_(self._second(F.relu_(self._first(x)))), 2)
+
+    def into(self, result: np.ndarray, x: np.ndarray, wanted: np.ndarray, side: int) -> None:
+        """Writes what they make of the features `x`, shape (2 h, 2 w, c), into the result, shape (h, w, d), where it is
+        wanted, shape (h, w), in tiles of `side` rows and columns.
+        """
+        (h, w), reach, pad = wanted.shape, self._reach, self._pad
+        side = min(side, h, w)
+        for batch in _batches(tiles(wanted, side)):
+            corners = [(2 * row - pad, 2 * column - pad) for row, column in batch]
+            between = _convolved(self._first, _cut(x, corners, 2 * (side + pad)))
+            for tile, (row, column) in zip(between, batch):  # the second convolution has zeros outside of the image
+                for axis, start, size in ((1, 2 * row, 2 * h), (2, 2 * column, 2 * w)):
+                    before, after = reach - start, start + 2 * side + reach - size
+                    if before > 0:
+                        tile.narrow(axis, 0, before).zero_()
+                    if after > 0:
+                        tile.narrow(axis, tile.shape[axis] - after, after).zero_()
+            _put(result, batch, F.max_pool2d(_convolved(self._second, between), 2))
 
 
-Around = Callable[[np.ndarray, np.ndarray, int], "tuple[np.ndarray, np.ndarray]"]
-
-
-def around(network: nn.Module) -> Around | None:
+def around(network: nn.Module) -> GGCNNAround | GGCNN2Around | None:
     """Returns what evaluates a network near objects only; None for another network than GG-CNN and GG-CNN2."""
     if isinstance(network, GGCNN):
-        return GGCNNAround(network)
-    return GGCNN2Around(network) if isinstance(network, GGCNN2) else None
+        return GGCNNAround(channels_last(network.eval()))
+    return GGCNN2Around(channels_last(network.eval())) if isinstance(network, GGCNN2) else None
 
 
 def windows(wanted: np.ndarray, rows: int) -> list[tuple[slice, slice]]:
-    """Returns windows of at most so many rows, slices of rows and columns, that hold all that is wanted, shape (h, w)."""
+    """Returns windows of at most so many rows, slices of rows and columns, that hold what is wanted, shape (h, w)."""
     found, row = [], 0
     occupied = wanted.any(axis=1).tolist()
     edge = np.zeros(wanted.shape[1] + 2, bool)
@@ -154,30 +156,36 @@ def windows(wanted: np.ndarray, rows: int) -> list[tuple[slice, slice]]:
     return found
 
 
-def tiles(wanted: np.ndarray, side: int) -> list[Tile]:
-    """Returns squares inside of the image that hold all that is wanted."""
+def tiles(wanted: np.ndarray, side: int) -> list[tuple[int, int]]:
+    """Returns squares inside of the image that hold all that is wanted, shape (h, w), bool."""
     h, w = wanted.shape
     side = min(side, h, w)
-    return [
-        (min(rows.start, h - side), min(column, w - side))
-        for rows, columns in windows(wanted, side)
-        for column in range(columns.start, columns.stop, side)
-    ]
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(wanted.view(np.uint8))
+    found = []
+    for label, (left, top, width, height) in zip(range(1, count), boxes[1:, :4].tolist()):
+        for rows, columns in windows(labels[top : top + height, left : left + width] == label, side):
+            row = min(top + rows.start, h - side)
+            ends = range(left + columns.start, left + columns.stop, side)
+            found += [(row, min(column, w - side)) for column in ends]
+    return found
 
 
-def _batches(tiles: Sequence[Tile]) -> Iterator[list[Tile]]:
-    """Yields the tiles in batches of `BATCH` or half of it; the last tile fills the last batch."""
+def _batches(tiles: Sequence[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
+    """Yields the tiles in batches of a multiple of `STEP` tiles; the last tile fills the last batch."""
     for i in range(0, len(tiles), BATCH):
         batch = list(tiles[i : i + BATCH])
-        size = BATCH // 2 if len(batch) <= BATCH // 2 else BATCH
-        yield batch + [batch[-1]] * (size - len(batch))
+        yield batch + [batch[-1]] * (-len(batch) % STEP)
+
+
+def _convolutions(layers: Iterable[nn.Module]) -> list[nn.Conv2d]:
+    return [layer for layer in layers if isinstance(layer, nn.Conv2d)]
 
 
 def _convolved(layer: nn.Conv2d, padded: torch.Tensor) -> torch.Tensor:
     return F.conv2d(padded, layer.weight, layer.bias).relu_()
 
 
-def _cut(features: np.ndarray, tiles: Sequence[Tile], side: int) -> torch.Tensor:
+def _cut(features: np.ndarray, tiles: Sequence[tuple[int, int]], side: int) -> torch.Tensor:
     """Returns the tiles, shape (n, c, side, side), with zeros outside of the image."""
     h, w, c = features.shape
     cut = np.empty((len(tiles), side, side, c), np.float32)
@@ -192,7 +200,7 @@ def _cut(features: np.ndarray, tiles: Sequence[Tile], side: int) -> torch.Tensor
     return torch.from_numpy(cut).permute(0, 3, 1, 2)
 
 
-def _put(features: np.ndarray, tiles: Sequence[Tile], values: torch.Tensor) -> None:
+def _put(features: np.ndarray, tiles: Sequence[tuple[int, int]], values: torch.Tensor) -> None:
     """Writes the tiles, shape (n, c, side, side), into the features."""
     side = values.shape[2]
     for (row, column), tile in zip(tiles, values.permute(0, 2, 3, 1).numpy()):
@@ -202,7 +210,9 @@ def _put(features: np.ndarray, tiles: Sequence[Tile], values: torch.Tensor) -> N
 def _spread(features: np.ndarray, h: int, w: int) -> np.ndarray:
     """Returns a constant image's features, shape (n, n, c), as those of a larger one, shape (h, w, c)."""
     n = len(features)
-    rows, columns = (np.clip(np.arange(size), 0, n // 2) + np.maximum(0, np.arange(size) - (size - n + n // 2)) for size in (h, w))
+    pixels = (np.arange(size) for size in (h, w))
+    # The middle pixel is repeated; before it are those near the first border, behind it those near the last.
+    rows, columns = (np.minimum(p, n // 2) + np.maximum(0, p - len(p) + n - n // 2) for p in pixels)
     return features[rows][:, columns]
 
 

@@ -127,7 +127,7 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
         a = np.linalg.solve(squares, chosen.T @ inverse[inside])
     if not np.linalg.norm(a) > 0.0:
         return None
-    return PlaneFound(a, float(np.mean(np.abs(rays @ a - inverse) < gate)))
+    return PlaneFound(a, np.count_nonzero(np.abs(rays @ a - inverse) < gate) / len(inverse))
 
 
 def _clipped(off: np.ndarray, inverse: np.ndarray, gate: float) -> np.ndarray:

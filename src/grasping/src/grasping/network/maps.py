@@ -15,7 +15,7 @@ import numpy as np
 
 PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
 WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
-HIGHEST_QUALITY = 1.5  # that is expected; a network that says more is evaluated everywhere
+HIGHEST_QUALITY = 1.4  # that is expected; a network that says more is evaluated everywhere
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
-from typing import Callable, NamedTuple
+from typing import Callable, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -21,6 +21,7 @@ from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE
 
+Network = TypeVar("Network", bound=nn.Module)
 MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
 BAND = 10  # rows of GG-CNN's features that are evaluated at once
@@ -78,12 +79,14 @@ class GGCNN(nn.Module):
             else:
                 x = layer(F.pad(x, (before, after, before, after)))
             x = F.relu(x)
-        for layer, start in zip((self.convt1, self.convt2), self.borders.crop):
+        for transposed, start in zip((self.convt1, self.convt2), self.borders.crop):
             rows, columns = (2 * n for n in x.shape[2:])
-            if start == layer.kernel_size[0] // 2:
-                x = F.conv_transpose2d(x, layer.weight, layer.bias, layer.stride, start, output_padding=1)
+            if start == transposed.kernel_size[0] // 2:
+                x = F.conv_transpose2d(
+                    x, transposed.weight, transposed.bias, transposed.stride, start, output_padding=1
+                )
             else:
-                x = layer(x)[:, :, start : start + rows, start : start + columns]
+                x = transposed(x)[:, :, start : start + rows, start : start + columns]
             x = F.relu(x)
         return x
 
@@ -198,14 +201,19 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> MapNetwork:
     """Returns the network for evaluation only, its weights turned into constants, for one image of `side` rows and
     columns.
     """
+    network = channels_last(network.eval())
     if isinstance(network, GGCNN):
-        return FrozenGGCNN(network.eval())
-    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+        return FrozenGGCNN(network)
     with torch.no_grad(), warnings.catch_warnings():
         # torch advises its compiler instead, which needs a C++ compiler at run time.
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(network, torch.zeros(1, 1, side, side))  # type: ignore[no-untyped-call]
         return torch.jit.freeze(traced)
+
+
+def channels_last(network: Network) -> Network:
+    """Turns a network's weights into the order that a CPU is fastest with; returns the network."""
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:

@@ -107,7 +107,7 @@ class GraspPipeline:
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._views, self._settings, self._refiner, self._clock = views, settings, refiner, clock
-        self._around = None if refiner is not None else around(network.eval())
+        self._around = None if refiner is not None else around(network)
         self.network = frozen(network)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -162,8 +162,8 @@ class GraspPipeline:
         return PipelineResult(view, maps, candidates, grasps, self._reason(candidates, grasps), stages.seconds)
 
     def _output(self, view: GraspView) -> tuple[np.ndarray, np.ndarray | None]:
-        """Returns the network's maps, shape (4, h, w), and where they were evaluated, shape (h, w), None for everywhere:
-        in a view that is flat beside its objects, only as far as peaks and the blurs about them reach.
+        """Returns the network's maps, shape (4, h, w), and where they were evaluated, shape (h, w), None: everywhere.
+        In a view that is flat beside its objects, they are only as far as peaks and the blurs about them reach.
         """
         margin = reach(self._settings.smoothing, self._settings.threshold)
         if self._around is not None and view.flat and margin is not None and view.graspable.mean() < MOST_GRASPABLE:

@@ -46,7 +46,8 @@ class MapAverage:
     def step(self, output: np.ndarray, depth: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
         """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
         w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]; `known`: where the
-        output is the network's, shape (h, w), None for everywhere. A pixel's average begins when it becomes known.
+        output is the network's, shape (h, w), None for everywhere. When a pixel becomes known, its angle and opening
+        begin, and its quality counts as 0 before.
         """
         averages, before, self._known = self._averages, self._known, known
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
@@ -54,12 +55,11 @@ class MapAverage:
             return output.copy(), True
         for average, newest in zip(averages, (output, depth)):
             average += np.float32(self._config.weight) * (newest - average)
+        if known is not None:
+            averages[0][:, ~known if before is None else before & ~known] = 0.0
         if before is not None:
-            begins = ~before if known is None else before != known  # also what is known no more, and is zero then
-            if begins.any():
-                averages[0][:, begins] = output[:, begins]
-        elif known is not None:
-            averages[0][:, ~known] = 0.0
+            begins = ~before if known is None else known & ~before
+            averages[0][1:, begins] = output[1:, begins]
         return averages[0].copy(), False
 
     def _moved(self, average: np.ndarray, depth: np.ndarray) -> bool:
@@ -140,15 +140,14 @@ class GraspTracker:
 
     def _owners(self, detections: Sequence[GraspDetection]) -> dict[int, _Track]:
         """Returns the track of each detection: the nearest pairs first, a new track where none is near."""
-        pairs = sorted(
-            (math.dist(s.T[:3, 3], t.position), i, k)
-            for i, s in enumerate(detections)
-            for k, t in enumerate(self._tracks)
-        )
+        positions = np.array([d.T[:3, 3] for d in detections]).reshape(-1, 1, 3)
+        distances = np.linalg.norm(positions - np.array([t.position for t in self._tracks]).reshape(1, -1, 3), axis=2)
+        near = np.argwhere(distances <= self._config.same_distance).tolist()
+        pairs = sorted((distances[i, k], i, k) for i, k in near)
         owners: dict[int, _Track] = {}
         taken: set[int] = set()
-        for distance, i, k in pairs:
-            if distance <= self._config.same_distance and i not in owners and k not in taken:
+        for _, i, k in pairs:
+            if i not in owners and k not in taken:
                 owners[i] = self._tracks[k]
                 taken.add(k)
         for i in range(len(detections)):
@@ -249,7 +248,7 @@ class PoseFilter:
 
 
 def _median(values: Iterable[np.ndarray]) -> np.ndarray:
-    """Returns the median of each component, shape (n,); np.median, made for large arrays, takes thirty times as long."""
+    """Returns the median of each component, shape (n,); np.median, made for large arrays, is slow."""
     ordered = np.sort(list(values), axis=0)
     middle = len(ordered) // 2
     return ordered[middle] if len(ordered) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle])
