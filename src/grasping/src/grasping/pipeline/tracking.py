@@ -211,12 +211,12 @@ class PoseFilter:
                 self._accepted.extend(self._doubted)
                 self._doubted.clear()
                 self._state, self.held = None, False
-        median = _median(self._accepted)
-        state = median
+        middle = median(self._accepted)
+        state = middle
         if self._state is not None:
             past = max(0.0, now - self._time)
             tau = self._config.time_constant
-            state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (median - self._state)
+            state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (middle - self._state)
         self._state, self._time = state, now
         return self._pose(state)
 
@@ -240,14 +240,14 @@ class PoseFilter:
 
     def _near(self, values: np.ndarray, others: Iterable[np.ndarray]) -> bool:
         """Returns whether a pose is within the gate of the median of others."""
-        median = _median(others)
-        far = math.dist(values[:3], median[:3])
-        turned = 0.5 * _between(values[3:5], median[3:5])
-        tilted = _between(values[5:8], median[5:8])
+        middle = median(others)
+        far = math.dist(values[:3], middle[:3])
+        turned = 0.5 * _between(values[3:5], middle[3:5])
+        tilted = _between(values[5:8], middle[5:8])
         return bool(far <= self._config.gate_distance and max(turned, tilted) <= math.radians(self._config.gate_angle))
 
 
-def _median(values: Iterable[np.ndarray]) -> np.ndarray:
+def median(values: Iterable[np.ndarray]) -> np.ndarray:
     """Returns the median of each component, shape (n,); np.median, made for large arrays, is slow."""
     ordered = np.sort(list(values), axis=0)
     middle = len(ordered) // 2
