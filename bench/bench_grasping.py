@@ -4,6 +4,7 @@ The published pipeline is written here from its description: scaling of the wind
 layer by layer with four heads, blurs of the quality and of the angle itself, the highest pixel, and its place before
 the camera. Both have the same weights, the same images and one processor, and what is measured is its time for them.
 The live chain does more: it averages maps over time, and finds, follows and turns several grasps.
+GG-CNN is measured where its published weights, which are not shipped, are in `shared/data/ggcnn`.
 """
 
 from __future__ import annotations
@@ -11,21 +12,24 @@ from __future__ import annotations
 import copy
 import functools
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 import yaml
 
-from bench.measure import SRC, Peer, Row, row
+from bench.measure import SHARED_DATA, SRC, Peer, Row, row
 from common.camera_model import pinhole
-from grasping.network.networks import HEADS
+from grasping.network.networks import GGCNN, HEADS
 from grasping.network.weights import load
 from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.settings import overlaid, settings_from
 
 CAMERA = pinhole("bench", 640, 480, [[570.0, 0.0, 319.5], [0.0, 570.0, 239.5], [0.0, 0.0, 1.0]])
 ROWS, COLUMNS = slice(40, 440), slice(120, 520)
+GGCNN_WEIGHTS = SHARED_DATA / "ggcnn" / "epoch_29_model.hdf5"
 STAGES = ("view", "network", "peaks", "poses")
 UP = np.array([0.0, 0.0, 1.0])
 CLOCK = time.thread_time
@@ -40,15 +44,20 @@ def rows(quick: bool) -> list[Row]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        return _rows(images)
+        table = _rows("GG-CNN2", SRC / "grasping" / "weights" / "ggcnn2.pt", images)
+        if GGCNN_WEIGHTS.exists():
+            table += _rows("GG-CNN", GGCNN_WEIGHTS, images)
+        else:
+            table.append(Row("GG-CNN", None, None, "ms", f"{GGCNN_WEIGHTS} is not there"))
+        return table
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
 
 
-def _rows(images: list[np.ndarray]) -> list[Row]:
+def _rows(name: str, weights: Path, images: list[np.ndarray]) -> list[Row]:
     folder = SRC / "grasping"
-    network = load((folder / "weights" / "ggcnn2.pt").read_bytes()).network
+    network = load(weights.read_bytes()).network
     values = yaml.safe_load((folder / "config" / "ggcnn.yaml").read_text())
     values["tool"] = yaml.safe_load((folder / "config" / "tool_pose.yaml").read_text())
     chains = {"published": functools.partial(published, copy.deepcopy(network))}  # the live chain rearranges its own
@@ -60,7 +69,7 @@ def _rows(images: list[np.ndarray]) -> list[Row]:
     for i, depth in enumerate(images):  # in turns, so that a busy moment meets all
         for chain, call in chains.items():
             times[chain].append(call(depth, i / 15.0))
-    return _table("GG-CNN2", times)
+    return _table(name, times)
 
 
 def _table(name: str, times: dict[str, list]) -> list[Row]:
@@ -121,5 +130,16 @@ def published(network: torch.nn.Module, depth: np.ndarray, _) -> dict[str, float
 
 def plain(network: torch.nn.Module, x: torch.Tensor) -> list[torch.Tensor]:
     """Returns quality, cos, sin and width as the published code computes them: layer by layer, one head at a time."""
-    x = network.features(x)
+    if isinstance(network, GGCNN):
+        borders = network.borders
+        for layer, (before, after) in zip((network.conv1, network.conv2, network.conv3), borders.conv):
+            x = F.relu(layer(F.pad(x, (before, after, before, after))))
+        for layer, start, rest in zip(
+            (network.convt1, network.convt2, network.convt3), borders.crop, (0, 0, borders.rest)
+        ):
+            side = layer.stride[0] * x.shape[2] + rest
+            x = F.relu(layer(x)[:, :, start : start + side, start : start + side])
+        x = F.pad(x, borders.head * 2)
+    else:
+        x = network.features(x)
     return [getattr(network, head)(x) for head in HEADS]

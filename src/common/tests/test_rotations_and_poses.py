@@ -98,6 +98,11 @@ def test_a_vector_without_direction_is_refused(v):
         rot.unit(v)
 
 
+@given(st.tuples(angles, angles, angles), st.tuples(angles, angles, angles))
+def test_cross_product_is_numpys(a, b):
+    np.testing.assert_array_equal(rot.cross(np.array(a), np.array(b)), np.cross(a, b))
+
+
 @given(angles, angles, angles, st.tuples(angles, angles, angles))
 def test_inverse_pose(a, b, c, p):
     T = poses.pose(rot.rotation_from_zyx(a, b, c), p)

@@ -22,6 +22,19 @@ def pair(name):
     return published, network
 
 
+@pytest.mark.parametrize("name", NETWORKS)
+def test_frozen_networks_are_the_network(name):
+    torch.manual_seed(4)
+    network = NETWORKS[name]()
+    for parameter in network.parameters():
+        parameter.data += torch.empty_like(parameter).uniform_(-0.05, 0.05)
+    image = torch.randn(1, 1, 156, 156)
+    with torch.no_grad():
+        wanted = network(image)
+        found = frozen(network, 156)(image)
+    torch.testing.assert_close(found, wanted, rtol=0.0, atol=1e-5 * float(wanted.abs().max()))
+
+
 @pytest.mark.parametrize("name", PUBLISHED)
 @pytest.mark.parametrize("side", [300, 156])
 def test_output_is_the_published_networks(name, side):

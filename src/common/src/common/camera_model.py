@@ -45,6 +45,8 @@ class CameraModel:
         """
         distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
+        if not self.D.any():
+            return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
         for _ in range(MAX_ITERATIONS):
             step = distorted - self._distort(direction)
             direction = direction + step

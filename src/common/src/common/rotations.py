@@ -31,10 +31,16 @@ _ONES = np.eye(4).ravel()
 def unit(vector: ArrayLike) -> np.ndarray:
     """Returns vector / |vector|, shape (n,); raises ValueError if the vector is zero or not finite."""
     v = np.asarray(vector, dtype=float)
-    norm = np.linalg.norm(v)
-    if not np.isfinite(norm) or norm < 1e-12:
+    norm = math.sqrt(v @ v)
+    if not math.isfinite(norm) or norm < 1e-12:
         raise ValueError(f"the vector {v.tolist()} has no direction")
     return v / norm
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Returns the cross product of two vectors, shape (3,); np.cross, made for arrays of them, is slow."""
+    (a0, a1, a2), (b0, b1, b2) = a.tolist(), b.tolist()
+    return np.array((a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0))
 
 
 def rotation_about(axis: int, angle: float) -> np.ndarray:

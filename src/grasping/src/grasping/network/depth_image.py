@@ -9,6 +9,7 @@ and the noise of a structured-light camera is nearly constant there.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +20,7 @@ VIEWS = (CAMERA, TABLE)
 NETWORK_SIDE = 300
 CROP_SIDE = 400
 TRIPLES = 64  # hypotheses: with a third of the pixels in the plane, one triple has no outlier in nine of ten images
+AT_ONCE = 16  # hypotheses that are judged at once: more would not stay in the processor's cache
 GATE_SD = 3.0
 ROUNDS = 3
 FLAT = 1e-9  # a smaller determinant is of three pixels in a row
@@ -107,22 +109,41 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
         return None
     inverse = 1.0 / np.asarray(depth, dtype=float)
     gate = GATE_SD * noise
-    picks = np.random.default_rng(0).integers(0, len(depth), (TRIPLES, 3))
-    picks = picks[np.abs(np.linalg.det(rays[picks])) > FLAT]
-    if not len(picks):
+    picks = _picks(len(depth))
+    triples = rays[picks]
+    wide = np.abs(np.linalg.det(triples)) > FLAT
+    if not wide.any():
         return None
-    planes = np.linalg.solve(rays[picks], inverse[picks][..., None])[..., 0]
-    cost = np.minimum(np.abs(planes @ rays.T - inverse), gate).sum(axis=1)
-    a = planes[np.argmin(cost)]
+    planes = np.linalg.solve(triples[wide], inverse[picks[wide]][..., None])[..., 0]
+    parts = (planes[i : i + AT_ONCE] for i in range(0, len(planes), AT_ONCE))
+    cost = [_clipped(part @ rays.T, inverse, gate) for part in parts]
+    a = planes[np.argmin(np.concatenate(cost))]
     for _ in range(ROUNDS):
         inside = np.abs(rays @ a - inverse) < gate
-        squares = rays[inside].T @ rays[inside]
+        chosen = rays[inside]
+        squares = chosen.T @ chosen
         if np.linalg.det(squares) < FLAT:
             return None
-        a = np.linalg.solve(squares, rays[inside].T @ inverse[inside])
+        a = np.linalg.solve(squares, chosen.T @ inverse[inside])
     if not np.linalg.norm(a) > 0.0:
         return None
-    return PlaneFound(a, float(np.mean(np.abs(rays @ a - inverse) < gate)))
+    return PlaneFound(a, np.count_nonzero(np.abs(rays @ a - inverse) < gate) / len(inverse))
+
+
+def _clipped(off: np.ndarray, inverse: np.ndarray, gate: float) -> np.ndarray:
+    """Returns the sums over the pixels of how far planes are off, at most the gate each; `off` is overwritten."""
+    off -= inverse
+    np.abs(off, out=off)
+    np.minimum(off, gate, out=off)
+    return off.sum(axis=1)
+
+
+@functools.lru_cache(maxsize=1024)
+def _picks(count: int) -> np.ndarray:
+    """Returns the triples of `count` pixels that hypotheses are made of, shape (TRIPLES, 3)."""
+    picks = np.random.default_rng(0).integers(0, count, (TRIPLES, 3))
+    picks.setflags(write=False)
+    return picks
 
 
 def table_depth(image: NetworkImage) -> np.ndarray:

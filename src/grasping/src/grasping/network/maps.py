@@ -6,6 +6,7 @@ where it jumps from +90 to -90 degrees.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
 WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
+HIGHEST_QUALITY = 1.4  # that is expected; a network that says more is evaluated everywhere
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 
@@ -24,6 +26,21 @@ class Smoothing:
     quality: float = 5.0
     angle: float = 2.0
     width: float = 1.0
+
+
+def reach(smoothing: Smoothing, threshold: float | None) -> int | None:
+    """Returns how far from graspable pixels the maps decide on the peaks above a threshold, rows and columns [px]; None
+    for everywhere: without a threshold.
+
+    A Gaussian has the fraction exp(-d^2 / (2 sigma^2)) of its mass beyond the distance d. So a pixel as far from all
+    graspable ones, whose quality is at most `HIGHEST_QUALITY`, has less than that after the blur. At a peak the blurs
+    of angle and opening read what is around it.
+    """
+    if threshold is None or threshold <= 0.0:
+        return None
+    peak = smoothing.quality * math.sqrt(2.0 * math.log(max(1.0, HIGHEST_QUALITY / threshold)))
+    farthest = min(radius(smoothing.quality), math.ceil(peak))
+    return farthest + max(radius(smoothing.angle), radius(smoothing.width))
 
 
 class Maps(NamedTuple):
@@ -54,11 +71,16 @@ def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Map
     return Maps(quality, angle, gaussian(width, smoothing.width) * np.float32(WIDTH_SCALE_PX))
 
 
+def radius(sigma: float) -> int:
+    """Returns how far the blur reaches [px]."""
+    return int(4.0 * sigma + 0.5)
+
+
 def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     """Returns the image blurred as SciPy's gaussian_filter does: cut at 4 sigma, mirrored at the border."""
     if sigma == 0.0:
         return image
-    side = 2 * int(4.0 * sigma + 0.5) + 1
+    side = 2 * radius(sigma) + 1
     return cv2.GaussianBlur(image, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
 
 

@@ -2,7 +2,8 @@
 
 The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
 convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
-at a third of the size followed by a pixel shuffle; the outputs are the same to rounding.
+at a third of the size followed by a pixel shuffle; a frozen GG-CNN also has its heads before the shuffle, which then
+moves 4 instead of 32 channels. The outputs are the same to rounding.
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
 (about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `maps.WIDTH_SCALE_PX`.
 """
@@ -10,7 +11,8 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 from __future__ import annotations
 
 import warnings
-from typing import Callable, NamedTuple
+from collections.abc import Iterable
+from typing import Callable, NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -19,8 +21,10 @@ from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE
 
+Network = TypeVar("Network", bound=nn.Module)
 MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
+BAND = 10  # rows of GG-CNN's features that are evaluated at once
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 
 
@@ -29,13 +33,13 @@ class Borders(NamedTuple):
 
     conv: tuple[tuple[int, int], ...]  # rows and columns of zeros before and after the input of the three convolutions
     crop: tuple[int, int, int]  # first row and column kept of the three transposed convolutions' full outputs
-    rest: tuple[int, int, int]  # rows and columns kept beyond (stride x input size)
+    rest: int  # rows and columns kept of the last one beyond (stride x input size)
     head: tuple[int, int]  # zeros before and after the input of the heads
 
 
-TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=(0, 0, 1), head=(0, 0))
+TORCH = Borders(conv=((3, 3), (2, 2), (1, 1)), crop=(1, 2, 3), rest=1, head=(0, 0))
 """The published torch network: symmetric padding."""
-KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=(0, 0, 0), head=(0, 1))
+KERAS = Borders(conv=((3, 3), (1, 2), (0, 1)), crop=(0, 1, 3), rest=0, head=(0, 1))
 """The published Keras network: "same" padding of a 300 x 300 image, which is not symmetric."""
 
 
@@ -59,18 +63,32 @@ class GGCNN(nn.Module):
 
     def forward(self, depth: torch.Tensor) -> torch.Tensor:
         """Returns the maps, shape (n, 4, h, w)."""
+        full = shuffled_transpose(self.features(depth), self.convt3.weight, self.convt3.bias)
+        start, (rows, columns) = self.borders.crop[2], (n + self.borders.rest for n in depth.shape[2:])
+        before, after = self.borders.head
+        x = F.relu(full[:, :, start : start + rows, start : start + columns])
+        return _heads(self, F.pad(x, (before, after, before, after)))
+
+    def features(self, depth: torch.Tensor) -> torch.Tensor:
+        """Returns the input of the last transposed convolution, shape (n, 16, h / 3, w / 3)."""
         check_side(depth, self.side_multiple)
         x = depth
         for layer, (before, after) in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
-            x = F.relu(layer(F.pad(x, (before, after, before, after))))
-        for i, transposed in enumerate((self.convt1, self.convt2, self.convt3)):
-            stride = transposed.stride[0]
-            size = [stride * n + self.borders.rest[i] for n in x.shape[2:]]
-            full = transposed(x) if stride == 2 else shuffled_transpose(x, transposed.weight, transposed.bias)
-            start = self.borders.crop[i]
-            x = F.relu(full[:, :, start : start + size[0], start : start + size[1]])
-        before, after = self.borders.head
-        return _heads(self, F.pad(x, (before, after, before, after)))
+            if before == after:
+                x = F.conv2d(x, layer.weight, layer.bias, layer.stride, before)
+            else:
+                x = layer(F.pad(x, (before, after, before, after)))
+            x = F.relu(x)
+        for transposed, start in zip((self.convt1, self.convt2), self.borders.crop):
+            rows, columns = (2 * n for n in x.shape[2:])
+            if start == transposed.kernel_size[0] // 2:
+                x = F.conv_transpose2d(
+                    x, transposed.weight, transposed.bias, transposed.stride, start, output_padding=1
+                )
+            else:
+                x = transposed(x)[:, :, start : start + rows, start : start + columns]
+            x = F.relu(x)
+        return x
 
 
 class GGCNN2(nn.Module):
@@ -108,20 +126,94 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2
 """The known networks by name; `ggcnn_keras` is GG-CNN with the borders of the Keras weights."""
 
 
+class ShuffledHeads:
+    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, by windows.
+
+    A head is a 2 x 2 convolution, so each of its four taps can be evaluated where the transposed convolution leaves
+    its 3 x 3 remainders; what is shuffled are the sums of the taps. A window's features stay in the cache.
+    """
+
+    def __init__(self, network: GGCNN) -> None:
+        weight, bias = network.convt3.weight.detach(), network.convt3.bias
+        kernel = _remainders(weight).permute(2, 3, 1, 0, 4, 5).reshape(-1, 9 * weight.shape[0])  # by remainder, channel
+        # The last column is the bias, for an input that is one.
+        self._kernel = torch.cat([kernel, bias.detach().repeat(9)[:, None]], dim=1).contiguous()  # type: ignore[union-attr]
+        heads, head_bias = stacked_heads(network)
+        self._taps = heads.detach().permute(2, 3, 0, 1).reshape(-1, heads.shape[1]).contiguous()  # by tap, head
+        self._bias = head_bias.detach()[:, None, None]
+        self._padded_heads = network.borders.head == (0, 1)
+
+    def into(self, maps: torch.Tensor, x: torch.Tensor, windows: Iterable[tuple[slice, slice]]) -> None:
+        """Writes windows, slices of rows and columns of `x`, of the maps, shape (4, 3 h, 3 w); `x`: the features, shape
+        (1, 16, h, w).
+        """
+        _, channels, h, w = x.shape
+        x = F.pad(x, (1, 2, 1, 2)).contiguous()[0]
+        shuffled = maps.view(len(maps), h, 3, w, 3)
+        for window in windows:
+            (row, rows), (column, columns) = ((part.start, part.stop - part.start) for part in window)
+            # One row and column more than are wanted: a head's second tap can be in the next pixel.
+            size = channels, 3, 3, rows + 1, columns + 1
+            strides = x.stride(0), x.stride(1), x.stride(2), x.stride(1), x.stride(2)
+            patches = torch.ones(9 * channels + 1, (rows + 1) * (columns + 1))
+            patches[:-1].view(size).copy_(x[:, row:, column:].as_strided(size, strides))
+            full = (self._kernel @ patches).relu_().view(9, -1, rows + 1, columns + 1)
+            if self._padded_heads:
+                full[:, :, h - row :] = 0.0
+                full[:, :, :, w - column :] = 0.0
+            taps = torch.matmul(self._taps, full.view(9, -1, (rows + 1) * (columns + 1)))
+            taps = taps.view(3, 3, 2, 2, len(maps), rows + 1, columns + 1)
+            across = taps[:, :, :, 0, :, :, :-1]
+            across[:, :2] += taps[:, 1:, :, 1, :, :, :-1]
+            across[:, 2] += taps[:, 0, :, 1, :, :, 1:]
+            down = across[:, :, 0, :, :-1]
+            down[:2] += across[1:, :, 1, :, :-1]
+            down[2] += across[0, :, 1, :, 1:]
+            down += self._bias
+            shuffled[:, row : row + rows, :, column : column + columns] = down.permute(2, 3, 0, 4, 1)
+
+
+class FrozenGGCNN:
+    """GG-CNN as it is at the moment, for evaluation only."""
+
+    def __init__(self, network: GGCNN) -> None:
+        self._network, self._heads = network, ShuffledHeads(network)
+
+    def __call__(self, depth: torch.Tensor) -> torch.Tensor:
+        """Returns the maps, shape (n, 4, h, w)."""
+        n, _, h, w = depth.shape
+        maps = torch.empty(n, len(MAPS), h, w)
+        with torch.no_grad():
+            for image, found in zip(depth, maps):
+                x = self._network.features(image[None])
+                bands = (slice(row, min(row + BAND, h // 3)) for row in range(0, h // 3, BAND))
+                self._heads.into(found, x, ((band, slice(0, w // 3)) for band in bands))
+        return maps
+
+
 def infer(network: MapNetwork, image: np.ndarray) -> np.ndarray:
     """Returns the network's maps, shape (4, h, w), of a network image, shape (h, w)."""
     with torch.no_grad():
         return network(torch.from_numpy(image)[None, None])[0].contiguous().numpy()
 
 
-def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> torch.jit.ScriptModule:
-    """Returns the network traced for one image of `side` rows and columns, its weights turned into constants."""
-    network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> MapNetwork:
+    """Returns the network for evaluation only, its weights turned into constants, for one image of `side` rows and
+    columns.
+    """
+    network = channels_last(network.eval())
+    if isinstance(network, GGCNN):
+        return FrozenGGCNN(network)
     with torch.no_grad(), warnings.catch_warnings():
         # torch advises its compiler instead, which needs a C++ compiler at run time.
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(network, torch.zeros(1, 1, side, side))  # type: ignore[no-untyped-call]
         return torch.jit.freeze(traced)
+
+
+def channels_last(network: Network) -> Network:
+    """Turns a network's weights into the order that a CPU is fastest with; returns the network."""
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
 
 def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
@@ -131,8 +223,7 @@ def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor
     a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,): (n, o, 3 h + 6, 3 w + 6).
     """
     i, o = weight.shape[:2]
-    taps = weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4)  # (i, o, m, r, m, r), m reversed: a convolution correlates
-    kernel = taps.permute(1, 3, 5, 0, 2, 4).reshape(9 * o, i, 3, 3)
+    kernel = _remainders(weight).permute(1, 2, 3, 0, 4, 5).reshape(9 * o, i, 3, 3)
     bias = None if bias is None else bias.repeat_interleave(9)
     return F.pixel_shuffle(F.conv2d(x, kernel, bias, padding=2), 3)
 
@@ -151,9 +242,22 @@ def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tup
     return nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation), nn.ReLU(inplace=True)
 
 
-def _heads(network: nn.Module, x: torch.Tensor) -> torch.Tensor:
+def stacked_heads(network: nn.Module) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns the weights of the four heads as one convolution's, shape (4, i, k, k), and its bias, shape (4,)."""
     heads = [getattr(network, name) for name in HEADS]
-    return F.conv2d(x, torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads]))
+    return torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads])
+
+
+def _heads(network: nn.Module, x: torch.Tensor) -> torch.Tensor:
+    return F.conv2d(x, *stacked_heads(network))
+
+
+def _remainders(weight: torch.Tensor) -> torch.Tensor:
+    """Returns a transposed convolution's kernel, shape (i, o, 9, 9), as convolutions of its remainders: shape
+    (i, o, 3, 3, 3, 3), the remainders of row and column, then the taps, reversed because a convolution correlates.
+    """
+    i, o = weight.shape[:2]
+    return weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4).permute(0, 1, 3, 5, 2, 4)
 
 
 def _initialise(network: nn.Module) -> None:

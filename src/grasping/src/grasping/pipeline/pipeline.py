@@ -16,7 +16,8 @@ from torch import nn
 
 from common.camera_model import CameraModel
 from common.poses import inverse, read_only
-from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
+from grasping.network.around import around
+from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, Smoothing, highest, peaks, reach, smoothed
 from grasping.network.networks import frozen, infer
 from grasping.network.refinement import MapRefiner, RefinedMaps
 from grasping.pipeline import projection, refined_grasp
@@ -31,6 +32,7 @@ from grasping.pipeline.tracking import (
 )
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
 
+MOST_GRASPABLE = 0.2  # fraction of the view; with more, the network is faster everywhere than near the objects
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 
@@ -105,6 +107,7 @@ class GraspPipeline:
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._views, self._settings, self._refiner, self._clock = views, settings, refiner, clock
+        self._around = None if refiner is not None else around(network)
         self.network = frozen(network)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -138,12 +141,12 @@ class GraspPipeline:
             self._track((), now)
             return PipelineResult(None, None, (), (), str(error), stages.end("view"))
         stages.end("view")
-        output = infer(self.network, view.image.input)
+        output, known = self._output(view)
         stages.end("network")
         if not np.isfinite(output).all():
             return PipelineResult(view, None, (), (), "the network's maps are not finite", stages.seconds)
         if self._average is not None:
-            output, _ = self._average.step(output, view.image.depth)
+            output, _ = self._average.step(output, view.image.depth, known)
         refined = None if self._refiner is None else self._refiner.apply(output, view.image)
         maps = maps_of(output if refined is None else refined.output, view, s)
         found = [highest(maps)] if s.threshold is None else peaks(maps, s.count, s.distance, s.threshold)
@@ -157,6 +160,17 @@ class GraspPipeline:
         grasps = tuple(_proposal(t, accepted[t.detection], camera, T_base_camera) for t in self._track(detections, now))
         stages.end("poses")
         return PipelineResult(view, maps, candidates, grasps, self._reason(candidates, grasps), stages.seconds)
+
+    def _output(self, view: GraspView) -> tuple[np.ndarray, np.ndarray | None]:
+        """Returns the network's maps, shape (4, h, w), and where they were evaluated, shape (h, w), None: everywhere.
+        In a view that is flat beside its objects, they are only as far as peaks and the blurs about them reach.
+        """
+        margin = reach(self._settings.smoothing, self._settings.threshold)
+        if self._around is not None and view.flat and margin is not None and view.graspable.mean() < MOST_GRASPABLE:
+            output, known = self._around(view.image.input, view.graspable, margin)
+            if not (output[0][view.graspable] > HIGHEST_QUALITY).any():
+                return output, known
+        return infer(self.network, view.image.input), None
 
     def _track(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
         if self._tracker is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import choice, integer, number
 from common.poses import pose, read_only
-from common.rotations import rotation_about, unit
+from common.rotations import cross, rotation_about, unit
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
@@ -59,10 +59,11 @@ def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: 
     column, row = (round(p) for p in pixel)
     half = NEIGHBOURHOOD // 2
     near = depth[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]
-    near = near[np.isfinite(near) & (near > 0.0)]
+    near = np.sort(near[np.isfinite(near) & (near > 0.0)])
     if not near.size:
         return None
-    z = float(np.median(near))
+    middle = near[(near.size - 1) // 2 : near.size // 2 + 1]
+    z = float(middle.mean())  # the median; np.median takes twenty times as long
     T = pose(rotation_about(2, -peak.angle), z * camera.rays(pixel))
     width = peak.width * crop.side / side * z / camera.K[0, 0]
     return CameraGrasp(read_only(T), peak.angle, width, peak.width, peak.quality, pixel)
@@ -82,7 +83,7 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     ends = rays * (p @ n) / (rays @ n)[:, None]
     across = ends[1] - ends[0]
     x = unit(across)
-    T = pose(np.column_stack([x, np.cross(n, x), n]), p)
+    T = pose(np.column_stack([x, cross(n, x), n]), p)
     width = float(np.linalg.norm(across)) * half / max(half, 1.0)
     return grasp._replace(T_camera_grasp=read_only(T), width=width)
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from common.config import choice, flag, integer, number, vector
 from common.poses import pose, translation
-from common.rotations import rotation_about, rotation_angle, unit
+from common.rotations import cross, rotation_about, rotation_angle, unit
 from grasping.network.maps import HANDS, PARALLEL, Maps
 
 VERTICAL, ALONG_GRASP = "vertical", "grasp"
@@ -71,7 +71,7 @@ def tool_pose(T_base_grasp: np.ndarray, settings: ToolPoseConfig, near: np.ndarr
     if np.linalg.norm(across) < STEEP:
         raise ValueError(f"the line through the fingers, {fingers.tolist()}, lies along the approach")
     x = unit(across)
-    R = np.column_stack([x, np.cross(z, x), z]) @ rotation_about(2, -math.radians(settings.closing_angle))
+    R = np.column_stack([x, cross(z, x), z]) @ rotation_about(2, -math.radians(settings.closing_angle))
     R = min((R, R @ rotation_about(2, math.pi)), key=lambda R_base_tool: rotation_angle(near.T @ R_base_tool))
     return pose(R, T_base_grasp[:3, 3] - R @ settings.grip_in_tool)
 
@@ -92,13 +92,16 @@ def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: 
     """
     if tool.outside_quality == 1.0:
         return maps
-    opening = pixel_m * np.maximum(maps.width, 0.0)
+    above = np.nonzero(maps.quality > threshold)
+    found = maps.quality[above]
+    opening = np.broadcast_to(pixel_m, maps.quality.shape)[above] * np.maximum(maps.width[above], 0.0)
     low, high = tool.preferred_opening
     outside = np.maximum(low - opening, opening - high) / tool.outside_ramp
     left = 1.0 - (1.0 - tool.outside_quality) * np.clip(outside, 0.0, 1.0)
-    shrunk = np.minimum(maps.quality, threshold + left * (maps.quality - threshold))
-    quality = np.where((maps.quality > threshold) & (left < 1.0), shrunk, maps.quality)
-    return maps._replace(quality=quality.astype(maps.quality.dtype))
+    shrunk = np.minimum(found, threshold + left * (found - threshold))
+    quality = maps.quality.copy()
+    quality[above] = np.where(left < 1.0, shrunk, found)
+    return maps._replace(quality=quality)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from common.config import integer, number
 from common.poses import pose, read_only
-from common.rotations import unit
+from common.rotations import cross, unit
 
 EDGE = np.ones((3, 3), np.uint8)
 ALIGNED = 0.9  # an approach nearer to the frame's axis, by this cosine, has its turns counted from another one
@@ -41,17 +41,25 @@ class MapAverage:
     def reset(self) -> None:
         """Forgets all maps."""
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
+        self._known: np.ndarray | None = None
 
-    def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
+    def step(self, output: np.ndarray, depth: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
         """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
-        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m].
+        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]; `known`: where the
+        output is the network's, shape (h, w), None for everywhere. When a pixel becomes known, its angle and opening
+        begin, and its quality counts as 0 before.
         """
-        averages = self._averages
+        averages, before, self._known = self._averages, self._known, known
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
             return output.copy(), True
         for average, newest in zip(averages, (output, depth)):
             average += np.float32(self._config.weight) * (newest - average)
+        if known is not None:
+            averages[0][:, ~known if before is None else before & ~known] = 0.0
+        if before is not None:
+            begins = ~before if known is None else known & ~before
+            averages[0][1:, begins] = output[1:, begins]
         return averages[0].copy(), False
 
     def _moved(self, average: np.ndarray, depth: np.ndarray) -> bool:
@@ -132,15 +140,14 @@ class GraspTracker:
 
     def _owners(self, detections: Sequence[GraspDetection]) -> dict[int, _Track]:
         """Returns the track of each detection: the nearest pairs first, a new track where none is near."""
-        pairs = sorted(
-            (float(np.linalg.norm(s.T[:3, 3] - t.position)), i, k)
-            for i, s in enumerate(detections)
-            for k, t in enumerate(self._tracks)
-        )
+        positions = np.array([d.T[:3, 3] for d in detections]).reshape(-1, 1, 3)
+        distances = np.linalg.norm(positions - np.array([t.position for t in self._tracks]).reshape(1, -1, 3), axis=2)
+        near = np.argwhere(distances <= self._config.same_distance).tolist()
+        pairs = sorted((distances[i, k], i, k) for i, k in near)
         owners: dict[int, _Track] = {}
         taken: set[int] = set()
-        for distance, i, k in pairs:
-            if distance <= self._config.same_distance and i not in owners and k not in taken:
+        for _, i, k in pairs:
+            if i not in owners and k not in taken:
                 owners[i] = self._tracks[k]
                 taken.add(k)
         for i in range(len(detections)):
@@ -204,12 +211,12 @@ class PoseFilter:
                 self._accepted.extend(self._doubted)
                 self._doubted.clear()
                 self._state, self.held = None, False
-        median = np.median(self._accepted, axis=0)
-        state = median
+        middle = median(self._accepted)
+        state = middle
         if self._state is not None:
             past = max(0.0, now - self._time)
             tau = self._config.time_constant
-            state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (median - self._state)
+            state = self._state + (1.0 - math.exp(-past / tau) if tau > 0.0 else 1.0) * (middle - self._state)
         self._state, self._time = state, now
         return self._pose(state)
 
@@ -224,25 +231,32 @@ class PoseFilter:
         e1, e2 = self._across(z)
         theta = 0.5 * math.atan2(values[4], values[3])
         x = math.cos(theta) * e1 + math.sin(theta) * e2
-        return read_only(pose(np.column_stack([x, np.cross(z, x), z]), values[:3])), float(values[8])
+        return read_only(pose(np.column_stack([x, cross(z, x), z]), values[:3])), float(values[8])
 
     def _across(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns two directions across the approach; the first is as near as it can be to an axis of the frame."""
         e1 = unit(np.eye(3)[self._axis] - z[self._axis] * z)
-        return e1, np.cross(z, e1)
+        return e1, cross(z, e1)
 
     def _near(self, values: np.ndarray, others: Iterable[np.ndarray]) -> bool:
         """Returns whether a pose is within the gate of the median of others."""
-        median = np.median(list(others), axis=0)
-        far = np.linalg.norm(values[:3] - median[:3])
-        turned = 0.5 * _between(values[3:5], median[3:5])
-        tilted = _between(values[5:8], median[5:8])
+        middle = median(others)
+        far = math.dist(values[:3], middle[:3])
+        turned = 0.5 * _between(values[3:5], middle[3:5])
+        tilted = _between(values[5:8], middle[5:8])
         return bool(far <= self._config.gate_distance and max(turned, tilted) <= math.radians(self._config.gate_angle))
+
+
+def median(values: Iterable[np.ndarray]) -> np.ndarray:
+    """Returns the median of each component, shape (n,); np.median, made for large arrays, is slow."""
+    ordered = np.sort(list(values), axis=0)
+    middle = len(ordered) // 2
+    return ordered[middle] if len(ordered) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle])
 
 
 def _between(a: np.ndarray, b: np.ndarray) -> float:
     """Returns the angle between two vectors [rad]; a quarter turn where one of them has no direction."""
-    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    norms = math.sqrt(float(a @ a) * float(b @ b))
     return math.acos(max(-1.0, min(1.0, float(a @ b) / norms))) if norms > 1e-9 else 0.5 * math.pi
 
 

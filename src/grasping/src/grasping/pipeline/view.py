@@ -16,7 +16,7 @@ import numpy as np
 from common.camera_model import CameraModel, pinhole
 from common.config import integer, number
 from common.poses import pose, read_only
-from common.rotations import unit
+from common.rotations import cross, unit
 from grasping.network.depth_image import (
     GATE_SD,
     NETWORK_SIDE,
@@ -60,6 +60,7 @@ class GraspView(NamedTuple):
 
     image: NetworkImage  # the network's
     graspable: np.ndarray  # where a grasp may be: has a reading, and from above is on an object; (300, 300), bool
+    flat: bool  # whether the network's input is one constant elsewhere
     depth: np.ndarray  # the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known
     rays: np.ndarray  # direction of each of its pixels, shape (h, w, 3)
     camera: CameraModel  # that took it, a real or an imagined one
@@ -86,7 +87,7 @@ class CameraView:
             image = prepare(depth, crop)
         except ValueError as error:
             raise NoView(str(error)) from None
-        return GraspView(image, image.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
+        return GraspView(image, image.valid, False, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
 
     def reset(self) -> None:
         """Forgets nothing: each image stands for itself."""
@@ -127,7 +128,8 @@ class TableView:
         rays = self._rays.of(camera)
         seen_from = self._find(depth, rays, crop, camera)
         height = self._heights(depth, seen_from)
-        if not (height > 0.0).any():
+        above = height > 0.0
+        if not above.any():
             raise NoView("nothing stands on the table")
         seen = np.float32(self._config.distance) - height
         mean = float(seen.mean())
@@ -135,7 +137,7 @@ class TableView:
         # What is not above the table is known to be table.
         known = np.ones(seen.shape, bool)
         image = NetworkImage(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
-        return GraspView(image, height > 0.0, seen, self._own_rays, self._camera, seen_from.T)
+        return GraspView(image, above, True, seen, self._own_rays, self._camera, seen_from.T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
         """Returns where the table is, and moves the view if it is another one; raises NoView without a table."""
@@ -173,7 +175,8 @@ class TableView:
         """Returns the height above the table in the view, gaps closed, shape (300, 300), float32 [m]; 0: table."""
         c, side, turned, shift = self._config, NETWORK_SIDE, place.turned, place.shift
         with np.errstate(invalid="ignore", divide="ignore"):
-            z = depth * turned[2] + np.float32(shift[2])
+            z = depth * turned[2]
+            z += np.float32(shift[2])
             height = np.float32(c.distance) - z
             chosen = np.flatnonzero((height > c.min_height) & (height < c.max_height) & (depth > 0.0))
         flat, z, height = depth.ravel()[chosen], z.ravel()[chosen], height.ravel()[chosen]
@@ -221,4 +224,4 @@ def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.
     """Returns the pose of a camera above `middle`, shape (3,) [m], its x axis nearest to the real camera's."""
     z = table.direction
     x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
-    return pose(np.column_stack([x, np.cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)
+    return pose(np.column_stack([x, cross(z, x), z]), middle + (table.distance - middle @ z - distance) * z)

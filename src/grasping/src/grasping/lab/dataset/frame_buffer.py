@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-import torch
 
 from common.camera_model import CameraModel
 from common.config import integer, number
@@ -20,7 +19,7 @@ from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.episode import NONE_MM, Episode, Metadata
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak, highest, peaks
-from grasping.network.networks import infer
+from grasping.network.networks import MapNetwork, infer
 from grasping.pipeline.pipeline import PipelineSettings, maps_of
 from grasping.pipeline.projection import project_grasp
 from grasping.pipeline.view import GraspView
@@ -38,9 +37,7 @@ class NetworkView(NamedTuple):
     peak: Peak  # the best that the node ggcnn would find, or the highest pixel where it would find none
 
 
-def look(
-    network: torch.jit.ScriptModule, view: GraspView, settings: PipelineSettings
-) -> tuple[NetworkView, np.ndarray | None]:
+def look(network: MapNetwork, view: GraspView, settings: PipelineSettings) -> tuple[NetworkView, np.ndarray | None]:
     """Returns what is kept of a view, and GGCNN's own grasp before its camera, shape (4, 4) [m], None without a reading
     there. Raises ValueError if the network's output is not finite.
     """

@@ -45,7 +45,7 @@ from grasping.lab.synthetic.simulated_operator import points
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.maps import WIDTH_SCALE_PX
-from grasping.network.networks import frozen, infer
+from grasping.network.networks import MapNetwork, frozen, infer
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
@@ -106,7 +106,7 @@ class FailureTask(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def network(file: Path) -> torch.jit.ScriptModule:
+def network(file: Path) -> MapNetwork:
     """Returns the network of a weight file."""
     return frozen(weights.load(file.read_bytes()).network)
 

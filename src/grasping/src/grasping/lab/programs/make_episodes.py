@@ -16,11 +16,11 @@ from grasping.lab.programs.make_dataset import ignore_warning, make_all
 from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.simulated_operator import SimulatedOperator
 from grasping.network import weights
-from grasping.network.networks import frozen
+from grasping.network.networks import MapNetwork, frozen
 
 
 @lru_cache(maxsize=1)
-def network(path: Path) -> tuple[torch.jit.ScriptModule, str]:
+def network(path: Path) -> tuple[MapNetwork, str]:
     """Returns the network of a weight file, and the file's hash."""
     loaded = weights.load(path.read_bytes())
     return frozen(loaded.network), loaded.sha256

@@ -23,7 +23,7 @@ from common.ros.params import private_values, wait_for_param
 from grasping.execution.grasp_watch import GraspWatchConfig, ObservedGrasp
 from grasping.lab.dataset.episode import Metadata
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
-from grasping.network.networks import frozen
+from grasping.network.networks import MapNetwork, frozen
 from grasping.pipeline.settings import GgcnnSettings, overlaid, rig_configuration, settings_from
 from grasping.pipeline.tool_pose import grasp_in_tool
 from grasping.ros.weight_files import load_network, own_yaml, package_folder
@@ -71,7 +71,7 @@ class CollectionSetup:
     kuka: KukaConfig
     T_tool_grasp: np.ndarray  # shape (4, 4) [m]
     up: np.ndarray  # the vertical in the base frame, shape (3,)
-    network: torch.jit.ScriptModule
+    network: MapNetwork
     weights_sha256: str
     folder: Path  # of the episodes
     version: str  # of this package
