@@ -91,7 +91,7 @@ def test_views_of_a_table_give_the_networks_maps(name, boxes):
 
 
 def noisy(depth, seed):
-    """A depth image with noise, holes, and readings that are none."""
+    """A depth image with noise, holes, and readings that are not finite."""
     random = np.random.default_rng(seed)
     depth = depth + (0.002 * random.normal(size=depth.shape)).astype(np.float32)
     depth[random.random(depth.shape) < 0.03] = np.nan

@@ -13,8 +13,8 @@ class DirectPublisher(rospy.Publisher):
     """A publisher that writes to its subscribers in the caller's thread and never waits for them.
 
     rospy's own hands each message to one more thread per subscriber, and gives up its turn on the processor each time.
-    For topics that are published all the time: while a subscriber does not read, its newest `queue_size` messages wait,
-    and the next `publish` sends them.
+    While a subscriber does not read, its newest `queue_size` messages wait, and the next `publish` sends them; so for
+    topics that are published all the time, or whose few messages fit into a socket's buffer.
     """
 
     def __init__(self, name: str, kind: type[rospy.Message], queue_size: int, latch: bool = False) -> None:
