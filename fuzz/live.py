@@ -222,7 +222,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="live", description="Random messages and calls for the running rig.")
     parser.add_argument("--minutes", type=MINUTES, default=60.0, help="as of fuzz.run: a tenth of them is used")
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--out", type=new_folder, default=ROOT / "build" / "fuzz")
+    parser.add_argument("--out", type=new_folder, default=str(ROOT / "build" / "fuzz"))
     options = parser.parse_args(argv)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -222,7 +222,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--minutes", type=MINUTES, default=60.0, help="of processor time, all targets together")
     parser.add_argument("--only", nargs="*", choices=TARGETS, default=[], metavar="TARGET", help=", ".join(TARGETS))
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--out", type=new_folder, default=ROOT / "build" / "fuzz")
+    parser.add_argument("--out", type=new_folder, default=str(ROOT / "build" / "fuzz"))
     parser.add_argument("--worker", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, help=argparse.SUPPRESS)
     options = parser.parse_args(argv)

@@ -12,6 +12,7 @@ import pytest
 from mcap.stream_reader import StreamReader
 
 from common import config
+from fuzz import run as fuzz_run
 from fuzz.run import checked, fuzz, run_batch
 from fuzz.targets import TARGETS
 from grasping.lab.dataset import store
@@ -127,6 +128,13 @@ def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
     assert results["kst_answers"]["examples"] > 0 and not results["kst_answers"]["findings"]
     assert results["no such target"]["findings"] == [f"the process died, see {tmp_path / 'no such target-died.txt'}"]
     assert "KeyError" in (tmp_path / "no such target-died.txt").read_text()
+
+
+def test_the_folder_of_the_findings_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr(fuzz_run, "ROOT", tmp_path)
+    monkeypatch.setattr(fuzz_run, "fuzz", lambda *arguments: None)
+    assert fuzz_run.main([]) == 0
+    assert (tmp_path / "build" / "fuzz" / "fuzz.json").is_file()
 
 
 @pytest.mark.ros
