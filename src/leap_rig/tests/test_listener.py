@@ -127,10 +127,10 @@ def test_a_stage_time_is_read_as_genpy_reads_it(listener):
     rng = np.random.default_rng(4)
     for i in range(200):
         stamp, done = (rospy.Time(*rng.integers(0, (2**32, 10**9)).tolist()) for _ in range(2))
-        source = rng.choice(["leap_motion", "leap_kuka", "kuka_control", "leap_hand"])
+        source = rng.choice(["received", "leap_motion", "leap_kuka", "kuka_control", "leap_hand"])
         listener._stage(any_message(TimeReference(Header(i, stamp, ""), done, source)))
         frame = round(stamp.to_sec(), 4)
-        assert listener.recorder.received[frame] == pytest.approx(stamp.to_sec(), abs=1e-6)
+        assert listener.recorder.stamps[frame] == pytest.approx(stamp.to_sec(), abs=1e-6)
         assert listener.recorder.stage_times[source][frame] == pytest.approx(done.to_sec(), abs=1e-6)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from common.hand_delay import Track
 from common.rotations import rotation_angle
 
-STAGES = ("leap_motion", "leap_kuka", "kuka_control", "leap_hand")
+STAGES = ("received", "leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages between a received frame and the wires of arm and hand, by the names of their nodes."""
 OFF_TABLE_M = 0.01
 """An object whose lowest point is higher than this has left the table."""
@@ -92,7 +92,7 @@ class Recorder:
         self.tool_path = 0.0
         self.largest_tcp_speed: float | None = None
         self._hand_range: tuple[np.ndarray, np.ndarray] | None = None
-        self.received: dict[float, float] = {}
+        self.stamps: dict[float, float] = {}
         self.stage_times: dict[str, dict[float, float]] = {stage: {} for stage in STAGES}
         self.counters: dict[str, dict[str, str]] = {}
         self.objects: dict[str, ObjectTrack] = {}
@@ -124,12 +124,12 @@ class Recorder:
         return self.scenario is not None and (self.scenario["step"] == "done" or bool(self.scenario["failure"]))
 
     def stage(self, stage: str, frame_stamp: float, done: float) -> None:
-        """Adds the time at which a stage published its result for the frame received at `frame_stamp`."""
+        """Adds the time at which a stage published its result for the frame of `frame_stamp`."""
         if stage == "leap_motion":
             self.frames += 1
         if stage in self.stage_times:
             frame = round(frame_stamp, 4)  # tf rounds stamps by a nanosecond, frames are milliseconds apart
-            self.received.setdefault(frame, frame_stamp)
+            self.stamps.setdefault(frame, frame_stamp)
             self.stage_times[stage].setdefault(frame, done)
 
     def stream(self, running: bool, reason: str, now: float) -> None:

@@ -68,7 +68,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
         "tool_path_m": round(recorder.tool_path, 3),
         "tracking_error": {"desired": _errors(recorder.desired), "commanded": _errors(recorder.commanded)},
         "hand_travel_rad": recorder.hand_travel,
-        "delay_ms": _delays(recorder.received, recorder.stage_times),
+        "delay_ms": _delays(recorder.stamps, recorder.stage_times),
         "hand_to_arm_ms": _hand_to_arm(recorder),
         "objects": {name: _object(track, since) for name, track in recorder.objects.items()},
         "scenario": recorder.scenario
@@ -267,9 +267,13 @@ def _errors(errors: TrackingErrors) -> dict:
     }
 
 
-def _delays(received: dict[float, float], times: dict[str, dict[float, float]]) -> dict:
-    """Returns percentiles of the delay of each stage, and of the two wires after the received frame."""
+def _delays(stamps: dict[float, float], times: dict[str, dict[float, float]]) -> dict:
+    """Returns percentiles of the delay of each stage, and of the two wires after the received frame. What the
+    tracker's service kept a frame is not ours: it is the first line, and no part of the last two.
+    """
+    received = times["received"]
     spans = {
+        "Leap service: frame sent late": (stamps, received),
         "leap_motion: received to published": (received, times["leap_motion"]),
         "leap_kuka: published to desired tool": (times["leap_motion"], times["leap_kuka"]),
         "kuka_control: desired tool to goal sent": (times["leap_kuka"], times["kuka_control"]),

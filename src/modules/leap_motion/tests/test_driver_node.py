@@ -26,6 +26,8 @@ RIGHT_HAND = {
     "confidence": 1,
 }
 
+SOURCES = ("received", "leap_motion")
+
 
 class Service:
     """Sends a frame with a hand and one without, in turn, at 50 Hz. `serial`: of the tracker. While `torn` is set it
@@ -100,7 +102,9 @@ def test_publishes_every_frame_and_says_what_it_counts(ros, service, wait_until)
     humans.wait(len(humans) + 10)
     stamps = {human.header.stamp.to_nsec() for human in humans if human.header.stamp >= first}
     wait_until(lambda: stamps <= {s.header.stamp.to_nsec() for s in stages}, 10.0, "the stage times")
-    assert {stage.source for stage in stages} == {"leap_motion"}
+    ends = {source: {s.header.stamp: s.time_ref for s in stages if s.source == source} for source in SOURCES}
+    assert {stage.source for stage in stages} == set(SOURCES)
+    assert all(stamp <= ends["received"][stamp] <= ends["leap_motion"][stamp] for stamp in ends["leap_motion"])
     status = wait_until(
         lambda: next((s for s in statuses(arrays) if values(s)["state"] == "streaming"), None), 10.0, "diagnostics"
     )

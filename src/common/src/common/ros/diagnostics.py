@@ -16,6 +16,7 @@ from common.ros.publishing import DirectPublisher
 
 PERIOD_S = 0.5
 STAGE_TIMES = "rig/stage_times"
+RECEIVED = "received"  # the stage that ends when a frame has come in
 BURST_S = 0.1
 
 
@@ -45,24 +46,29 @@ class Diagnostics:
 class StageTimes:
     """Publishes when a stage from hand to wire has finished with a frame, so that delays can be measured from outside.
 
-    Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame (its time of receipt),
-    `time_ref` the time at which the stage passed its result on, `source` the name of the stage. The messages come up to
-    BURST_S later, several at once: to write and to read each of them alone would delay the frames.
+    Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame, `time_ref` the time at which
+    the stage passed its result on, `source` the name of the stage. RECEIVED is the first one: when the frame came in,
+    which may be later than its stamp. The messages come up to BURST_S later, several at once: to write and to read each
+    of them alone would delay the frames.
     `of`: the namespace of the arm with a slash, in a node for several.
     """
 
     def __init__(self, stage: str, of: str = "") -> None:
         self._stage = stage
         self._publisher = DirectPublisher(of + STAGE_TIMES, TimeReference, queue_size=100)
-        self._done: deque[tuple[rospy.Time, rospy.Time]] = deque()
+        self._done: deque[tuple[str, rospy.Time, rospy.Time]] = deque()
         repeat(self._publish, BURST_S, "stage times")
 
-    def done(self, frame_stamp: rospy.Time) -> None:
-        """Notes that the stage has just passed on its result for the frame with this stamp."""
+    def done(self, frame_stamp: rospy.Time, received: rospy.Time | None = None) -> None:
+        """Notes that the stage has just passed on its result for the frame with this stamp; the first stage also says
+        when the frame was received.
+        """
         if self._publisher.get_num_connections():
-            self._done.append((frame_stamp, rospy.Time.now()))
+            if received is not None:
+                self._done.append((RECEIVED, frame_stamp, received))
+            self._done.append((self._stage, frame_stamp, rospy.Time.now()))
 
     def _publish(self) -> None:
         while self._done:
-            stamp, now = self._done.popleft()
-            self._publisher.publish(TimeReference(Header(0, stamp, ""), now, self._stage))
+            stage, stamp, at = self._done.popleft()
+            self._publisher.publish(TimeReference(Header(0, stamp, ""), at, stage))

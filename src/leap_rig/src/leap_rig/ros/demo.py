@@ -317,6 +317,7 @@ def wait_for_end(
             status.update(listeners, "starting")
             time.sleep(0.1)
         begin = time.monotonic()
+        status.say(f"Ready after {begin - status.started:.1f} s.")
         for listener in listeners.values():
             listener.recorder.start(begin)
         processor = ProcessorLoad()

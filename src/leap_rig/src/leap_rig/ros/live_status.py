@@ -16,14 +16,17 @@ COMPLAINT = "[${severity}] ${node}: ${message}"
 
 
 class LiveStatus:
-    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT."""
+    """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT.
+
+    `started` is the time of its start [s].
+    """
 
     def __init__(self) -> None:
         self._terminal = sys.stdout.isatty()
         self._period = 0.5 if self._terminal else 5.0
         self._next = 0.0
         self._frames = 0
-        self._time = time.monotonic()
+        self.started = self._time = time.monotonic()
 
     def update(self, listeners: Mapping[str, RigListener], phase: str) -> None:
         """Prints the state of each arm by its name, at most once a period."""

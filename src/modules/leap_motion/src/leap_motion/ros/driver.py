@@ -128,7 +128,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
                 stamp = received.stamp - rospy.Duration.from_sec(waited)
                 message = FrameMessage(frame, stamp, config.orientation)
                 publisher.publish(message)
-                stage.done(stamp)
+                stage.done(stamp, received.stamp)
                 pass_on(message)
     finally:
         client.close()
