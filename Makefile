@@ -87,14 +87,14 @@ docs-pictures: $(READY) ## the pictures of the handbook, by the programs that th
 	@$(IN_WORKSPACE) python -m tools.pictures
 
 cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures, tag sheets
-	@test -x cad/.venv/bin/python || /usr/bin/python3 -m venv cad/.venv
+	@cad/.venv/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv cad/.venv
 	@cad/.venv/bin/pip install -q -r cad/requirements.txt
 	@cad/.venv/bin/python -m cad.build
 	@MUJOCO_GL=egl .venv/bin/python -m cad.pictures
 	@.venv/bin/python -m cad.tag_sheets.sheets
 
 lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerobot (8 GB from PyPI)
-	@test -x .venv-lerobot/bin/python || /usr/bin/python3 -m venv .venv-lerobot
+	@.venv-lerobot/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv .venv-lerobot
 	@.venv-lerobot/bin/pip install -q -r requirements-lerobot.txt
 
 clean: ## removes the build

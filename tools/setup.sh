@@ -70,7 +70,8 @@ install_packages() {
 make_environment() {
   headline "2/3 Python environment"
   # Only Debian's own Python sees Debian's rospy.
-  [ -x .venv/bin/python ] || /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
+  .venv/bin/python -m pip --version >>"$log" 2>&1 ||  # interrupted while it was made, it has a Python and no pip
+    /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
   # The pip of Ubuntu 20.04 does not know today's wheels; this is the last one for Python 3.8.
   if [ "$packages" = apt-packages-noetic.txt ]; then
     .venv/bin/python -m pip install -q "pip==25.0.1; python_version < '3.9'" >>"$log" 2>&1 || failed "Updating pip in .venv failed."
