@@ -38,10 +38,12 @@ NAMES = (
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the benchmarks; returns 0, 1 if one of them could not run, 2 if none can."""
+    from tools.options import new_file
+
     parser = argparse.ArgumentParser(prog="run.py", description="Measures speed on this machine.")
     parser.add_argument("--only", choices=NAMES, action="append", help="this one; may be given more than once")
     parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write all figures there too, with how they were made"
+        "--json", type=new_file, metavar="FILE", help="write all figures there too, with how they were made"
     )
     parser.add_argument("--quick", action="store_true", help="few samples: shows that it runs, not how fast")
     arguments = parser.parse_args(argv)

@@ -185,5 +185,15 @@ def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
     monkeypatch.setattr(golden, "differences", lambda *_: ["it differs"])
     monkeypatch.setattr(golden, "draw", cannot)
     with pytest.raises(OSError, match="no picture"):
-        golden.main()
+        golden.main([])
     assert not written
+
+
+@pytest.mark.parametrize("argument", ["--help", "three-claps", "--check"])
+def test_golden_renews_nothing_where_it_is_asked_something_else(monkeypatch, capsys, argument):
+    import golden.__main__ as golden
+
+    monkeypatch.setattr(golden, "RUNS", {"run": lambda: pytest.fail("it plays the recordings")})
+    with pytest.raises(SystemExit):
+        golden.main([argument])
+    assert "usage: python -m golden" in "".join(capsys.readouterr())
