@@ -169,6 +169,30 @@ def test_an_impossible_duration_is_refused_before_anything_is_made(tmp_path, sec
     assert "--seconds" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("topic", ["", "/", "bad topic", "a//b", "/a/", "~private", "ü", "1st"])
+def test_what_can_be_no_topic_is_refused_before_anything_is_made(tmp_path, topic, capsys):
+    from leap_rig.recording.ros.record_program import _parser
+
+    with pytest.raises(SystemExit):
+        _parser().parse_args([f"{tmp_path}/run", "--topic", "/good", topic])
+    assert f"{topic!r} is no topic" in capsys.readouterr().err
+    assert _parser().parse_args(["run", "--topic", "good", "/b/c1"]).topic == ["/good", "/b/c1"]
+
+
+def test_a_further_topic_of_which_nothing_came_is_named(ros, tmp_path, monkeypatch, capsys):
+    from leap_rig.recording.ros import record_program
+
+    monkeypatch.setattr(record_program.rospy, "init_node", lambda *_, **__: None)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        options = [f"{tmp_path}/run", "--seconds", "0.1", "--topic", "mistyped", "/tf"]
+        assert record_program.record(record_program._parser().parse_args(options)) == 0
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert "record: nothing came on /mistyped, /tf: " in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("moment", ["_subscribe", "RecordingWriter"])
 def test_an_interruption_while_the_recorder_starts_leaves_a_completed_recording(ros, tmp_path, monkeypatch, moment):
     from leap_rig.recording.ros import record_program
