@@ -127,6 +127,19 @@ def test_a_slow_disk_is_told_with_the_next_chunk(tmp_path):
         assert verify(tmp_path / "run")[0]["dropped"] == {"/a": rounds}
 
 
+def test_what_comes_after_the_last_chunk_is_not_called_recorded(tmp_path, capsys):
+    from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages
+    from leap_rig.recording.ros.record_program import Inbox, _end, _LiveLine, _store
+
+    writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(), MessageKind("a/B", "")
+    inbox.put("/a", kind, bytes(60))
+    _store(inbox, writer)
+    inbox.put("/a", kind, bytes(60))
+    assert _end(writer, inbox, _LiveLine(inbox, writer), "the test", tmp_path / "run", 0) == 0
+    assert len(list(messages(tmp_path / "run" / "messages.mcap"))) == 1
+    assert "Recorded 1 messages" in capsys.readouterr().out
+
+
 def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
     from leap_rig.recording.recording_files import RecordingWriter
     from leap_rig.recording.ros.record_program import _files

@@ -135,7 +135,7 @@ def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, 
     if code:
         print(f"record: {ended_by}.", file=sys.stderr)
     writer.close(now, ended_by, dropped)
-    print(f"Recorded {sum(inbox.received.values()) - sum(dropped.values())} messages in {folder}, {live.text}.")
+    print(f"Recorded {writer.count} messages in {folder}, {live.text}.")
     if dropped:
         lost = ", ".join(f"{count} of {topic}" for topic, count in dropped.items())
         print(f"record: the disk was too slow: {lost} are missing.", file=sys.stderr)
