@@ -6,6 +6,7 @@ SHELL := /bin/bash
 MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-webcam.txt tools/setup.sh \
   $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
+BUILT_IN := $(shell sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$$|\1|p' build/CMakeCache.txt 2> /dev/null)
 IN_WORKSPACE := source devel/setup.bash &&
 
 # Arguments of the demo, see `make help`.
@@ -26,6 +27,9 @@ MINUTES ?= 60
 ONLY ?=
 JSON ?=
 
+ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
+.PHONY: $(READY)  # the folder was moved
+endif
 .PHONY: help setup demo test test-fast bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list

@@ -92,6 +92,33 @@ def test_without_mediapipe_the_set_up_goes_on_and_says_so(project):
     assert calls[-1].startswith("catkin_make")
 
 
+@pytest.mark.parametrize("name", ["my rig", "rig(1)", "it's"])
+def test_a_folder_in_which_catkin_builds_nothing_is_refused_at_once(project, name):
+    shutil.copytree(project, project.parent / name)
+    done = subprocess.run([project.parent / name / "tools" / "setup.sh"], capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == 1 and "Move the folder" in done.stderr and name in done.stderr
+    assert not (project.parent / name / "build").exists()
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_workspace_that_was_moved_is_built_anew(project, moved):
+    cache = project / "build" / "CMakeCache.txt"
+    cache.parent.mkdir()
+    cache.write_text(f"CMAKE_HOME_DIRECTORY:INTERNAL={'/elsewhere' if moved else project.resolve()}/src\n")
+    (project / "devel").mkdir()
+    (project / ".venv" / "bin" / "ruff").touch()
+    shutil.copy(ROOT / "Makefile", project)
+    (project / "src").mkdir()
+    for ready in (project / "build" / ".ready", project / ".venv" / "bin" / "pip"):
+        ready.touch()
+    os.utime(project / "build" / ".ready", (2e9, 2e9))  # newer than all that it depends on
+    asked = subprocess.run(["make", "--question", "build/.ready"], cwd=project, capture_output=True, timeout=60.0)
+    assert (asked.returncode == 1) is moved
+    subprocess.run([project / "tools" / "setup.sh", "true"], capture_output=True, timeout=60.0)
+    for path in ("devel", ".venv/bin/ruff", "build/CMakeCache.txt"):
+        assert (project / path).exists() is not moved, path
+
+
 PYTEST = f"""#!{sys.executable}
 import signal, sys, time
 open(sys.argv[0] + ".calls", "a").write(" ".join(sys.argv[1:]) + "\\n")

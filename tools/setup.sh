@@ -5,6 +5,17 @@
 # LEAP_RIG_LOG names the file that takes the full output (default build/setup.log), LEAP_RIG_NOETIC another place of Noetic.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+here=$(pwd -P)
+case $here in *[[:space:]\'\"\`\\\$\&\;\|\<\>\(\)]*)
+  echo "The workspace is in '$here', and catkin builds nothing in a path with spaces, quotes or brackets. Move the folder, and run this again." >&2
+  exit 1 ;;
+esac
+# Build and environment hold their own path in many files.
+built_in=$(sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$|\1|p' build/CMakeCache.txt 2>/dev/null || true)
+if [ -n "$built_in" ] && [ "$built_in" != "$here" ]; then
+  echo "The workspace was built in $built_in: it is built anew in $here."
+  rm -rf build devel .venv
+fi
 mkdir -p build
 log=${LEAP_RIG_LOG:-build/setup.log}
 : >"$log"
