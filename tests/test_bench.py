@@ -91,7 +91,7 @@ RUN = {"machine": "x", "python_loop_ms": 1.0, "load_before": 0.0, "load_after": 
     ["{}", "[]", "", "[" * 100_000, json.dumps({**RUN, "rows": None}),
      *(json.dumps({**RUN, "rows": [{**ROW, **wrong}]}) for wrong in (
          {"median": "x"}, {"median": math.nan}, {"p99": math.inf}, {"what": ["a"]}, {"unit": 5}))],
-    ids="{} [] empty deep rows median nan infinity what unit".split(),
+    ids=["{}", "[]", "empty", "deep", "rows", "median", "nan", "infinity", "what", "unit"],
 )  # fmt: skip
 def test_a_file_that_holds_no_figures_is_refused_in_a_sentence(tmp_path, capsys, content):
     (tmp_path / "bad.json").write_text(content)

@@ -63,8 +63,8 @@ class MessageDecoders:
 
 
 def between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
-    """Returns the messages of the `wanted` topics, of all for None, that were received between `start` and `end` [s] after the start of
-    the recording; of latched topics also those before. RecordingFault: there is no time between.
+    """Returns the messages of the `wanted` topics, of all for None, that were received between `start` and `end` [s]
+    after the start of the recording; of latched topics also those before. RecordingFault: there is no time between.
     """
     if not start < end:  # nor NaN
         raise RecordingFault(f"There is nothing from {start:g} to {end:g} s.")
