@@ -43,7 +43,7 @@ from rig_simulation.faults.leap import LEAP_FAULTS  # noqa: E402
 from tools.options import number  # noqa: E402
 
 SAMPLE_S = 10.0
-LEAST_HOURS = 0.01
+LEAST_HOURS = 0.05  # a shorter run cannot be judged
 READY_S, END_S, ANSWER_S, RECOVERY_S = 240.0, 30.0, 10.0, 60.0
 FAULT_S, WATCH_S, REST_S = (1.0, 6.0), 6.0, 30.0
 LISTENER_S, PANEL_S, PANEL_EVERY = 8.0, 15.0, 5
@@ -448,6 +448,10 @@ def main(argv: list[str] | None = None) -> int:
             return report(arguments.judge)
         check_name(arguments.out)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        if arguments.out.is_file() and arguments.out.stat().st_size:
+            before = arguments.out.with_name(f"{arguments.out.stem}.before{arguments.out.suffix}")
+            arguments.out.replace(before)
+            print(f"The data of the run before are kept as {before}.")
         Soak(arguments.out).run(3600.0 * arguments.hours, arguments.seed)
         return report(arguments.out)
     except (RigError, OSError) as error:
