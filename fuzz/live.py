@@ -190,6 +190,8 @@ def run(seconds: float, seed: int, folder: Path) -> tuple[dict[str, int], list[s
             if findings:
                 (folder / "live-rig.log").write_text((Path(home) / "rig.log").read_text(errors="replace"))
         finally:
+            for number in (signal.SIGINT, signal.SIGTERM):  # a second Ctrl-C would leave nodes behind
+                signal.signal(number, signal.SIG_IGN)
             rig.end()
     return border.counts, findings
 

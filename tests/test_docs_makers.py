@@ -61,6 +61,14 @@ def test_a_pattern_in_the_navigation_stands_for_its_pages():
     assert expanded[1] == "index.md"
 
 
+def test_a_picture_that_is_none_is_refused_before_any_is_made(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["pictures", *list(pictures.MAKERS)[:1], "nonsense"])
+    monkeypatch.setattr(pictures, "MAKERS", dict.fromkeys(pictures.MAKERS, lambda: pytest.fail("it makes pictures")))
+    with pytest.raises(SystemExit) as refused:
+        pictures.main()
+    assert refused.value.code == 2 and "there is no picture nonsense" in capsys.readouterr().err
+
+
 def test_a_scenario_that_fails_leaves_its_picture_alone(tmp_path, monkeypatch):
     picture = tmp_path / "sheet.png"
     picture.write_text("before")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import math
+import os
 import random
 import signal
 import subprocess
@@ -177,3 +178,28 @@ def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
             assert process.wait(10.0) == -signal.SIGKILL and result["examples"] == 3
         finally:
             process.kill()
+
+
+@pytest.mark.ros
+def test_a_second_ctrl_c_leaves_no_node_of_the_rig_behind(tmp_path, monkeypatch):
+    from fuzz import live
+
+    class Rig:
+        ended = False
+
+        def end(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            Rig.ended = True
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(live, "Rig", lambda _: Rig())
+    monkeypatch.setattr(live, "until_home", interrupted)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        assert live.main(["--minutes", "1", "--out", str(tmp_path)]) == fuzz_run.INTERRUPTED
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert Rig.ended

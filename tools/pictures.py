@@ -301,6 +301,8 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help=f"names of pictures: {', '.join(MAKERS)}; default: all")
     parser.add_argument("--shoot", metavar="FILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    for name in (name for name in options.names if name not in MAKERS):
+        parser.error(f"there is no picture {name}; there are {', '.join(MAKERS)}")
     if options.shoot:
         _shoot(options.shoot)
         return
