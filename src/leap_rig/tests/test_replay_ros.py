@@ -13,6 +13,7 @@ from common.errors import RigError
 from leap_motion.client import LeapClient
 from leap_rig.recording import read
 from leap_rig.recording.fingerprint import fingerprint
+from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.topics import DRIVING
 
 pytestmark = pytest.mark.ros
@@ -242,12 +243,31 @@ def test_the_first_pass_is_slow_also_to_where_a_stream_begins():
 
 
 def test_a_recording_without_all_its_goals_moves_no_robot(tmp_path):
-    from leap_rig.recording.recording_files import RecordingFault
     from leap_rig.recording.ros.replay_program import move
 
     manifest = {"robot": {"model": {"robot": "x"}}, "dropped": {"/kuka/sent_goals": 7, "/tf": 1}}
     with pytest.raises(RecordingFault, match="7 messages"):
         move(tmp_path, manifest, None)
+
+
+def test_a_view_of_a_time_without_messages_says_so(ros, session, monkeypatch):
+    from leap_rig.recording.ros import replay_program
+
+    monkeypatch.setattr(replay_program.rospy, "init_node", lambda *_, **__: None)
+    options = replay_program._parser().parse_args([str(session), "--view", "--from", "100"])
+    with pytest.raises(RecordingFault, match="nothing that RViz draws from 100"):
+        replay_program.view(session, options)
+
+
+def test_a_view_whose_master_is_gone_ends_in_a_sentence():
+    from leap_rig.recording.ros.replay_program import _refuse_movers
+
+    class Gone:
+        def getSystemState(self):
+            raise ConnectionRefusedError(111, "Connection refused")
+
+    with pytest.raises(RecordingFault, match="ROS master is gone"):
+        _refuse_movers(Gone())
 
 
 @pytest.mark.parametrize("content", [None, b"\xff\xfe", b"a: [", b"{a: " * 999, b"!!python/object:os.x {}"])

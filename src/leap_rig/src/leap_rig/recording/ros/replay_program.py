@@ -84,7 +84,7 @@ def view(folder: Path, options: argparse.Namespace) -> int:
     _describe(folder)
     player = _Player(options.rate)
     print(f"Plays {folder}; open RViz with: rviz -d $(rospack find leap_rig)/rviz/rig.rviz")
-    checked = time.monotonic()
+    checked, shown = time.monotonic(), False
     images = [topic for topics in CAMERA.values() for topic in topics]
     for message, due in _paced(between(folder, (*VIEW, *images), options.start, options.end), options.rate):
         while True:
@@ -96,6 +96,9 @@ def view(folder: Path, options: argparse.Namespace) -> int:
                 break
             time.sleep(min(due - now, CHECK_S))
         player.publish(message)
+        shown |= not message.kind.is_latched
+    if not shown:
+        raise RecordingFault(f"{folder} has nothing that RViz draws from {options.start:g} to {options.end:g} s.")
     return 0
 
 
@@ -110,7 +113,11 @@ def _paced(messages: Iterable[StoredMessage], rate: float) -> Iterator[tuple[Sto
 
 def _refuse_movers(master: rosgraph.Master) -> None:
     """Raises RecordingFault where a controller or a driver runs: a view belongs on a master without a rig."""
-    services = {name: nodes for name, nodes in master.getSystemState()[2] if name in MOVERS}
+    try:
+        _, _, offered = master.getSystemState()
+    except (OSError, rosgraph.MasterException) as error:
+        raise RecordingFault("The ROS master is gone, so nothing is shown any more.") from error
+    services = {name: nodes for name, nodes in offered if name in MOVERS}
     if services:
         nodes = ", ".join(sorted({node for names in services.values() for node in names}))
         raise RecordingFault(
