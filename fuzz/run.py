@@ -249,6 +249,9 @@ def main(argv: list[str] | None = None) -> int:
     interrupted = False
     try:
         fuzz(names, 60.0 * options.minutes, options.seed, options.out, results)
+    except OSError as error:  # the disk takes neither findings nor logs
+        print(f"\nfuzz: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         interrupted = True
         print("\nInterrupted; this is what there is:")

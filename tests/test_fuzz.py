@@ -180,6 +180,15 @@ def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
             process.kill()
 
 
+def test_a_full_disk_ends_the_run_in_a_sentence(tmp_path, monkeypatch, capsys):
+    def full(*_):
+        raise OSError(28, "No space left on device", "x.log")
+
+    monkeypatch.setattr(fuzz_run, "fuzz", full)
+    assert fuzz_run.main(["--out", str(tmp_path)]) == 2
+    assert "fuzz: [Errno 28] No space left on device: 'x.log'" in capsys.readouterr().err
+
+
 @pytest.mark.ros
 def test_a_second_ctrl_c_leaves_no_node_of_the_rig_behind(tmp_path, monkeypatch):
     from fuzz import live

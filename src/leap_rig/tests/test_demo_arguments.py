@@ -58,6 +58,21 @@ def test_bad_arguments_get_one_sentence(arguments, sentence, capsys, tmp_path, m
     assert sentence in capsys.readouterr().err
 
 
+def test_without_a_place_for_the_logs_no_node_starts(tmp_path, monkeypatch):
+    from common.errors import RigError
+    from leap_rig.ros import demo
+
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "new" / "log"))
+    demo.refuse_without_logs()
+    monkeypatch.setattr(demo.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 3_000_000})())
+    with pytest.raises(RigError, match=r"new/log has 3 MB left"):
+        demo.refuse_without_logs()
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "file" / "log"))
+    with pytest.raises(RigError, match="file/log cannot be made: Not a directory"):
+        demo.refuse_without_logs()
+
+
 def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, monkeypatch):
     from leap_rig.ros.demo import launch_arguments, parse_arguments
 

@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -21,6 +22,7 @@ import roslib
 import rospkg
 import rospy
 from roslaunch.pmon import ProcessListener
+from rospkg.environment import get_log_dir
 
 from common.errors import RigError
 from common.ros.service_calls import ServiceFailed, call
@@ -36,6 +38,7 @@ CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 READY_TIMEOUT_S = 90.0
 TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
 EXIT_TIMEOUT_S = 60.0
+LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups")
 TRACKERS = ("leap", "webcam", "headset")
@@ -193,6 +196,19 @@ def refuse_second_rig() -> None:
         raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
 
 
+def refuse_without_logs() -> None:
+    """Raises RigError if the logs find no place: ROS' own programs print tracebacks then, and some of them end."""
+    folder = Path(get_log_dir())
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        raise RigError(f"The folder of the logs {folder} cannot be made: {error.strerror}. Set ROS_HOME.") from error
+    if free < LEAST_FREE:
+        left = f"{free / 1e6:.0f} MB left"
+        raise RigError(f"The folder of the logs {folder} has {left}: free some, as by `rosclean purge`.")
+
+
 def end_in_order(deaths: Deaths, arms: Sequence[str] = ONE_ARM) -> None:
     """Sends all arms to their zero position and waits for the controllers to end."""
     waiting = []
@@ -246,6 +262,7 @@ class Interrupts:
 def run(arguments: argparse.Namespace) -> int:
     """Runs the demo and returns its exit code."""
     refuse_second_rig()
+    refuse_without_logs()
     screen = not arguments.headless and bool(os.environ.get("DISPLAY"))
     if not arguments.headless and not screen:
         print("DISPLAY is not set: RViz and the control panel are not started.")
