@@ -58,6 +58,20 @@ def test_bad_arguments_get_one_sentence(arguments, sentence, capsys, tmp_path, m
     assert sentence in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("display", "said"), [("", "DISPLAY is not set"), (":98765", "The screen :98765 (DISPLAY) does not answer")]
+)
+def test_without_a_screen_the_demo_says_so_and_starts_no_window(monkeypatch, capsys, display, said):
+    from leap_rig.ros import demo
+
+    for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", display)
+    assert not demo.has_screen(demo.parse_arguments([]))
+    assert f"{said}: RViz and the control panel are not started." in capsys.readouterr().out
+    assert not demo.has_screen(demo.parse_arguments(["--headless"])) and not capsys.readouterr().out
+
+
 def test_without_a_place_for_the_logs_no_node_starts(tmp_path, monkeypatch):
     from common.errors import RigError
     from leap_rig.ros import demo
@@ -100,13 +114,19 @@ def test_the_scenarios_are_those_of_the_simulated_person():
     assert all(name in str(refusal.value) for name in SCENARIOS)
 
 
-def test_the_rig_goes_on_without_a_film_or_a_camera_and_without_no_other_node():
+def test_the_rig_goes_on_without_a_film_a_camera_or_a_window_and_without_no_other_node():
     from leap_rig.ros.demo import Deaths
 
     deaths = Deaths()
     for name in ("viewer-3", "recorder-4", "camera/driver-6", "leap_driver-5"):
         deaths.process_died(name, 1)
-    film, camera = deaths.remarks
+    deaths.process_died("kuka_panel-12", 0)
+    deaths.process_died("rviz-9", -9)
+    film, camera, *windows = deaths.remarks
+    assert windows == [
+        "The rig continued without a window: kuka_panel ended with exit code 0.",
+        "The rig continued without a window: rviz ended with exit code -9.",
+    ]
     assert "film" in film and "recorder ended with exit code 1" in film
     assert "without its camera" in camera and "camera/driver ended with exit code 1" in camera
     assert deaths.sentences == ["leap_driver ended with exit code 1"]

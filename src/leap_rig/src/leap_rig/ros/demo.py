@@ -26,6 +26,7 @@ from rospkg.environment import get_log_dir
 
 from common.errors import RigError
 from common.ros.service_calls import ServiceFailed, call
+from kuka_control.ros.panel_process import no_screen
 from kuka_msgs.srv import exitApp
 from leap_hand.ros.operators import known_file
 from leap_rig.processor import ProcessorLoad
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from leap_rig.ros.listener import RigListener
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
+WINDOWS = ("rviz", "kuka_panel")  # no motion depends on one, and whoever looks on may close it
 READY_TIMEOUT_S = 90.0
 TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
 EXIT_TIMEOUT_S = 60.0
@@ -182,6 +184,8 @@ class Deaths(ProcessListener):
             self.remarks.append(f"The film is incomplete: {node} ended {how}.")
         elif node.startswith(CAMERA):
             self.remarks.append(f"The rig continued without its camera: {node} ended {how}.")
+        elif node in WINDOWS:
+            self.remarks.append(f"The rig continued without a window: {node} ended {how}.")
         else:
             self.sentences.append(f"{node} ended {how}")
 
@@ -194,6 +198,16 @@ def refuse_second_rig() -> None:
     nodes = {node for _, names in publishers + subscribers + services for node in names}
     if any(node.split("/")[-1] == CONTROLLER for node in nodes):
         raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
+
+
+def has_screen(arguments: argparse.Namespace) -> bool:
+    """Returns whether windows can be opened, and says so if they are wanted and cannot."""
+    if arguments.headless:
+        return False
+    fault = no_screen() if os.environ.get("DISPLAY") else "DISPLAY is not set"
+    if fault:
+        print(f"{fault[0].upper()}{fault[1:]}: RViz and the control panel are not started.")
+    return not fault
 
 
 def refuse_without_logs() -> None:
@@ -263,9 +277,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Runs the demo and returns its exit code."""
     refuse_second_rig()
     refuse_without_logs()
-    screen = not arguments.headless and bool(os.environ.get("DISPLAY"))
-    if not arguments.headless and not screen:
-        print("DISPLAY is not set: RViz and the control panel are not started.")
+    screen = has_screen(arguments)
     launch_file = Path(rospkg.RosPack().get_path("leap_rig")) / "launch" / "demo.launch"
     deaths = Deaths()
     os.environ["ROSCONSOLE_FORMAT"] = (CLEAR_LINE if sys.stdout.isatty() else "") + COMPLAINT
