@@ -41,7 +41,9 @@ class Rig:
         alone = subprocess.run(in_own_network(["true"]), capture_output=True).returncode == 0
         worker = [sys.executable, "-m", "campaign.worker", variant, *([str(traces)] if traces else [])]
         command = in_own_network(worker) if alone else worker
-        self._log = (ROOT / "build" / f"campaign-{os.getpid()}-{id(self)}.log").open("w+")
+        log = ROOT / "build" / f"campaign-{os.getpid()}-{id(self)}.log"
+        log.parent.mkdir(exist_ok=True)
+        self._log = log.open("w+")
         # In a session of its own: the Ctrl-C of a terminal would end it, and `stop` then interrupt its end.
         self._process = subprocess.Popen(
             command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._log, text=True,

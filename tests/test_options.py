@@ -184,6 +184,18 @@ def test_results_that_the_disk_does_not_take_are_a_sentence(monkeypatch, capsys,
     assert "/dev/full: No space left on device" in capsys.readouterr().err
 
 
+@ros
+def test_the_folder_of_the_logs_of_a_campaign_is_made(tmp_path, monkeypatch):
+    from campaign import run
+
+    monkeypatch.setattr(run, "ROOT", tmp_path)
+    monkeypatch.setattr(run, "in_own_network", lambda command: ["true"])
+    rig = run.Rig("shipped", None)
+    assert list((tmp_path / "build").glob("campaign-*.log"))
+    rig.close()
+    assert not list((tmp_path / "build").iterdir())
+
+
 def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
     import golden.__main__ as golden
 
