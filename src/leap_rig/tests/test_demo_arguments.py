@@ -16,6 +16,8 @@ pytestmark = pytest.mark.ros
         (["--report", "/no_folder/x.json"], "/no_folder/x.json cannot be written"),
         (["--record", "folder.png"], "folder.png cannot be written: it is a folder"),
         (["--report", "folder.png"], "folder.png cannot be written: it is a folder"),
+        (["--offset", "0", "150", "0"], "the offset shifts a recording, and none is given"),
+        (["--offset", "0", "nan", "0", "--recording", __file__], "the offset 0.0 nan 0.0 must be three finite numbers"),
         (["--duration", "-1"], "the duration -1.0 must be a positive number of seconds"),
         (["--duration", "nan"], "the duration nan must be a positive number of seconds"),
         (

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import shutil
 import signal
@@ -86,6 +87,10 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         parser.error("the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo sim:=false`")
     given = _given(arguments)
     scenario, scene = given.get("scenario"), Path(given.get(SCENE, ""))
+    if arguments.offset is not None and not given.get("recording"):
+        parser.error("the offset shifts a recording, and none is given")
+    if arguments.offset is not None and not all(map(math.isfinite, arguments.offset)):
+        parser.error(f"the offset {' '.join(map(str, arguments.offset))} must be three finite numbers")
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
     if scenario and arguments.tutorial:
