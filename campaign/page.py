@@ -16,9 +16,9 @@ OF_THE_RUN = re.compile(rf"\x1b\[\d*m|\[\d+\.\d+\]:? ?|{re.escape(ROOT)}/|/tmp/[
 
 HEAD = """# The campaign
 
-{rows} of the {catalogue} faults of a catalogue, provoked on the running simulated rig: simulated devices on their
-wires, real nodes, a real ROS master. What the arm does is the simulated arm's own word, sampled each millisecond on its
-control port. This page is made by `make campaign`; `make campaign ONLY=1,8` runs some rows.
+The campaign provokes {rows} of the {catalogue} faults of a catalogue on the running simulated rig: simulated devices on
+their wires, real nodes, a real ROS master. What the arm did is read from the simulated arm, every millisecond on its
+control port, not from the controller under test. `make campaign` makes this page; `make campaign ONLY=1,8` runs two rows.
 
 | reaction | meaning |
 | --- | --- |
