@@ -13,12 +13,14 @@ import importlib.util
 import json
 import os
 import platform
+import signal
 import sys
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launch file of the controller, before numpy is loaded
+INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
 NAMES = (
     "kinematics",
     "control",
@@ -37,7 +39,7 @@ NAMES = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs the benchmarks; returns 0, 1 if one of them could not run, 2 if none can."""
+    """Runs the benchmarks; returns 0, 1 if one of them could not run, 2 if none can, 130 after Ctrl-C."""
     from tools.options import is_written, new_file
 
     parser = argparse.ArgumentParser(prog="run.py", description="Measures speed on this machine.")
@@ -60,13 +62,19 @@ def main(argv: list[str] | None = None) -> int:
         "load_before": os.getloadavg()[0],
         "python_loop_ms": python_loop_ms(),
     }
-    rows, failed = [], []
-    for name in arguments.only or NAMES:
+    rows, failed, names, code = [], [], list(arguments.only or NAMES), 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for i, name in enumerate(names):
         print(f"bench: {name}", file=sys.stderr, flush=True)
         try:
             rows += importlib.import_module(f"bench.bench_{name}").rows(arguments.quick)
         except (RigError, ImportError, OSError) as error:
             failed.append(f"{name}: {error}")
+            code = 1
+        except KeyboardInterrupt:
+            failed.append(f"{', '.join(names[i:])}: interrupted")
+            code = INTERRUPTED
+            break
     result |= {"load_after": os.getloadavg()[0], "not_run": failed, "rows": [dataclasses.asdict(r) for r in rows]}
 
     print(headline(result))
@@ -74,7 +82,7 @@ def main(argv: list[str] | None = None) -> int:
     for sentence in failed:
         print(f"NOT RUN  {sentence}")
     kept = arguments.json is None or is_written(arguments.json, json.dumps(result, indent=2) + "\n")
-    return int(bool(failed) or not kept)
+    return code if kept else 1
 
 
 def headline(result: dict) -> str:

@@ -18,7 +18,8 @@ HEAD = """# The campaign
 
 The campaign provokes {rows} of the {catalogue} faults of a catalogue on the running simulated rig: simulated devices on
 their wires, real nodes, a real ROS master. What the arm did is read from the simulated arm, every millisecond on its
-control port, not from the controller under test. `make campaign` makes this page; `make campaign ONLY=1,8` runs two rows.
+control port, not from the controller under test. `make campaign` makes this page; `make campaign ONLY=1,8` runs two
+rows.
 
 | reaction | meaning |
 | --- | --- |

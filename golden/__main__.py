@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from golden.chain import PureChain, World
@@ -14,8 +15,17 @@ PICTURES = Path(__file__).resolve().parents[1] / "build" / "golden"
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Renews all recordings that are on this machine."""
+    """Entry point of the program."""
     argparse.ArgumentParser(prog="python -m golden", description=__doc__).parse_args(argv)
+    try:
+        renew()
+    except KeyboardInterrupt:
+        print("\nInterrupted; what was not named is as it was.")
+        sys.exit(130)
+
+
+def renew() -> None:
+    """Renews all recordings that are on this machine."""
     for name, make in RUNS.items():
         try:
             new = stored(PureChain(World(make())).run())

@@ -55,6 +55,19 @@ def test_the_table_fits_on_a_terminal_and_goes_to_a_file_too(monkeypatch, tmp_pa
     assert all(" 1.00 " in line for line in lines[3:])
 
 
+def test_ctrl_c_ends_the_benchmarks_with_what_there_is(monkeypatch, tmp_path, capsys):
+    def rows(quick):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "NAMES", ("stopping", "kinematics", "leap"))
+    monkeypatch.setattr(bench_kinematics, "rows", rows)
+    path = tmp_path / "new.json"
+    assert run.main(["--quick", "--json", str(path)]) == run.INTERRUPTED
+    out = capsys.readouterr().out
+    assert "stop by gap of 80 ms: jerk" in out and "NOT RUN  kinematics, leap: interrupted" in out
+    assert json.loads(path.read_text())["not_run"] == ["kinematics, leap: interrupted"]
+
+
 @pytest.mark.parametrize("name", ["no folder/new.json", "."])
 def test_a_file_that_cannot_be_is_refused_before_anything_is_measured(monkeypatch, tmp_path, capsys, name):
     monkeypatch.chdir(tmp_path)

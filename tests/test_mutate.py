@@ -80,3 +80,24 @@ def test_two_statements_of_one_form_are_not_taken_for_each_other():
     candidates = places.find("d = e - f\ng = h - i\n", "arm", "arm.py")
     ((_, same),) = places.find_again([replace(place, statement="a = b - c")], candidates, seed=0)
     assert not same
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--count", "0"], "'0' is not a number from 1"),
+        (["--limit", "nan"], "'nan' is not a number from 1"),
+        (["--root", "."], "'.' is no tree with a commit of git"),
+        (["--places", "nowhere.json"], "'nowhere.json' holds no result"),
+        (["--places", "wrong.json"], "'wrong.json' holds no result"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused_in_a_sentence(tmp_path, monkeypatch, capsys, arguments, said):
+    import tools.mutate.__main__ as mutate
+
+    monkeypatch.setattr(mutate, "Trials", lambda *_: pytest.fail("it begins"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wrong.json").write_text('{"mutants": [{}]}')
+    with pytest.raises(SystemExit) as refused:
+        mutate.main([*arguments, "--folder", str(tmp_path)])
+    assert refused.value.code == 2 and said in capsys.readouterr().err

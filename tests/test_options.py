@@ -216,6 +216,18 @@ def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
     assert not written
 
 
+def test_ctrl_c_ends_golden_in_a_sentence(monkeypatch, capsys):
+    import golden.__main__ as golden
+
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(golden, "RUNS", {"run": interrupted})
+    with pytest.raises(SystemExit) as ended:
+        golden.main([])
+    assert ended.value.code == 130 and "Interrupted" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("argument", ["--help", "three-claps", "--check"])
 def test_golden_renews_nothing_where_it_is_asked_something_else(monkeypatch, capsys, argument):
     import golden.__main__ as golden

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
 import sys
 import time
 from collections import Counter
@@ -16,23 +17,30 @@ from pathlib import Path
 from tools.mutate import places
 from tools.mutate.places import Place
 from tools.mutate.trials import CoverageTable, Trials
+from tools.options import number
 
 ROOT = Path(__file__).parents[2]
 LEFT_OUT = {"ros", "gui", "tests", "scripts", "programs", "lab", "training", "evaluation"}
 """Folders whose code has no tests without ROS or a screen, and the programs of the laboratory."""
 
 
-def main() -> int:
+def main(argv: list[str] | None = None) -> int:
     """Chooses places, or finds saved ones again, tries each, and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=100, help="number of places (default: %(default)s)")
+    parser.add_argument(
+        "--count", type=number(1, 100_000, int), default=100, help="number of places (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the choice (default: %(default)s)")
-    parser.add_argument("--root", type=Path, default=ROOT, help="the tree to mutate (default: this one)")
+    parser.add_argument("--root", type=tree, default=ROOT, help="the tree to mutate (default: this one)")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "mutants", help="copy of the tree and records")
-    parser.add_argument("--places", type=Path, help="result of another tree: its places are found again in this one")
+    parser.add_argument(
+        "--places", type=result_file, help="result of another tree: its places are found again in this one"
+    )
     parser.add_argument("--result", type=Path, help="JSON of the result (default: result.json in the folder)")
-    parser.add_argument("--limit", type=float, default=120.0, help="longest tests of one place [s] (default: 120)")
-    arguments = parser.parse_args()
+    parser.add_argument(
+        "--limit", type=number(1.0, 86_400.0), default=120.0, help="longest tests of one place [s] (default: 120)"
+    )
+    arguments = parser.parse_args(argv)
 
     arguments.folder.mkdir(parents=True, exist_ok=True)
     trials = Trials(arguments.root.resolve(), arguments.folder.resolve())
@@ -54,6 +62,24 @@ def main() -> int:
     return 0
 
 
+def tree(text: str) -> Path:
+    """The type of a tree of which git has a commit."""
+    head = ["git", "-C", text, "rev-parse", "--verify", "--quiet", "HEAD"]
+    if subprocess.run(head, capture_output=True).returncode:
+        raise argparse.ArgumentTypeError(f"{text!r} is no tree with a commit of git")
+    return Path(text)
+
+
+def result_file(text: str) -> dict:
+    """The type of an earlier result."""
+    try:
+        result = json.loads(Path(text).read_text())
+        [_place(mutant) for mutant in result["mutants"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise argparse.ArgumentTypeError(f"{text!r} holds no result: {error!r}") from error
+    return result
+
+
 def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable) -> list[dict]:
     candidates = []
     for path in sorted(arguments.root.glob("src/**/src/*/**/*.py")):
@@ -63,7 +89,7 @@ def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable)
             found = places.find(trials.source(str(file)), inner[0], str(file))
             candidates += [place for place in found if table.reaches(place)]
     if arguments.places:
-        saved = [_place(mutant) for mutant in json.loads(arguments.places.read_text())["mutants"]]
+        saved = [_place(mutant) for mutant in arguments.places["mutants"]]
         chosen = places.find_again(saved, candidates, arguments.seed)
     else:
         chosen = [(place, True) for place in places.choose(candidates, arguments.count, arguments.seed)]
