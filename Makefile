@@ -6,6 +6,7 @@ SHELL := /bin/bash
 MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-webcam.txt tools/setup.sh \
   $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
+BUILT_IN := $(shell sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$$|\1|p' build/CMakeCache.txt 2> /dev/null)
 IN_WORKSPACE := source devel/setup.bash &&
 
 # Arguments of the demo, see `make help`.
@@ -26,6 +27,9 @@ MINUTES ?= 60
 ONLY ?=
 JSON ?=
 
+ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
+.PHONY: $(READY)  # the folder was moved
+endif
 .PHONY: help setup demo test test-fast bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list
@@ -87,14 +91,14 @@ docs-pictures: $(READY) ## the pictures of the handbook, by the programs that th
 	@$(IN_WORKSPACE) python -m tools.pictures
 
 cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures, tag sheets
-	@test -x cad/.venv/bin/python || /usr/bin/python3 -m venv cad/.venv
+	@cad/.venv/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv cad/.venv
 	@cad/.venv/bin/pip install -q -r cad/requirements.txt
 	@cad/.venv/bin/python -m cad.build
 	@MUJOCO_GL=egl .venv/bin/python -m cad.pictures
 	@.venv/bin/python -m cad.tag_sheets.sheets
 
 lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerobot (8 GB from PyPI)
-	@test -x .venv-lerobot/bin/python || /usr/bin/python3 -m venv .venv-lerobot
+	@.venv-lerobot/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv .venv-lerobot
 	@.venv-lerobot/bin/pip install -q -r requirements-lerobot.txt
 
 clean: ## removes the build

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -21,7 +22,7 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     try:
         old, new = (_read(Path(name)) for name in argv)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         print(f"bench: cannot read the figures: {error}", file=sys.stderr)
         return 2
     for name, result in zip(("old", "new"), (old, new)):
@@ -47,7 +48,9 @@ def _read(path: Path) -> dict:
     result = json.loads(path.read_text())
     headline(result)
     for row in result["rows"]:
-        _ = row["what"], row["median"], row["p99"], row["unit"]
+        numbers = [number for number in (row["median"], row["p99"]) if number is not None]
+        if not all(map(math.isfinite, numbers)) or {type(row["what"]), type(row["unit"])} != {str}:
+            raise ValueError(f"{path} has the row {row}")
     return result
 
 

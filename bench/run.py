@@ -38,10 +38,12 @@ NAMES = (
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the benchmarks; returns 0, 1 if one of them could not run, 2 if none can."""
+    from tools.options import is_written, new_file
+
     parser = argparse.ArgumentParser(prog="run.py", description="Measures speed on this machine.")
     parser.add_argument("--only", choices=NAMES, action="append", help="this one; may be given more than once")
     parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write all figures there too, with how they were made"
+        "--json", type=new_file, metavar="FILE", help="write all figures there too, with how they were made"
     )
     parser.add_argument("--quick", action="store_true", help="few samples: shows that it runs, not how fast")
     arguments = parser.parse_args(argv)
@@ -71,13 +73,8 @@ def main(argv: list[str] | None = None) -> int:
     print("\n".join(aligned([HEAD, *map(cells, rows)], right=(1, 2, 6))))
     for sentence in failed:
         print(f"NOT RUN  {sentence}")
-    if arguments.json is not None:
-        try:
-            arguments.json.write_text(json.dumps(result, indent=2) + "\n")
-        except OSError as error:
-            print(f"bench: the figures could not be written to {arguments.json}: {error.strerror}", file=sys.stderr)
-            return 1
-    return 1 if failed else 0
+    kept = arguments.json is None or is_written(arguments.json, json.dumps(result, indent=2) + "\n")
+    return int(bool(failed) or not kept)
 
 
 def headline(result: dict) -> str:

@@ -15,6 +15,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable
@@ -42,6 +43,7 @@ LEAK_MIB_H = 300.0
 """A process that grows faster leaks: a kilobyte an example would be ten times as much; hypothesis itself grows less."""
 
 LEAK_RUN_S = 120.0
+HANGS_S = 600.0  # a worker says something every REPORT_S; one that is silent for so long hangs in an input
 MAX_FINDINGS = 20  # of one target; then it is broken and not worth more time
 
 
@@ -192,28 +194,40 @@ def fuzz(names: list[str], seconds: float, seed: int, folder: Path, results: dic
         if not ended:
             last, dead = folder / f"{name}.last", folder / f"{name}-died.txt"
             given = last.read_text() if last.exists() else ""
-            dead.write_text(f"{name}: the process died; the last input:\n\n{given}\n\n{log.read_text()}")
+            dead.write_text(f"{name}: the process died, or hung; the last input:\n\n{given}\n\n{log.read_text()}")
             result["findings"].append(f"the process died, see {dead}")
             print(f"\n{name}: the process died, see {dead}")
 
 
 def _follow(process: subprocess.Popen, name: str, result: dict, results: dict[str, dict], began: float) -> bool:
-    """Shows what a worker says; returns whether it came to its end."""
-    for line in process.stdout or ():
-        said = json.loads(line)
-        if "finding" in said:
-            result["findings"].append(said["finding"])
-            print(f"\n{name}: {said['finding']} {said['file']}")
-            continue
-        result.update(examples=said["examples"], rss=said["rss"], seconds=round(time.monotonic() - began, 1))
-        total = sum(r["examples"] for r in results.values())
-        found = sum(len(r["findings"]) for r in results.values())
-        text = f"{name:18} {said['examples']:9d} examples, {said['rss']:4.0f} MiB"
-        text += f" | all: {total} examples, {found} findings"
-        print(f"\r\x1b[K{text}" if sys.stdout.isatty() else "", end="", flush=True)
-        if said.get("end"):
-            return True
-    return False
+    """Shows what a worker says, and kills one that hangs; returns whether it came to its end."""
+    watch = threading.Timer(HANGS_S, process.kill)
+    watch.start()
+    try:
+        for line in process.stdout or ():
+            watch.cancel()
+            if _shown(json.loads(line), name, result, results, began):
+                return True
+            watch = threading.Timer(HANGS_S, process.kill)
+            watch.start()
+        return False
+    finally:
+        watch.cancel()
+
+
+def _shown(said: dict, name: str, result: dict, results: dict[str, dict], began: float) -> bool:
+    """Shows a line of a worker; returns whether it is its last."""
+    if "finding" in said:
+        result["findings"].append(said["finding"])
+        print(f"\n{name}: {said['finding']} {said['file']}")
+        return False
+    result.update(examples=said["examples"], rss=said["rss"], seconds=round(time.monotonic() - began, 1))
+    total = sum(r["examples"] for r in results.values())
+    found = sum(len(r["findings"]) for r in results.values())
+    text = f"{name:18} {said['examples']:9d} examples, {said['rss']:4.0f} MiB"
+    text += f" | all: {total} examples, {found} findings"
+    print(f"\r\x1b[K{text}" if sys.stdout.isatty() else "", end="", flush=True)
+    return bool(said.get("end"))
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from golden.chain import PureChain, World
@@ -12,8 +13,9 @@ from golden.stored import TOLERANCE, TOLERANCES, Stored, differences, stored
 PICTURES = Path(__file__).resolve().parents[1] / "build" / "golden"
 
 
-def main() -> None:
+def main(argv: list[str] | None = None) -> None:
     """Renews all recordings that are on this machine."""
+    argparse.ArgumentParser(prog="python -m golden", description=__doc__).parse_args(argv)
     for name, make in RUNS.items():
         try:
             new = stored(PureChain(World(make())).run())

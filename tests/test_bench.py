@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import math
 import re
 import sys
@@ -52,7 +53,15 @@ def test_the_table_fits_on_a_terminal_and_goes_to_a_file_too(monkeypatch, tmp_pa
     assert compare.main([str(path), str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert all(" 1.00 " in line for line in lines[3:])
-    assert run.main(["--quick", "--json", str(tmp_path / "no folder" / "new.json")]) == 1
+
+
+@pytest.mark.parametrize("name", ["no folder/new.json", "."])
+def test_a_file_that_cannot_be_is_refused_before_anything_is_measured(monkeypatch, tmp_path, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(run, "python_loop_ms", lambda: pytest.fail("it measures"))
+    with pytest.raises(SystemExit) as refused:
+        run.main(["--quick", "--json", name])
+    assert refused.value.code == 2 and f"{name!r} cannot be written" in capsys.readouterr().err
 
 
 def test_a_row_states_goal_peer_and_ratio():
@@ -63,7 +72,7 @@ def test_a_row_states_goal_peer_and_ratio():
     assert aligned([HEAD, cells(row)], right=(1,))[1].startswith("delay      5.00  9.00")
 
 
-def test_measures_of_one_file_alone_are_listed_too(tmp_path, capsys):
+def test_measures_of_one_file_alone_are_listed_too():
     old = {"what": "a", "median": 2.0, "p99": None, "unit": "ms"}
     new = [{**old, "median": 1.0}, {**old, "what": "b"}]
     assert compare.compared([old, {**old, "what": "c"}], new) == [
@@ -71,10 +80,24 @@ def test_measures_of_one_file_alone_are_listed_too(tmp_path, capsys):
         ("b", "-", "2.00", "", "-", "-", "ms"),
         ("c", "2.00", "-", "", "-", "-", "ms"),
     ]
-    (tmp_path / "bad.json").write_text("{}")
-    for arguments in ([], [str(tmp_path / "bad.json")] * 2, ["absent.json"] * 2):
+
+
+ROW = {"what": "a", "median": 1.0, "p99": None, "unit": "ms"}
+RUN = {"machine": "x", "python_loop_ms": 1.0, "load_before": 0.0, "load_after": 0.0}
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["{}", "[]", "", "[" * 100_000, json.dumps({**RUN, "rows": None}),
+     *(json.dumps({**RUN, "rows": [{**ROW, **wrong}]}) for wrong in (
+         {"median": "x"}, {"median": math.nan}, {"p99": math.inf}, {"what": ["a"]}, {"unit": 5}))],
+    ids=["{}", "[]", "empty", "deep", "rows", "median", "nan", "infinity", "what", "unit"],
+)  # fmt: skip
+def test_a_file_that_holds_no_figures_is_refused_in_a_sentence(tmp_path, capsys, content):
+    (tmp_path / "bad.json").write_text(content)
+    for arguments in ([], [str(tmp_path / "bad.json")] * 2, ["absent.json"] * 2, [str(tmp_path)] * 2):
         assert compare.main(arguments) == 2
-    assert "cannot read the figures" in capsys.readouterr().err
+    assert capsys.readouterr().err.count("cannot read the figures") == 3
 
 
 def test_the_closed_form_solves_every_pose():

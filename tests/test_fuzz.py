@@ -6,6 +6,10 @@ import gzip
 import io
 import math
 import random
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -161,3 +165,15 @@ def test_an_exception_in_a_node_is_a_finding(tmp_path):
     assert _tracebacks(log) == ['File "/src/a.py", line 7: KeyError: 1']
     log.write_text("[WARN] The stamp is old.\n")
     assert not _tracebacks(log)
+
+
+def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
+    monkeypatch.setattr(fuzz_run, "HANGS_S", 1.0)
+    says = 'import json, time; print(json.dumps({"examples": 3, "rss": 1.0}), flush=True); time.sleep(60.0)'
+    result = {"examples": 0, "rss": 0.0, "findings": [], "seconds": 0.0}
+    with subprocess.Popen([sys.executable, "-c", says], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert not fuzz_run._follow(process, "target", result, {"target": result}, time.monotonic())
+            assert process.wait(10.0) == -signal.SIGKILL and result["examples"] == 3
+        finally:
+            process.kill()

@@ -163,10 +163,25 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
 
     if error is KeyboardInterrupt:
         monkeypatch.setattr(run.concurrent.futures, "as_completed", completed)
-    campaign = run.Campaign(run.chosen(rows.load(), "1-5"), 1, None, tell if error is OSError else lambda *_: None)
+    told = []
+    take = tell if error is OSError else lambda entry, *_: told.append(entry.number)
+    campaign = run.Campaign(run.chosen(rows.load(), "1-5"), 1, None, take)
     with pytest.raises(error):
         campaign.run()
     assert len(rig.judged) == 1 and rig.closed == 1
+    assert not told, "a row that was cut off says nothing"
+
+
+@ros
+@pytest.mark.parametrize("program", ["campaign", "networks"])
+def test_results_that_the_disk_does_not_take_are_a_sentence(monkeypatch, capsys, program):
+    from campaign import run
+    from campaign.network import run as networks
+
+    monkeypatch.setattr(run.Campaign, "run", lambda self: {})
+    monkeypatch.setattr(networks.subprocess, "run", lambda *_, **__: argparse.Namespace(returncode=0))
+    assert (run if program == "campaign" else networks).main(["--json", "/dev/full"]) == 1
+    assert "/dev/full: No space left on device" in capsys.readouterr().err
 
 
 def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
@@ -185,5 +200,15 @@ def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
     monkeypatch.setattr(golden, "differences", lambda *_: ["it differs"])
     monkeypatch.setattr(golden, "draw", cannot)
     with pytest.raises(OSError, match="no picture"):
-        golden.main()
+        golden.main([])
     assert not written
+
+
+@pytest.mark.parametrize("argument", ["--help", "three-claps", "--check"])
+def test_golden_renews_nothing_where_it_is_asked_something_else(monkeypatch, capsys, argument):
+    import golden.__main__ as golden
+
+    monkeypatch.setattr(golden, "RUNS", {"run": lambda: pytest.fail("it plays the recordings")})
+    with pytest.raises(SystemExit):
+        golden.main([argument])
+    assert "usage: python -m golden" in "".join(capsys.readouterr())

@@ -1,10 +1,15 @@
-"""tools/setup.sh takes ROS from where it is. What it calls is replaced, so that nothing is installed or built."""
+"""tools/setup.sh takes ROS from where it is, and tools/test.sh ends at Ctrl-C. What they call is replaced, so that
+nothing is installed, built or tested.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -85,3 +90,84 @@ def test_without_mediapipe_the_set_up_goes_on_and_says_so(project):
     calls, said = set_up_and_said(project, project / "nowhere")
     assert "webcam tracker is not available" in said
     assert calls[-1].startswith("catkin_make")
+
+
+@pytest.mark.parametrize("name", ["my rig", "rig(1)", "it's"])
+def test_a_folder_in_which_catkin_builds_nothing_is_refused_at_once(project, name):
+    shutil.copytree(project, project.parent / name)
+    done = subprocess.run([project.parent / name / "tools" / "setup.sh"], capture_output=True, text=True, timeout=60.0)
+    assert done.returncode == 1 and "Move the folder" in done.stderr and name in done.stderr
+    assert not (project.parent / name / "build").exists()
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_a_workspace_that_was_moved_is_built_anew(project, moved):
+    cache = project / "build" / "CMakeCache.txt"
+    cache.parent.mkdir()
+    cache.write_text(f"CMAKE_HOME_DIRECTORY:INTERNAL={'/elsewhere' if moved else project.resolve()}/src\n")
+    (project / "devel").mkdir()
+    (project / ".venv" / "bin" / "ruff").touch()
+    shutil.copy(ROOT / "Makefile", project)
+    (project / "src").mkdir()
+    for ready in (project / "build" / ".ready", project / ".venv" / "bin" / "pip"):
+        ready.touch()
+    os.utime(project / "build" / ".ready", (2e9, 2e9))  # newer than all that it depends on
+    asked = subprocess.run(["make", "--question", "build/.ready"], cwd=project, capture_output=True, timeout=60.0)
+    assert (asked.returncode == 1) is moved
+    subprocess.run([project / "tools" / "setup.sh", "true"], capture_output=True, timeout=60.0)
+    for path in ("devel", ".venv/bin/ruff", "build/CMakeCache.txt"):
+        assert (project / path).exists() is not moved, path
+
+
+PYTEST = f"""#!{sys.executable}
+import signal, sys, time
+open(sys.argv[0] + ".calls", "a").write(" ".join(sys.argv[1:]) + "\\n")
+try:
+    time.sleep(60.0)
+except KeyboardInterrupt:  # as pytest does, which prints its report first
+    sys.exit(2)
+"""
+
+
+def test_ctrl_c_ends_all_tests_also_those_behind_and_those_to_come(tmp_path):
+    python = tmp_path / "bin" / "python"
+    for folder in ("bin", "src", "tests"):
+        (tmp_path / folder).mkdir()
+    python.write_text(PYTEST)
+    python.chmod(0o755)
+    (tmp_path / "tests" / "test_rig.py").write_text("pytestmark = pytest.mark.rig\n")
+    calls = Path(f"{python}.calls")
+
+    def called(count):
+        for _ in range(1200):
+            if calls.exists() and len(calls.read_text().splitlines()) >= count:
+                return
+            time.sleep(0.05)
+        pytest.fail(f"{count} calls of pytest did not come")
+
+    environment = {**os.environ, "PATH": f"{python.parent}:{os.defpath}", "TMPDIR": str(tmp_path)}
+    script = subprocess.Popen([ROOT / "tools" / "test.sh"], cwd=tmp_path, env=environment, start_new_session=True)
+    try:
+        called(2)
+        os.killpg(script.pid, signal.SIGINT)  # as a terminal does
+        assert script.wait(20.0) == 130
+    finally:
+        if script.poll() is None:
+            os.killpg(script.pid, signal.SIGKILL)
+    assert len(calls.read_text().splitlines()) == 2, "no other tests begin"
+    left = [entry for entry in Path("/proc").glob("[0-9]*/cmdline") if str(python).encode() in _bytes(entry)]
+    assert not left
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:  # it has just ended
+        return b""
+
+
+def test_an_environment_whose_making_was_interrupted_is_made_whole(project):
+    pip = project / ".venv" / "bin" / "pip"
+    program(pip.with_name("python"), f'case "$*" in *--version) exec test -e "{pip}" ;; esac')
+    set_up(project, project / "nowhere")
+    assert pip.exists()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -46,3 +47,13 @@ def new_folder(text: str) -> Path:
     if not os.access(path, os.W_OK):
         raise argparse.ArgumentTypeError(f"{text!r} takes no files")
     return path
+
+
+def is_written(path: Path, text: str) -> bool:
+    """Writes results of a long run at its end; where that fails says so and returns False, and no more is lost."""
+    try:
+        path.write_text(text)
+    except OSError as error:
+        print(f"The results could not be written to {path}: {error.strerror}.", file=sys.stderr)
+        return False
+    return True

@@ -5,6 +5,17 @@
 # LEAP_RIG_LOG names the file that takes the full output (default build/setup.log), LEAP_RIG_NOETIC another place of Noetic.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+here=$(pwd -P)
+case $here in *[[:space:]\'\"\`\\\$\&\;\|\<\>\(\)]*)
+  echo "The workspace is in '$here', and catkin builds nothing in a path with spaces, quotes or brackets. Move the folder, and run this again." >&2
+  exit 1 ;;
+esac
+# Build and environment hold their own path in many files.
+built_in=$(sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$|\1|p' build/CMakeCache.txt 2>/dev/null || true)
+if [ -n "$built_in" ] && [ "$built_in" != "$here" ]; then
+  echo "The workspace was built in $built_in: it is built anew in $here."
+  rm -rf build devel .venv
+fi
 mkdir -p build
 log=${LEAP_RIG_LOG:-build/setup.log}
 : >"$log"
@@ -70,7 +81,8 @@ install_packages() {
 make_environment() {
   headline "2/3 Python environment"
   # Only Debian's own Python sees Debian's rospy.
-  [ -x .venv/bin/python ] || /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
+  .venv/bin/python -m pip --version >>"$log" 2>&1 ||  # interrupted while it was made, it has a Python and no pip
+    /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
   # The pip of Ubuntu 20.04 does not know today's wheels; this is the last one for Python 3.8.
   if [ "$packages" = apt-packages-noetic.txt ]; then
     .venv/bin/python -m pip install -q "pip==25.0.1; python_version < '3.9'" >>"$log" 2>&1 || failed "Updating pip in .venv failed."

@@ -18,7 +18,8 @@ run() {  # run MARKERS [PYTEST'S OPTIONS AND FILES]...
 log=$(mktemp)
 setsid nice -n 10 python -m pytest -m "not ros and not rig" -n 2 --dist worksteal "$@" > "$log" 2>&1 &
 pure=$!
-trap 'kill "$pure" 2> /dev/null; rm -f "$log"' EXIT
+trap 'kill -- "-$pure" 2> /dev/null; rm -f "$log"' EXIT
+trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script would run the next tests
 run "ros and not rig" -n 4 --dist worksteal "$@" "${with_ros[@]}"
 # Any other program that becomes ready takes the processor from one of this class at once.
 pgrep -s "$pure" | xargs -rn 1 chrt --all-tasks --idle --pid 0 2> /dev/null

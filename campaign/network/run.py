@@ -13,7 +13,7 @@ import conftest  # noqa: F401 - sets the path of the packages
 from campaign.network import cells
 from campaign.network.wire import ROOT, in_own_network
 from campaign.run import INTERRUPTED, Campaign
-from tools.options import new_file, number
+from tools.options import is_written, new_file, number
 
 RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "handbook" / "bad-networks.md"
 
@@ -46,9 +46,8 @@ def main(argv: list[str] | None = None) -> int:
         print("\nInterrupted; no rig runs any more.")
         return INTERRUPTED
     print("\n" + "\n".join(cells.line(name, results[name]) for name in cells.CELLS if name in results))
-    if options.json:
-        options.json.write_text(cells.as_json(results))
-    return int(any(result["result"] == "failed" for result in results.values()))
+    kept = options.json is None or is_written(options.json, cells.as_json(results))
+    return int(not kept or any(result["result"] == "failed" for result in results.values()))
 
 
 def store(results: dict[str, dict]) -> None:

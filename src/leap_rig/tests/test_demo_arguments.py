@@ -14,6 +14,8 @@ pytestmark = pytest.mark.ros
         (["--record", "film.avi"], "the film film.avi must end with .mp4"),
         (["--record", "/no_folder/film.mp4"], "/no_folder/film.mp4 cannot be written"),
         (["--report", "/no_folder/x.json"], "/no_folder/x.json cannot be written"),
+        (["--record", "folder.png"], "folder.png cannot be written: it is a folder"),
+        (["--report", "folder.png"], "folder.png cannot be written: it is a folder"),
         (["--duration", "-1"], "the duration -1.0 must be a positive number of seconds"),
         (["--duration", "nan"], "the duration nan must be a positive number of seconds"),
         (
@@ -45,9 +47,11 @@ pytestmark = pytest.mark.ros
         (["--", "sim:=false"], "the demo is the simulated rig; the real one is started by `roslaunch leap_rig demo"),
     ],
 )
-def test_bad_arguments_get_one_sentence(arguments, sentence, capsys):
+def test_bad_arguments_get_one_sentence(arguments, sentence, capsys, tmp_path, monkeypatch):
     from leap_rig.ros.demo import parse_arguments
 
+    (tmp_path / "folder.png").mkdir()
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
         parse_arguments(arguments)
     assert end.value.code == 2

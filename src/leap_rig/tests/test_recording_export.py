@@ -14,7 +14,7 @@ from recordings import START, stored, write_recording
 
 from leap_rig.recording import read
 from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
-from leap_rig.recording.recording_files import MessageKind, RecordingFault, StoredMessage, write_mcap
+from leap_rig.recording.recording_files import MessageKind, RecordingFault, StoredMessage, messages, write_mcap
 from leap_rig.recording.ros1 import MessageFault, decoder
 from leap_rig.recording.run import between
 from leap_rig.recording.topics import RAW_FRAMES, SENT_GOALS
@@ -252,6 +252,48 @@ def test_only_files_of_the_recording_leave_with_it(tmp_path):
     with open(tmp_path / "f.mcap", "rb") as stream:
         names = {attachment.name for attachment in make_reader(stream).iter_attachments()}
     assert names == {"manifest.json", "parameters.yaml"}
+
+
+@pytest.mark.parametrize(
+    ("error", "said"), [(OSError(28, "No space left on device", "set"), "No space left"), (KeyboardInterrupt(), "130")]
+)
+def test_what_ends_an_export_to_lerobot_is_a_sentence(monkeypatch, error, said):
+    from leap_rig.recording import lerobot_export
+
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr(lerobot_export, "export", fails)
+    monkeypatch.setattr("sys.argv", ["x", json.dumps({"recordings": [], "folder": "set", "fps": 30, "task": ""})])
+    with pytest.raises(SystemExit, match=said):
+        lerobot_export.main()
+
+
+@pytest.mark.ros
+def test_further_topics_of_the_recording_are_exported_too(tmp_path):
+    from std_msgs.msg import Bool
+
+    times = {"/tf": 0.0, "/my/further_topic": 1.0, "/my/other_topic": 2.0}
+    folder = write_recording(tmp_path / "run", [stored(topic, Bool(True), t) for topic, t in times.items()])
+    for name, options, expected in (
+        ("all", {}, list(times)),
+        ("some", {"topic": "/my/other_topic"}, ["/my/other_topic"]),
+        ("early", {"to": 1.5}, ["/tf", "/my/further_topic"]),
+    ):
+        assert exported(folder, mcap=tmp_path / name, **options) == 0
+        assert [message.topic for message in messages(tmp_path / name)] == expected
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ("to", "options"),
+    [("lerobot", {"from": 1.0}), ("lerobot", {"to": 1.0}), ("lerobot", {"topic": "/tf"}), ("frames", {"topic": "/tf"})],
+)
+def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):
+    folder = session(tmp_path / "run", images=False)
+    with pytest.raises(RecordingFault, match=f"--{next(iter(options))} is not for --{to}"):
+        exported(folder, **{to: tmp_path / "out"}, **options)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.ros

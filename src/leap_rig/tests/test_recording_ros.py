@@ -127,6 +127,19 @@ def test_a_slow_disk_is_told_with_the_next_chunk(tmp_path):
         assert verify(tmp_path / "run")[0]["dropped"] == {"/a": rounds}
 
 
+def test_what_comes_after_the_last_chunk_is_not_called_recorded(tmp_path, capsys):
+    from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages
+    from leap_rig.recording.ros.record_program import Inbox, _end, _LiveLine, _store
+
+    writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(), MessageKind("a/B", "")
+    inbox.put("/a", kind, bytes(60))
+    _store(inbox, writer)
+    inbox.put("/a", kind, bytes(60))
+    assert _end(writer, inbox, _LiveLine(inbox, writer), "the test", tmp_path / "run", 0) == 0
+    assert len(list(messages(tmp_path / "run" / "messages.mcap"))) == 1
+    assert "Recorded 1 messages" in capsys.readouterr().out
+
+
 def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
     from leap_rig.recording.recording_files import RecordingWriter
     from leap_rig.recording.ros.record_program import _files
@@ -167,6 +180,30 @@ def test_an_impossible_duration_is_refused_before_anything_is_made(tmp_path, sec
     with pytest.raises(SystemExit):
         _parser().parse_args([f"{tmp_path}/run", f"--seconds={seconds}"])
     assert "--seconds" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("topic", ["", "/", "bad topic", "a//b", "/a/", "~private", "ü", "1st"])
+def test_what_can_be_no_topic_is_refused_before_anything_is_made(tmp_path, topic, capsys):
+    from leap_rig.recording.ros.record_program import _parser
+
+    with pytest.raises(SystemExit):
+        _parser().parse_args([f"{tmp_path}/run", "--topic", "/good", topic])
+    assert f"{topic!r} is no topic" in capsys.readouterr().err
+    assert _parser().parse_args(["run", "--topic", "good", "/b/c1"]).topic == ["/good", "/b/c1"]
+
+
+def test_a_further_topic_of_which_nothing_came_is_named(ros, tmp_path, monkeypatch, capsys):
+    from leap_rig.recording.ros import record_program
+
+    monkeypatch.setattr(record_program.rospy, "init_node", lambda *_, **__: None)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        options = [f"{tmp_path}/run", "--seconds", "0.1", "--topic", "mistyped", "/tf"]
+        assert record_program.record(record_program._parser().parse_args(options)) == 0
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert "record: nothing came on /mistyped, /tf: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("moment", ["_subscribe", "RecordingWriter"])

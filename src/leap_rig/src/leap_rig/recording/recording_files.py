@@ -200,6 +200,11 @@ class RecordingWriter:
         """Bytes of messages on the disk."""
         return self._file.size
 
+    @property
+    def count(self) -> int:
+        """Messages that were added."""
+        return sum(self._topics.values())
+
     def add(self, message: StoredMessage) -> None:
         """Adds a message, which `flush` brings to the disk."""
         self._topics[message.topic] += 1

@@ -71,6 +71,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     for file in (arguments.record, arguments.report):
         if file is not None and not file.resolve().parent.is_dir():
             parser.error(f"{file} cannot be written: the folder {file.resolve().parent} does not exist")
+        if file is not None and file.is_dir():
+            parser.error(f"{file} cannot be written: it is a folder")
     if arguments.duration is not None and not 0.0 < arguments.duration < 1e6:
         parser.error(f"the duration {arguments.duration} must be a positive number of seconds")
     for item in (item for item in arguments.launch if ":=" not in item):

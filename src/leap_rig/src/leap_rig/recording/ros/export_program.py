@@ -6,6 +6,7 @@ import argparse
 import gzip
 import importlib.util
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import rospy
 
 import common.errors
 from common.ros.node import run_program
-from leap_rig.recording import lerobot_export, topics
+from leap_rig.recording import lerobot_export
 from leap_rig.recording.recording_files import (
     MANIFEST,
     MESSAGES,
@@ -42,6 +43,7 @@ def main() -> None:
 
 def export(options: argparse.Namespace) -> int:
     """Exports and returns the exit code."""
+    _refuse_unheeded(options)
     folders = [folder_of(name) for name in options.names]
     for folder in folders:
         manifest, remark = verify(folder)
@@ -61,12 +63,23 @@ def export(options: argparse.Namespace) -> int:
             packed.writelines(frames)
         print(f"Wrote {len(frames)} frames to {options.frames}.")
         return 0
-    wanted = topics.recorded("rgbd") if options.topic is None else options.topic
     names = [MANIFEST, *sorted(name for name in manifest["files"] if name != MESSAGES)]
     files = {name: (folder / name).read_bytes() for name in names}
-    count = write_mcap(options.mcap, between(folder, wanted, options.start, options.end), files)
+    count = write_mcap(options.mcap, between(folder, options.topic, options.start, options.end), files)
     print(f"Wrote {count} messages to {options.mcap}.")
     return 0
+
+
+def _refuse_unheeded(options: argparse.Namespace) -> None:
+    """Raises RecordingFault for an option that this export would not heed."""
+    if options.mcap is not None:
+        return
+    to = "--frames" if options.frames is not None else "--lerobot"
+    given = {"--topic": options.topic is not None}
+    if to == "--lerobot":
+        given.update({"--from": options.start != 0.0, "--to": options.end != math.inf})
+    for option in (option for option, is_given in given.items() if is_given):
+        raise RecordingFault(f"{option} is not for {to}, so nothing is written; leave it out.")
 
 
 def _line(text: str) -> bytes | None:
@@ -108,9 +121,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
     parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)
-    parser.add_argument("--topic", nargs="*", help="topics of the MCAP file (default: all that record.py stores)")
-    parser.add_argument(
-        "--from", dest="start", type=float, default=0.0, metavar="S", help="of the MCAP file: begin there"
-    )
-    parser.add_argument("--to", dest="end", type=float, default=float("inf"), metavar="S", help="end there, in seconds")
+    parser.add_argument("--topic", nargs="*", help="topics of the MCAP file (default: all)")
+    begin = "of one file: begin so long after the start"
+    parser.add_argument("--from", dest="start", type=float, default=0.0, metavar="S", help=begin)
+    end = "end there, seconds after the start"
+    parser.add_argument("--to", dest="end", type=float, default=math.inf, metavar="S", help=end)
     return parser

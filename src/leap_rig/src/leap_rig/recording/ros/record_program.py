@@ -7,6 +7,7 @@ import hashlib
 import math
 import os
 import platform
+import re
 import signal
 import subprocess
 import sys
@@ -43,6 +44,7 @@ FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, wha
 QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped
 READ_BYTES = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
 LARGEST_FILE = 2**20  # a larger file is no calibration
+TOPIC = re.compile(r"(?:/\w|[A-Za-z])\w*(?:/\w+)*", re.ASCII)
 SUFFIXES = (".yaml", ".yml", ".json")
 PLAIN = (bool, int, float, str)  # of parameters; XML-RPC also knows bytes and dates
 SECRETS = ("code", "password", "token")
@@ -102,7 +104,7 @@ def record(options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
     writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
-    for topic in dict.fromkeys((*recorded(options.camera), *map(_absolute, options.topic))):
+    for topic in dict.fromkeys((*recorded(options.camera), *options.topic)):
         _subscribe(topic, inbox)
     live, ended_by, began = _LiveLine(inbox, writer), "", time.monotonic()
     try:
@@ -115,7 +117,10 @@ def record(options: argparse.Namespace) -> int:
                 ended_by = f"the end of {options.seconds:g} s"
     except OSError as error:
         return _end(writer, inbox, live, f"{error.strerror}, so the recording ends; the rig runs on", folder, 1)
-    return _end(writer, inbox, live, ended_by, folder, 0)
+    code = _end(writer, inbox, live, ended_by, folder, 0)
+    if silent := [topic for topic in options.topic if not inbox.received[topic]]:
+        print(f"record: nothing came on {', '.join(silent)}: does anybody publish there?", file=sys.stderr)
+    return code
 
 
 def _store(inbox: Inbox, writer: RecordingWriter) -> None:
@@ -130,7 +135,7 @@ def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, 
     if code:
         print(f"record: {ended_by}.", file=sys.stderr)
     writer.close(now, ended_by, dropped)
-    print(f"Recorded {sum(inbox.received.values()) - sum(dropped.values())} messages in {folder}, {live.text}.")
+    print(f"Recorded {writer.count} messages in {folder}, {live.text}.")
     if dropped:
         lost = ", ".join(f"{count} of {topic}" for topic, count in dropped.items())
         print(f"record: the disk was too slow: {lost} are missing.", file=sys.stderr)
@@ -184,8 +189,11 @@ class _LiveLine:
 RATES = (("frames", RAW_FRAMES), ("goal messages", SENT_GOALS), ("transforms", "/tf"))
 
 
-def _absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else f"/{topic}"
+def _topic(text: str) -> str:
+    """The type of a topic, which becomes absolute: rospy would log one that can be none, and record the others."""
+    if not TOPIC.fullmatch(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no topic; one is like /camera/depth/image")
+    return text if text.startswith("/") else f"/{text}"
 
 
 def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
@@ -277,6 +285,6 @@ def _parser() -> argparse.ArgumentParser:
         "--seconds", type=real(0.0, math.inf, open_low=True), help="record for so long; without it until Ctrl-C"
     )
     parser.add_argument("--task", default="", help="what is done, in a sentence; exports to LeRobot need it")
-    parser.add_argument("--topic", nargs="*", default=[], help="further topics")
+    parser.add_argument("--topic", nargs="*", type=_topic, default=[], help="further topics")
     parser.add_argument("--reserve", type=int, default=16 * 2**20, help=argparse.SUPPRESS)
     return parser
