@@ -9,7 +9,7 @@ import hppfcl
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from loop_world import DT, rig
 from test_workspace import SETTINGS, beyond, workspaces
@@ -139,16 +139,20 @@ LIFTED, FREE = rig(RealTimeConfig, lifted=True, collision_guard=True, center_lin
 MARGIN, KINEMATICS, HOME = LIFTED.guard_margin, FREE.kinematics, FREE.home
 APART_M = 2.0 * MARGIN + WALL_M
 OPENINGS = Opening((0.6, 0.6, 0.6), (0.1, 0.1, 0.1), 0.0), None  # known; and not known: as wide as it can be
-sides = st.fixed_dictionaries({
-    "margin": st.just(0.3),
-    **{
+
+
+def standing(y, yaw):
+    """Both arms beside each other, from `y` to y + 0.25 [m] off the middle, turned by at most `yaw` [deg]."""
+    bases = {
         name: st.fixed_dictionaries({
-            "position": st.tuples(st.floats(-0.1, 0.1), st.floats(*y), st.floats(-0.1, 0.1)).map(list),
-            "rpy": st.tuples(st.just(0.0), st.just(0.0), st.floats(-40.0, 40.0)).map(list),
+            "position": st.tuples(st.floats(-0.1, 0.1), st.floats(y, y + 0.25), st.floats(-0.1, 0.1)).map(
+                lambda p, sign=sign: [p[0], sign * p[1], p[2]]
+            ),
+            "rpy": st.floats(-yaw, yaw).map(lambda angle: [0.0, 0.0, angle]),
         })
-        for name, y in (("left", (0.35, 0.6)), ("right", (-0.6, -0.35)))
-    },
-})  # fmt: skip
+        for name, sign in (("left", 1.0), ("right", -1.0))
+    }  # fmt: skip
+    return st.fixed_dictionaries({"margin": st.just(0.3), **bases})
 
 
 def guards(arms, opening):
@@ -175,21 +179,24 @@ def between(arms, made, joints):
 
 
 @settings(max_examples=60)
-@given(sides, st.lists(st.floats(-1.0, 1.0), min_size=14, max_size=14), st.sampled_from(OPENINGS))
+@given(standing(0.35, 40.0), st.lists(st.floats(-1.0, 1.0), min_size=14, max_size=14), st.sampled_from(OPENINGS))
 def test_where_each_guard_lets_its_arm_be_the_arms_are_apart(sides, parts, opening):
     arms = arms_from(sides)
     made = guards(arms, opening)
     joints = {name: np.array(part) * FREE.model.upper for name, part in zip(arms.placements, (parts[:7], parts[7:]))}
-    near = [name for name, q in joints.items() if made[name].fault_at(q) is not None]
-    if not near:
-        assert between(arms, made, joints) >= APART_M - NOISE_M
+    assume(all(made[name].fault_at(q) is None for name, q in joints.items()))
+    assert between(arms, made, joints) >= APART_M - NOISE_M
+
+
+reaches = st.tuples(st.floats(-0.15, 0.05), st.floats(0.25, 0.5), st.floats(-0.1, 0.1))
 
 
 @settings(max_examples=8, deadline=None)
+@example(TWO, [(-0.05, 0.45, 0.0)], [(-0.05, 0.45, 0.0)], OPENINGS[0])
 @given(
-    sides,
-    st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(0.0, 0.6), st.floats(-0.15, 0.15)), min_size=1, max_size=2),
-    st.lists(st.tuples(st.floats(-0.1, 0.1), st.floats(0.0, 0.6), st.floats(-0.15, 0.15)), min_size=1, max_size=2),
+    standing(0.45, 15.0),
+    st.lists(reaches, min_size=1, max_size=2),
+    st.lists(reaches, min_size=1, max_size=2),
     st.sampled_from(OPENINGS),
 )
 def test_two_arms_whose_hands_reach_for_each_other_never_come_nearer(sides, left, right, opening):
@@ -197,17 +204,15 @@ def test_two_arms_whose_hands_reach_for_each_other_never_come_nearer(sides, left
     arms = arms_from(sides)
     made, limits = guards(arms, opening), {}
     for name, guard in made.items():
-        if guard.fault_at(HOME.q) is not None:
-            return  # an arm that stands turned to the other one starts elsewhere
+        assume(guard.fault_at(HOME.q) is None)
         limits[name] = algorithms.motion_limits(LIFTED, FREE, guard)
         limits[name].reset(HOME.q)
     ways = {"left": reaching(left, -1.0), "right": reaching(right, 1.0)}
     cycles = max(map(len, ways.values()))
-    watch, least, held = guards(arms, opening), np.inf, False
+    watch, least = guards(arms, opening), np.inf
     for cycle in range(cycles + 300):
         for name, way in ways.items():
-            step = limits[name].step(way[min(cycle, len(way) - 1)], limits[name].goal, DT)
-            held |= step.limited_by is not None
+            limits[name].step(way[min(cycle, len(way) - 1)], limits[name].goal, DT)
         if cycle % 8 == 0:
             least = min(least, between(arms, watch, {name: one.goal for name, one in limits.items()}))
     assert least >= APART_M - NOISE_M
