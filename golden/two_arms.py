@@ -115,7 +115,8 @@ class Side(World):
 
 
 class TwoArms:
-    """The whole; `settings` as of a Run, for each side; `apart`: of the hands where they come in [m].
+    """The whole; `settings` as of a Run, for each side; `apart`: of the hands where they come in [m]; `seed`: of what
+    differs from hand to hand.
 
     Attributes:
         arms: where the bases stand.
@@ -125,12 +126,14 @@ class TwoArms:
         now: time since the begin [s].
     """
 
-    def __init__(self, scene: str | Mapping[str, Any], apart: float, settings: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, scene: str | Mapping[str, Any], apart: float, settings: Mapping[str, Any] | None = None, seed: int = 0
+    ) -> None:
         two = yaml.safe_load((CONFIG / "two_arms.yaml").read_text())
         ahead = yaml.safe_load((CONFIG / "arm_of_two.yaml").read_text())
         self.arms: Arms = arms_from(two)
         self.physics = Physics(WorldDescription(*KIND, (0.0,) * 3, _scene(scene), None, two))
-        hands = {side: HandPart(seed, side) for seed, side in enumerate(SIDES)}
+        hands = {side: HandPart(seed + number, side) for number, side in enumerate(SIDES)}
         for hand in hands.values():
             self.physics.add(hand)
         driver, carried = ArmJoints(self.physics, True, SIDES[0]), CarriedJoints(self.physics, SIDES[1])
@@ -143,7 +146,7 @@ class TwoArms:
             for side, x in zip(SIDES, (-500.0 * apart, 500.0 * apart))
         ]
         self.operators = {side: GuidedOperator(hand) for side, hand in zip(SIDES, scripted)}
-        self._playback = Playback(BothHands(tuple(self.operators.values()), frame_rate=FRAME_RATE_HZ), 3)
+        self._playback = Playback(BothHands(tuple(self.operators.values()), frame_rate=FRAME_RATE_HZ), seed)
         self._next = self._playback.next()
         self.now = 0.0
         self.sides: dict[str, Side] = {}

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 
 def sentence(robots: int, arguments: Sequence[str]) -> str:
-    """Returns why nothing was started; `arguments` are words of those that have no effect, as name:=value."""
-    names = " ".join(arguments)
+    """Returns why nothing was started; `arguments` are words of those that would have no effect, as name:=value."""
+    given = " ".join(arguments)
     if robots == 2:
-        return f"robots:=2 does not go with {names}, which is for one arm; leave it out. Nothing was started."
-    return f"{names} needs two arms: add robots:=2, or leave it out. Nothing was started."
+        return f"Nothing was started: {given} would have no effect with robots:=2, only with one arm. Leave that out."
+    return f"Nothing was started: {given} would have no effect without robots:=2. Add that, or leave this out."

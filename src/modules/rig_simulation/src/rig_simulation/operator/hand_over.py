@@ -46,7 +46,7 @@ class HandOverPlan(Plan):
     """Parameters of the work."""
 
     lift: float = 0.15  # how high the box is lifted [m]
-    grasp_height: float = 0.022  # the palm is 8 mm above the box, which rests against it when it tilts [m]
+    grasp_height: float = 0.035  # of the grip above the box's top: the palm is 2 cm above it [m]
     from_end: float = 0.075  # of the gripping point from the end of the box [m]
 
 
