@@ -26,7 +26,7 @@ READY = "Ready after"
 """What the demo prints once the arm may follow a hand."""
 
 WATCHED_S = 3.0
-"""The watch for the arm's arrival begins as late: its start would slow down that of the rig, and the arm is on its way."""
+"""The watch for the arm's arrival begins so late: it would slow the start of the rig, and the arm is on its way."""
 
 READY_S = 100.0
 END_S = 120.0
@@ -44,7 +44,7 @@ LEAST_SHARE = 5.0  # programs that take less of a processor are not listed [%]
 
 @dataclass(frozen=True)
 class DemoRun:
-    """One demo: its report, the times until the arm was at home, and until it was ready for a hand [s], the CPU share of
+    """One demo: its report, the times until the arm was at home and until it was ready for a hand [s], the CPU share of
     each program [%], and how often the measured flange came on tf [Hz].
     """
 

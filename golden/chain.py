@@ -24,6 +24,7 @@ from kuka_control.loop.controller import Controller
 from kuka_control.loop.servo_law import lts
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode, SwitchState
@@ -165,11 +166,11 @@ class LaggingArm(Arm):
 class World:
     """What stands around teleoperation and controller: configuration, arm, robot hand, operator, and the run's time."""
 
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: Run, obstacles: tuple[ConvexBody, ...] = ()) -> None:
         self.trace = Trace()
         settings = run.settings
         self.config: RealTimeConfig = parsed("kuka", settings.get("kuka", {}))
-        self.rig = Rig.of(self.config)
+        self.rig = Rig.of(self.config, obstacles=obstacles)
         self.leap: LeapConfig = parsed("leap", settings.get("leap", {}), others=(OPERATOR_INPUT,))
         self.hand: HandConfig = parsed("leap_hand", settings.get("leap_hand", {}))
         values = {**vars(self.config), "ws_center": self.rig.home.centre}
@@ -193,7 +194,7 @@ class World:
         self.now = BEGIN_S + self._cycles * CYCLE_S
         while self._switched and BEGIN_S + self._switched[-1][0] <= self.now:
             _, what, value = self._switched.pop()
-            self._switch(chain, what, value)
+            self.switch(chain, what, value)
         while self._frames and BEGIN_S + self._frames[-1][0] <= self.now:
             received, text = self._frames.pop()
             self._frame(chain, text, BEGIN_S + received)
@@ -202,7 +203,8 @@ class World:
         self._cycles += 1
         return self.now < self._end
 
-    def _switch(self, chain: Chain, what: str, value: Any) -> None:
+    def switch(self, chain: Chain, what: str, value: Any) -> None:
+        """Sets what the operator switches."""
         if what == "control":
             count = self.switches.enable_count + (value and not self.switches.control_on)
             self.switches = replace(self.switches, control_on=value, enable_count=count)
@@ -280,17 +282,21 @@ class PureChain:
 
     def run(self) -> Trace:
         """Plays the run to its end."""
+        while self._world.advance(self):
+            self.cycle()
+        return self._world.trace
+
+    def cycle(self) -> None:
+        """Runs a cycle of the controller."""
         world, trace = self._world, self._world.trace
-        while world.advance(self):
-            self._loop.open_hand(world.opening)
-            step = self._controller.cycle(Inputs(self._newest, CLOCK_S + world.now, world.switches), world.now)
-            if step.mode is not world.mode:
-                world.mode = step.mode
-                self._status(world.now)
-            trace.say(world.now, "kuka", f"{step.mode.value}, limited by {' and '.join(step.limited_by) or 'nothing'}")
-            for event in step.events:
-                trace.say(world.now, "kuka says", without_numbers(event.sentence))
-        return trace
+        self._loop.open_hand(world.opening)
+        step = self._controller.cycle(Inputs(self._newest, CLOCK_S + world.now, world.switches), world.now)
+        if step.mode is not world.mode:
+            world.mode = step.mode
+            self._status(world.now)
+        trace.say(world.now, "kuka", f"{step.mode.value}, limited by {' and '.join(step.limited_by) or 'nothing'}")
+        for event in step.events:
+            trace.say(world.now, "kuka says", without_numbers(event.sentence))
 
     def switched(self, what: str, value: Any, now: float) -> None:
         if what == "gripper":
@@ -322,10 +328,14 @@ class PureChain:
         return tool, self._carry_out(self._hand.step(tracking, now), now)
 
     def look(self, now: float) -> None:
-        self._force_limit.update(self._world.feedback, now)
+        self.feel(now)
         self._status(now)
         self._tell(self._arm.silence(now), now)
         self._carry_out(self._hand.silence(now), now)
+
+    def feel(self, now: float) -> None:
+        """Takes what the fingers feel."""
+        self._force_limit.update(self._world.feedback, now)
 
     def _status(self, now: float) -> None:
         switches = self._world.switches

@@ -58,6 +58,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "leap_kuka/config/relative_device.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_pinch.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "leap_kuka/config/relative_two_hands.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
+    "leap_kuka/config/relative_arm_choice.yaml": (Part("leap_kuka.config:LeapConfig", above=True),),
     "grasping/config/collection.yaml": (
         Part("grasping.lab.ros.collection_setup:CollectionConfig", above=True),
         Part("grasping.lab.dataset.frame_buffer:FrameBufferConfig", ("frames",)),
@@ -74,6 +75,7 @@ SCHEMAS: dict[str, tuple[Part, ...]] = {
     "grasping/config/tool_pose.yaml": (Part("grasping.pipeline.tool_pose:ToolPoseConfig"),),
     "leap_hand/config/leap_hand.yaml": (Part("leap_hand.config:HandConfig"),),
     "leap_hand/config/full_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
+    "leap_hand/config/firm_grip.yaml": (Part("leap_hand.config:HandConfig", above=True),),
     "reflex/config/reflex_takktile.yaml": (Part("reflex.ros.parameters:ReflexDriverConfig", above=True),),
     "apriltag_ros/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
     "vision/config/settings.yaml": (Part("apriltag_ros.settings:DetectorSettings", above=True),),
@@ -118,6 +120,7 @@ AS_IT_IS = {
     "rig_simulation/config/scenes/scattered.yaml",
     "rig_simulation/config/scenes/two_arms.yaml",
     "rig_simulation/config/scenes/two_cups.yaml",
+    "rig_simulation/config/scenes/hand_over.yaml",
     "rig_simulation/config/scenes/wall.yaml",
     "rig_simulation/config/wall_obstacles.yaml",
     "vision/config/tags.yaml",

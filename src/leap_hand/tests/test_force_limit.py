@@ -169,8 +169,9 @@ def test_a_file_from_before_the_limit_means_the_shipped_one():
         np.testing.assert_array_equal(getattr(old, field.name), getattr(CONFIG, field.name))
 
 
-def test_the_full_grip_fits_above_the_shipped_file_and_keeps_the_limit():
-    more = yaml.safe_load((Path(__file__).parents[1] / "config" / "full_grip.yaml").read_text())
+@pytest.mark.parametrize("name", ["full_grip", "firm_grip"])
+def test_a_grip_of_its_own_fits_above_the_shipped_file_and_keeps_the_limit(name):
+    more = yaml.safe_load((Path(__file__).parents[1] / "config" / f"{name}.yaml").read_text())
     full = parse(HandConfig, {**SHIPPED, **more}, "leap_hand/")
     assert full.force_limit and np.all(full.robot[:3, 1] > CONFIG.robot[:3, 1])
 

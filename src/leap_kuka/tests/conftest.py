@@ -3,6 +3,8 @@
 import dataclasses
 import gzip
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.virtual_leap import R_LEAP_REFERENCE
 from leap_motion.frames import TrackedHand, TrackingFrame
 
+sys.path.append(str(Path(__file__).parent))
 LEAP = {
     "z_clearance": 0.15,
     "box_dimensions": np.array([0.2, 0.2, 0.2]),
@@ -30,6 +33,7 @@ LEAP = {
     "hold_time": 0.0,
     "enabling": "none",
     "clutch": "none",
+    "arm_choice": "none",
 }
 ARM = {
     "center_line": np.array([1.0, -1.0, 0.0]),

@@ -197,6 +197,54 @@ def test_two_arms_have_their_nodes_in_namespaces_and_share_world_leap_and_panel(
     assert nodes("robots:=3") == set()
 
 
+@pytest.mark.parametrize(
+    "given",
+    [
+        "tracker:=webcam", "mounting:=180 0 0", "dh_parameters:=/a.yaml", "recording:=/a.gz", "offset:=0 1 0",
+        "camera_device:=1", "video:=/a.mp4", "hand_args:=--fault deaf", "world:=false", "scenario:=wall", "rounds:=2",
+        "grasping:=true", "camera:=true", "camera_rate:=1.0", "web_host:=0.0.0.0", "web_port:=1",
+        "operator_input:=true", "guard_obstacles:=/a.yaml",
+        "marker_ring:=true", "lift_workspace:=true", "sounds:=true", "tutorial:=true",
+        "language:=de", "camera_control_port:=1", "camera_fault:=slow",
+    ],
+)  # fmt: skip
+def test_what_is_for_one_arm_ends_the_launch_of_two_with_a_sentence(given):
+    from leap_rig.ros.demo import OF_ONE_ARM
+
+    assert nodes("robots:=2", given, "rviz:=false", "gui:=false") == {"/arguments"}
+    assert given.partition(":=")[0] in {*OF_ONE_ARM, "scenario"}, "make demo refuses it, too"
+
+
+@pytest.mark.parametrize(
+    "given", ["arm_choice:=region", "arms:=/a.yaml", "right_robot_ip:=1.2.3.4", "right_hand_interface:=eth7"]
+)
+def test_what_is_for_two_arms_ends_the_launch_of_one_with_a_sentence(given):
+    assert nodes(given, "rviz:=false", "gui:=false") == {"/arguments"}
+
+
+def test_the_sentence_about_misplaced_arguments_names_them():
+    command = subprocess.run(
+        ["rosrun", "leap_rig", "misplaced_arguments.py", "2", "recording:=/a.gz", "offset:=0", "1", "0", "__name:=x"],
+        capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert command.returncode == 1
+    sentence = "Nothing was started: recording:=/a.gz offset:=0 1 0 would have no effect with robots:=2"
+    assert command.stderr.startswith(sentence)
+
+
+def test_one_hand_that_chooses_gets_relative_engagement_for_both_arms_and_any_hand():
+    values = parameters("robots:=2", "arm_choice:=service")
+    for arm in ARMS:
+        expected = {"leap/arm_choice": "service", "leap/engagement": "relative", "leap/hold_time": 120.0}
+        assert {key: values[f"/{arm}/{key}"] for key in expected} == expected
+    apart = ("robots:=2", "arm_choice:=region", "one_process:=false", "rviz:=false", "gui:=false")
+    assert "/arm_choice" in nodes(*apart)
+    values = parameters(*apart)
+    assert values["/arm_choice/arms"] == list(ARMS)
+    assert [values[f"/{arm}/leap_hand_node/hand"] for arm in ARMS] == ["any", "any"]
+    assert all(parameters("robots:=2")[f"/{arm}/leap/arm_choice"] == "none" for arm in ARMS)
+
+
 def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():
     ports = {"robot_port": 5000, "robot_control_port": 5010, "hand_port": 5020, "hand_control_port": 5030}
     values = parameters("robots:=2", *(f"{name}:={value}" for name, value in ports.items()))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from test_report import good_run
 
 from common.poses import translation
@@ -45,6 +46,51 @@ def test_faults_and_warnings_say_which_arm():
     (warning,) = summary["warnings"]
     assert warning.startswith("right: The stream was lost at 2.0 s")
     assert "  FAULT: right: The arm never followed a hand." in as_text(summary)
+
+
+def handed_over(*held):
+    """Two recorders of a box that these hands hold one after the other, a second each."""
+    recorders = {arm: good_run() for arm in ("left", "right")}
+    for recorder in recorders.values():
+        done = {"scenario": "hand_over", "step": "done", "failure": "", "thing": "box"}
+        recorder.set_scenario({**done, "giver": "left", "taker": "right"})
+        recorder.add_object("box", translation(0.56, 0.19, 0.0), 0.0, ["table"], 11.0)
+        for number, hands in enumerate(held):
+            touches = [f"{hand}/reflex/proximal_1" for hand in hands]
+            recorder.add_object("box", translation(0.56, 0.0, 0.15), 0.15, touches, 12.0 + number)
+        recorder.add_object("box", translation(0.56, -0.19, 0.0), 0.0, ["table"], 18.0)
+    return recorders
+
+
+def test_a_hand_over_says_who_held_the_box_and_where_it_lies():
+    summary = json.loads(json.dumps(summarise(handed_over(["left"], ["left", "right"], ["right"], []), 20.0)))
+    assert summary["faults"] == []
+    box = summary["objects"]["box"]
+    assert box["held_by"] == [
+        {"from_s": 2.0, "hands": ["left"]},
+        {"from_s": 3.0, "hands": ["left", "right"]},
+        {"from_s": 4.0, "hands": ["right"]},
+    ]
+    assert box["at_m"] == [0.56, -0.19] and box["picked_and_placed"] and box["lifted_mm"] == 150.0
+    text = as_text(summary)
+    assert "held by left from 2.0 s, held by left and right from 3.0 s, held by right from 4.0 s" in text
+    assert "put down at 8.0 s, at x 0.56, y -0.19 m, 380 mm from where it stood" in text
+    assert text.count("handed over            box, from left to right") == 2
+
+
+@pytest.mark.parametrize(
+    ("held", "words"),
+    [
+        ([["left"]], "it was held by left."),
+        ([["left"], ["right"]], "it was held by left, then right."),
+        ([["right"], ["left", "right"], ["right"]], "it was held by right, then left and right, then right."),
+        ([["left"], ["left", "right"], ["left"]], "it was held by left, then left and right, then left."),
+        ([[]], "it was held by nobody."),
+    ],
+)
+def test_what_is_no_hand_over_is_a_fault_of_both_arms(held, words):
+    faults = summarise(handed_over(*held), 20.0)["faults"]
+    assert faults == [f"{arm}: The box was not handed over from left to right: {words}" for arm in ("left", "right")]
 
 
 def test_the_scenario_of_each_arm_is_judged_by_its_own_cup():

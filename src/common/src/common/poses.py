@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -34,7 +36,7 @@ def check_pose(T: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     reflection), or its last row is not 0 0 0 1.
     """
     T = np.asarray(T, dtype=float)
-    if T.shape != (4, 4) or not np.isfinite(T).all():
+    if T.shape != (4, 4) or not all(map(math.isfinite, T.ravel().tolist())):
         raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
     if T[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise ValueError(f"the last row of a pose is 0 0 0 1, not {T[3].tolist()}")

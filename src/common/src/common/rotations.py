@@ -57,7 +57,7 @@ def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     `tolerance`, or a reflection.
     """
     R = np.asarray(R, dtype=float)
-    if R.shape != (3, 3) or not np.isfinite(R).all():
+    if R.shape != (3, 3) or not all(map(math.isfinite, R.ravel().tolist())):
         raise ValueError(f"a rotation needs 3 x 3 finite numbers, not {R.tolist()}")
     x, y, z = R.tolist()
     error = max(abs(_dot(x, x) - 1.0), abs(_dot(y, y) - 1.0), abs(_dot(z, z) - 1.0))

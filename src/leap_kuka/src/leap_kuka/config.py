@@ -16,6 +16,7 @@ from leap_kuka.hand_filter import FILTERS
 
 ABSOLUTE, RELATIVE = "absolute", "relative"
 NONE, DEVICE = "none", "device"
+SERVICE, REGION = "service", "region"  # how one hand chooses among several arms
 OPERATOR_INPUT = "operator_input"  # the parameters of operator_input_node, also under leap/
 SWITCHES = (NONE, "second_hand_fist", "second_hand_pinch", DEVICE)
 
@@ -62,6 +63,11 @@ class LeapConfig:
     )
     enabling: str = choice(*SWITCHES, absent=NONE, doc="what must be pressed for a hand to steer")
     clutch: str = choice(*SWITCHES, absent=NONE, doc="relative: what keeps the tool while the hand moves freely")
+    arm_choice: str = choice(
+        *(NONE, SERVICE, REGION),
+        absent=NONE,
+        doc="relative: whether one hand chooses which of several arms it steers, and how; the others hold their tools",
+    )
 
     def faults(self) -> list[str]:
         """Returns what is wrong with the combination of the values."""
@@ -70,6 +76,11 @@ class LeapConfig:
             faults.append(f"clutch is {self.clutch}, but needs the engagement relative.")
         elif self.clutch != NONE and not self.hold_time:
             faults.append(f"clutch is {self.clutch}, but needs a hold_time above 0 s, in which the tool stays.")
+        if self.arm_choice != NONE and not (self.engagement == RELATIVE and self.hold_time):
+            faults.append(
+                f"arm_choice is {self.arm_choice}, but needs the engagement relative and a hold_time above 0 s, in "
+                "which an arm that is not chosen holds its tool."
+            )
         if self.enabling != NONE and not (self.engagement == RELATIVE and self.hold_time):
             faults.append(
                 f"enabling is {self.enabling}, but needs the engagement relative and a hold_time above 0 s: otherwise "

@@ -10,6 +10,8 @@ second hand that enables: out of view or without confidence it has released. See
 opened hand that closes counts.
 second hand that clutches: out of view it stays as it was, so a clutched tool stays.
 
+Where one hand steers several arms, one that is not chosen (arm_choice.py) stays likewise.
+
 Times are seconds of a monotonic clock.
 """
 
@@ -143,7 +145,7 @@ class OperatorSwitches:
     """Both switches as the parameters leap/enabling and leap/clutch choose them.
 
     `device` takes the messages; after `update`, `enabled` and `clutched` hold, `lost` says why the engagement must end,
-    and `source` names what enables or clutches.
+    and `source` names what enables or clutches. `elsewhere` says why another arm is steered, or is None.
     """
 
     def __init__(self, leap: LeapConfig) -> None:
@@ -156,6 +158,7 @@ class OperatorSwitches:
         }
         self.enabled, self.clutched = leap.enabling == NONE, False
         self.lost: str | None = None
+        self.elsewhere = None if leap.arm_choice == NONE else "no arm is chosen yet"
         self.source = ""
 
     @property
@@ -186,6 +189,8 @@ class OperatorSwitches:
     @property
     def stop(self) -> str | None:
         """Why the hand must not steer now, or None."""
+        if self.elsewhere:
+            return self.elsewhere
         if self.clutched:
             return "the clutch is pressed"
         return None if self.enabled else "the enabling device is not pressed"

@@ -21,10 +21,10 @@ from leap_kuka.virtual_leap import attitude, heading
 
 START_SPEED_M_S = 0.3  # a faster palm passes through the box and starts no stream
 BOX, PITCH, ROLL, SLOW, CONFIDENCE = "in the box", "pitch level", "roll level", "slow", "confidence"
-CAME_IN, RELEASED, ENABLED, READY, RATE, REACH = (
-    *("came in", "clutch released", "enabled", "arm ready", "tracker fast enough", "within reach"),
+CAME_IN, RELEASED, ENABLED, READY, RATE, REACH, CHOSEN = (
+    *("came in", "clutch released", "enabled", "arm ready", "tracker fast enough", "within reach", "arm chosen"),
 )
-CONDITIONS = (BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, READY, REACH, ENABLED, RELEASED, RATE)
+CONDITIONS = (BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, READY, REACH, ENABLED, RELEASED, CHOSEN, RATE)
 """The conditions of a start, as the operator reads them."""
 OF_A_HAND = frozenset((BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, REACH))  # unmet without one
 

@@ -5,7 +5,8 @@ is missing, or the tracker is slower than MIN_RATE_HZ, the stream runs on and th
 the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the robot's
 base frame; metres and radians.
 
-Where leap/hand names a side, the other hands steer nothing; as second hand, which clutches or enables, they count.
+Where leap/hand names a side, the other hands steer nothing; as second hand, which clutches or enables, they count. Of
+several arms one may be chosen for any hand (arm_choice.py): the tools of the others stay, as with the clutch.
 
 While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py): as long as
 tracking frames come in and control of the arm is on.
@@ -36,6 +37,7 @@ from leap_kuka.relative import RelativeMotion, relative_motion, unscaled
 from leap_kuka.start_gate import (
     BOX,
     CAME_IN,
+    CHOSEN,
     ENABLED,
     OF_A_HAND,
     PITCH,
@@ -153,6 +155,7 @@ class ArmTeleop:
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
         self._R_level_home = arm.R_level_home if arm.use_home_pos else None
         self.box, self._side = interaction_box(leap, arm), leap.hand
+        self._own_side = leap.hand
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
@@ -221,6 +224,12 @@ class ArmTeleop:
                 f"the arm does not follow, its controller is in the mode {mode}" if on else "control of the arm is off"
             )
             self._end(end, now, keep=False)
+
+    def choose(self, elsewhere: str | None, any_hand: bool) -> None:
+        """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this one,
+        not only that of leap/hand.
+        """
+        self.switches.elsewhere, self._side = elsewhere, ANY if any_hand else self._own_side
 
     @property
     def frame_rate(self) -> float | None:
@@ -371,6 +380,8 @@ class ArmTeleop:
             found[CAME_IN] = "it was in the box already, or was found there; take it out of the box and back in"
         if switches.clutched or switches.lost:
             found[RELEASED] = switches.lost or switches.stop or ""
+        if switches.elsewhere:
+            found[CHOSEN] = switches.elsewhere
         if not switches.enabled:
             found[ENABLED] = "the enabling device is not pressed"
         if not held and now - self._tool_at <= self._pause:

@@ -54,6 +54,9 @@ class ObjectTrack:
     moved: float = 0.0  # horizontal distance from its first position
     tilt: float = 0.0  # angle between its vertical axis now and at first
     fell: bool = False  # whether it fell off the table
+    at: tuple[float, float] | None = None  # where it is now, x, y in the frame of its poses
+    # Of several arms, whose hands touch it off the table: each change with its time
+    held_by: list[tuple[float, tuple[str, ...]]] = field(default_factory=list)
     _first: np.ndarray | None = None
 
     @property
@@ -61,10 +64,21 @@ class ObjectTrack:
         """Whether it left the table and stands on it again, upright."""
         return self.lifted is not None and self.put_down is not None and self.tilt < UPRIGHT_RAD and not self.fell
 
-    def observe(self, T_world_object: np.ndarray, clearance: float, on_table: bool, held: bool, now: float) -> None:
+    def observe(
+        self,
+        T_world_object: np.ndarray,
+        clearance: float,
+        on_table: bool,
+        held: bool,
+        now: float,
+        hands: tuple[str, ...] = (),
+    ) -> None:
         """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
-        robot touch the object.
+        robot touch the object; `hands`: the arms, of several, whose hands do.
         """
+        self.at = float(T_world_object[0, 3]), float(T_world_object[1, 3])
+        if clearance > OFF_TABLE_M and hands and (not self.held_by or self.held_by[-1][1] != hands):
+            self.held_by.append((now, hands))
         if self._first is None:
             self._first = T_world_object
         self.highest = max(self.highest, clearance)
@@ -174,7 +188,10 @@ class Recorder:
         """Adds pose, clearance above the table [m] and contacts of an object of the simulated world."""
         bodies = set(touches)
         held = any({"reflex", "kuka"} & set(body.split("/")[:-1]) for body in bodies)  # behind an arm's prefix, too
-        self.objects.setdefault(name, ObjectTrack()).observe(T_world_object, clearance, "table" in bodies, held, now)
+        parts = [body.split("/") for body in bodies]
+        hands = tuple(sorted({of for of, *rest in parts if rest and rest[0] == "reflex"}))
+        track = self.objects.setdefault(name, ObjectTrack())
+        track.observe(T_world_object, clearance, "table" in bodies, held, now, hands)
 
     def hand(self, angles: np.ndarray) -> None:
         """Adds the four motor angles of the hand, shape (4,) [rad]."""

@@ -24,7 +24,7 @@ import hppfcl
 import numpy as np
 
 from iiwa_kinematics import Kinematics
-from iiwa_kinematics.chain import Vector, combination, cross, joint_frames, pose_of_axes
+from iiwa_kinematics.chain import Vector, cross, joint_frames, pose_of_axes
 from kuka_control.limits.speed_change import GuardError, approach_speed
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table, travel
@@ -177,7 +177,7 @@ class CollisionGuard:
         self.scale, self.nearest = 1.0, None
         end = self.margin + SOFT_M
         fastest = np.minimum(self._reach @ np.abs(wanted), self._levers @ posture.speeds(desired))
-        near = np.flatnonzero(self._low - (0.5 / APPROACH_M_S2) * fastest * fastest < end + LINEAR_M).tolist()
+        near = (self._low - (0.5 / APPROACH_M_S2) * fastest * fastest < end + LINEAR_M).nonzero()[0].tolist()
         rows = []
         for pair in near:
             most = _speed_at(self._distance(pair, posture) - end)
@@ -218,7 +218,7 @@ class CollisionGuard:
         `lengths`: how far each joint turns at most, 7 [rad]. All other pairs keep the margin.
         """
         posture, drop = self._moved_to(q), self._reach @ _finite(lengths)
-        pairs = np.flatnonzero(self._low - drop < self._bound).tolist()
+        pairs = (self._low - drop < self._bound).nonzero()[0].tolist()
         return [pair for pair in pairs if self._distance(pair, posture) - float(drop[pair]) < self._bound]
 
     @_guarding
@@ -437,16 +437,17 @@ class _Posture:
 
         `v`: joint velocities, 7 [rad/s].
         """
-        turn = p = before = (0.0, 0.0, 0.0)
-        twists = [(p, turn)]
-        for link, (axis, rate) in enumerate(zip(self.axes, v), 1):
+        px = py = pz = wx = wy = wz = 0.0
+        before = p = (0.0, 0.0, 0.0)
+        twists = [(p, p)]
+        for link, ((ax, ay, az), rate) in enumerate(zip(self.axes, v), 1):
             origin = self._frames[link][2]
             if link in (3, 5):  # at the elbow and at the wrist another rigid part begins
-                arm = origin[0] - before[0], origin[1] - before[1], origin[2] - before[2]
-                p = combination(1.0, p, 1.0, cross(turn, arm))
+                x, y, z = origin[0] - before[0], origin[1] - before[1], origin[2] - before[2]
+                p = px, py, pz = px + wy * z - wz * y, py + wz * x - wx * z, pz + wx * y - wy * x
             before = origin
-            turn = combination(1.0, turn, rate, axis)
-            twists.append((p, turn))
+            wx, wy, wz = wx + rate * ax, wy + rate * ay, wz + rate * az
+            twists.append((p, (wx, wy, wz)))
         return twists
 
     def matrix(self, link: int) -> np.ndarray:

@@ -72,14 +72,21 @@ class JointCheck:
             k = int(np.argmax(moved - self._speeds * age))
             deg = np.degrees((measured[k], last[k]))
             return f"joint {k + 1} is at {deg[0]:.2f} deg, at most {1e3 * age:.0f} ms after {deg[1]:.2f} deg"
+        newest = goals[-1][1]
+        if _beyond(measured, np.minimum(newest, last), np.maximum(newest, last)).max() <= BELIEVED_RAD:
+            return None  # as nearly always: it would also be within the range of all goals
         where = np.array([q for _, q in goals])
-        low, high = np.minimum(where.min(axis=0), last), np.maximum(where.max(axis=0), last)
-        off = np.maximum(low - measured, measured - high)
-        k = int(np.argmax(off))
-        if off[k] <= BELIEVED_RAD:
+        beyond = _beyond(measured, np.minimum(where.min(axis=0), last), np.maximum(where.max(axis=0), last))
+        k = int(np.argmax(beyond))
+        if beyond[k] <= BELIEVED_RAD:
             return None
-        deg = np.degrees((measured[k], last[k], where[-1, k]))
+        deg = np.degrees((measured[k], last[k], newest[k]))
         return f"joint {k + 1} is at {deg[0]:.2f} deg, from {deg[1]:.2f} deg on the way to {deg[2]:.2f} deg"
+
+
+def _beyond(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Returns how far each joint is beyond its range, shape (7,) [rad]; negative within it."""
+    return np.maximum(low - q, q - high)
 
 
 class TrackingMonitor:

@@ -1,4 +1,4 @@
-"""Whether the workspaces of arms that stand in one world keep apart.
+"""What keeps arms apart that stand in one world: their workspaces, and walls between them for the collision guard.
 
 A workspace is compared with its hollow filled, since the arm's own links pass there; filled it is convex. Positions in
 the frame `world` [m].
@@ -15,10 +15,15 @@ import numpy as np
 
 from common.arms import Arms
 from common.mounting import rotation_of_mounting
+from common.poses import inverse, pose, read_only
+from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.workspace import Workspace
 
 EXACT_M = 1e-6  # error of a distance, which is never too large [m]
 STEPS = 200  # of the search for the nearest points, which needs about ten
+LEAST_APART_M = 0.6  # of two bases: base and link 1, which the guard does not compare with obstacles, are 0.18 m wide
+WALL_M, WALL_EDGE_M = 0.04, 5.0  # thickness of the wall between two arms, and its edges, beyond which no arm reaches
+SIDE = "side of "  # how the names of the walls begin
 LEVEL_RAD = 0.01  # by so much the vertical of `rpy` and that of the parameter mounting may differ
 
 Support = Callable[[np.ndarray], np.ndarray]
@@ -45,6 +50,11 @@ def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Ma
     for other, placement in arms.placements.items():
         if other == name:
             continue
+        apart = float(np.linalg.norm(placement.position - own.position))
+        if apart < LEAST_APART_M:
+            faults.append(
+                f"The bases of {name} and {other} are {apart:.3f} m apart under arms/, but must be {LEAST_APART_M:g} m."
+            )
         nearest = nearest_points(
             filled(workspaces[name], own.T_world_base), filled(workspaces[other], placement.T_world_base)
         )
@@ -55,6 +65,27 @@ def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Ma
                 "outer_sphere_limit)."
             )
     return faults
+
+
+def walls(arms: Arms, name: str) -> tuple[ConvexBody, ...]:
+    """Returns the walls for the collision guard of the arm `name`, in its base: one halfway to each other arm.
+
+    Each arm keeps the guard's margin from its face of the wall, also in motions that leave the workspace. So no part of
+    one arm comes nearer to another arm than both margins and WALL_M, whatever either does. What a hand holds is no part
+    of the arm: it may reach through.
+    """
+    T_base_world = inverse(arms.placements[name].T_world_base)
+    here = arms.placements[name].position
+    found = []
+    for other, placement in arms.placements.items():
+        if other != name:
+            x = (placement.position - here) / np.linalg.norm(placement.position - here)
+            y = np.cross([0.0, 0.0, 1.0] if abs(x[2]) < 0.9 else [1.0, 0.0, 0.0], x)
+            y /= np.linalg.norm(y)
+            T_world_wall = pose(np.column_stack([x, y, np.cross(x, y)]), (here + placement.position) / 2.0)
+            shape = ConvexShape("box", (WALL_M, WALL_EDGE_M, WALL_EDGE_M))
+            found.append(ConvexBody(f"{SIDE}{other}", 0, shape, read_only(T_base_world @ T_world_wall)))
+    return tuple(found)
 
 
 def filled(workspace: Workspace, T_world_base: np.ndarray) -> Support:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import rospy
 
@@ -9,13 +11,21 @@ from common.arms import arms_from
 from common.errors import ConfigError
 from common.frames import ArmFrames
 from common.ros.params import wait_for_config
-from kuka_control.model.arms import placement_faults
+from kuka_control.model.arms import placement_faults, walls
 from kuka_control.model.config import ControllerConfig, neighbours
+from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import workspace_of
 
 
-def placed_beside_others(config: ControllerConfig, frames: ArmFrames, patience: float) -> np.ndarray | None:
-    """Returns where this arm's base is in world, shape (4, 4) [m]; None for an only arm, without the parameter `arms`.
+class PlaceBesideOthers(NamedTuple):
+    """Where an arm stands."""
+
+    T_world_base: np.ndarray  # shape (4, 4) [m]
+    walls: tuple[ConvexBody, ...]  # between it and the others, for the collision guard
+
+
+def placed_beside_others(config: ControllerConfig, frames: ArmFrames, patience: float) -> PlaceBesideOthers | None:
+    """Returns where this arm stands beside others; None for an only arm, without the parameter `arms`.
 
     Waits for the parameters of the others, from the first of an arm on for `patience` [s].
 
@@ -40,4 +50,4 @@ def placed_beside_others(config: ControllerConfig, frames: ArmFrames, patience: 
     faults = placement_faults(arms, own, config.mounting, workspaces)
     if faults:
         raise ConfigError(faults)
-    return arms.placements[own].T_world_base
+    return PlaceBesideOthers(arms.placements[own].T_world_base, walls(arms, own))

@@ -168,15 +168,19 @@ def _run(
             raise ConfigError([LIFT_REFUSED.format(ip=config.ip)])
         rospy.logwarn(LIFTED)
     rig = Rig.of(config, dh_deviations(config), guard_obstacles(config), options.lift_workspace)
-    T_world_base = placed_beside_others(config, frames, PARAMETERS_S)
-    if options.lift_workspace and T_world_base is not None:
-        raise ConfigError([LIFT_BESIDE])
+    placed = placed_beside_others(config, frames, PARAMETERS_S)
+    if placed is not None:
+        if options.lift_workspace:
+            raise ConfigError([LIFT_BESIDE])
+        rig = replace(rig, obstacles=(*(rig.obstacles or ()), *placed.walls))
     link = RobotLink(config, rig)
     try:
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
-        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin(T_world_base)
+        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin(
+            None if placed is None else placed.T_world_base
+        )
     finally:
         link.close()
         rospy.loginfo("The connection to the robot is closed.")

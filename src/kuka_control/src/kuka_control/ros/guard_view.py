@@ -22,6 +22,7 @@ from common.ros.conversions import message_from_pose
 from common.ros.node import repeat, while_running
 from kuka_control.limits.speed_change import GuardError
 from kuka_control.loop.algorithms import collision_guard
+from kuka_control.model.arms import SIDE
 from kuka_control.model.config import ControllerConfig
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
@@ -144,7 +145,8 @@ class GuardView:
         markers = [line, text]
         if self._count % BODIES_EVERY == 0:
             for number, (body, T) in enumerate(self._guard.placed(joints.tolist())):
-                if body.name != TABLE:  # the robot's description shows it
+                # The robot's description shows the table, and walls between arms would hide both.
+                if body.name != TABLE and not body.name.startswith(SIDE):
                     markers += _body(header, number, body, T)
         self._count += 1
         return markers

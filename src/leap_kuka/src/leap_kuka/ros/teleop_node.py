@@ -12,7 +12,7 @@ import time
 import numpy as np
 import rospy
 from geometry_msgs.msg import Transform, TransformStamped
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
 from common.config import required
@@ -22,7 +22,9 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
+from leap_kuka.arm_choice import BOTH, elsewhere
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
+from leap_kuka.ros.arm_choice_node import CHOSEN_ARM
 from leap_kuka.ros.hand_to_arm import DelayMonitor
 from leap_kuka.ros.measured_tool import MeasuredTool
 from leap_kuka.ros.reach import ReachCheck
@@ -69,6 +71,9 @@ class ArmTeleopNode:
         operator_input = f"{of}leap_kuka/operator_input"
         rospy.Subscriber(operator_input, OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)
         rospy.Service(f"{of}leap_kuka/hold_tool", HoldTool, self._on_hold_request)
+        if teleop.switches.elsewhere:  # the topic is that of all arms
+            self._arm = frames.tf_prefix
+            rospy.Subscriber(CHOSEN_ARM, String, self._on_choice, queue_size=10, tcp_nodelay=True)
         Diagnostics("leap_kuka", self._diagnostics, of)
         subscribe(self._on_frame, ReceivedPalms)
 
@@ -112,6 +117,10 @@ class ArmTeleopNode:
         if refused and not self._bad_input:
             rospy.logwarn("The operator input is refused: %s.", refused)
         self._bad_input = refused or ""
+
+    def _on_choice(self, message: String) -> None:
+        with self._lock:
+            self._teleop.choose(elsewhere(message.data, self._arm), message.data != BOTH)
 
     def _on_hold_request(self, request: HoldToolRequest) -> tuple[bool, str]:
         answer = self._hold(request)

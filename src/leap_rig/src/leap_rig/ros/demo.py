@@ -43,12 +43,22 @@ TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
 EXIT_TIMEOUT_S = 60.0
 LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
-SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups")
+SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups", "hand_over")
+OF_ONE_ARM = {
+    "tracker": "leap", "world": "true", "recording": "", "offset": "0 0 0", "rounds": "1", "mounting": "",
+    "dh_parameters": "", "guard_obstacles": "", "hand_args": "", "camera_device": "0", "video": "", "language": "",
+    "camera_fault": "", "camera_rate": "3.0", "camera_control_port": "30031", "web_host": "127.0.0.1",
+    "web_port": "8443",
+    **dict.fromkeys(
+        ("grasping", "camera", "operator_input", "marker_ring", "lift_workspace", "sounds", "tutorial"), "false"
+    ),
+}  # fmt: skip
+"""What demo.launch takes for one arm only, and the only value that it may have with robots:=2."""
 TRACKERS = ("leap", "webcam", "headset")
 SCENE, YAML, VIDEO = "scene", ".yaml", "video"
 ONE_ARM, TWO_ARMS = ("",), ("left", "right")
 """The namespaces of the arms; an only arm has none."""
-OF_TWO_ARMS = ("two_cups",)
+OF_TWO_ARMS = ("two_cups", "hand_over")
 """Scenarios for robots:=2; the others are for one arm."""
 
 
@@ -130,10 +140,9 @@ def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
         return [f"the scenario {scenario} needs two arms: robots:=2"] if scenario in OF_TWO_ARMS else []
     if scenario and scenario not in OF_TWO_ARMS:
         return [f"the scenario {scenario} is for one arm; for two arms there is {' and '.join(OF_TWO_ARMS)}"]
-    needed = {"tracker": "leap", "world": "true", "recording": "", "grasping": "false", "tutorial": "false"}
     return [
         f"robots:=2 does not go with {name}:={given[name]}"
-        for name, value in needed.items()
+        for name, value in OF_ONE_ARM.items()
         if given.get(name, value).lower() != value
     ]
 

@@ -8,7 +8,8 @@ from common.config import choice, flag, integer, names, number, text
 
 LOOPBACK = "127.0.0.1"
 PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS = "pick_cup", "assisted_grasp", "wall", "clutch", "two_hands"
-TWO_CUPS = "two_cups"
+TWO_CUPS, HAND_OVER = "two_cups", "hand_over"
+OF_SEVERAL_ARMS = ("", TWO_CUPS, HAND_OVER)
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,7 @@ class OperatorConfig:
     )
     world_port: int = integer(low=1, high=65535, doc="control port of the simulated world, for scenarios", absent=30021)
     scenario: str = choice(
-        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS, TWO_CUPS),
+        *("", PICK_CUP, ASSISTED_GRASP, WALL, BY_CLUTCH, TWO_HANDS, TWO_CUPS, HAND_OVER),
         doc="what the hand does; empty: what the simulated Leap service plays",
         absent="",
     )
@@ -111,8 +112,10 @@ class OperatorConfig:
 
     def faults(self) -> list[str]:
         """Returns faults of several keys together."""
-        if self.arms and self.scenario not in ("", TWO_CUPS):
+        if self.arms and self.scenario not in OF_SEVERAL_ARMS:
             return [f"scenario is {self.scenario}, which is for one arm, but arms are {', '.join(self.arms)}."]
-        if self.scenario == TWO_CUPS and not self.arms:
+        if self.scenario in (TWO_CUPS, HAND_OVER) and not self.arms:
             return [f"scenario is {self.scenario}, which is for several arms, but arms names none."]
+        if self.scenario == HAND_OVER and len(self.arms) != 2:
+            return [f"scenario is {self.scenario}, which is for two arms, but arms are {', '.join(self.arms)}."]
         return []

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_simulation.operator.pick_and_place import Move, PickStep
+from rig_simulation.operator.pick_and_place import PickStep
+from rig_simulation.operator.steering import Move
 
 STROKES, REACH_M = 3, 0.08  # as far as the hand moves comfortably
 MOVE_S, SETTLE_S, PATIENCE_S = 1.5, 0.8, 20.0

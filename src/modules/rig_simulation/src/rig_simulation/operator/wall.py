@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rig_simulation.operator.pick_and_place import Move, PickStep
+from rig_simulation.operator.pick_and_place import PickStep
+from rig_simulation.operator.steering import Move
 
 MOVES = (
     ("against the wall", (0.30, 0.0, 0.0), 0.0, 4.0),

@@ -23,12 +23,14 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import (
     ASSISTED_GRASP,
     BY_CLUTCH,
+    HAND_OVER,
     LOOPBACK,
     TWO_CUPS,
     TWO_HANDS,
     WALL,
     OperatorConfig,
 )
+from rig_simulation.ros.hand_over import HandOverScenario
 from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
@@ -63,6 +65,8 @@ class Operator:
             ClutchScenario(name, name == TWO_HANDS, self._leapd, world).run()
         elif name == TWO_CUPS:
             self._pick_with_all(name)
+        elif name == HAND_OVER:
+            HandOverScenario(name, self._leapd, world, self._config.arms).run()
         elif name:
             PickScenario(name, "cup", self._leapd, world).run()
         rospy.spin()

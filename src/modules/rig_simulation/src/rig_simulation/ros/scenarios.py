@@ -1,8 +1,6 @@
 """The scenarios of the simulated operator on the running rig: its observations, actions and progress.
 
-Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
-are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
-Of several arms each has its own, in its namespace.
+How the progress is told: seen_arm.py. Of several arms each has its own, in its namespace.
 assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
 """
 
@@ -13,17 +11,13 @@ import time
 
 import numpy as np
 import rospy
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import PoseStamped
-from std_msgs.msg import String
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool, Trigger
 
 from common.arms import arms_from
-from common.config import parse
 from common.errors import RigError
-from common.mounting import ToolConfig
 from common.poses import inverse
-from common.ros.conversions import array, pose_from_message
+from common.ros.conversions import array
 from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_from_quaternion
 from grasp_msgs.msg import GraspList, GraspOutcome
@@ -34,13 +28,11 @@ from rig_simulation.operator.clutching import Clutching
 from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, heading, turn_to
 from rig_simulation.operator.visits import Visits
 from rig_simulation.operator.wall import WallView, WallVisit
+from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
-GRIP_OFFSET = (-0.0152, 0.0, 0.0)
-"""From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
-there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
-AT_HOME, FOLLOWING = "home", "servo"
+AT_HOME = "home"
 ENTRY_M, ENTRY_S = 0.25, 1.0  # the hand enters so far in front of the workspace's centre, and needs so long to it
 AWAY_S = 2.0  # the hand is out of view before it comes in again
 FRESH_S = 2.0  # proposals of an older image are ignored
@@ -58,32 +50,20 @@ class Scenario(abc.ABC):
     """
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arm: str = "") -> None:
-        self._name, self._leapd, self._world = name, leapd, world
-        self._side, of = ({"side": arm}, f"{arm}/") if arm else ({}, "")
-        kuka = rospy.get_param(f"{of}kuka")
-        if any(kuka.get("mounting", [0.0])):
-            raise RigError(f"The scenario {name} needs an upright arm; kuka/mounting is {kuka['mounting']}.")
-        self._T_flange_tool = parse(ToolConfig, kuka, f"{of}kuka/", others=kuka).T_flange_tool
+        self._leapd, self._world = leapd, world
+        self._side = {"side": arm} if arm else {}
+        self._arm = SeenArm(name, arm)
         arms = arms_from(rospy.get_param("arms"), "arms/") if arm else None
         self._T_base_world = np.eye(4) if arms is None else inverse(arms.placements[arm].T_world_base)
-        self._center_line = np.asarray(kuka["center_line"], dtype=float)
         self._shapes = scene_from(world.ask("scene")["scene"]).objects
-        # Orientation of the tool and its gripping point in the base; None before the first message
-        self._R: np.ndarray | None = None
-        self._grip: np.ndarray | None = None
-        self._mode = ""
         self._visits = Visits()
-        self._published: dict[str, str] = {}
-        self._publisher = rospy.Publisher(f"{of}simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
-        rospy.Subscriber(f"{of}simulation/flange", PoseStamped, self._take_flange, queue_size=1)
-        rospy.Subscriber(f"{of}kuka/mode", String, self._take_mode, queue_size=10)
 
     def run(self) -> None:
         """Runs until the scenario is over or ROS shuts down, then takes the hand away; DeviceError if devices fail."""
         self._start()
         while not rospy.is_shutdown():
             time.sleep(PERIOD_S)
-            if self._grip is None:
+            if self._arm.grip is None:
                 continue
             result = self._step(time.monotonic())
             if result.move is not None:
@@ -101,7 +81,7 @@ class Scenario(abc.ABC):
 
     def _starts_over(self, now: float) -> bool:
         """Takes the hand away and starts over if the arm does not follow; returns whether that happened."""
-        if not self._visits.over(self._mode == FOLLOWING, now):
+        if not self._visits.over(self._arm.following, now):
             return False
         rospy.logwarn("The arm does not follow: the hand leaves the view, comes in again, and starts over.")
         self._leapd.ask(assisted.HIDE, **self._side)
@@ -118,19 +98,7 @@ class Scenario(abc.ABC):
         """Advances the operator."""
 
     def _publish(self, result: PickStep, **more: str) -> None:
-        step, failure = result.step, result.failure
-        values = {"scenario": self._name, "step": step, "failure": failure, **more}
-        if values == self._published:
-            return
-        if failure:
-            rospy.logerr("The scenario %s failed: %s.", self._name, failure)
-        elif step != self._published.get("step"):
-            rospy.loginfo("Scenario %s: %s", self._name, step)
-        self._published = values
-        level = DiagnosticStatus.ERROR if failure else DiagnosticStatus.OK
-        status = DiagnosticStatus(level=level, name="scenario", message=failure or step)
-        status.values = [KeyValue(key, value) for key, value in values.items()]
-        self._publisher.publish(status)
+        self._arm.tell(result.step, result.failure, **more)
 
     def _objects(self) -> dict[str, dict]:
         """Returns the states of the objects, with `top`, the centre of the upper side in the base, shape (3,) [m]."""
@@ -139,15 +107,6 @@ class Scenario(abc.ABC):
             top = np.add(seen["position"], (0.0, 0.0, self._shapes[name].height / 2.0))
             seen["top"] = self._T_base_world[:3, :3] @ top + self._T_base_world[:3, 3]
         return found
-
-    def _take_flange(self, message: PoseStamped) -> None:
-        T_base_flange = pose_from_message(message.pose)
-        T_base_tool = T_base_flange @ self._T_flange_tool
-        self._R = T_base_tool[:3, :3]
-        self._grip = T_base_tool[:3, 3] + T_base_flange[:3, :3] @ GRIP_OFFSET
-
-    def _take_mode(self, message: String) -> None:
-        self._mode = message.data
 
 
 class PickScenario(Scenario):
@@ -164,13 +123,13 @@ class PickScenario(Scenario):
 
     def _start(self) -> None:
         self._show_hand()
-        self._operator = PickAndPlace(Plan(), self._center_line)
+        self._operator = PickAndPlace(Plan(), self._arm.center_line)
 
     def _step(self, now: float) -> PickStep:
         if self._starts_over(now):
             return PickStep("wait")
         seen = self._objects()[self._thing]
-        return self._operator.step(PickView(self._grip, seen["top"], seen["clearance"], self._mode == FOLLOWING), now)
+        return self._operator.step(PickView(self._arm.grip, seen["top"], seen["clearance"], self._arm.following), now)
 
     def _publish(self, result: PickStep, **more: str) -> None:
         super()._publish(result, **self._named, **more)
@@ -192,7 +151,7 @@ class WallScenario(Scenario):
         guard = self._guard
         if guard is None or not guard.on or self._starts_over(now):
             return PickStep("wait")
-        view = WallView(self._grip, self._mode == FOLLOWING, guard.distance, guard.margin, guard.scale)
+        view = WallView(self._arm.grip, self._arm.following, guard.distance, guard.margin, guard.scale)
         return self._operator.step(view, now)
 
     def _publish(self, result: PickStep, **more: str) -> None:
@@ -223,7 +182,7 @@ class ClutchScenario(Scenario):
     def _step(self, now: float) -> PickStep:
         if self._starts_over(now):
             return PickStep("wait")
-        result = self._operator.step(self._grip, self._state, self._mode == FOLLOWING, now)
+        result = self._operator.step(self._arm.grip, self._state, self._arm.following, now)
         if result.clutch is not None:
             self._clutch(result.clutch)
         return result
@@ -252,7 +211,9 @@ class AssistedScenario(Scenario):
 
     def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
         super().__init__(name, leapd, world)
-        self._operator = assisted.AssistedGrasp(assisted.OperatorHabits(rounds), Plan(hold=HOLD_S), self._center_line)
+        self._operator = assisted.AssistedGrasp(
+            assisted.OperatorHabits(rounds), Plan(hold=HOLD_S), self._arm.center_line
+        )
         self._streams = False
         self._grasps: GraspList | None = None
         self._execution: dict[str, str] = {}
@@ -290,17 +251,17 @@ class AssistedScenario(Scenario):
         super()._publish(result, **(round_values(result.round) if isinstance(result, assisted.AssistedStep) else more))
 
     def _view(self) -> assisted.AssistedView:
-        fingers = heading(self._R)
+        fingers = heading(self._arm.R)
         objects = {}
         for name, seen in self._objects().items():
             turn = turn_to(self._shapes[name], rotation_from_quaternion(seen["quaternion"]), fingers)
             objects[name] = assisted.ObservedObject(seen["top"], seen["clearance"], turn)
         proposal, complaint = self._best()
         return assisted.AssistedView(
-            grip=self._grip,
+            grip=self._arm.grip,
             heading=fingers,
-            following=self._streams and self._mode == FOLLOWING,
-            at_home=self._mode == AT_HOME,
+            following=self._streams and self._arm.following,
+            at_home=self._arm.mode == AT_HOME,
             objects=objects,
             proposal=proposal,
             complaint=complaint,

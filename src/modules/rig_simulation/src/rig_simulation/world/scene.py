@@ -79,7 +79,7 @@ class Cup(SceneObject):
 class Cuboid(SceneObject):
     """A solid box."""
 
-    size: np.ndarray = vector(3, "m", above=0.005, high=0.5, doc="edges")
+    size: np.ndarray = vector(3, "m", above=0.005, high=0.8, doc="edges")
 
     @property
     def height(self) -> float:

@@ -1,0 +1,235 @@
+"""The operator hands a long box from one arm to the other: each hand of the operator steers one arm.
+
+The giver takes the box at one end, lifts it and brings it between the arms; the taker takes the other end, the giver
+lets go, and the taker puts the box down on its own side. So the robot hands stay as far apart as the two ends.
+Positions in metres in `world`, times in seconds.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig_simulation.operator.pick_and_place import Plan, heading, turn_to
+from rig_simulation.operator.steering import UP, Move, SteeringHand
+from rig_simulation.world.scene import Cuboid
+
+GIVER, TAKER, BOTH = "giver", "taker", "both"
+STEPS = {
+    "wait": BOTH,
+    "above": GIVER,
+    "down": GIVER,
+    "close": GIVER,
+    "lift": GIVER,
+    "bring": GIVER,
+    "reach": TAKER,
+    "approach": TAKER,
+    "take": TAKER,
+    "let go": GIVER,
+    "part": GIVER,
+    "carry": TAKER,
+    "lower": TAKER,
+    "open": TAKER,
+    "away": TAKER,
+    "done": BOTH,
+}
+"""The steps in their order, and whose hand moves."""
+UP_IN_THE_AIR = ("bring", "reach", "approach", "take", "let go", "part", "carry", "lower")  # the box is held
+HELD_M = 0.02  # a box whose lowest point is lower above the table is not held
+
+
+@dataclass(frozen=True)
+class HandOverPlan(Plan):
+    """Parameters of the work."""
+
+    lift: float = 0.15  # how high the box is lifted [m]
+    grasp_height: float = 0.035  # of the grip above the box's top: the palm is 2 cm above it [m]
+    from_end: float = 0.075  # of the gripping point from the end of the box [m]
+
+
+@dataclass(frozen=True)
+class LongBox:
+    """A box that lies on a side, and where it is taken: at both ends of its longest edge."""
+
+    shape: Cuboid
+    from_end: float  # of the gripping points from the ends [m]
+
+    @property
+    def axis(self) -> np.ndarray:
+        """Direction of the longest edge in the box, shape (3,)."""
+        return np.eye(3)[int(np.argmax(self.shape.size))]
+
+    def top(self, T_world_box: np.ndarray, sign: float) -> np.ndarray:
+        """Returns the point on the upper side where an end is taken, shape (3,) [m]; `sign`: of the end."""
+        at = sign * (float(np.max(self.shape.size)) / 2.0 - self.from_end) * self.axis
+        return T_world_box[:3, 3] + T_world_box[:3, :3] @ (at + self.shape.height / 2.0 * UP)
+
+    def lowest(self, T_world_box: np.ndarray) -> float:
+        """Returns the height of the lowest corner [m]."""
+        corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * self.shape.size
+        return float(np.min(corners @ T_world_box[2, :3]) + T_world_box[2, 3])
+
+
+@dataclass(frozen=True)
+class HandOverView:
+    """The operator's observation; mappings by GIVER and TAKER."""
+
+    grips: Mapping[str, np.ndarray]  # gripping points of the tools, shape (3,) [m]
+    turns: Mapping[str, float]  # of the tools, after which the fingers fit the box, anticlockwise from above [rad]
+    T_world_box: np.ndarray  # shape (4, 4) [m]
+    clearance: float  # height of the lowest point of the box above the table [m]
+    following: bool = True  # whether both arms follow their hands
+
+
+@dataclass(frozen=True)
+class HandOverStep:
+    """Result of a cycle: the name of the step, whose hand moves how, and why the operator gave up."""
+
+    step: str
+    who: str = ""
+    move: Move | None = None
+    failure: str = ""
+
+    @property
+    def over(self) -> bool:
+        """Whether the work is over."""
+        return self.step == "done" or bool(self.failure)
+
+
+@dataclass(frozen=True)
+class Roles:
+    """Which arm gives, which one takes, and where: horizontal positions of the middle of the box, shape (2,) [m]."""
+
+    giver: str
+    taker: str
+    end: float  # sign of the end that the giver takes
+    meeting: np.ndarray
+    place: np.ndarray
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The arms by GIVER and TAKER."""
+        return {GIVER: self.giver, TAKER: self.taker}
+
+
+def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray]) -> Roles:
+    """Returns who gives: the arm that is nearer to the box. They meet in the middle, and the box ends where its mirror
+    image stands.
+
+    `bases`: positions of the bases of two arms, shape (3,) [m]; ValueError if they stand above each other.
+    """
+    middle = T_world_box[:2, 3]
+    giver, taker = sorted(bases, key=lambda name: float(np.linalg.norm(bases[name][:2] - middle)))
+    across = bases[taker][:2] - bases[giver][:2]
+    length = float(np.linalg.norm(across))
+    if length < 0.1:
+        raise ValueError(f"The bases of {giver} and {taker} are {length:.2f} m apart, seen from above.")
+    across = across / length
+    beside = float((middle - (bases[giver][:2] + bases[taker][:2]) / 2.0) @ across) * across
+    axis = T_world_box[:2, :3] @ LongBox(shape, 0.0).axis
+    return Roles(giver, taker, -1.0 if axis @ across > 0.0 else 1.0, middle - beside, middle - 2.0 * beside)
+
+
+def turns_of(shape: Cuboid, T_world_box: np.ndarray, tools: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Returns the turns of HandOverView for the tools' orientations in world, shape (3, 3) each."""
+    return {who: turn_to(shape, T_world_box[:3, :3], heading(R)) for who, R in tools.items()}
+
+
+class HandOver:
+    """The operator at work; call `step` about ten times a second.
+
+    Args:
+        forward: by GIVER and TAKER, in which direction that hand points when it comes in, shape (3,), z = 0.
+        shape: of the box.
+        roles: who gives and where.
+    """
+
+    def __init__(self, plan: HandOverPlan, forward: Mapping[str, np.ndarray], shape: Cuboid, roles: Roles) -> None:
+        self._plan, self._box = plan, LongBox(shape, plan.from_end)
+        self._hands = {who: SteeringHand(plan, forward[who]) for who in (GIVER, TAKER)}
+        self._ends = {GIVER: roles.end, TAKER: -roles.end}
+        self._meeting, self._place = (np.array([*at, 0.0]) for at in (roles.meeting, roles.place))
+        self._names = list(STEPS)
+        self._step = 0
+        self._since: float | None = None
+        self._target: np.ndarray | None = None
+
+    @property
+    def began(self) -> bool:
+        """Whether the fingers have been moved: a hand that leaves now drops the box."""
+        return self._step >= self._names.index("close")
+
+    def step(self, view: HandOverView, now: float) -> HandOverStep:
+        """Takes an observation at the time `now` [s]; returns what to do."""
+        name = self._names[self._step]
+        for who, hand in self._hands.items():
+            hand.see(view.grips[who], now)
+        if name == "done":
+            return HandOverStep(name)
+        self._since = now if self._since is None else self._since
+        if name in UP_IN_THE_AIR[:-1] and view.clearance < HELD_M:
+            return HandOverStep(name, failure=f"the box fell (step {name!r})")
+        if now - self._since > self._plan.patience:
+            return HandOverStep(name, failure=self._complaint(name, view))
+        who = STEPS[name]
+        moving = [self._hands[who]] if who != BOTH else list(self._hands.values())
+        if not view.following or not all(hand.ready(now) for hand in moving):
+            return HandOverStep(name)
+        if self._target is not None:
+            error, turn = self._target - view.grips[who], self._turn(name, who, view)
+            if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
+                return HandOverStep(name, who, self._hands[who].shift(error, now, turn))
+        if name == "lift" and view.clearance < HELD_M:
+            return HandOverStep(name, failure="the box was not lifted")
+        self._step += 1
+        self._since, self._target = now, None
+        return self._begin(self._names[self._step], view, now)
+
+    def _begin(self, name: str, view: HandOverView, now: float) -> HandOverStep:
+        who = STEPS[name]
+        if who == BOTH:
+            return HandOverStep(name)
+        hand = self._hands[who]
+        if name in ("close", "take"):
+            return HandOverStep(name, who, hand.close(now))
+        if name in ("let go", "open"):
+            return HandOverStep(name, who, hand.open(now))
+        self._target = self._target_of(name, who, view)
+        move = hand.shift(self._target - view.grips[who], now, self._turn(name, who, view))
+        return HandOverStep(name, who, move)
+
+    def _target_of(self, name: str, who: str, view: HandOverView) -> np.ndarray:
+        """Returns where the gripping point is to be, shape (3,) [m]."""
+        plan, grip, T = self._plan, view.grips[who], view.T_world_box
+        top = self._box.top(T, self._ends[who])
+        level = np.array([1.0, 1.0, 0.0])
+        if name in ("above", "reach"):
+            return top + plan.clearance * UP
+        if name in ("down", "approach"):
+            return top + plan.grasp_height * UP
+        if name == "lift":
+            return grip + plan.lift * UP
+        if name in ("part", "away"):
+            return grip + plan.clearance * UP
+        if name == "lower":  # until this end lies: the other one hangs lower
+            table = self._box.lowest(T) - view.clearance
+            return grip - (top[2] - self._box.shape.height - table) * UP
+        return grip + level * ((self._meeting if name == "bring" else self._place) - T[:3, 3])
+
+    def _turn(self, name: str, who: str, view: HandOverView) -> float:
+        """Returns the remaining turn [rad]: only before the box is taken, and no further than the arm follows."""
+        if name not in ("above", "reach"):
+            return 0.0
+        most, yaw = self._plan.most_turn, self._hands[who].yaw
+        return float(np.clip(view.turns[who], yaw - most, yaw + most))
+
+    def _complaint(self, name: str, view: HandOverView) -> str:
+        if not view.following:
+            return f"the arms did not follow within {self._plan.patience:g} s (step {name!r})"
+        if self._target is not None:
+            off = 1e3 * np.linalg.norm(self._target - view.grips[STEPS[name]])
+            return f"the {STEPS[name]}'s tool stayed {off:.0f} mm off the target of step {name!r}"
+        return f"step {name!r} took longer than {self._plan.patience:g} s"

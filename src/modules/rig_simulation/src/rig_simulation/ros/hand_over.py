@@ -1,0 +1,108 @@
+"""The scenario hand_over on the running rig: both hands of the simulated operator, both arms, and one long box."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import rospy
+
+from common.arms import arms_from
+from common.errors import RigError
+from common.poses import pose
+from common.rotations import rotation_from_quaternion
+from rig_simulation.control_port import ControlClient
+from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles, turns_of
+from rig_simulation.operator.visits import Visits
+from rig_simulation.ros.seen_arm import SeenArm
+from rig_simulation.world.scene import Cuboid, scene_from
+
+PERIOD_S = 0.1
+ENTRY_M, ENTRY_S = 0.25, 1.0  # a hand enters so far in front of its workspace's centre, and needs so long to it
+AWAY_S = 2.0  # a hand is out of view before it comes in again
+THING = "box"
+
+
+class HandOverScenario:
+    """Hands the object `box` from the arm that is nearer to it to the other one.
+
+    The progress of each arm names the `thing`, the `giver` and the `taker`. `leapd` and `world` are control ports, as
+    for a Scenario; `arms`: two namespaces.
+    """
+
+    def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arms: Sequence[str]) -> None:
+        self._leapd, self._world = leapd, world
+        shape = scene_from(world.ask("scene")["scene"]).objects.get(THING)
+        if not isinstance(shape, Cuboid):
+            raise RigError(f"The scenario {name} needs an object {THING!r} of the kind box in its scene.")
+        self._shape = shape
+        self._arms = {arm: SeenArm(name, arm) for arm in arms}
+        self._T_world_base = {
+            arm: place.T_world_base for arm, place in arms_from(rospy.get_param("arms"), "arms/").placements.items()
+        }
+        self._roles = roles(shape, self._box()[0], {arm: self._T_world_base[arm][:3, 3] for arm in arms})
+        self._visits = {arm: Visits() for arm in arms}
+
+    def run(self) -> None:
+        """Runs until the work is over or ROS shuts down, then takes the hands away; DeviceError if devices fail."""
+        self._start()
+        while not rospy.is_shutdown():
+            time.sleep(PERIOD_S)
+            if any(arm.grip is None for arm in self._arms.values()):
+                continue
+            now = time.monotonic()
+            result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(self._view(), now)
+            if result.move is not None:
+                self._leapd.ask("reach", side=self._roles.names[result.who], **result.move.fields)
+            self._tell(result)
+            if result.over:
+                break
+        for arm in self._arms:
+            self._leapd.ask("hide", side=arm)
+
+    def _start(self) -> None:
+        forward = {
+            who: self._T_world_base[arm][:3, :3] @ self._arms[arm].center_line for who, arm in self._roles.names.items()
+        }
+        self._operator = HandOver(HandOverPlan(), forward, self._shape, self._roles)
+        for arm in self._arms:
+            self._show(arm)
+
+    def _show(self, arm: str) -> None:
+        """Brings a hand into its interaction box."""
+        self._leapd.ask("show", back=ENTRY_M, side=arm)
+        self._leapd.ask("reach", seconds=ENTRY_S, side=arm)
+        self._visits[arm].enter(time.monotonic())
+
+    def _starts_over(self, now: float) -> bool:
+        """Takes both hands away and starts over if an arm does not follow and holds nothing; returns whether."""
+        over = [self._visits[name].over(arm.following, now) for name, arm in self._arms.items()]
+        if self._operator.began or not any(over):
+            return False
+        rospy.logwarn("An arm does not follow: the hands leave the view, come in again, and start over.")
+        for arm in self._arms:
+            self._leapd.ask("hide", side=arm)
+        time.sleep(AWAY_S)
+        self._start()
+        return True
+
+    def _box(self) -> tuple[np.ndarray, float]:
+        """Returns the pose of the box in world, shape (4, 4) [m], and its clearance above the table [m]."""
+        seen = self._world.ask("objects")["objects"][THING]
+        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"]
+
+    def _view(self) -> HandOverView:
+        T_world_box, clearance = self._box()
+        grips, tools = {}, {}
+        for who, name in self._roles.names.items():
+            T, arm = self._T_world_base[name], self._arms[name]
+            grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
+        following = all(arm.following for arm in self._arms.values())
+        turns = turns_of(self._shape, T_world_box, tools)
+        return HandOverView(grips, turns, T_world_box, clearance, following)
+
+    def _tell(self, result: HandOverStep) -> None:
+        """Publishes the step for both arms."""
+        for arm in self._arms.values():
+            arm.tell(result.step, result.failure, thing=THING, **self._roles.names)

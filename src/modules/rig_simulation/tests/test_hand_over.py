@@ -1,0 +1,146 @@
+"""The person who hands a box over, against two arms that follow the palms with a lag and a wrong scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from following_rig import PERIOD_S
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+
+from common.poses import pose
+from common.rotations import rotation_about
+from rig_simulation.files import read_scene
+from rig_simulation.operator.hand_over import (
+    GIVER,
+    STEPS,
+    TAKER,
+    HandOver,
+    HandOverPlan,
+    HandOverView,
+    LongBox,
+    roles,
+    turns_of,
+)
+from rig_simulation.world.scene import scene_from
+
+PLAN = HandOverPlan()
+BOX = scene_from(read_scene("hand_over")).objects["box"]
+BASES = {"left": np.array([0.0, 0.45, 0.0]), "right": np.array([0.0, -0.45, 0.0])}
+AHEAD = np.array([1.0, 0.0, 0.0])
+R_WORLD_LEAP = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+TABLE = 0.08
+
+
+class TwoFollowingArms:
+    """Two arms, and a box that moves with whatever closed fingers are at one of its ends."""
+
+    def __init__(self, scale, lag, x, y, yaw):
+        self.tools = {arm: base + np.array([0.6, 0.0, 0.4]) for arm, base in BASES.items()}
+        self.start = {arm: tool.copy() for arm, tool in self.tools.items()}
+        self.palms, self.curls = {arm: np.zeros(3) for arm in BASES}, dict.fromkeys(BASES, 0.0)
+        self.yaws = dict.fromkeys(BASES, 0.0)
+        self.T = pose(rotation_about(2, yaw), (x, y, TABLE + BOX.height / 2.0))
+        self.scale, self.lag = scale, lag
+        self.holds, self.handed = set(), []
+
+    def make(self, arm, move):
+        self.palms[arm], self.yaws[arm], self.curls[arm] = move.palm, move.yaw, move.curl
+
+    def at_an_end(self, arm):
+        ends = [LongBox(BOX, PLAN.from_end).top(self.T, sign) for sign in (-1.0, 1.0)]
+        return min(np.linalg.norm(self.tools[arm] - end) for end in ends) < PLAN.grasp_height + 0.01
+
+    def advance(self):
+        holds = {arm for arm in BASES if self.curls[arm] > 0.5 and self.at_an_end(arm)}
+        if holds != self.holds:
+            self.handed.append(holds)
+        self.holds, before = holds, dict(self.tools)
+        for arm, tool in before.items():
+            there = self.start[arm] + self.scale * (R_WORLD_LEAP @ self.palms[arm])
+            self.tools[arm] = tool + (there - tool) * min(1.0, PERIOD_S / self.lag)
+        if holds:
+            self.T = self.T.copy()
+            self.T[:3, 3] += np.mean([self.tools[arm] - before[arm] for arm in holds], axis=0)
+
+    @property
+    def clearance(self):
+        return self.T[2, 3] - BOX.height / 2.0 - TABLE
+
+
+def work(rig, following=lambda now: True, seconds=200.0):
+    """Lets the person work; returns the last result, the steps, and the least distance of both tools [m]."""
+    who = roles(BOX, rig.T, BASES)
+    person = HandOver(PLAN, dict.fromkeys((GIVER, TAKER), AHEAD), BOX, who)
+    steps, least = [], np.inf
+    for k in range(int(seconds / PERIOD_S)):
+        now = k * PERIOD_S
+        grips = {role: rig.tools[arm] for role, arm in who.names.items()}
+        tools = {role: rotation_about(2, -rig.yaws[arm]) for role, arm in who.names.items()}
+        view = HandOverView(grips, turns_of(BOX, rig.T, tools), rig.T, rig.clearance, following(now))
+        result = person.step(view, now)
+        if not steps or steps[-1] != result.step:
+            steps.append(result.step)
+        if result.move is not None:
+            rig.make(who.names[result.who], result.move)
+        if result.over:
+            return result, steps, least
+        rig.advance()
+        least = min(least, float(np.linalg.norm(rig.tools["left"] - rig.tools["right"])))
+    pytest.fail(f"not over after {seconds} s: {steps}")
+
+
+@settings(max_examples=6)
+@given(st.floats(0.7, 1.1), st.floats(0.05, 0.3), st.floats(0.52, 0.58), st.floats(0.15, 0.24), st.floats(-0.2, 0.2))
+@pytest.mark.parametrize("giver", ["left", "right"])
+def test_the_box_goes_from_the_nearer_arm_to_the_other_and_lies_where_its_mirror_image_was(
+    giver, scale, lag, x, y, yaw
+):
+    sign = 1.0 if giver == "left" else -1.0
+    rig = TwoFollowingArms(scale, lag, x, sign * y, yaw)
+    result, steps, least = work(rig)
+    assert not result.failure and steps == list(STEPS)
+    taker = "right" if giver == "left" else "left"
+    assert rig.handed == [{giver}, {giver, taker}, {taker}, set()]
+    assert_allclose(rig.T[:3, 3], [x, -sign * y, TABLE + BOX.height / 2.0], atol=5 * PLAN.tolerance)
+    assert least > 0.4, "the hands stay as far apart as the ends of the box"
+
+
+def test_a_box_that_lies_the_other_way_round_is_taken_at_the_outer_end_likewise():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, np.pi)
+    who = roles(BOX, rig.T, BASES)
+    assert LongBox(BOX, PLAN.from_end).top(rig.T, who.end)[1] > 0.4
+    result, _, _ = work(rig)
+    assert not result.failure
+
+
+def test_a_box_that_is_not_lifted_or_falls_is_given_up_with_the_reason():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.at_an_end = lambda arm: False
+    result, steps, _ = work(rig)
+    assert result.failure == "the box was not lifted" and steps[-1] == "lift"
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    at_an_end = rig.at_an_end
+    rig.at_an_end = lambda arm: arm == "left" and at_an_end(arm)
+
+    def let_fall():
+        TwoFollowingArms.advance(rig)
+        if not rig.holds and len(rig.handed) > 1:
+            rig.T[2, 3] = TABLE + BOX.height / 2.0
+
+    rig.advance = let_fall
+    result, steps, _ = work(rig)
+    assert result.failure == f"the box fell (step {steps[-1]!r})" and steps[-1] in ("let go", "part")
+
+
+def test_a_person_waits_out_an_interruption_but_not_for_ever():
+    result, steps, _ = work(TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0), lambda now: not 20.0 < now < 30.0)
+    assert not result.failure and steps[-1] == "done"
+    result, _, _ = work(TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0), lambda now: now < 20.0)
+    assert "the arms did not follow within 30 s" in result.failure
+
+
+def test_arms_above_each_other_have_no_middle():
+    with pytest.raises(ValueError, match="are 0.00 m apart, seen from above"):
+        roles(BOX, pose(p=(0.5, 0.0, 0.1)), {"left": np.zeros(3), "right": np.array([0.0, 0.0, 1.0])})
