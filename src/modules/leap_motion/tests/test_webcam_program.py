@@ -10,6 +10,7 @@ import pytest
 
 from leap_motion.client import LeapClient
 from leap_motion.registration import RegistrationRefused, check_serial
+from leap_motion.service.server import LeapServiceError
 from leap_motion.webcam import video_source, webcam_program
 from leap_motion.webcam.lens import WebcamError, lens_of_calibration, lens_of_view
 from leap_motion.webcam.setups import FRONT, placement
@@ -33,13 +34,32 @@ def test_a_registration_counts_for_one_set_up_alone():
     more = (["--palm-width", "90"], ["--mirrored"], ["--person", "anna"], ["--camera-info", "a.yaml"])
     serials = [webcam_program.serial_of(webcam_program.parse([*above, *options])) for options in ([], *others, *more)]
     assert len(set(serials)) == len(serials) and max(map(len, serials)) < 32
-    assert serials[0] == webcam_program.serial_of(webcam_program.parse([*above, "--headless", "--port", "0"]))
+    assert serials[0] == webcam_program.serial_of(webcam_program.parse([*above, "--headless", "--port", "0", "--code", "secret7"]))
     with pytest.raises(RegistrationRefused):
         check_serial(webcam_program.serial_of(webcam_program.parse([])))
 
 
 def test_what_roslaunch_adds_is_left_out():
     assert webcam_program.parse(["__name:=leapd", "--tilt", "-20"]).tilt == -20.0
+
+
+@pytest.mark.parametrize(("options", "code"), [([], ""), (["--host", "0.0.0.0", "--code", "secret7"], "secret7")])
+def test_other_machines_are_served_with_the_code_that_is_given(monkeypatch, capsys, options, code):
+    def service(*_, **given):
+        raise LeapServiceError(f"the code is {given['code']!r}")
+
+    monkeypatch.setattr(webcam_program, "HandDetector", lambda *_: None)
+    monkeypatch.setattr(webcam_program, "LeapService", service)
+    assert webcam_program.main(["--headless", *options]) == 1
+    assert f"the code is {code!r}" in capsys.readouterr().err
+
+
+def test_without_a_screen_the_program_ends_in_a_sentence(monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(webcam_program, "WebcamTracker", lambda _: pytest.fail("it begins"))
+    assert webcam_program.main([]) == 1
+    assert "There is no screen" in capsys.readouterr().err
 
 
 class TestPersons:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import re
 import signal
 import sys
@@ -29,6 +30,7 @@ from leap_motion.webcam.video_source import CameraSource, FileSource, VideoImage
 
 NAME = "webcam_leapd"
 SERVICE = "2.3.1+webcam"
+SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")  # one of these variables names where windows go
 SILENCE_S = 0.5  # without an image the camera counts as unplugged
 BETWEEN_LINES_S = 2.0
 MEASURE_S, GIVE_UP_S = 5.0, 30.0
@@ -58,7 +60,9 @@ class WebcamTracker:
         place = placement(options.setup, math.radians(options.tilt), options.distance)
         self._tracks = HandTracks(place, _width(options))
         self._detector = HandDetector(options.hands == 1)
-        self._service = LeapService(options.host, options.port, version=SERVICE, serial=serial_of(options))
+        self._service = LeapService(
+            options.host, options.port, version=SERVICE, serial=serial_of(options), code=options.code
+        )
         self.address = f"{self._service.host}:{self._service.port}"
         self.view = TrackerView(None, None, place, False, [], "The camera is being opened.")
         self._renew = self._stopping = False
@@ -140,6 +144,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.measure:
             return _measure(options, stopped)
+        if sys.platform == "linux" and not (options.headless or any(map(os.environ.get, SCREENS))):
+            raise WebcamError("There is no screen for the window: DISPLAY is not set. Start with --headless.")
         tracker = WebcamTracker(options)
     except (WebcamError, LeapServiceError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -292,7 +298,8 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--measure", default="", metavar="NAME", help="measure your palm beside a bank card, store it, and exit")
     add("--tag", type=_between(10.0, 500.0), metavar="MM", help="measure beside a 36h11 tag of this size instead")
     add("--hands", type=int, choices=(1, 2), default=1, help="how many to follow; two take twice the processor time")
-    add("--host", default="127.0.0.1", help="loopback address to listen on")
+    add("--host", default="127.0.0.1", help="address to listen on; other machines need a code")
+    add("--code", default="", help="for programs on other machines: leap_driver's parameter code")
     add("--port", type=int, default=6437, help="WebSocket port; 0 takes any free one")
     add("--headless", action="store_true", help="no window")
     given = sys.argv[1:] if arguments is None else arguments
