@@ -34,7 +34,9 @@ def test_a_registration_counts_for_one_set_up_alone():
     more = (["--palm-width", "90"], ["--mirrored"], ["--person", "anna"], ["--camera-info", "a.yaml"])
     serials = [webcam_program.serial_of(webcam_program.parse([*above, *options])) for options in ([], *others, *more)]
     assert len(set(serials)) == len(serials) and max(map(len, serials)) < 32
-    assert serials[0] == webcam_program.serial_of(webcam_program.parse([*above, "--headless", "--port", "0", "--code", "secret7"]))
+    assert serials[0] == webcam_program.serial_of(
+        webcam_program.parse([*above, "--headless", "--port", "0", "--code", "secret7"])
+    )
     with pytest.raises(RegistrationRefused):
         check_serial(webcam_program.serial_of(webcam_program.parse([])))
 
