@@ -105,6 +105,7 @@ def test_a_workspace_that_was_moved_is_built_anew(project, moved):
     cache = project / "build" / "CMakeCache.txt"
     cache.parent.mkdir()
     cache.write_text(f"CMAKE_HOME_DIRECTORY:INTERNAL={'/elsewhere' if moved else project.resolve()}/src\n")
+    cache.with_name("soak.jsonl").touch()
     (project / "devel").mkdir()
     (project / ".venv" / "bin" / "ruff").touch()
     shutil.copy(ROOT / "Makefile", project)
@@ -115,6 +116,7 @@ def test_a_workspace_that_was_moved_is_built_anew(project, moved):
     asked = subprocess.run(["make", "--question", "build/.ready"], cwd=project, capture_output=True, timeout=60.0)
     assert (asked.returncode == 1) is moved
     subprocess.run([project / "tools" / "setup.sh", "true"], capture_output=True, timeout=60.0)
+    assert (project / "build" / "soak.jsonl").exists()
     for path in ("devel", ".venv/bin/ruff", "build/CMakeCache.txt"):
         assert (project / path).exists() is not moved, path
 

@@ -14,7 +14,8 @@ esac
 built_in=$(sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$|\1|p' build/CMakeCache.txt 2>/dev/null || true)
 if [ -n "$built_in" ] && [ "$built_in" != "$here" ]; then
   echo "The workspace was built in $built_in: it is built anew in $here."
-  rm -rf build devel .venv
+  rm -rf devel .venv
+  find build -mindepth 1 -maxdepth 1 ! -name 'soak*' ! -name fuzz ! -name golden ! -name mutants -exec rm -rf {} +
 fi
 mkdir -p build
 log=${LEAP_RIG_LOG:-build/setup.log}
