@@ -43,7 +43,7 @@ class TwoFollowingArms:
         self.yaws = dict.fromkeys(BASES, 0.0)
         self.T = pose(rotation_about(2, yaw), (x, y, TABLE + BOX.height / 2.0))
         self.scale, self.lag = scale, lag
-        self.holds, self.handed = set(), []
+        self.holds, self.handed, self.slow = set(), [], 0
 
     def make(self, arm, move):
         self.palms[arm], self.yaws[arm], self.curls[arm] = move.palm, move.yaw, move.curl
@@ -65,6 +65,13 @@ class TwoFollowingArms:
             self.T[:3, 3] += np.mean([self.tools[arm] - before[arm] for arm in holds], axis=0)
 
     @property
+    def touching(self):
+        """The fingers that let go do so `slow` looks later than the person's."""
+        holds = {arm for arm in BASES if self.curls[arm] > 0.5}
+        self.seen = [*getattr(self, "seen", []), holds]
+        return holds.union(*self.seen[-self.slow :]) if self.slow else holds
+
+    @property
     def clearance(self):
         return self.T[2, 3] - BOX.height / 2.0 - TABLE
 
@@ -78,7 +85,8 @@ def work(rig, following=lambda now: True, seconds=200.0):
         now = k * PERIOD_S
         grips = {role: rig.tools[arm] for role, arm in who.names.items()}
         tools = {role: rotation_about(2, -rig.yaws[arm]) for role, arm in who.names.items()}
-        view = HandOverView(grips, turns_of(BOX, rig.T, tools), rig.T, rig.clearance, following(now))
+        touching = frozenset(role for role, arm in who.names.items() if arm in rig.touching)
+        view = HandOverView(grips, turns_of(BOX, rig.T, tools), rig.T, rig.clearance, touching, following(now))
         result = person.step(view, now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
@@ -132,6 +140,17 @@ def test_a_box_that_is_not_lifted_or_falls_is_given_up_with_the_reason():
     rig.advance = let_fall
     result, steps, _ = work(rig)
     assert result.failure == f"the box fell (step {steps[-1]!r})" and steps[-1] in ("let go", "part")
+
+
+def test_slow_fingers_are_waited_for():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.slow = 100
+    result, steps, _ = work(rig)
+    assert not result.failure and steps == list(STEPS)
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.slow = 5000
+    result, steps, _ = work(rig)
+    assert result.failure == "step 'let go' took longer than 30 s"
 
 
 def test_a_person_waits_out_an_interruption_but_not_for_ever():

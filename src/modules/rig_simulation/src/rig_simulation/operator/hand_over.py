@@ -37,6 +37,7 @@ STEPS = {
     "done": BOTH,
 }
 """The steps in their order, and whose hand moves."""
+CLOSES, OPENS = ("close", "take"), ("let go", "open")
 UP_IN_THE_AIR = ("bring", "reach", "approach", "take", "let go", "part", "carry", "lower")  # the box is held
 HELD_M = 0.02  # a box whose lowest point is lower above the table is not held
 
@@ -46,7 +47,7 @@ class HandOverPlan(Plan):
     """Parameters of the work."""
 
     lift: float = 0.15  # how high the box is lifted [m]
-    grasp_height: float = 0.035  # of the grip above the box's top: the palm is 2 cm above it [m]
+    grasp_height: float = 0.022  # of the grip above the box's top: the palm is 8 mm above it [m]
     from_end: float = 0.075  # of the gripping point from the end of the box [m]
 
 
@@ -81,6 +82,7 @@ class HandOverView:
     turns: Mapping[str, float]  # of the tools, after which the fingers fit the box, anticlockwise from above [rad]
     T_world_box: np.ndarray  # shape (4, 4) [m]
     clearance: float  # height of the lowest point of the box above the table [m]
+    touching: frozenset[str]  # whose robot hand touches the box: GIVER, TAKER
     following: bool = True  # whether both arms follow their hands
 
 
@@ -176,7 +178,7 @@ class HandOver:
             return HandOverStep(name, failure=self._complaint(name, view))
         who = STEPS[name]
         moving = [self._hands[who]] if who != BOTH else list(self._hands.values())
-        if not view.following or not all(hand.ready(now) for hand in moving):
+        if not view.following or not all(hand.ready(now) for hand in moving) or _fingers_move(name, who, view):
             return HandOverStep(name)
         if self._target is not None:
             error, turn = self._target - view.grips[who], self._turn(name, who, view)
@@ -193,9 +195,9 @@ class HandOver:
         if who == BOTH:
             return HandOverStep(name)
         hand = self._hands[who]
-        if name in ("close", "take"):
+        if name in CLOSES:
             return HandOverStep(name, who, hand.close(now))
-        if name in ("let go", "open"):
+        if name in OPENS:
             return HandOverStep(name, who, hand.open(now))
         self._target = self._target_of(name, who, view)
         move = hand.shift(self._target - view.grips[who], now, self._turn(name, who, view))
@@ -233,3 +235,10 @@ class HandOver:
             off = 1e3 * np.linalg.norm(self._target - view.grips[STEPS[name]])
             return f"the {STEPS[name]}'s tool stayed {off:.0f} mm off the target of step {name!r}"
         return f"step {name!r} took longer than {self._plan.patience:g} s"
+
+
+def _fingers_move(name: str, who: str, view: HandOverView) -> bool:
+    """Returns whether the fingers have not yet done what the step is for; the robot's may take their time."""
+    if name in CLOSES:
+        return who not in view.touching
+    return name in OPENS and who in view.touching

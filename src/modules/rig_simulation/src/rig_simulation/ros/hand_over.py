@@ -87,20 +87,24 @@ class HandOverScenario:
         self._start()
         return True
 
-    def _box(self) -> tuple[np.ndarray, float]:
-        """Returns the pose of the box in world, shape (4, 4) [m], and its clearance above the table [m]."""
+    def _box(self) -> tuple[np.ndarray, float, set[str]]:
+        """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and which arms'
+        hands touch it.
+        """
         seen = self._world.ask("objects")["objects"][THING]
-        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"]
+        touching = {arm for arm in self._arms if any(body.startswith(f"{arm}/reflex/") for body in seen["touches"])}
+        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], touching
 
     def _view(self) -> HandOverView:
-        T_world_box, clearance = self._box()
+        T_world_box, clearance, arms = self._box()
+        touching = frozenset(who for who, name in self._roles.names.items() if name in arms)
         grips, tools = {}, {}
         for who, name in self._roles.names.items():
             T, arm = self._T_world_base[name], self._arms[name]
             grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
         following = all(arm.following for arm in self._arms.values())
         turns = turns_of(self._shape, T_world_box, tools)
-        return HandOverView(grips, turns, T_world_box, clearance, following)
+        return HandOverView(grips, turns, T_world_box, clearance, touching, following)
 
     def _tell(self, result: HandOverStep) -> None:
         """Publishes the step for both arms."""
