@@ -296,11 +296,14 @@ def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo)
 def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(demo, free_port, wait_until, tmp_path):
     """With relative engagement, which the choice of an arm needs: neither the choice nor its end moves a tool."""
     pairs = {name: free_pair(free_port) for name in ("robot_port", "robot_control_port", "hand_control_port")}
-    pairs["hand_port"] = free_pair(free_port, socket.SOCK_DGRAM)
+    pairs |= {"hand_port": free_pair(free_port, socket.SOCK_DGRAM), "world_port": free_port()}
     process = demo("--scenario", "hand_over", robots=2, arm_choice="service", **pairs)
     left = ControlClient("127.0.0.1", pairs["robot_control_port"], 30.0)
     read = process.log_path.read_text
-    wait_until(lambda: "Scenario hand_over: bring" in read() or process.poll() is not None, 150.0, "the box in the air")
+    wait_until(lambda: "arm servo" in read() or process.poll() is not None, 120.0, "a hand that steers")
+    assert process.poll() is None, read()
+    world = ControlClient("127.0.0.1", pairs["world_port"], 30.0)
+    wait_until(lambda: world.ask("objects")["objects"]["box"]["clearance"] > 0.05, 90.0, "the box in the air")
     success, sentence = choose_arm(process, "middle")
     assert not success and "the arm is 'middle', but must be left, right or both" in sentence
     assert choose_arm(process, "right")[0]

@@ -21,7 +21,6 @@ from rig_simulation.operator.hand_over import (
     HandOverView,
     LongBox,
     roles,
-    turns_of,
 )
 from rig_simulation.world.scene import scene_from
 
@@ -84,9 +83,9 @@ def work(rig, following=lambda now: True, seconds=200.0):
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         grips = {role: rig.tools[arm] for role, arm in who.names.items()}
-        tools = {role: rotation_about(2, -rig.yaws[arm]) for role, arm in who.names.items()}
+        tools = {role: rotation_about(2, np.pi - rig.yaws[arm]) for role, arm in who.names.items()}
         touching = frozenset(role for role, arm in who.names.items() if arm in rig.touching)
-        view = HandOverView(grips, turns_of(BOX, rig.T, tools), rig.T, rig.clearance, touching, following(now))
+        view = HandOverView(grips, tools, rig.T, rig.clearance, touching, following(now))
         result = person.step(view, now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)

@@ -79,7 +79,7 @@ class HandOverView:
     """The operator's observation; mappings by GIVER and TAKER."""
 
     grips: Mapping[str, np.ndarray]  # gripping points of the tools, shape (3,) [m]
-    turns: Mapping[str, float]  # of the tools, after which the fingers fit the box, anticlockwise from above [rad]
+    tools: Mapping[str, np.ndarray]  # orientations of the tools, shape (3, 3)
     T_world_box: np.ndarray  # shape (4, 4) [m]
     clearance: float  # height of the lowest point of the box above the table [m]
     touching: frozenset[str]  # whose robot hand touches the box: GIVER, TAKER
@@ -133,11 +133,6 @@ def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray
     beside = float((middle - (bases[giver][:2] + bases[taker][:2]) / 2.0) @ across) * across
     axis = T_world_box[:2, :3] @ LongBox(shape, 0.0).axis
     return Roles(giver, taker, -1.0 if axis @ across > 0.0 else 1.0, middle - beside, middle - 2.0 * beside)
-
-
-def turns_of(shape: Cuboid, T_world_box: np.ndarray, tools: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Returns the turns of HandOverView for the tools' orientations in world, shape (3, 3) each."""
-    return {who: turn_to(shape, T_world_box[:3, :3], heading(R)) for who, R in tools.items()}
 
 
 class HandOver:
@@ -226,7 +221,8 @@ class HandOver:
         if name not in ("above", "reach"):
             return 0.0
         most, yaw = self._plan.most_turn, self._hands[who].yaw
-        return float(np.clip(view.turns[who], yaw - most, yaw + most))
+        turn = turn_to(self._box.shape, view.T_world_box[:3, :3], heading(view.tools[who]))
+        return float(np.clip(turn, yaw - most, yaw + most))
 
     def _complaint(self, name: str, view: HandOverView) -> str:
         if not view.following:

@@ -13,7 +13,7 @@ from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from rig_simulation.control_port import ControlClient
-from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles, turns_of
+from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles
 from rig_simulation.operator.visits import Visits
 from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import Cuboid, scene_from
@@ -102,9 +102,8 @@ class HandOverScenario:
         for who, name in self._roles.names.items():
             T, arm = self._T_world_base[name], self._arms[name]
             grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
-        following = all(arm.following for arm in self._arms.values())
-        turns = turns_of(self._shape, T_world_box, tools)
-        return HandOverView(grips, turns, T_world_box, clearance, touching, following)
+        following = all(arm.following and arm.streams for arm in self._arms.values())
+        return HandOverView(grips, tools, T_world_box, clearance, touching, following)
 
     def _tell(self, result: HandOverStep) -> None:
         """Publishes the step for both arms."""
