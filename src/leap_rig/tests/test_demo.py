@@ -300,7 +300,7 @@ def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(
     process = demo("--scenario", "hand_over", robots=2, arm_choice="service", **pairs)
     left = ControlClient("127.0.0.1", pairs["robot_control_port"], 30.0)
     read = process.log_path.read_text
-    wait_until(lambda: "arm servo" in read() or process.poll() is not None, 120.0, "a hand that steers")
+    wait_until(lambda: "left servo" in read() or process.poll() is not None, 120.0, "a hand that steers")
     assert process.poll() is None, read()
     world = ControlClient("127.0.0.1", pairs["world_port"], 30.0)
     wait_until(lambda: world.ask("objects")["objects"]["box"]["clearance"] > 0.05, 90.0, "the box in the air")

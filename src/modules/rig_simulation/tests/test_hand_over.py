@@ -75,7 +75,7 @@ class TwoFollowingArms:
         return self.T[2, 3] - BOX.height / 2.0 - TABLE
 
 
-def work(rig, following=lambda now: True, seconds=200.0):
+def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, steps: None):
     """Lets the person work; returns the last result, the steps, and the least distance of both tools [m]."""
     who = roles(BOX, rig.T, BASES)
     person = HandOver(PLAN, dict.fromkeys((GIVER, TAKER), AHEAD), BOX, who)
@@ -94,6 +94,7 @@ def work(rig, following=lambda now: True, seconds=200.0):
         if result.over:
             return result, steps, least
         rig.advance()
+        each(person, steps)
         least = min(least, float(np.linalg.norm(rig.tools["left"] - rig.tools["right"])))
     pytest.fail(f"not over after {seconds} s: {steps}")
 
@@ -157,6 +158,23 @@ def test_a_person_waits_out_an_interruption_but_not_for_ever():
     assert not result.failure and steps[-1] == "done"
     result, _, _ = work(TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0), lambda now: now < 20.0)
     assert "the arms did not follow within 30 s" in result.failure
+
+
+def test_a_hand_that_comes_in_anew_goes_on_from_where_the_tool_was_kept():
+    """Its palm is in the middle again, its fingers are closed as before, and the tool has not moved."""
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    who = roles(BOX, rig.T, BASES)
+
+    def again(person, steps):
+        if steps[-1] == "bring" and not rig.again:
+            rig.again = True
+            assert person.enters(GIVER) == 1.0
+            rig.palms["left"], rig.start["left"] = np.zeros(3), rig.tools["left"].copy()
+
+    rig.again = False
+    result, steps, _ = work(rig, each=again)
+    assert rig.again and not result.failure and steps == list(STEPS)
+    assert_allclose(rig.T[:2, 3], who.place, atol=5 * PLAN.tolerance)
 
 
 def test_arms_above_each_other_have_no_middle():

@@ -159,6 +159,12 @@ class HandOver:
         """Whether the fingers have been moved: a hand that leaves now drops the box."""
         return self._step >= self._names.index("close")
 
+    def enters(self, who: str) -> float:
+        """A hand comes in anew where its arm has kept the tool; returns the curl of its fingers, 0 to 1."""
+        self._hands[who].enter()
+        self._since = None
+        return self._hands[who].curl
+
     def step(self, view: HandOverView, now: float) -> HandOverStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
         name = self._names[self._step]

@@ -52,6 +52,8 @@ class HandOverScenario:
             if any(arm.grip is None for arm in self._arms.values()):
                 continue
             now = time.monotonic()
+            if self._operator.began:
+                self._come_in_again(now)
             result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(self._view(), now)
             if result.move is not None:
                 self._leapd.ask("reach", side=self._roles.names[result.who], **result.move.fields)
@@ -69,16 +71,30 @@ class HandOverScenario:
         for arm in self._arms:
             self._show(arm)
 
-    def _show(self, arm: str) -> None:
-        """Brings a hand into its interaction box."""
-        self._leapd.ask("show", back=ENTRY_M, side=arm)
-        self._leapd.ask("reach", seconds=ENTRY_S, side=arm)
+    def _show(self, arm: str, curl: float = 0.0) -> None:
+        """Brings a hand into its interaction box; `curl`: of its fingers, 0 to 1."""
+        self._leapd.ask("show", back=ENTRY_M, curl=curl, side=arm)
+        self._leapd.ask("reach", seconds=ENTRY_S, curl=curl, side=arm)
         self._visits[arm].enter(time.monotonic())
+
+    def _come_in_again(self, now: float) -> None:
+        """Takes each hand away and back whose stream has ended while its arm keeps the tool, as with relative
+        engagement.
+        """
+        for who, name in self._roles.names.items():
+            arm = self._arms[name]
+            if self._visits[name].over(arm.streams, now) and arm.following:
+                rospy.logwarn("%s: the tool is kept: the hand leaves the view and comes in again.", name)
+                self._leapd.ask("hide", side=name)
+                time.sleep(AWAY_S)
+                self._show(name, self._operator.enters(who))
 
     def _starts_over(self, now: float) -> bool:
         """Takes both hands away and starts over if an arm does not follow and holds nothing; returns whether."""
+        if self._operator.began:
+            return False
         over = [self._visits[name].over(arm.following, now) for name, arm in self._arms.items()]
-        if self._operator.began or not any(over):
+        if not any(over):
             return False
         rospy.logwarn("An arm does not follow: the hands leave the view, come in again, and start over.")
         for arm in self._arms:
