@@ -32,7 +32,7 @@ class HandOverScenario:
     """
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arms: Sequence[str]) -> None:
-        self._leapd, self._world = leapd, world
+        self._leapd, self._world, self._time = leapd, world, 0.0
         shape = scene_from(world.ask("scene")["scene"]).objects.get(THING)
         if not isinstance(shape, Cuboid):
             raise RigError(f"The scenario {name} needs an object {THING!r} of the kind box in its scene.")
@@ -54,7 +54,7 @@ class HandOverScenario:
             now = time.monotonic()
             if self._operator.began:
                 self._come_in_again(now)
-            result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(self._view(), now)
+            result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(*self._view())
             if result.move is not None:
                 self._leapd.ask("reach", side=self._roles.names[result.who], **result.move.fields)
             self._tell(result)
@@ -107,11 +107,15 @@ class HandOverScenario:
         """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and which arms'
         hands touch it.
         """
-        seen = self._world.ask("objects")["objects"][THING]
+        answer = self._world.ask("objects")
+        seen, self._time = answer["objects"][THING], answer["time"]
         touching = {arm for arm in self._arms if any(body.startswith(f"{arm}/reflex/") for body in seen["touches"])}
         return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], touching
 
-    def _view(self) -> HandOverView:
+    def _view(self) -> tuple[HandOverView, float]:
+        """Returns the observation, and its time in the world, which may be slower than the machine's [s]: the robot's
+        fingers are, too.
+        """
         T_world_box, clearance, arms = self._box()
         touching = frozenset(who for who, name in self._roles.names.items() if name in arms)
         grips, tools = {}, {}
@@ -119,7 +123,7 @@ class HandOverScenario:
             T, arm = self._T_world_base[name], self._arms[name]
             grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
         following = all(arm.following and arm.streams for arm in self._arms.values())
-        return HandOverView(grips, tools, T_world_box, clearance, touching, following)
+        return HandOverView(grips, tools, T_world_box, clearance, touching, following), self._time
 
     def _tell(self, result: HandOverStep) -> None:
         """Publishes the step for both arms."""
