@@ -61,6 +61,7 @@ NODES: dict[str, Node] = {
         },
         {},
     ),
+    "leap_kuka/arm_choice_node.py": Node({"": "leap_kuka.ros.arm_choice_node:ArmChoiceConfig"}, {}),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
     "leap_motion/visualizer.py": Node({"": "leap_motion.ros.parameters:VisualizerConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(

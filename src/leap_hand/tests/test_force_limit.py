@@ -169,11 +169,21 @@ def test_a_file_from_before_the_limit_means_the_shipped_one():
         np.testing.assert_array_equal(getattr(old, field.name), getattr(CONFIG, field.name))
 
 
-@pytest.mark.parametrize("name", ["full_grip", "firm_grip"])
-def test_a_grip_of_its_own_fits_above_the_shipped_file_and_keeps_the_limit(name):
+def above(name):
     more = yaml.safe_load((Path(__file__).parents[1] / "config" / f"{name}.yaml").read_text())
-    full = parse(HandConfig, {**SHIPPED, **more}, "leap_hand/")
+    return parse(HandConfig, {**SHIPPED, **more}, "leap_hand/")
+
+
+def test_the_full_grip_fits_above_the_shipped_file_and_keeps_the_limit():
+    full = above("full_grip")
     assert full.force_limit and np.all(full.robot[:3, 1] > CONFIG.robot[:3, 1])
+
+
+def test_the_firm_grip_presses_harder_but_less_than_makes_the_driver_loosen_a_finger():
+    firm = above("firm_grip")
+    assert firm.force_limit and firm.force_limit_pressure > CONFIG.force_limit_pressure
+    assert CONFIG.force_limit_load < firm.force_limit_load < 350.0
+    np.testing.assert_array_equal(firm.robot, CONFIG.robot)
 
 
 @pytest.mark.parametrize(
