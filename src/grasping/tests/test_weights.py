@@ -17,7 +17,11 @@ from common.ros.files import read_yaml
 from grasping.network import refinement_file, weights
 from grasping.network.maps import PARALLEL, REFLEX
 
-OWN = {"ggcnn2.pt": ("ggcnn2", PARALLEL), "ggcnn2_reflex.pt": ("ggcnn2", REFLEX)}
+OWN = {
+    "ggcnn2.pt": ("ggcnn2", PARALLEL),
+    "ggcnn2_reflex.pt": ("ggcnn2", REFLEX),
+    "ggcnn2_wide.pt": ("ggcnn2", PARALLEL),
+}
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
 
