@@ -13,7 +13,8 @@ import published_networks
 import pytest
 import torch
 
-from grasping.network import refinement_file, weights
+from grasping.network import weights
+from grasping.refinement import refinement_file
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
@@ -94,7 +95,7 @@ class Program(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["first network", "refinement network"])
+@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["network", "refinement"])
 def test_no_program_runs(tmp_path, monkeypatch, load):
     monkeypatch.chdir(tmp_path)
     buffer = io.BytesIO()

@@ -12,7 +12,7 @@ open as the operator opens the hand (the recorded fingers' angles say so), and l
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, pose, read_only
+from common.rotations import rotation_about
 from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata, angles_of_opening
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
@@ -29,6 +30,7 @@ from grasping.network import depth_image, maps
 from grasping.network.depth_image import CAMERA
 from grasping.network.maps import gaussian
 from grasping.network.networks import MapNetwork, infer
+from grasping.refinement.candidates import candidates
 
 DOWN = np.array([0.0, 0.0, -1.0])
 EYE_M = 0.02  # standard deviation of the blur through which the lean of a surface is seen
@@ -38,6 +40,8 @@ WHIM_M = 0.01  # standard deviation of the blur of a whim: near places are liked
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
 FRAME_S, REACH_S = 0.5, 2.0  # between two frames; from the last one to the closing of the fingers [s]
+ANYBODY = "anybody"  # who grasps anything
+ANY_TILT_RAD, ANY_TURN_RAD = 0.15, 0.12  # standard deviations, about each axis, of these grasps
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
 SETTINGS_VERSION = 3
 
@@ -148,6 +152,35 @@ OPERATORS: Mapping[str, SimulatedOperator] = {
     ),
 }
 """Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
+
+
+def drawn_operator(seed: int) -> SimulatedOperator:
+    """Returns an operator whose taste, hand and miss are drawn at random: to choose settings with, so that the named
+    ones are as new to whatever is tested on them as the things are.
+    """
+    rng = np.random.default_rng([94, seed])
+    return SimulatedOperator(
+        holds=rng.uniform(0.2, 0.5),
+        higher=rng.normal(0.0, 4.0),
+        slender=rng.normal(0.0, 4.0),
+        middle=rng.normal(0.0, 4.0),
+        near=rng.normal(0.0, 4.0),
+        handle=abs(rng.normal(0.0, 0.3)),
+        inside=abs(rng.normal(0.0, 0.3)),
+        across=rng.normal(0.0, 0.2),
+        comfort=abs(rng.normal(0.0, 0.2)),
+        wrist=rng.uniform(-0.5, 0.5) * np.pi,
+        whim=rng.uniform(0.0, 0.15),
+        twist=rng.normal(0.0, 0.07),
+        turn=rng.normal(0.0, 2.0),
+        lean=rng.uniform(0.0, 0.35),
+        follow=rng.uniform(0.0, 0.5),
+        margin=rng.uniform(0.0, 0.02),
+        generous=rng.uniform(0.0, 0.2),
+        bias=tuple(rng.normal(0.0, 0.007, 3).tolist()),
+        tremor_m=rng.uniform(0.003, 0.007),
+        tremor_rad=np.radians(rng.uniform(3.0, 7.0)),
+    )
 
 
 class Sight(NamedTuple):
@@ -314,6 +347,16 @@ def situation(split: str, number: int) -> EpisodeScene:
     return EpisodeScene(number, seen, found, sight(seen), friction, inverse(base_in_world(seen.camera)))
 
 
+def meant(of: EpisodeScene, made: Episode) -> np.ndarray:
+    """Returns what the operator of an episode meant, T_base_grasp, shape (4, 4) [m]: no miss and no tremor."""
+    person = made.metadata.configuration["person"]
+    if person is None:
+        return made.T_base_grasp
+    found = choose(of, SimulatedOperator(**{**person, "bias": tuple(person["bias"])}), steady=True)
+    assert found is not None, "an episode is of a grasp"
+    return found.T_base_grasp
+
+
 def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.opening) -> bool:
     """Returns whether the gripper, open by `width` [m], lifts something there."""
     T_world_grasp = inverse(of.T_base_world) @ T_base_grasp
@@ -330,19 +373,13 @@ def photograph(of: EpisodeScene, rng: np.random.Generator) -> np.ndarray:
     return np.nan_to_num(np.round(1000.0 * samples.observe(of.view.exact, rng))).astype(np.uint16)
 
 
-def episode(
-    split: str,
-    number: int,
-    network: MapNetwork,
-    network_sha256: str,
-    who: SimulatedOperator,
-    frames: int,
-) -> Episode | None:
-    """Returns a scene's episode, None without a grasp; each of `frames` images draws the camera's faults again."""
+def episodes(
+    split: str, number: int, network: MapNetwork, network_sha256: str, operators: Iterable[str], frames: int
+) -> Iterator[tuple[str, Episode]]:
+    """Yields for each operator, by name, the scene's episode, none where nothing can be grasped. All see the same
+    `frames` images, each of which draws the camera's faults again.
+    """
     of, rng = situation(split, number), np.random.default_rng([96, number])
-    chosen = choose(of, who)
-    if chosen is None:
-        return None
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):
         depth = photograph(of, rng)
@@ -350,44 +387,62 @@ def episode(
         output = infer(network, image.input)
         peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
         small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
-        for name, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
-            stored[name].append(value)
-    lifted = held(of, chosen.T_base_grasp, chosen.opening)
+        for key, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
+            stored[key].append(value)
     stamp = FRAME_S * np.arange(frames)
-    return Episode(
-        metadata=_metadata(of, who, lifted, network_sha256),
-        camera=trials.camera(),
-        crop=trials.CROP,
-        T_flange_tool=np.eye(4),
-        T_tool_grasp=np.eye(4),
-        T_base_tool_closed=read_only(chosen.T_base_grasp),
-        t_grasp=float(stamp[-1] + REACH_S),
-        held=lifted,
-        stamp=stamp,
-        depth=np.stack(stored["depth"]),
-        maps=np.stack(stored["maps"]),
-        mean=np.array(stored["mean"], np.float32),
-        peak=np.array(stored["peak"], float),
-        T_base_camera=np.stack([camera_pose(of)] * frames),
-        T_base_tool_measured=np.stack([chosen.T_base_grasp] * frames),
-        T_base_tool_desired=np.full((frames, 4, 4), np.nan),
-        finger_angles=np.tile(angles_of_opening(chosen.opening), (frames, 1)).astype(np.float32),
-        teleop_active=np.ones(frames, bool),
-    )
+    for name in operators:
+        chosen = anything(of, image, output) if name == ANYBODY else choose(of, OPERATORS[name])
+        if chosen is None:
+            continue
+        lifted = held(of, chosen.T_base_grasp, GRIPPER.opening if name == ANYBODY else chosen.opening)
+        yield name, Episode(
+            metadata=_metadata(of, name, lifted, network_sha256),
+            camera=trials.camera(),
+            crop=trials.CROP,
+            T_flange_tool=np.eye(4),
+            T_tool_grasp=np.eye(4),
+            T_base_tool_closed=read_only(chosen.T_base_grasp),
+            t_grasp=float(stamp[-1] + REACH_S),
+            held=lifted,
+            stamp=stamp,
+            depth=np.stack(stored["depth"]),
+            maps=np.stack(stored["maps"]),
+            mean=np.array(stored["mean"], np.float32),
+            peak=np.array(stored["peak"], float),
+            T_base_camera=np.stack([camera_pose(of)] * frames),
+            T_base_tool_measured=np.stack([chosen.T_base_grasp] * frames),
+            T_base_tool_desired=np.full((frames, 4, 4), np.nan),
+            finger_angles=np.tile(angles_of_opening(chosen.opening), (frames, 1)).astype(np.float32),
+            teleop_active=np.ones(frames, bool),
+        )
 
 
-def _metadata(of: EpisodeScene, who: SimulatedOperator, lifted: bool, network_sha256: str) -> Metadata:
+def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray) -> Chosen | None:
+    """Returns any candidate in the image, tilted and turned anyhow; None where there is none."""
+    seen = maps.smoothed(output, image.valid, SMOOTHING)
+    found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())
+    if not found.peaks:
+        return None
+    rng = np.random.default_rng([95, of.number])
+    i = int(rng.integers(len(found.peaks)))
+    tilt, turn = rng.normal(0.0, ANY_TILT_RAD, 2), rng.normal(0.0, ANY_TURN_RAD)
+    R = found.frame.R @ pin.exp3(np.append(tilt, 0.0)) @ rotation_about(2, -(found.angles[i] + turn))
+    opening = float(np.clip(found.openings[i], 0.02, GRIPPER.opening))
+    return Chosen(camera_pose(of) @ pose(R, found.frame.R @ found.points[i]), opening)
+
+
+def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) -> Metadata:
     return Metadata(
         version="0.1.0",
         revision="",
         date="",
-        operator="simulated",
+        operator=f"simulated {name}",
         object=", ".join(of.view.scene.families),
         source=TELEOPERATION,
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
         configuration={
             "simulated": SETTINGS_VERSION,
-            "person": who._asdict(),
+            "person": None if name == ANYBODY else OPERATORS[name]._asdict(),
             "view": CAMERA,
             "crop": {"side": trials.CROP.side, "rows_up": 0},
             "table": None,
