@@ -13,7 +13,7 @@ from grasping.network.maps import Maps, Peak, gaussian
 from grasping.refinement import lifts, taste
 from grasping.refinement.candidates import LIFTS, TASTES, Candidates, LevelFrame, candidates
 from grasping.refinement.preference import MOST_LOST, SAFE, Preference, constrained, preferences
-from grasping.refinement.taste import SD, Choice
+from grasping.refinement.taste import Choice
 
 CAMERA = pinhole("camera", 400, 400, [[570.0, 0.0, 199.5], [0.0, 570.0, 199.5], [0.0, 0.0, 1.0]])
 SEEDS = st.integers(0, 2**32 - 1)
@@ -88,7 +88,7 @@ def test_taste_never_costs_more_than_the_constraint(seed):
     """However strong it is, nothing is chosen, nor tilted, that is less likely lifted than GG-CNN's best."""
     rng = np.random.default_rng(seed)
     of = image_of(rng)
-    hand = taste.Hand(*(rng.normal(0.0, 0.3, n) for n in (2, 3, 3, 2)), 0.1, 0.01)
+    hand = taste.HandStyle(*(rng.normal(0.0, 0.3, n) for n in (2, 3, 3, 2)), 0.1, 0.01)
     known = Preference(taste.nobody()._replace(weights=rng.normal(0.0, 20.0, len(TASTES)), hand=hand), LIFTED)
     found = preferences(of, known)
     allowed, _ = constrained(of, known)

@@ -42,7 +42,7 @@ def file(state) -> bytes:
 def trained(lifts: bool = True) -> Preference:
     rng = np.random.default_rng(1)
     model = LiftModel(*(rng.uniform(0.1, 1.0, n) for n in (TERMS, TERMS, TERMS + 1))) if lifts else None
-    hand = taste.Hand(*(rng.normal(0.0, 0.1, n) for n in (2, 3, 3, 2)), 0.1, 0.01)
+    hand = taste.HandStyle(*(rng.normal(0.0, 0.1, n) for n in (2, 3, 3, 2)), 0.1, 0.01)
     weights = rng.normal(0.0, 1.0, len(taste.nobody().weights))
     return Preference(taste.Taste(weights, rng.normal(0.0, 0.01, 3), 0.006, 0.1, hand), model)
 
@@ -56,7 +56,7 @@ def test_what_was_saved_comes_back(lifts):
     of = ((known.taste, found.taste), (known.taste.hand, found.taste.hand), (known.lifts or (), found.lifts or ()))
     for one, other in of:
         for a, b in zip(one, other):
-            if not isinstance(a, taste.Hand):
+            if not isinstance(a, taste.HandStyle):
                 np.testing.assert_allclose(a, b, rtol=1e-6)
 
 
@@ -117,7 +117,10 @@ OLD = {"first.weight": torch.zeros(32, 10), "offset": torch.zeros(7), "about": a
         (file(bad("about", torch.tensor([[1.0, np.nan]]))), "of version 3"),
         (file(bad("about", about('{"version": 3}'))), "does not say of what rig it is"),
         (file(content(trained(), replace(RIG, view="above"))), "or names a view that is not known"),
-        (file({k: v for k, v in content(trained(), RIG).items() if k != "miss"}), "lacks or adds to a refinement: miss"),
+        (
+            file({k: v for k, v in content(trained(), RIG).items() if k != "miss"}),
+            "lacks or adds to a refinement: miss",
+        ),
         (file(bad("miss", torch.zeros(2))), "The array miss has the shape"),
         (file(bad("line", torch.full((2,), np.nan))), "not finite"),
         (file(bad("spreads", torch.tensor([0.01, 0.1, 0.0, 0.01]))), "not positive"),

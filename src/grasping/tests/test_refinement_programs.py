@@ -22,14 +22,14 @@ from grasping.lab.dataset.labels import relative_label
 from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, runs, train_refinement
 from grasping.lab.programs.make_episodes import EpisodeTask
 from grasping.lab.synthetic import simulated_operator
-from grasping.lab.synthetic.simulated_operator import ANYBODY, OPERATORS
+from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
 from grasping.lab.training import refinement_examples
 from grasping.refinement import refinement_file
 from grasping.refinement.refinement_file import Origin
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 NUMBERS = (0, 1, 2, 3, 4)
-WHO = ("high", "middle", ANYBODY)
+WHO = ("high", "middle", ANYBODIES[1])
 
 
 def call(monkeypatch, program, *arguments):
@@ -145,7 +145,7 @@ def test_training_learns_and_says_what(every, data, tmp_path, monkeypatch, capsy
     assert known.lifts is None
     monkeypatch.setattr(refinement_examples, "FEWEST", 2)
     monkeypatch.setattr(store, "decode", failing_every_other(store.decode))
-    call(monkeypatch, train_refinement, data, run, "--outcomes", every / ANYBODY)
+    call(monkeypatch, train_refinement, data, run, "--outcomes", every / ANYBODIES[1])
     assert json.loads((run / "settings.json").read_text())["constrained"]
     assert refinement_file.load((run / "weights.pt").read_bytes())[0].lifts is not None
 
@@ -164,7 +164,9 @@ def test_predictors_are_compared(every, tmp_path, monkeypatch):
     text = (results / "results.csv").read_text()
     rows = list(csv.DictReader(text.splitlines()))
     tested = [simulated_operator.file_name("kind_hammer", n) for n in NUMBERS[3:]]
-    wanted = sorted((f"{who}/{n}", m) for who in ("high", "middle") for n in tested for m in evaluate_refinement.METHODS)
+    wanted = sorted(
+        (f"{who}/{n}", m) for who in ("high", "middle") for n in tested for m in evaluate_refinement.METHODS
+    )
     assert sorted((r["episode"], r["method"]) for r in rows) == wanted
     assert {r["lifted"] for r in rows} <= {"True", "False"}
     of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}

@@ -127,7 +127,7 @@ class GraspPipeline:
         """Returns the grasps in a depth image, shape (h, w), float32 [m], not finite = no reading, by `camera` at
         T_base_camera, shape (4, 4) [m], None if unknown; the stamp `now` [s] matters to averaging and tracking only.
         """
-        s, stages = self._settings, _StageTimes(self._clock)
+        stages = _StageTimes(self._clock)
         if now < self._last:  # a recording that begins again
             self.reset()
         self._last = now

@@ -18,12 +18,12 @@ from common.errors import ConfigError
 from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
-from grasping.refinement.refinement_file import Origin
 from grasping.pipeline.pipeline import PipelineSettings
 from grasping.pipeline.projection import ApproachConfig
 from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig, grasp_in_tool
 from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
+from grasping.refinement.refinement_file import Origin
 
 ANY, LISTED = "any", "listed"
 DIGITS = 3  # decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more

@@ -18,7 +18,6 @@ from common.camera_model import CameraModel
 from common.rotations import cross, unit
 from grasping.network.depth_image import EVERY, NOISE, NetworkImage, best_plane
 from grasping.network.maps import Maps, Peak, gaussian, peak_at, peaks
-from grasping.pipeline.projection import camera_pixel
 
 SPACING = 4  # between two candidates, rows or columns [px of the network's image]
 MOST = 96  # candidates in an image
@@ -158,9 +157,9 @@ def level_frame(image: NetworkImage, rays: np.ndarray) -> LevelFrame:
 
 def image_rays(image: NetworkImage, camera: CameraModel) -> np.ndarray:
     """Returns the rays x, y, 1 of the network's image's pixels before an undistorted camera, shape (h, w, 3)."""
-    side = len(image.depth)
-    first, last = (np.array(camera_pixel(i, i, image.crop, side)) for i in (0, side - 1))
-    u, v = (np.linspace(first[k], last[k], side) for k in (0, 1))
+    # Pixels are squares: their centres, not their corners, lie on each other's grid.
+    centres = (np.arange(len(image.depth)) + 0.5) * image.crop.side / len(image.depth) - 0.5
+    u, v = image.crop.column + centres, image.crop.row + centres
     x, y = np.meshgrid((u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1])
     return np.stack([x, y, np.ones_like(x)], axis=-1)
 
@@ -239,7 +238,9 @@ def described(
         tastes.append([seen[name] for name in TASTES])
         lifts.append([seen[name] for name in LIFTS])
     slopes = np.stack([right[rows, columns] / steep, down[rows, columns] / steep], axis=1)
-    as_rows = (np.clip(np.array(a, float).reshape(-1, n), -4.0, 4.0) for a, n in ((tastes, len(TASTES)), (lifts, len(LIFTS))))
+    as_rows = (
+        np.clip(np.array(a, float).reshape(-1, n), -4.0, 4.0) for a, n in ((tastes, len(TASTES)), (lifts, len(LIFTS)))
+    )
     return Candidates(tuple(grasps), frame, places, angles, openings, slopes, *as_rows)
 
 

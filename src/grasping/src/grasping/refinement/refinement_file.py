@@ -22,7 +22,7 @@ from grasping.refinement import lifts, taste
 from grasping.refinement.candidates import LIFTS
 from grasping.refinement.lifts import LiftModel
 from grasping.refinement.preference import Preference
-from grasping.refinement.taste import Hand, Taste
+from grasping.refinement.taste import HandStyle, Taste
 
 VERSION = 3
 TERMS = lifts.terms(np.zeros((1, len(LIFTS))), np.zeros(1), np.zeros((1, 2)), np.zeros(1)).shape[1]
@@ -117,7 +117,7 @@ def _arrays(known: Preference) -> dict[str, Any]:
 
 def _preference(found: Mapping[str, np.ndarray]) -> Preference:
     spread, angle_spread, tilt_spread, opening_spread = found["spreads"].tolist()
-    hand = Hand(*(found[key] for key in ("line", "tilt_x", "tilt_y", "opening")), tilt_spread, opening_spread)
+    hand = HandStyle(found["line"], found["tilt_x"], found["tilt_y"], found["opening"], tilt_spread, opening_spread)
     model = None
     if "lift_weights" in found:
         model = LiftModel(*(found[f"lift_{key}"] for key in LiftModel._fields))

@@ -23,7 +23,7 @@ OUTLIER = 0.05  # fraction of the grasps that are taken at no candidate
 OUTLIER_M3 = 0.1**3  # volume over which these are spread [m^3]
 OTHER_LINE = 0.1  # fraction of the grasps whose line has nothing to do with the candidate's
 MISS_M = 0.01  # prior standard deviation of a constant miss along each axis
-LINE_SD, TILT_SD, OPENING_SD = (0.1, 0.1), (0.2, 0.1, 0.4), (0.01, 0.01)  # likewise of `Hand`'s coefficients
+LINE_SD, TILT_SD, OPENING_SD = (0.1, 0.1), (0.2, 0.1, 0.4), (0.01, 0.01)  # likewise of `HandStyle`'s coefficients
 SPREAD_M, SPREAD_RAD = 0.008, 0.15  # expected standard deviations of a grasp about its candidate, along each axis
 TILT_RAD, OPENING_M = 0.12, 0.01  # likewise of its tilt, and of its opening
 SPREAD_COUNT = 10.0  # so many grasps is this expectation worth
@@ -62,7 +62,7 @@ class Choice(NamedTuple):
     opening: float  # of the hand [m]; NaN where it is not known
 
 
-class Hand(NamedTuple):
+class HandStyle(NamedTuple):
     """How an operator's hand grasps what was chosen: coefficients of 1, the height [LENGTH_M] and, behind tilts, the
     surface's slope down by y and by x.
     """
@@ -82,12 +82,12 @@ class Taste(NamedTuple):
     miss: np.ndarray  # of the operator's grasps, constant, in the level frame, shape (3,) [m]
     spread: float  # standard deviation of the grasps about their candidates, along each axis [m]
     angle_spread: float  # of their angles [rad]
-    hand: Hand
+    hand: HandStyle
 
 
 def nobody() -> Taste:
     """Returns the taste before any episode: quality alone."""
-    hand = Hand(np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), TILT_RAD, OPENING_M)
+    hand = HandStyle(np.zeros(2), np.zeros(3), np.zeros(3), np.zeros(2), TILT_RAD, OPENING_M)
     return Taste(np.zeros(len(TASTES)), np.zeros(3), SPREAD_M, SPREAD_RAD, hand)
 
 
@@ -127,18 +127,18 @@ def explained(taste: Taste, choice: Choice, probability: np.ndarray) -> np.ndarr
     return mass / (mass.sum() + OUTLIER / OUTLIER_M3 / np.pi)
 
 
-def turns(hand: Hand, heights: np.ndarray) -> np.ndarray:
+def turns(hand: HandStyle, heights: np.ndarray) -> np.ndarray:
     """Returns the turn from the lines of candidates at these heights, shape (n,) [rad]."""
     return hand.line[0] + hand.line[1] * heights / LENGTH_M
 
 
-def tilts(hand: Hand, heights: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def tilts(hand: HandStyle, heights: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """Returns the tilts of the approach at candidates, about x and y, shape (n, 2) [rad]."""
     x, y = _tilt_basis(heights, slopes)
     return np.stack([x @ hand.tilt_x, y @ hand.tilt_y], axis=1)
 
 
-def wider(hand: Hand, heights: np.ndarray) -> np.ndarray:
+def wider(hand: HandStyle, heights: np.ndarray) -> np.ndarray:
     """Returns how much wider than needed the hand opens at candidates, shape (n,) [m]."""
     return hand.opening[0] + hand.opening[1] * heights / LENGTH_M
 
@@ -162,8 +162,8 @@ def log_posterior(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """Returns the logarithm of the weights' posterior, but for a constant, its gradient and its negative Hessian.
 
-    Of each choice: `seen`: features of its n candidates, shape (n, d); `offsets`: their worth without weights, shape (n,);
-    `meant`: how probably each is the choice, shape (n,), sum at most 1.
+    Of each choice: `seen`: features of its n candidates, shape (n, d); `offsets`: their worth without weights, shape
+    (n,); `meant`: how probably each is the choice, shape (n,), sum at most 1.
     """
     value, gradient, hessian = -0.5 * float(weights @ weights), -weights, np.eye(len(weights))
     for x, base, target in zip(seen, offsets, meant):
@@ -230,7 +230,7 @@ def _measured(taste: Taste, choices: Sequence[Choice], meant: Sequence[np.ndarra
     opened = np.nan_to_num(opened)
     opening = ridge(turn_basis, opened, known, hand.opening_spread, OPENING_SD)
     opening_spread = _spread(OPENING_M, float(known @ (opened - turn_basis @ opening) ** 2), float(known.sum()))
-    hand = Hand(line, tilt_x, tilt_y, opening, _spread(TILT_RAD, squares, total), opening_spread)
+    hand = HandStyle(line, tilt_x, tilt_y, opening, _spread(TILT_RAD, squares, total), opening_spread)
     return taste._replace(miss=miss, spread=spread, angle_spread=angle_spread, hand=hand)
 
 

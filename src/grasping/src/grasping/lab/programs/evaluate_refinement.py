@@ -13,10 +13,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
+import sys
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import mujoco
@@ -42,10 +43,12 @@ from grasping.refinement.lifts import LiftModel
 from grasping.refinement.preference import Preference
 
 ALONE, MISS, REFINED, FREE = METHODS = "GG-CNN alone", "GG-CNN + constant miss", "refinement", "without constraint"
-COLUMNS = ("episode", "scene", "operator", "object", "method", "meant_mm", "meant_deg", "meant_near")
-COLUMNS = (*COLUMNS, "position_mm", "rotation_deg", "near", "lifted")
+COLUMNS = (
+    *("episode", "scene", "operator", "object", "method", "meant_mm", "meant_deg", "meant_near"),
+    *("position_mm", "rotation_deg", "near", "lifted"),
+)
 NEAR_MM = 1000.0 * NEAR_M
-MEASURES = {  # columns of the table: of results.csv, whether of a median, and the condition of a fraction
+MEASURES: dict[str, tuple[str, Callable[[Any], bool] | None]] = {
     "correction mm, median": ("meant_mm", None),
     "within 20 mm %": ("meant_mm", lambda value: float(value) < NEAR_MM),
     "rotation deg, median": ("meant_deg", None),
@@ -54,6 +57,7 @@ MEASURES = {  # columns of the table: of results.csv, whether of a median, and t
     "from it within 20 mm and 15 deg %": ("near", is_true),
     "lifted %": ("lifted", is_true),
 }
+"""Columns of the table: the column of results.csv, and the condition of a fraction; None: a median."""
 
 
 class Group(NamedTuple):
@@ -149,8 +153,8 @@ def tables(lines: Sequence[dict]) -> str:
     }
     draws = drawn(scenes)
 
-    def statistic(name: str) -> Sequence[np.ndarray]:
-        return np.median if measures[name][1] is None else np.mean  # type: ignore[return-value]
+    def statistic(name: str) -> Callable[..., Any]:
+        return np.median if measures[name][1] is None else np.mean
 
     def cell(method: str, name: str) -> str:
         return interval(values[method][name], None, statistic(name), draws, "")
@@ -173,8 +177,11 @@ def drawn(scenes: np.ndarray) -> list[np.ndarray]:
     return [np.concatenate([members[i] for i in pick]) for pick in picks]
 
 
-def interval(one: np.ndarray, other: np.ndarray | None, statistic, draws: list[np.ndarray], sign: str) -> str:
+def interval(
+    one: np.ndarray, other: np.ndarray | None, statistic: Callable[..., Any], draws: list[np.ndarray], sign: str
+) -> str:
     """Returns a statistic of `one`, less that of `other` if given, with its interval."""
+
     def of(part: np.ndarray | slice) -> float:
         return float(statistic(one[part]) - (0.0 if other is None else statistic(other[part])))
 
@@ -198,7 +205,9 @@ def main() -> None:
     try:
         found = groups(train_refinement.read_episodes(arguments.data), arguments.few)
         if not found:
-            raise RigError(f"No operator in {arguments.data} has more than {arguments.few} episodes of a kind to test on.")
+            raise RigError(
+                f"No operator in {arguments.data} has more than {arguments.few} episodes of a kind to test on."
+            )
         train_refinement.origin_of([n for group in found for n in group.test])
         others = [] if arguments.outcomes is None else train_refinement.read_episodes(arguments.outcomes)
     except (RigError, OSError) as error:
@@ -213,4 +222,4 @@ def main() -> None:
                     results.add([line])
     text = tables(results.rows)
     (arguments.folder / "table.md").write_text(text)
-    print(text)
+    sys.stdout.write(text + "\n")

@@ -1,6 +1,7 @@
 """Makes episodes of simulated operators' grasps, in the file format of `collect.launch`; resumable.
 
-Each operator gets a folder. `anybody` takes any candidate with any tilt and turn: its episodes teach what is lifted.
+Each operator gets a folder. `anybody` takes eight candidates a scene, half of them with any tilt and turn: these
+episodes teach what is lifted.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning, make_all
 from grasping.lab.synthetic import samples, simulated_operator
-from grasping.lab.synthetic.simulated_operator import ANYBODY, OPERATORS
+from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
 from grasping.network import weights
 from grasping.network.networks import MapNetwork, frozen
 
 SPLITS = tuple(name for name in samples.SPLITS if name.startswith(("person", "kind_")))
-ALL = "all"
+ALL, ANYBODY = "all", "anybody"
 
 
 class EpisodeTask(NamedTuple):
@@ -80,7 +81,7 @@ def main() -> None:
         network(arguments.weights)
     except (OSError, RigError) as error:
         parser.error(str(error))
-    who = tuple(OPERATORS) if arguments.operator == ALL else (arguments.operator,)
+    who = {ALL: tuple(OPERATORS), ANYBODY: ANYBODIES}.get(arguments.operator, (arguments.operator,))
     numbers = range(arguments.first, arguments.first + arguments.episodes)
     about = (arguments.frames, who)
     tasks = [EpisodeTask(arguments.folder, arguments.weights, arguments.split, n, *about) for n in numbers]

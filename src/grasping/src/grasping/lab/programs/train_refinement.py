@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -154,4 +155,4 @@ def main() -> None:
     torch.save(content(known, arguments.origin), arguments.run / "weights.pt")
     text = json.dumps({**summary(known, len(arguments.learned)), **asdict(arguments.origin)}, indent=2)
     (arguments.run / "settings.json").write_text(text + "\n")
-    print(text)
+    sys.stdout.write(text + "\n")

@@ -40,7 +40,8 @@ WHIM_M = 0.01  # standard deviation of the blur of a whim: near places are liked
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
 FRAME_S, REACH_S = 0.5, 2.0  # between two frames; from the last one to the closing of the fingers [s]
-ANYBODY = "anybody"  # who grasps anything
+ANYBODY = "anybody_"  # who grasp anything, with a number behind
+ANYBODIES = tuple(f"{ANYBODY}{i}" for i in range(8))
 ANY_TILT_RAD, ANY_TURN_RAD = 0.15, 0.12  # standard deviations, about each axis, of these grasps
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
 SETTINGS_VERSION = 3
@@ -391,41 +392,47 @@ def episodes(
             stored[key].append(value)
     stamp = FRAME_S * np.arange(frames)
     for name in operators:
-        chosen = anything(of, image, output) if name == ANYBODY else choose(of, OPERATORS[name])
+        anybody = name.startswith(ANYBODY)
+        chosen = anything(of, image, output, int(name[-1])) if anybody else choose(of, OPERATORS[name])
         if chosen is None:
             continue
-        lifted = held(of, chosen.T_base_grasp, GRIPPER.opening if name == ANYBODY else chosen.opening)
-        yield name, Episode(
-            metadata=_metadata(of, name, lifted, network_sha256),
-            camera=trials.camera(),
-            crop=trials.CROP,
-            T_flange_tool=np.eye(4),
-            T_tool_grasp=np.eye(4),
-            T_base_tool_closed=read_only(chosen.T_base_grasp),
-            t_grasp=float(stamp[-1] + REACH_S),
-            held=lifted,
-            stamp=stamp,
-            depth=np.stack(stored["depth"]),
-            maps=np.stack(stored["maps"]),
-            mean=np.array(stored["mean"], np.float32),
-            peak=np.array(stored["peak"], float),
-            T_base_camera=np.stack([camera_pose(of)] * frames),
-            T_base_tool_measured=np.stack([chosen.T_base_grasp] * frames),
-            T_base_tool_desired=np.full((frames, 4, 4), np.nan),
-            finger_angles=np.tile(angles_of_opening(chosen.opening), (frames, 1)).astype(np.float32),
-            teleop_active=np.ones(frames, bool),
+        lifted = held(of, chosen.T_base_grasp, GRIPPER.opening if anybody else chosen.opening)
+        yield (
+            name,
+            Episode(
+                metadata=_metadata(of, name, lifted, network_sha256),
+                camera=trials.camera(),
+                crop=trials.CROP,
+                T_flange_tool=np.eye(4),
+                T_tool_grasp=np.eye(4),
+                T_base_tool_closed=read_only(chosen.T_base_grasp),
+                t_grasp=float(stamp[-1] + REACH_S),
+                held=lifted,
+                stamp=stamp,
+                depth=np.stack(stored["depth"]),
+                maps=np.stack(stored["maps"]),
+                mean=np.array(stored["mean"], np.float32),
+                peak=np.array(stored["peak"], float),
+                T_base_camera=np.stack([camera_pose(of)] * frames),
+                T_base_tool_measured=np.stack([chosen.T_base_grasp] * frames),
+                T_base_tool_desired=np.full((frames, 4, 4), np.nan),
+                finger_angles=np.tile(angles_of_opening(chosen.opening), (frames, 1)).astype(np.float32),
+                teleop_active=np.ones(frames, bool),
+            ),
         )
 
 
-def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray) -> Chosen | None:
-    """Returns any candidate in the image, tilted and turned anyhow; None where there is none."""
+def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray, which: int) -> Chosen | None:
+    """Returns any candidate in the image, tilted and turned anyhow if `which` is odd; GGCNN's best one for 0; None
+    where there is none.
+    """
     seen = maps.smoothed(output, image.valid, SMOOTHING)
     found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())
     if not found.peaks:
         return None
-    rng = np.random.default_rng([95, of.number])
-    i = int(rng.integers(len(found.peaks)))
-    tilt, turn = rng.normal(0.0, ANY_TILT_RAD, 2), rng.normal(0.0, ANY_TURN_RAD)
+    rng = np.random.default_rng([95, of.number, which])
+    i = int(rng.integers(len(found.peaks))) if which else 0
+    tilt, turn = which % 2 * rng.normal(0.0, ANY_TILT_RAD, 2), which % 2 * rng.normal(0.0, ANY_TURN_RAD)
     R = found.frame.R @ pin.exp3(np.append(tilt, 0.0)) @ rotation_about(2, -(found.angles[i] + turn))
     opening = float(np.clip(found.openings[i], 0.02, GRIPPER.opening))
     return Chosen(camera_pose(of) @ pose(R, found.frame.R @ found.points[i]), opening)
@@ -442,7 +449,7 @@ def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) ->
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
         configuration={
             "simulated": SETTINGS_VERSION,
-            "person": None if name == ANYBODY else OPERATORS[name]._asdict(),
+            "person": None if name.startswith(ANYBODY) else OPERATORS[name]._asdict(),
             "view": CAMERA,
             "crop": {"side": trials.CROP.side, "rows_up": 0},
             "table": None,
