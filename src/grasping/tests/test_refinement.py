@@ -69,11 +69,11 @@ def test_without_episodes_the_favourite_is_the_best_quality():
     of = image_of(np.random.default_rng(1))
     for known in (None, LIFTED):
         found = preferences(of, Preference(taste.learned([]), known))
-        assert found[0].index == 0
+        assert found[0].candidate == 0
         assert found[0].quality == of.quality[0]
         assert found[0].turn == found[0].wider == 0.0
         assert not found[0].tilt.any()
-        np.testing.assert_allclose([p.quality for p in found], [of.quality[p.index] for p in found], atol=1e-9)
+        np.testing.assert_allclose([p.quality for p in found], [of.quality[p.candidate] for p in found], atol=1e-9)
 
 
 def test_without_candidates_nothing_is_preferred():
@@ -92,14 +92,14 @@ def test_taste_never_costs_more_than_the_constraint(seed):
     known = Preference(taste.nobody()._replace(weights=rng.normal(0.0, 20.0, len(TASTES)), hand=hand), LIFTED)
     found = preferences(of, known)
     allowed, _ = constrained(of, known)
-    assert {p.index for p in found} == set(np.flatnonzero(allowed))
+    assert {p.candidate for p in found} == set(np.flatnonzero(allowed))
     assert allowed[0]
     nothing = np.zeros((len(of.peaks), 2))
     as_safe = lifts.probabilities(LIFTED, of, nothing, nothing[:, 0])[0] - MOST_LOST
     for one in found:
         tilts, turns = np.tile(one.tilt, (len(of.peaks), 1)), np.full(len(of.peaks), one.turn)
-        least = as_safe if of.lifts[one.index, OTHER] else min(as_safe, SAFE)
-        assert lifts.probabilities(LIFTED, of, tilts, turns)[one.index] >= least - 1e-12
+        least = as_safe if of.lifts[one.candidate, OTHER] else min(as_safe, SAFE)
+        assert lifts.probabilities(LIFTED, of, tilts, turns)[one.candidate] >= least - 1e-12
 
 
 def test_an_operators_tilt_is_taken_over_where_it_costs_nothing():
@@ -127,7 +127,7 @@ def test_twenty_episodes_help():
         of = image_of(rng)
         wanted = int(np.argmax(taste.worths(weights, of)))
         for name, known in (("nobody", taste.nobody()), ("learned", learned)):
-            hits[name] += preferences(of, Preference(known, None))[0].index == wanted
+            hits[name] += preferences(of, Preference(known, None))[0].candidate == wanted
     assert hits["learned"] > 1.5 * hits["nobody"]
 
 

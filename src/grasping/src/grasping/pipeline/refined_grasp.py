@@ -58,7 +58,7 @@ def refined_peaks(
     of = candidates(maps, certainty, image, camera)
     found: list[RefinedPeak] = []
     for one in preference.preferences(of, known):
-        peak = of.peaks[one.index]
+        peak = of.peaks[one.candidate]
         apart = (max(abs(peak.row - r.peak.row), abs(peak.column - r.peak.column)) > distance for r in found)
         if (threshold is not None and one.quality <= threshold) or not all(apart):
             continue
@@ -74,7 +74,7 @@ def refined_grasp(grasp: CameraGrasp, refined: RefinedPeak) -> CameraGrasp:
 
 
 def _refined(of: Candidates, one: Preferred, known: Preference, widest: float) -> RefinedPeak:
-    peak, needed = of.peaks[one.index], float(of.openings[one.index])
+    peak, needed = of.peaks[one.candidate], float(of.openings[one.candidate])
     opened = max(needed, min(needed + one.wider, widest))
     wide = peak.width * opened / needed if needed > 0.0 else peak.width
     angle = peak.angle + one.turn
@@ -84,7 +84,7 @@ def _refined(of: Candidates, one: Preferred, known: Preference, widest: float) -
 
 def uncertainty(of: Candidates, one: Preferred, known: Preference) -> GraspUncertainty:
     """Returns the distribution about a preferred grasp."""
-    angle = of.angles[one.index] + one.turn
+    angle = of.angles[one.candidate] + one.turn
     axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     about, hand = known.taste, known.taste.hand
     across = np.sqrt(np.diag(axes @ one.covariance @ axes.T) + about.spread**2)

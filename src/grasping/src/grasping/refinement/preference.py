@@ -38,7 +38,7 @@ class Preference(NamedTuple):
 class Preferred(NamedTuple):
     """A candidate as the operator would take it."""
 
-    index: int  # of the candidate
+    candidate: int  # its number
     quality: float  # of GGCNN's best candidate for the favourite, less for others
     style: float  # fraction of the operator's turn and tilt
     tilt: np.ndarray  # of the approach about x and y of the level frame, shape (2,) [rad]
@@ -107,7 +107,7 @@ def constrained(of: Candidates, known: Preference) -> tuple[np.ndarray, np.ndarr
 
 def rotation(of: Candidates, one: Preferred) -> np.ndarray:
     """Returns the orientation of a preferred grasp before the camera, shape (3, 3)."""
-    line = rotation_about(2, -(of.angles[one.index] + one.turn))
+    line = rotation_about(2, -(of.angles[one.candidate] + one.turn))
     if not one.tilt.any() and one.turn == 0.0:
         return line
     return of.frame.R @ pin.exp3(np.append(one.tilt, 0.0)) @ line

@@ -88,7 +88,7 @@ def grasps(frame: EpisodeFrame, of: Candidates, known: Preference) -> dict[str, 
     found = {ALONE: alone.T_camera_grasp, MISS: shifted}
     for name, one in ((REFINED, known), (FREE, known._replace(lifts=None))):
         favourite = preference.preferences(of, one)[0]
-        where = own_grasp(frame._replace(peak=of.peaks[favourite.index]))
+        where = own_grasp(frame._replace(peak=of.peaks[favourite.candidate]))
         if where is not None:
             found[name] = pose(preference.rotation(of, favourite), where.T_camera_grasp[:3, 3])
     return found
