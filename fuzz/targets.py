@@ -612,7 +612,8 @@ def weight_files(data: Any) -> None:
     """Weight files of the networks, torch and Keras: they are read or refused."""
     import torch
 
-    from grasping.network import refinement_file, weights
+    from grasping.network import weights
+    from grasping.refinement import refinement_file
 
     for load in (weights.load, refinement_file.load):
         try:

@@ -287,9 +287,10 @@ GRASPING = ROOT / "src/grasping/src/grasping"
 # Each room of the live half, and the rooms that it may import besides itself.
 LIVE_ROOMS = {
     "network": set(),
-    "pipeline": {"network"},
+    "refinement": {"network"},
+    "pipeline": {"refinement", "network"},
     "execution": {"pipeline", "network"},
-    "ros": {"execution", "pipeline", "network"},
+    "ros": {"execution", "pipeline", "refinement", "network"},
 }  # fmt: skip
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Trains the refinement network on episodes of an operator's grasps."""
+"""Learns from episodes which grasps an operator prefers."""
 
 from grasping.lab.programs.train_refinement import main
 

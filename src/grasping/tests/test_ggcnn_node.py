@@ -370,30 +370,28 @@ def rig(**changes):
 def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, sentence):
     import torch
 
-    from grasping.network.refinement import RefinementNetwork
-    from grasping.network.refinement_file import content, taste
+    from grasping.refinement import taste
+    from grasping.refinement.preference import Preference
+    from grasping.refinement.refinement_file import content
     from grasping.ros.weight_files import load_refinement
 
-    network, file = RefinementNetwork(), str(tmp_path / "refinement.pt")
-    torch.save(content(network, rig(**learned)), file)
+    file = str(tmp_path / "refinement.pt")
+    torch.save(content(Preference(taste.nobody(), None), rig(**learned)), file)
     load_refinement(file, rig(**learned))
     with pytest.raises(RigError, match=sentence):
         load_refinement(file, rig(**used))
-    torch.save(taste(network, rig(**learned)), file)
-    load_refinement(file, rig(**used))
 
 
 def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
     import torch
 
-    from grasping.network.refinement import RefinementNetwork
     from grasping.ros.weight_files import load_refinement
 
     file = str(tmp_path / "refinement.pt")
-    torch.save(RefinementNetwork().state_dict(), file)
-    with pytest.raises(RigError, match="version 2"):
+    torch.save({"offset": torch.zeros(7)}, file)
+    with pytest.raises(RigError, match="version 3"):
         load_refinement(file, rig())
-    with pytest.raises(RigError, match="version 2"):
+    with pytest.raises(RigError, match="version 3"):
         load_refinement("ggcnn2.pt", rig())
     with pytest.raises(RigError, match="train_refinement.py"):
         load_refinement("refinement.pt", rig())
@@ -423,17 +421,18 @@ def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, ca
 
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
-    from grasping.network.refinement import AXES, RefinementNetwork
-    from grasping.network.refinement_file import Origin, content
+    from grasping.refinement import taste
+    from grasping.refinement.preference import Preference
+    from grasping.refinement.refinement_file import Origin, content
 
-    network, file = RefinementNetwork(), tmp_path / "refinement.pt"
-    network.offset[AXES.index("tilt_x")] = 0.2
-    torch.save(content(network, Origin(view=view)), file)
+    known, file = taste.nobody(), tmp_path / "refinement.pt"
+    hand = known.hand._replace(tilt_x=np.array([0.2, 0.0, 0.0]))
+    torch.save(content(Preference(known._replace(hand=hand), None), Origin(view=view)), file)
     lists = ros.record("ggcnn/out/grasps", GraspList)
     start(ros, view=view, refine=True, refinement_weights=str(file), reach__ask=False, peaks__threshold=0.05)
     found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
     approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
-    axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0) if view == "table" else (0.0, 0.0, 1.0)
+    axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)  # of the table, in either view
     assert approach @ axis == pytest.approx(np.cos(0.2), abs=0.01)
     assert 0.0 < found.grasps[0].probability <= 1.0
     assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)

@@ -1,4 +1,4 @@
-"""The refinement network's file: it comes back as it was saved, and says for which rig it is."""
+"""The refinement's file: it comes back as it was saved, and says for which rig it is."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.network.depth_image import CAMERA, TABLE, VIEWS
-from grasping.network.refinement import RefinementNetwork
-from grasping.network.refinement_file import Origin, content, load, taste
+from grasping.network.depth_image import CAMERA, TABLE
 from grasping.network.weights import WeightsError
+from grasping.refinement import taste
+from grasping.refinement.lifts import LiftModel
+from grasping.refinement.preference import Preference
+from grasping.refinement.refinement_file import TERMS, Origin, content, load
 
 RIG = Origin(
     view=CAMERA,
@@ -37,39 +39,25 @@ def file(state) -> bytes:
     return buffer.getvalue()
 
 
-def trained() -> RefinementNetwork:
-    torch.manual_seed(1)
-    network = RefinementNetwork()
-    for parameter in network.parameters():
-        parameter.data.normal_(0.0, 0.2)
-    network.offset[:] = torch.arange(7.0)
-    return network
+def trained(lifts: bool = True) -> Preference:
+    rng = np.random.default_rng(1)
+    model = LiftModel(*(rng.uniform(0.1, 1.0, n) for n in (TERMS, TERMS, TERMS + 1))) if lifts else None
+    hand = taste.HandStyle(*(rng.normal(0.0, 0.1, n) for n in (2, 3, 3, 2)), 0.1, 0.01)
+    weights = rng.normal(0.0, 1.0, len(taste.nobody().weights))
+    return Preference(taste.Taste(weights, rng.normal(0.0, 0.01, 3), 0.006, 0.1, hand), model)
 
 
-def test_a_saved_network_comes_back():
-    network = trained()
-    found, origin = load(file(content(network, RIG)))
+@pytest.mark.parametrize("lifts", [True, False], ids=["constrained", "free"])
+def test_what_was_saved_comes_back(lifts):
+    known = trained(lifts)
+    found, origin = load(file(content(known, RIG)))
     assert origin == RIG
-    for name, value in network.state_dict().items():
-        torch.testing.assert_close(found.network.state_dict()[name], value, rtol=0.0, atol=0.0)
-
-
-def test_the_taste_has_no_axes_and_fits_any_rig_with_the_first_network():
-    network = trained()
-    found, origin = load(file(taste(network, RIG)))
-    assert origin == Origin(network=RIG.network)
-    assert not found.network.offset.any()
-    x = torch.randn(1, 14, 3, 3)
-    with torch.no_grad():
-        before, after = network(x)[0], found.network(x)[0]
-    assert not after[5:7].any()
-    for rows in (slice(0, 5), slice(7, None)):
-        torch.testing.assert_close(before[rows], after[rows], rtol=0.0, atol=0.0)
-    for view in VIEWS:
-        assert not origin.mismatch(replace(RIG, view=view, hand=None))
-    assert "learned with network: abababababab..., but network is cdcdcdcdcdcd..." in origin.mismatch(
-        replace(RIG, network="cd" * 32)
-    )
+    assert (found.lifts is None) != lifts
+    of = ((known.taste, found.taste), (known.taste.hand, found.taste.hand), (known.lifts or (), found.lifts or ()))
+    for one, other in of:
+        for a, b in zip(one, other):
+            if not isinstance(a, taste.HandStyle):
+                np.testing.assert_allclose(a, b, rtol=1e-6)
 
 
 def test_the_origin_is_what_matters_of_a_rigs_configuration():
@@ -106,14 +94,14 @@ def test_another_extent_of_the_table_is_another_rig():
 
 
 def bad(key, value):
-    return {**content(RefinementNetwork(), RIG), key: value}
+    return {**content(trained(), RIG), key: value}
 
 
 def about(text: str) -> torch.Tensor:
     return torch.tensor(list(text.encode()))
 
 
-OLD = {**RefinementNetwork().state_dict(), "offset": torch.zeros(5), "view": torch.tensor(0.0)}
+OLD = {"first.weight": torch.zeros(32, 10), "offset": torch.zeros(7), "about": about('{"version": 2}')}
 
 
 @pytest.mark.parametrize(
@@ -121,17 +109,22 @@ OLD = {**RefinementNetwork().state_dict(), "offset": torch.zeros(5), "view": tor
     [
         (b"nothing", "The torch file cannot be read"),
         (file({}), "neither a state dict nor a model"),
-        (file({"a": torch.zeros(3)}), "of version 2"),
-        (file(OLD), "of version 2"),
-        (file(bad("about", about('{"version": 3}'))), "of version 2"),
-        (file(bad("about", about("[1"))), "of version 2"),
-        (file(bad("about", torch.tensor([300, -1]))), "of version 2"),
-        (file(bad("about", torch.tensor([[1.0, np.nan]]))), "of version 2"),
-        (file(bad("about", about('{"version": 2}'))), "does not say of what rig it is"),
-        (file(content(RefinementNetwork(), replace(RIG, view="above"))), "or names a view that is not known"),
-        (file({k: v for k, v in content(trained(), RIG).items() if k != "last.bias"}), "lacks last.bias"),
-        (file(bad("offset", torch.zeros(3))), "The array offset has the shape"),
-        (file(bad("offset", torch.full((7,), np.nan))), "not finite"),
+        (file({"a": torch.zeros(3)}), "of version 3"),
+        (file(OLD), "of version 3"),
+        (file(bad("about", about('{"version": 4}'))), "of version 3"),
+        (file(bad("about", about("[1"))), "of version 3"),
+        (file(bad("about", torch.tensor([300, -1]))), "of version 3"),
+        (file(bad("about", torch.tensor([[1.0, np.nan]]))), "of version 3"),
+        (file(bad("about", about('{"version": 3}'))), "does not say of what rig it is"),
+        (file(content(trained(), replace(RIG, view="above"))), "or names a view that is not known"),
+        (
+            file({k: v for k, v in content(trained(), RIG).items() if k != "miss"}),
+            "lacks or adds to a refinement: miss",
+        ),
+        (file(bad("miss", torch.zeros(2))), "The array miss has the shape"),
+        (file(bad("line", torch.full((2,), np.nan))), "not finite"),
+        (file(bad("spreads", torch.tensor([0.01, 0.1, 0.0, 0.01]))), "not positive"),
+        (file(bad("lift_scale", torch.zeros(TERMS))), "not positive"),
     ],
     ids=[
         "no torch",
@@ -147,6 +140,8 @@ OLD = {**RefinementNetwork().state_dict(), "offset": torch.zeros(5), "view": tor
         "part",
         "shape",
         "inf",
+        "spread",
+        "scale",
     ],
 )
 def test_bad_files_are_refused(data, sentence):
@@ -156,4 +151,4 @@ def test_bad_files_are_refused(data, sentence):
 
 def test_another_hash_is_refused():
     with pytest.raises(WeightsError, match="but 00 was expected"):
-        load(file(content(RefinementNetwork(), RIG)), "00")
+        load(file(content(trained(), RIG)), "00")

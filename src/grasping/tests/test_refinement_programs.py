@@ -15,25 +15,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 
+from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.labels import relative_label
-from grasping.lab.programs import (
-    evaluate,
-    evaluate_refinement,
-    make_dataset,
-    make_episodes,
-    runs,
-    train_refinement,
-)
+from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, runs, train_refinement
+from grasping.lab.programs.make_episodes import EpisodeTask
 from grasping.lab.synthetic import simulated_operator
-from grasping.network import refinement_file
-from grasping.network.refinement import RefinementNetwork
-from grasping.network.refinement_file import Origin
+from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
+from grasping.lab.training import refinement_examples
+from grasping.refinement import refinement_file
+from grasping.refinement.refinement_file import Origin
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 NUMBERS = (0, 1, 2, 3, 4)
+WHO = ("high", "middle", ANYBODIES[1])
 
 
 def call(monkeypatch, program, *arguments):
@@ -49,12 +45,17 @@ def each_scene_once():
         yield
 
 
-@pytest.fixture(scope="module", name="data")
-def data_fixture(tmp_path_factory):
+@pytest.fixture(scope="module", name="every")
+def every_fixture(tmp_path_factory):
     folder = tmp_path_factory.mktemp("episodes")
     for number in NUMBERS:
-        make_episodes.make((folder, WEIGHTS, "person", number, 1))
+        make_episodes.make(EpisodeTask(folder, WEIGHTS, "kind_hammer", number, 1, WHO))
     return folder
+
+
+@pytest.fixture(scope="module", name="data")
+def data_fixture(every):
+    return every / "high"
 
 
 class InProcess:
@@ -75,15 +76,16 @@ class InProcess:
             yield called(received)
 
 
-def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
+def test_episodes_are_made_once_and_read_as_recorded_ones(every, data, monkeypatch):
     pools = SimpleNamespace(get_context=lambda _method: SimpleNamespace(Pool=InProcess))
     monkeypatch.setattr(make_dataset, "multiprocessing", pools)
+    assert {p.name for p in every.iterdir()} == set(WHO)
     paths = sorted(data.iterdir())
-    assert [p.stem for p in paths] == [simulated_operator.file_name("person", n) for n in NUMBERS]
-    assert [simulated_operator.scene_of(p.stem) for p in paths] == [("person", n) for n in NUMBERS]
+    assert [p.stem for p in paths] == [simulated_operator.file_name("kind_hammer", n) for n in NUMBERS]
+    assert [simulated_operator.scene_of(p.stem) for p in paths] == [("kind_hammer", n) for n in NUMBERS]
     episode = store.decode(paths[1].read_bytes())
     frame = episode.frame(0)
-    assert episode.metadata.operator == "simulated"
+    assert (episode.metadata.operator, episode.metadata.object) == ("simulated high", "hammer")
     assert frame.maps.shape == (4, 150, 150)
     assert relative_label(frame) is not None
     # The hand comes from above, leaning by no more than half a radian or so.
@@ -91,15 +93,23 @@ def test_episodes_are_made_once_and_read_as_recorded_ones(data, monkeypatch):
     assert 0.02 < frame.opening <= 0.1
     paths[0].unlink()
     kept = paths[1].stat().st_mtime_ns
-    call(monkeypatch, make_episodes, data, WEIGHTS, "--episodes", len(NUMBERS), "--frames", 1)
+    options = ["--split", "kind_hammer", "--episodes", len(NUMBERS)]
+    call(monkeypatch, make_episodes, every, WEIGHTS, *options)
     assert paths[0].exists()
     assert paths[1].stat().st_mtime_ns == kept
+
+
+def test_all_operators_see_the_same_and_choose_for_themselves(every):
+    name = simulated_operator.file_name("kind_hammer", 1) + store.SUFFIX
+    one, other = (store.decode((every / who / name).read_bytes()) for who in ("high", "middle"))
+    np.testing.assert_array_equal(one.depth, other.depth)
+    assert np.linalg.norm(one.T_base_grasp[:3, 3] - other.T_base_grasp[:3, 3]) > 0.005
 
 
 @pytest.mark.parametrize("views", [("camera", "table"), ("above",)])
 def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_path, monkeypatch, capsys, views):
     for i, view in enumerate(views):
-        episode = store.decode((data / f"{simulated_operator.file_name('person', i)}.npz").read_bytes())
+        episode = store.decode((data / f"{simulated_operator.file_name('kind_hammer', i)}.npz").read_bytes())
         metadata = replace(episode.metadata, configuration={"view": view})
         (tmp_path / f"{i}.npz").write_bytes(store.encode(replace(episode, metadata=metadata)))
     with pytest.raises(SystemExit):
@@ -107,128 +117,88 @@ def test_episodes_of_several_views_or_of_an_unknown_one_teach_nothing(data, tmp_
     assert f"of the views {', '.join(views)}, whose grasps have other axes" in capsys.readouterr().err
 
 
-def test_the_simulated_grasp_is_where_the_person_wanted_it(data):
-    """Without bias, tremor and lean the grasp lies on the surface that the camera sees, and comes straight down."""
-    who = simulated_operator.SimulatedOperator(bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0, lean=0.0, follow=0.0)
-    network, sha256 = make_episodes.network(WEIGHTS)
-    episode = simulated_operator.episode("person", NUMBERS[1], network, sha256, who, 1)
-    frame = episode.frame(0)
-    p = frame.T_camera_grasp[:3, 3]
-    column, row = (round(float(i)) for i in frame.camera.project(p))
-    assert frame.depth_m[row, column] == pytest.approx(p[2], abs=0.012)
-    np.testing.assert_allclose(frame.T_base_grasp[:3, 2], [0.0, 0.0, -1.0], atol=1e-9)
-    assert episode.metadata.fingerprint != store.decode(next(iter(data.iterdir())).read_bytes()).metadata.fingerprint
+def test_what_an_operator_meant_is_without_miss_and_tremor(data):
+    """What was meant lies on the surface that the camera sees; the recorded grasp is beside it."""
+    for path in sorted(data.iterdir()):
+        episode = store.decode(path.read_bytes())
+        frame = episode.frame(0)
+        of = simulated_operator.situation(*simulated_operator.scene_of(path.stem))
+        meant = simulated_operator.meant(of, episode)
+        p = (np.linalg.inv(frame.T_base_camera) @ meant)[:3, 3]
+        column, row = (round(float(i)) for i in frame.camera.project(p))
+        assert frame.depth_m[row, column] == pytest.approx(p[2], abs=0.012)
+        off = episode.T_base_grasp[:3, 3] - meant[:3, 3] - OPERATORS["high"].bias
+        assert 0.0 < np.linalg.norm(off) < 0.025
 
 
-@pytest.fixture(name="holdout")
-def holdout_fixture(monkeypatch):
-    """Every other episode is held out, so that few are enough."""
-    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: int(name[-1]) % 2 == 1)
-
-
-def test_training_ends_and_goes_on_and_its_weights_are_compared(data, holdout, tmp_path, monkeypatch):
+def test_training_learns_and_says_what(every, data, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
-    options = ["--every", "1", "--count", "2", "--hidden", "2"]
-    options = ["--steps", "3", *options]
-    with monkeypatch.context() as interrupted:
-        interrupted.setattr(runs, "plot", interrupt_at(2))
-        with pytest.raises(KeyboardInterrupt):
-            call(interrupted, train_refinement, data, run, *options)
-    call(monkeypatch, train_refinement, data, run, *options)
-    with (run / "curves.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["step"] for row in rows] == ["1", "2", "3"]
-    assert all(np.isfinite(float(v)) for row in rows for v in row.values())
-    assert (run / "curves.png").stat().st_size > 1000
-    assert json.loads((run / "settings.json").read_text())["episodes"] == 3
-    content = (run / "weights.pt").read_bytes()
-    assert len(content) < 100_000
-    network, origin = refinement_file.load(content)
+    call(monkeypatch, train_refinement, data, run)
+    said = json.loads(capsys.readouterr().out)
+    assert said == json.loads((run / "settings.json").read_text())
+    assert said["episodes"] == len(NUMBERS)
+    assert not said["constrained"]
+    known, origin = refinement_file.load((run / "weights.pt").read_bytes())
     sha256 = hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
     assert origin == Origin(view="camera", crop={"side": 400, "rows_up": 0}, network=sha256)
-    assert network.network.offset.any()
-    taste, origin = refinement_file.load((run / "taste.pt").read_bytes())
-    assert origin == Origin(network=sha256)
-    assert not taste.network.offset.any()
-    test, results = tmp_path / "test", tmp_path / "results"
-    test.mkdir()
-    for path in sorted(data.iterdir())[:2]:
-        shutil.copy(path, test)
-    untrained = tmp_path / "untrained.pt"
-    torch.save(refinement_file.content(RefinementNetwork(), Origin()), untrained)
-    call(monkeypatch, evaluate_refinement, data, test, results, "--refinement", "untrained", untrained)
-    first = (results / "results.csv").read_text()
-    more = ["--refinement", "untrained", untrained, "--refinement", "trained", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, test, results, *more)
+    assert known.taste.weights.any()
+    assert known.lifts is None
+    monkeypatch.setattr(refinement_examples, "FEWEST", 2)
+    monkeypatch.setattr(store, "decode", failing_every_other(store.decode))
+    call(monkeypatch, train_refinement, data, run, "--outcomes", every / ANYBODIES[1])
+    assert json.loads((run / "settings.json").read_text())["constrained"]
+    assert refinement_file.load((run / "weights.pt").read_bytes())[0].lifts is not None
+
+
+def failing_every_other(decode):
+    """Returns `store.decode` for files of which every other one's grasp failed."""
+    count = iter(range(1000))
+    return lambda data: replace(decode(data), held=next(count) % 2 == 0)
+
+
+def test_predictors_are_compared(every, tmp_path, monkeypatch):
+    both, results = tmp_path / "both", tmp_path / "results"
+    for who in ("high", "middle"):
+        shutil.copytree(every / who, both / who)
+    call(monkeypatch, evaluate_refinement, both, results, "--few", 3)
     text = (results / "results.csv").read_text()
-    assert text.startswith(first)
     rows = list(csv.DictReader(text.splitlines()))
-    held = [n.name for n in train_refinement.read_episodes(test) if n.episode.held]
-    bound = evaluate_refinement.BOUND
-    names = {"GGCNN alone", "GGCNN + constant offset", "nearest neighbour", bound, "untrained", "trained"}
-    assert sorted((r["episode"], r["method"]) for r in rows) == sorted((e, m) for e in held for m in names)
-    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in names}
-    for name in held:
-        # The tremor is 5 mm along each axis.
-        assert 0.0 < float(of[bound][name]["position_mm"]) < 25.0
-        assert of["untrained"][name]["position_mm"] == of["GGCNN alone"][name]["position_mm"]
-        assert float(of["trained"][name]["nearest_of_3_mm"]) <= float(of["trained"][name]["position_mm"])
-    text = (results / "table.md").read_text()
-    assert "| trained |" in text
-    # Untrained it is GGCNN alone, without difference.
-    assert "| untrained less GGCNN alone | " + " | ".join(["+0.0 (+0.0 to +0.0)"] * 6) + " |" in text
-    assert "| untrained | " in text.partition("log-likelihood")[2]
-    assert "| +0.00 (+0.00 to +0.00) |" in text
-    orientations = text.partition("rotation error at the operator's place")[2]
-    assert all(f"| {name} | " in orientations for name in ("GGCNN alone", "GGCNN + constant offset", "trained"))
-    assert "| trained less GGCNN + constant offset | " in orientations
-    assert not (results / "curve.png").exists()
-    with monkeypatch.context() as plain:
-        plain.setattr(runs, "plot", no_plot)
-        call(plain, train_refinement, data, tmp_path / "few", *options, "--episodes", "2")
-    curve = ["--refinement", "few", tmp_path / "few" / "weights.pt", "--refinement", "all", run / "weights.pt"]
-    call(monkeypatch, evaluate_refinement, data, test, tmp_path / "curve", "--no-lifting", *curve)
-    assert (tmp_path / "curve" / "curve.png").stat().st_size > 1000
-    call(monkeypatch, evaluate_refinement, data, test, tmp_path / "part", "--held-out", "--no-lifting")
-    rows = list(csv.DictReader((tmp_path / "part" / "results.csv").read_text().splitlines()))
-    assert {r["episode"] for r in rows} == {name for name in held if train_refinement.is_held_out(name)}
+    tested = [simulated_operator.file_name("kind_hammer", n) for n in NUMBERS[3:]]
+    wanted = sorted(
+        (f"{who}/{n}", m) for who in ("high", "middle") for n in tested for m in evaluate_refinement.METHODS
+    )
+    assert sorted((r["episode"], r["method"]) for r in rows) == wanted
+    assert {r["lifted"] for r in rows} <= {"True", "False"}
+    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}
+    for name in of[evaluate_refinement.ALONE]:
+        # Without outcomes nothing constrains it.
+        assert of["refinement"][name]["meant_mm"] == of["without constraint"][name]["meant_mm"]
+    table = (results / "table.md").read_text()
+    assert "n = 4 episodes in 2 scenes" in table
+    assert "| refinement - GG-CNN alone |" in table
+    call(monkeypatch, evaluate_refinement, both, results, "--few", 3)
+    assert (results / "results.csv").read_text() == text
+    assert (results / "table.md").read_text() == table
+
+
+def test_after_no_episodes_it_is_ggcnn_alone(every, tmp_path, monkeypatch):
+    call(monkeypatch, evaluate_refinement, every / "high", tmp_path, "--few", 0, "--no-lifting")
+    rows = list(csv.DictReader((tmp_path / "results.csv").read_text().splitlines()))
+    of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}
+    assert len(of["refinement"]) == len(NUMBERS)
+    for name, row in of["refinement"].items():
+        assert row["position_mm"] == of[evaluate_refinement.ALONE][name]["position_mm"]
     assert {r["lifted"] for r in rows} == {""}
 
 
-def no_plot(*_):
-    """Takes the place of a plot that nobody looks at."""
-
-
-def interrupt_at(count: int):
-    """Returns what takes the place of a function and ends the program when it is called that often."""
-    calls = []
-
-    def call_it(*_):
-        calls.append(1)
-        if len(calls) == count:
-            raise KeyboardInterrupt
-
-    return call_it
-
-
-def test_another_training_is_not_gone_on_with(data, holdout, tmp_path, monkeypatch, capsys):
-    run = tmp_path / "run"
-    monkeypatch.setattr(runs, "plot", no_plot)
-    options = ["--steps", "1", "--every", "1", "--count", "2", "--hidden", "2"]
-    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "2")
-    files = {p.name: p.read_bytes() for p in run.iterdir()}
-    for change in (["--episodes", "3"], ["--episodes", "2", "--seed", "2"]):
-        with pytest.raises(SystemExit):
-            call(monkeypatch, train_refinement, data, run, *options, *change)
-        assert "holds a training on other data or with other settings" in capsys.readouterr().err
-        assert {p.name: p.read_bytes() for p in run.iterdir()} == files
-    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "3", "--anew")
-    assert {p.name: p.read_bytes() for p in (run / "before_1").iterdir()} == files
-    assert (run / "weights.pt").read_bytes() != files["weights.pt"]
-    assert json.loads((run / "settings.json").read_text())["episodes"] == 3
-    call(monkeypatch, train_refinement, data, run, *options, "--episodes", "2", "--anew")
-    assert (run / "before_2" / "weights.pt").exists()
-    assert (run / "weights.pt").read_bytes() == files["weights.pt"]
+def test_intervals_are_over_scenes():
+    """Ten operators in one scene are no ten scenes."""
+    scenes = np.repeat(np.arange(20), 10)
+    values = np.repeat(np.random.default_rng(1).normal(0.0, 1.0, 20), 10)
+    wide = evaluate_refinement.interval(values, None, np.mean, evaluate_refinement.drawn(scenes), "")
+    narrow = evaluate_refinement.interval(values, None, np.mean, evaluate_refinement.drawn(np.arange(200)), "")
+    (a, b), (c, d) = ([float(x) for x in text[text.index("(") + 1 : -1].split(" to ")] for text in (wide, narrow))
+    assert b - a > 2.0 * (d - c)
 
 
 def of_another_rig(data, folder, **changes):
@@ -261,14 +231,6 @@ def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, m
     assert mixed == replace(train_refinement.origin_of(train_refinement.read_episodes(data)), **{name: None})
 
 
-def test_a_second_network_of_another_rig_is_not_compared(data, holdout, tmp_path, monkeypatch, capsys):
-    file = tmp_path / "second.pt"
-    torch.save(refinement_file.content(RefinementNetwork(), Origin(network="ab" * 32)), file)
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results", "--refinement", "second", file)
-    assert "second.pt learned with network: abababababab..., but network is " in capsys.readouterr().err
-
-
 def test_training_is_over_when_nothing_gets_better():
     rows = [{"validation": v} for v in (3.0, 2.0, 2.5, 2.1)]
     assert not runs.is_over(rows, 3)
@@ -276,27 +238,19 @@ def test_training_is_over_when_nothing_gets_better():
     assert not runs.is_over([*rows, {"validation": 1.9}], 2)
 
 
-def test_one_episode_in_five_is_held_out():
-    held = [train_refinement.is_held_out(f"episode_{i}") for i in range(1000)]
-    assert 150 < sum(held) < 250
-
-
 def test_things_are_left_out_and_chosen(data):
-    things = {n.name: n.episode.metadata.object for n in train_refinement.read_episodes(data)}
-    one = next(iter(things.values())).split(", ")[0]
-    only = {n.name for n in train_refinement.read_episodes(data, only=[one])}
-    without = {n.name for n in train_refinement.read_episodes(data, without=[one])}
-    assert only == {name for name, what in things.items() if one in what.split(", ")}
-    assert without == things.keys() - only
+    assert len(train_refinement.read_episodes(data, only=["hammer"])) == len(NUMBERS)
+    for choice in ({"only": ["mug"]}, {"without": ["hammer"]}):
+        with pytest.raises(RigError, match="holds no episode of these things"):
+            train_refinement.read_episodes(data, **choice)
 
 
 @pytest.mark.parametrize(
     ("program", "arguments", "sentence"),
     [
         (train_refinement, ["nowhere", "run"], "holds no episode"),
-        (train_refinement, [WEIGHTS.parent, "run", "--device", "gpu"], "invalid choice: 'gpu'"),
-        (train_refinement, ["nowhere", "run", "--count", "0"], "--count is 0, but must be at least 1."),
-        (evaluate_refinement, ["nowhere", "nowhere", "results"], "holds no episode"),
+        (evaluate_refinement, ["nowhere", "results"], "holds no episode"),
+        (evaluate_refinement, ["nowhere", "results", "--few", "-1"], "--few is -1, but must be at least 0."),
         (make_episodes, ["made", "nowhere.pt"], "No such file"),
         (make_episodes, ["made", WEIGHTS, "--frames", "0"], "--frames is 0, but must be at least 1."),
         (evaluate, ["folder", "--export", "file"], "Either a folder for the results is needed, or --export."),
@@ -320,18 +274,10 @@ def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):
     assert "torn.npz: The file is torn or damaged" in capsys.readouterr().err
 
 
-def test_too_few_episodes_are_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: False)
+def test_nothing_to_test_on_is_refused(data, monkeypatch, capsys, tmp_path):
     with pytest.raises(SystemExit):
-        call(monkeypatch, train_refinement, data, tmp_path / "run")
-    assert "too few show a grasp that held" in capsys.readouterr().err
-
-
-def test_nothing_to_learn_from_is_refused(data, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(train_refinement, "is_held_out", lambda name: True)
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate_refinement, data, data, tmp_path / "results")
-    assert "and 0 to learn from, too few held." in capsys.readouterr().err
+        call(monkeypatch, evaluate_refinement, data, tmp_path / "results", "--few", len(NUMBERS))
+    assert f"has more than {len(NUMBERS)} episodes of a kind to test on" in capsys.readouterr().err
     assert not (tmp_path / "results").exists()
 
 

@@ -14,8 +14,9 @@ import pytest
 import torch
 
 from common.ros.files import read_yaml
-from grasping.network import refinement_file, weights
+from grasping.network import weights
 from grasping.network.maps import PARALLEL, REFLEX
+from grasping.refinement import refinement_file
 
 OWN = {
     "ggcnn2.pt": ("ggcnn2", PARALLEL),
@@ -101,7 +102,7 @@ class Program(torch.nn.Module):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["first network", "refinement network"])
+@pytest.mark.parametrize("load", [weights.load, refinement_file.load], ids=["network", "refinement"])
 def test_no_program_runs(tmp_path, monkeypatch, load):
     monkeypatch.chdir(tmp_path)
     buffer = io.BytesIO()

@@ -26,7 +26,6 @@ ROUNDS = 3
 FLAT = 1e-9  # a smaller determinant is of three pixels in a row
 NOISE = 0.003  # standard deviation of a pixel's inverse depth [1/m]
 EVERY = 5  # step between the rows and columns that are used
-FARTHEST_M = 10.0  # of a table that is seen nearly edge on
 
 
 class Crop(NamedTuple):
@@ -144,17 +143,3 @@ def _picks(count: int) -> np.ndarray:
     picks = np.random.default_rng(0).integers(0, count, (TRIPLES, 3))
     picks.setflags(write=False)
     return picks
-
-
-def table_depth(image: NetworkImage) -> np.ndarray:
-    """Returns the depth of the image's largest plane, shape (h, w), float32 [m]; without one, the image's mean."""
-    h, w = image.depth.shape
-    row, column = np.indices((h, w))
-    # A plane's inverse depth is linear in rows and columns, whatever the camera's focal length.
-    rays = np.stack([column / w - 0.5, row / h - 0.5, np.ones((h, w))], axis=-1)
-    part = (slice(EVERY // 2, None, EVERY),) * 2
-    seen = image.valid[part]
-    found = best_plane(rays[part][seen], image.depth[part][seen], NOISE)
-    if found is None:
-        return np.full((h, w), image.mean, np.float32)
-    return (1.0 / np.maximum(rays @ found.a, 1.0 / FARTHEST_M)).astype(np.float32)

@@ -8,7 +8,7 @@ and, where the camera's pose is known, in kuka/base_frame. A result without gras
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,6 @@ from common.poses import inverse, read_only
 from grasping.network.around import around
 from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, Smoothing, highest, peaks, reach, smoothed
 from grasping.network.networks import frozen, infer
-from grasping.network.refinement import MapRefiner, RefinedMaps
 from grasping.pipeline import projection, refined_grasp
 from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
 from grasping.pipeline.tracking import (
@@ -31,6 +30,7 @@ from grasping.pipeline.tracking import (
     TrackingConfig,
 )
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
+from grasping.refinement.preference import Preference
 
 MOST_GRASPABLE = 0.2  # fraction of the view; with more, the network is faster everywhere than near the objects
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
@@ -59,7 +59,7 @@ class GraspCandidate(NamedTuple):
     grasp: projection.CameraGrasp | None  # before the view's camera; None without a reading or an approach
     normal_missing: bool  # the surface has no clear normal, and the approach is along the axis of the view instead
     rejection: str  # why the grasp is not published, a clause; empty if it is
-    uncertainty: refined_grasp.GraspUncertainty | None = None  # None without a refinement network
+    uncertainty: refined_grasp.GraspUncertainty | None = None  # None without a refinement
 
 
 class GraspProposal(NamedTuple):
@@ -74,7 +74,7 @@ class GraspProposal(NamedTuple):
     pixel: tuple[float, float]  # u, v in the camera's image [px]
     width_px: float  # opening in the camera's image [px]
     peak: Peak  # in the network's image
-    uncertainty: refined_grasp.GraspUncertainty | None  # of the operator's grasp; None without a refinement network
+    uncertainty: refined_grasp.GraspUncertainty | None  # of the operator's grasp; None without a refinement
 
 
 class PipelineResult(NamedTuple):
@@ -94,8 +94,8 @@ class PipelineResult(NamedTuple):
 
 
 class GraspPipeline:
-    """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, a refinement
-    network. `clock` returns the time [s] by which the stages are timed; the default times nothing.
+    """Finds grasps in single depth images or in a stream of them, with GG-CNN or GG-CNN2 and, if given, what an
+    operator prefers. `clock` returns the time [s] by which the stages are timed; the default times nothing.
     """
 
     def __init__(
@@ -103,11 +103,11 @@ class GraspPipeline:
         views: CameraView | TableView,
         network: nn.Module,
         settings: PipelineSettings,
-        refiner: MapRefiner | None = None,
+        refinement: Preference | None = None,
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
-        self._views, self._settings, self._refiner, self._clock = views, settings, refiner, clock
-        self._around = None if refiner is not None else around(network)
+        self._views, self._settings, self._clock, self._refinement = views, settings, clock, refinement
+        self._around = None if refinement is not None else around(network)
         self.network = frozen(network)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -127,7 +127,7 @@ class GraspPipeline:
         """Returns the grasps in a depth image, shape (h, w), float32 [m], not finite = no reading, by `camera` at
         T_base_camera, shape (4, 4) [m], None if unknown; the stamp `now` [s] matters to averaging and tracking only.
         """
-        s, stages = self._settings, _StageTimes(self._clock)
+        stages = _StageTimes(self._clock)
         if now < self._last:  # a recording that begins again
             self.reset()
         self._last = now
@@ -147,11 +147,9 @@ class GraspPipeline:
             return PipelineResult(view, None, (), (), "the network's maps are not finite", stages.seconds)
         if self._average is not None:
             output, _ = self._average.step(output, view.image.depth, known)
-        refined = None if self._refiner is None else self._refiner.apply(output, view.image)
-        maps = maps_of(output if refined is None else refined.output, view, s)
-        found = [highest(maps)] if s.threshold is None else peaks(maps, s.count, s.distance, s.threshold)
+        maps, found = self._peaks(output, view)
         stages.end("peaks")
-        candidates = tuple(self._candidates(found, view, refined, T_base_camera))
+        candidates = tuple(self._candidates(found, view, T_base_camera))
         accepted = [c for c in candidates if not c.rejection]
         T_track_camera = np.eye(4) if T_base_camera is None else T_base_camera
         seen = [(c.grasp, c.peak.quality) for c in accepted if c.grasp is not None]
@@ -177,14 +175,27 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
+    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak] | list[refined_grasp.RefinedPeak]]:
+        """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers."""
+        s = self._settings
+        if self._refinement is None:
+            maps = maps_of(output, view, s)
+            return maps, [highest(maps)] if s.threshold is None else peaks(maps, s.count, s.distance, s.threshold)
+        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING))
+        widest = np.inf if s.tool is None else s.tool.max_opening
+        seen = maps, np.hypot(output[1], output[2]), view.image, view.camera
+        return maps, refined_grasp.refined_peaks(self._refinement, *seen, s.count, s.distance, s.threshold, widest)
+
     def _candidates(
-        self, found: list[Peak], view: GraspView, refined: RefinedMaps | None, T_base_camera: np.ndarray | None
+        self,
+        found: Sequence[Peak | refined_grasp.RefinedPeak],
+        view: GraspView,
+        T_base_camera: np.ndarray | None,
     ) -> Iterator[GraspCandidate]:
         s, side = self._settings, len(view.image.input)
-        probabilities = None if refined is None else refined_grasp.pixel_probabilities(refined)
-        for peak in found:
-            if refined is not None:
-                peak = refined_grasp.opened(peak, refined)
+        for one in found:
+            refined = one if isinstance(one, refined_grasp.RefinedPeak) else None
+            peak = one.peak if isinstance(one, refined_grasp.RefinedPeak) else one
             peak = peak._replace(width=max(0.0, peak.width))
             on_surface = projection.project_grasp(peak, view.image.crop, side, view.depth, view.camera)
             if on_surface is None:
@@ -193,7 +204,7 @@ class GraspPipeline:
             if refined is None:
                 grasp, normal_missing, why = self._approached(on_surface, view, T_base_camera)
             else:
-                grasp, normal_missing, why = refined_grasp.refined_grasp(on_surface, refined, peak), False, ""
+                grasp, normal_missing, why = refined_grasp.refined_grasp(on_surface, refined), False, ""
             if grasp is None:
                 yield GraspCandidate(peak, None, normal_missing, why)
                 continue
@@ -202,10 +213,7 @@ class GraspPipeline:
                 T_base = None if T_base_camera is None else T_base_camera @ T
                 opening = np.inf if s.tool is None else s.tool.max_opening
                 why = rejection_reason(T, T_base, grasp.width, opening, s.limits)
-            uncertainty = None
-            if refined is not None and probabilities is not None:
-                pixel_m = view.image.crop.side / side * on_surface.T_camera_grasp[2, 3] / view.camera.K[0, 0]
-                uncertainty = refined_grasp.grasp_uncertainty(refined, probabilities, peak, on_surface, pixel_m)
+            uncertainty = None if refined is None else refined.uncertainty
             yield GraspCandidate(peak, grasp, normal_missing, why, uncertainty)
 
     def _approached(

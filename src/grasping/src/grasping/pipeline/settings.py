@@ -18,12 +18,12 @@ from common.errors import ConfigError
 from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
 from grasping.network.networks import NETWORKS
-from grasping.network.refinement_file import Origin
 from grasping.pipeline.pipeline import PipelineSettings
 from grasping.pipeline.projection import ApproachConfig
 from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig, grasp_in_tool
 from grasping.pipeline.tracking import AveragingConfig, TrackingConfig
 from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableView
+from grasping.refinement.refinement_file import Origin
 
 ANY, LISTED = "any", "listed"
 DIGITS = 3  # decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more
@@ -66,7 +66,7 @@ class GgcnnConfig:
     """What stands beside the sections."""
 
     view: str = choice(*VIEWS, doc="the camera's own image, or one from above the table")
-    refine: bool = flag(doc="put the refinement network, learned from the operator, behind the first")
+    refine: bool = flag(doc="prefer the grasps that the operator would take, as the refinement learned it")
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
 
 
@@ -158,7 +158,7 @@ def rig_configuration(
 
 
 def live_origin(settings: GgcnnSettings, weights: str, robot: str | None) -> Origin:
-    """Returns this rig as a refinement network depends on it; `weights`: GGCNN's SHA-256; `robot`: None if unknown."""
+    """Returns this rig as a refinement depends on it; `weights`: GGCNN's SHA-256; `robot`: None if unknown."""
     found = _network_configuration(grasp_in_tool(settings.tool), settings, weights)
     return Origin.of({**found, "kuka": {"robot": robot}})
 

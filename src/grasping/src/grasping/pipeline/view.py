@@ -65,7 +65,7 @@ class GraspView(NamedTuple):
     rays: np.ndarray  # direction of each of its pixels, shape (h, w, 3)
     camera: CameraModel  # that took it, a real or an imagined one
     T_camera_view: np.ndarray
-    """Pose of that camera in the real one, shape (4, 4) [m]. The refinement network's output has its axes: an imagined
+    """Pose of that camera in the real one, shape (4, 4) [m]. The refinement has its axes: an imagined
     camera's z axis is straight down on the table, its x axis the real camera's as far as the table lets it."""
 
 

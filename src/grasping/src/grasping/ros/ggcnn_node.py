@@ -219,12 +219,12 @@ def _run() -> None:
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
     rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
-    refiner = load_refinement(main.refinement_weights, rig) if main.refine else None
+    refinement = load_refinement(main.refinement_weights, rig) if main.refine else None
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
-    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refiner, time.perf_counter)
+    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, time.perf_counter)
     file, name, sha256, milliseconds = (
         settings.network.weights,
         loaded.name,

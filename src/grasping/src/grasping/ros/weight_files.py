@@ -9,11 +9,12 @@ import rospkg
 import yaml
 
 from common.errors import RigError
-from grasping.network import refinement_file, weights
-from grasping.network.refinement import MapRefiner
-from grasping.network.refinement_file import Origin
+from grasping.network import weights
 from grasping.network.weights import Loaded, WeightsError, listed_sha256
 from grasping.pipeline.settings import ANY, LISTED, NetworkConfig
+from grasping.refinement import refinement_file
+from grasping.refinement.preference import Preference
+from grasping.refinement.refinement_file import Origin
 
 SUMS = "SHA256SUMS"
 
@@ -40,21 +41,21 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str, rig: Origin) -> MapRefiner:
-    """Returns the refinement network of a weight file; one of this package must have the hash in its list.
+def load_refinement(name: str, rig: Origin) -> Preference:
+    """Returns the refinement of a weight file; one of this package must have the hash in its list.
 
     Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig.
     """
     path = _path(name)
     if not name.startswith("/") and not path.exists():
         raise RigError(
-            f"No refinement network {path}; none comes with the package. Train one on an operator's grasps with "
+            f"No refinement {path}; none comes with the package. Train one on an operator's grasps with "
             "train_refinement.py and set refinement_weights to its weights.pt."
         )
     found, origin = refinement_file.load(_content(path), None if name.startswith("/") else _listed(path))
     mismatch = origin.mismatch(rig)
     if mismatch:
-        raise WeightsError(f"The refinement network in {path} {mismatch}.")
+        raise WeightsError(f"The refinement in {path} {mismatch}.")
     return found
 
 

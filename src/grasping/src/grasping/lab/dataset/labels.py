@@ -1,4 +1,4 @@
-"""The operator's grasp against GGCNN's own, seen by the camera: what the refinement network learns to predict.
+"""The operator's grasp against GGCNN's own, seen by the camera.
 
 A grasp before the camera is a pixel, a depth along the optical axis, an angle in the image, and the tilt of its
 approach, which GGCNN's does not have, against that axis. Its rotation is split as

@@ -40,8 +40,7 @@ from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.evaluation.tables import fraction, markdown_table
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.samples import view
-from grasping.lab.synthetic.scene import world_xml
-from grasping.lab.synthetic.simulated_operator import points
+from grasping.lab.synthetic.scene import points, world_xml
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.maps import WIDTH_SCALE_PX

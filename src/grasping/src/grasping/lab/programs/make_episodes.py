@@ -1,10 +1,15 @@
-"""Makes episodes of a simulated operator's grasps, in the file format of `collect.launch`; resumable."""
+"""Makes episodes of simulated operators' grasps, in the file format of `collect.launch`; resumable.
+
+Each operator gets a folder. `anybody` takes eight candidates a scene, half of them with any tilt and turn: these
+episodes teach what is lifted.
+"""
 
 from __future__ import annotations
 
 import argparse
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import mujoco
@@ -13,10 +18,24 @@ import torch
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning, make_all
-from grasping.lab.synthetic import simulated_operator
-from grasping.lab.synthetic.simulated_operator import SimulatedOperator
+from grasping.lab.synthetic import samples, simulated_operator
+from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
 from grasping.network import weights
 from grasping.network.networks import MapNetwork, frozen
+
+SPLITS = tuple(name for name in samples.SPLITS if name.startswith(("person", "kind_")))
+ALL, ANYBODY = "all", "anybody"
+
+
+class EpisodeTask(NamedTuple):
+    """A scene whose episodes are to be made."""
+
+    folder: Path
+    weights: Path  # of GGCNN
+    split: str
+    number: int  # of the scene
+    frames: int
+    operators: tuple[str, ...]
 
 
 @lru_cache(maxsize=1)
@@ -26,20 +45,21 @@ def network(path: Path) -> tuple[MapNetwork, str]:
     return frozen(loaded.network), loaded.sha256
 
 
-def make(task: tuple[Path, Path, str, int, int]) -> None:
-    """Writes one episode unless it is there."""
-    folder, file, split, number, frames = task
-    path = folder / (simulated_operator.file_name(split, number) + store.SUFFIX)
-    if path.exists():
+def make(task: EpisodeTask) -> None:
+    """Writes the episodes of one scene unless they are there."""
+    name = simulated_operator.file_name(task.split, task.number) + store.SUFFIX
+    missing = [who for who in task.operators if not (task.folder / who / name).exists()]
+    if not missing:
         return
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    ggcnn, sha256 = network(file)
-    made = simulated_operator.episode(split, number, ggcnn, sha256, SimulatedOperator(), frames)
-    if made is not None:
+    made = simulated_operator.episodes(task.split, task.number, *network(task.weights), missing, task.frames)
+    for who, episode in made:
+        path = task.folder / who / name
+        path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(".part")
-        part.write_bytes(store.encode(made))
+        part.write_bytes(store.encode(episode))
         part.replace(path)
 
 
@@ -47,9 +67,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="where the episodes go")
     parser.add_argument("weights", type=Path, help="weight file of GGCNN")
-    parser.add_argument("--split", choices=("person", "person_test"), default="person", help="known or held-out things")
+    parser.add_argument("--split", choices=SPLITS, default="person", help="known or held-out things, or one kind")
+    operators = (*OPERATORS, ANYBODY, ALL)
+    parser.add_argument("--operator", choices=operators, default="high", help="who grasps; all: each but anybody")
+    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
     parser.add_argument("--episodes", type=int, default=400, help="how many scenes; where nothing holds, none is made")
-    parser.add_argument("--frames", type=int, default=2, help="images an episode")
+    parser.add_argument("--frames", type=int, default=1, help="images an episode")
     parser.add_argument("--processes", type=int, default=1, help="how many at a time")
     arguments = parser.parse_args()
     if arguments.frames < 1:
@@ -58,8 +81,8 @@ def main() -> None:
         network(arguments.weights)
     except (OSError, RigError) as error:
         parser.error(str(error))
-    tasks = [
-        (arguments.folder, arguments.weights, arguments.split, number, arguments.frames)
-        for number in range(arguments.episodes)
-    ]
-    make_all(parser, arguments.folder, make, tasks, arguments.processes, "episode")
+    who = {ALL: tuple(OPERATORS), ANYBODY: ANYBODIES}.get(arguments.operator, (arguments.operator,))
+    numbers = range(arguments.first, arguments.first + arguments.episodes)
+    about = (arguments.frames, who)
+    tasks = [EpisodeTask(arguments.folder, arguments.weights, arguments.split, n, *about) for n in numbers]
+    make_all(parser, arguments.folder, make, tasks, arguments.processes, "scene")

@@ -1,16 +1,15 @@
-"""Trains the refinement network on episodes of an operator's grasps; may be stopped and resumed at any time.
+"""Learns from episodes of an operator's grasps which ones the operator prefers, and what is lifted; takes seconds.
 
-The folder of the run holds checkpoint.pt (to resume, with the same episodes and settings), weights.pt (the best so
-far), taste.pt (the same without the constant offset and the lean about the view's axes, which belong to this operator's
-hand and site alone), settings.json, curves.csv and curves.png. One in five episodes, chosen by its file's name, is held
-out to decide when training stops.
+The folder of the run gets weights.pt, for `refinement_weights` in ggcnn.yaml, and settings.json, which says what was
+learned. What is lifted is learned from the outcomes of all grasps that were at a candidate, of the episodes and of
+those in --outcomes; if they are too few, nothing is known of lifts and nothing constrains the operator's taste.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import zlib
+import json
+import sys
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -22,30 +21,32 @@ from tqdm import tqdm
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.episode import Episode
-from grasping.lab.programs import runs
-from grasping.lab.training import refinement_examples
-from grasping.lab.training.refinement_trainer import RefinementTraining, refinement_trainer
+from grasping.lab.training import refinement_examples as examples
 from grasping.network.depth_image import VIEWS
-from grasping.network.refinement import RefinementNetwork
-from grasping.network.refinement_file import Origin, content, taste
-
-HELD_OUT = 5  # one in this many episodes is held out of training and decides when it stops
-LOSSES = ("training", "validation", "place", "depth", "turn", "opening", "tilt")
-CURVES = runs.Curves(
-    ("step", *LOSSES, "miss"),
-    losses=LOSSES,
-    scale="linear",
-    metric="miss",
-    label="median miss on held-out episodes [px]",
-)
+from grasping.refinement import taste
+from grasping.refinement.candidates import TASTES
+from grasping.refinement.preference import Preference
+from grasping.refinement.refinement_file import Origin, content
+from grasping.refinement.taste import Choice
 
 
 class Named(NamedTuple):
-    """An episode, the name of its file, without the ending, and the SHA-256 of its content, hexadecimal."""
+    """An episode and the path of its file, without the ending, below the folder that was read."""
 
     name: str
     episode: Episode
-    sha256: str
+
+    @property
+    def objects(self) -> set[str]:
+        """What was grasped."""
+        return {thing.strip() for thing in self.episode.metadata.object.split(",")}
+
+
+class Lesson(NamedTuple):
+    """What an episode teaches."""
+
+    choice: Choice  # in its last frame
+    outcome: examples.Outcome | None  # of that grasp
 
 
 def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
@@ -55,14 +56,12 @@ def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str]
     """
     found = []
     for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
-        data = path.read_bytes()
         try:
-            episode = store.decode(data)
+            named = Named(str(path.relative_to(folder).with_suffix("")), store.decode(path.read_bytes()))
         except RigError as error:
             raise RigError(f"{path}: {error}") from None
-        things = {thing.strip() for thing in episode.metadata.object.split(",")}
-        if (not only or things & set(only)) and not things & set(without):
-            found.append(Named(path.stem, episode, hashlib.sha256(data).hexdigest()))
+        if (not only or named.objects & set(only)) and not named.objects & set(without):
+            found.append(named)
     if not found:
         raise RigError(f"{folder} holds no episode of these things: collect some, or run make_episodes.py.")
     return found
@@ -91,62 +90,69 @@ def origin_of(named: list[Named], mixed: bool = False) -> Origin:
     return Origin(**{**first, **dict.fromkeys(differing)})
 
 
-def is_held_out(name: str) -> bool:
-    """Returns whether an episode is held out of training; depends on its name alone."""
-    return zlib.crc32(name.encode()) % HELD_OUT == 0
+def lesson(episode: Episode) -> Lesson | None:
+    """Returns what an episode teaches; None where the camera saw nothing or the grasp was out of its sight."""
+    frame = episode.frame(len(episode) - 1)
+    of = examples.seen(frame)
+    choice = None if of is None else examples.choice(frame, of)
+    return None if choice is None else Lesson(choice, examples.outcome(choice, episode.held))
 
 
-def prepared(named: list[Named]) -> list[refinement_examples.Example]:
-    """Returns the examples of all frames that have one."""
-    found = [refinement_examples.example(f, n.episode.held) for n in named for f in n.episode.frames()]
-    return [e for e in found if e is not None]
+def lessons(named: Iterable[Named]) -> list[Lesson]:
+    """Returns what episodes teach."""
+    found = (lesson(n.episode) for n in named)
+    return [one for one in found if one is not None]
+
+
+def preference(of: Iterable[Lesson], outcomes: Iterable[Lesson] = ()) -> Preference:
+    """Returns the operator's preference; `outcomes`: of others."""
+    own = list(of)
+    rows = [one.outcome for one in (*own, *outcomes) if one.outcome is not None]
+    return Preference(taste.learned([one.choice for one in own]), examples.lift_model(rows))
 
 
 def parse() -> argparse.Namespace:
-    default = RefinementTraining()
     parser = argparse.ArgumentParser(description=__doc__)
-    runs.add_options(parser, "episodes", default, every=50)
-    parser.add_argument("--episodes", type=int, default=10**6, help="most episodes to train on")
-    parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="train on none of these")
-    parser.add_argument("--mixed", action="store_true", help="train on episodes of several rigs all the same")
+    parser.add_argument("data", type=Path, help="folder of the operator's episodes")
+    parser.add_argument("run", type=Path, help="where the results go")
+    parser.add_argument("--outcomes", type=Path, help="folder of episodes by anybody, for what is lifted")
+    parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="learn from these alone")
+    parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="learn from none of these")
+    parser.add_argument("--mixed", action="store_true", help="learn from episodes of several rigs all the same")
     arguments = parser.parse_args()
-    for name in ("steps", "count", "hidden", "patience", "episodes", "every", "threads"):
-        if getattr(arguments, name) < 1:
-            parser.error(f"--{name.replace('_', '-')} is {getattr(arguments, name)}, but must be at least 1.")
-    torch.set_num_threads(arguments.threads)
     try:
-        named = read_episodes(arguments.data, without=arguments.without)
-        arguments.origin = origin_of(named, arguments.mixed)
-        arguments.device = runs.device(arguments.device)
-        arguments.training = [n for n in named if not is_held_out(n.name)][: arguments.episodes]
-        arguments.validation = [n for n in named if is_held_out(n.name)]
-        for part in (arguments.training, arguments.validation):
-            if not any(n.episode.held for n in part):
-                raise RigError(f"Of {len(named)} episodes, too few show a grasp that held to train on some of them.")
-        arguments.settings = RefinementTraining(**{name: getattr(arguments, name) for name in asdict(default)})
-        arguments.identity = runs.identity(
-            {**asdict(arguments.settings), **asdict(arguments.origin)},
-            *([n.sha256 for n in part] for part in (arguments.training, arguments.validation)),
-        )
-        arguments.saved = runs.opened(arguments.run, arguments.identity, arguments.anew)
+        arguments.named = read_episodes(arguments.data, arguments.only, arguments.without)
+        arguments.others = [] if arguments.outcomes is None else read_episodes(arguments.outcomes)
+        arguments.origin = origin_of([*arguments.named, *arguments.others], arguments.mixed)
+        arguments.learned = lessons(arguments.named)
+        if not arguments.learned:
+            raise RigError(f"In none of the {len(arguments.named)} episodes the camera sees the operator's grasp.")
+        arguments.run.mkdir(parents=True, exist_ok=True)
     except (RigError, OSError) as error:
         parser.error(str(error))
     return arguments
 
 
+def summary(known: Preference, count: int) -> dict[str, object]:
+    """Returns what was learned, for people."""
+    of, hand = known.taste, known.taste.hand
+    return {
+        "episodes": count,
+        "liked": {name: round(float(w), 2) for name, w in zip(TASTES, of.weights)},
+        "miss_mm": (1000.0 * of.miss).round(1).tolist(),
+        "spread_mm": round(1000.0 * of.spread, 1),
+        "line_rad": hand.line.round(3).tolist(),
+        "tilt_x_rad": hand.tilt_x.round(3).tolist(),
+        "tilt_y_rad": hand.tilt_y.round(3).tolist(),
+        "wider_mm": (1000.0 * hand.opening).round(1).tolist(),
+        "constrained": known.lifts is not None,
+    }
+
+
 def main() -> None:
     arguments = parse()
-    settings, origin = arguments.settings, arguments.origin
-    offset = refinement_examples.constant_offset(
-        [f for n in arguments.training if n.episode.held for f in n.episode.frames()]
-    )
-    examples, validation = prepared(arguments.training), prepared(arguments.validation)
-    about = {**asdict(settings), **asdict(origin), "episodes": len(arguments.training), "frames": len(examples)}
-    about.update(offset=offset._asdict(), identity=arguments.identity)
-    trainer = refinement_trainer(settings, offset, arguments.device)
-
-    def files(mean: RefinementNetwork) -> dict[str, object]:
-        return {"weights.pt": content(mean, origin), "taste.pt": taste(mean, origin)}
-
-    data = examples, validation
-    runs.train(arguments.run, about, arguments.saved, trainer, data, arguments.every, files, CURVES, settings.patience)
+    known = preference(arguments.learned, lessons(arguments.others))
+    torch.save(content(known, arguments.origin), arguments.run / "weights.pt")
+    text = json.dumps({**summary(known, len(arguments.learned)), **asdict(arguments.origin)}, indent=2)
+    (arguments.run / "settings.json").write_text(text + "\n")
+    sys.stdout.write(text + "\n")

@@ -4,7 +4,7 @@ In: the depth images of the node ggcnn with their camera_info, tf, reflex_takkti
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 The network runs here, on the kept frames only, with the parameters of the node ggcnn: its maps before smoothing, which
-the refinement network needs, have no topic.
+the refinement needs, have no topic.
 """
 
 from __future__ import annotations

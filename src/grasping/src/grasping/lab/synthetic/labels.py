@@ -111,6 +111,13 @@ def best(found: Grasps) -> Labels:
     return Labels(quality, angle, np.where(quality > 0.0, at(found.openings, choice), 0.0), np.ones_like(choice, bool))
 
 
+def angle_at(found: Grasps, k: int, cell: tuple[int, int]) -> float:
+    """Returns the angle of direction k at a cell, refined by its two neighbours [rad]."""
+    count = len(found.angles)
+    around = [(k + d) % count for d in (-1, 0, 1)]
+    return float(0.5 * np.angle(sum(found.scores[(i, *cell)] * np.exp(2j * found.angles[i]) for i in around)))
+
+
 def in_image(
     labels: Labels,
     surface: np.ndarray,

@@ -36,13 +36,17 @@ MAX_TILT_RAD = 0.15
 SINGLE_SHARE = 0.4  # share of the scenes with one object; the others hold two to five
 CLEAN_SHARE = 0.1  # share of the images without the camera's faults
 GRIPPER = labels.Gripper()
-SPLITS = {  # number and families of each split, with scenes of its own; person ones are a simulated operator's
+SPLITS = {  # number and families of each split, with scenes of its own; person and kind ones are a simulated operator's
     "train": (0, shapes.TRAINING),
     "validation": (1, shapes.TRAINING),
     "test": (2, shapes.HELD_OUT),
     "person": (3, shapes.TRAINING),
     "person_test": (4, shapes.HELD_OUT),
     "test_2": (5, shapes.HELD_OUT_2),
+    **{
+        f"kind_{family.__name__}": (100 + i, (family,))
+        for i, family in enumerate((*shapes.TRAINING, *shapes.HELD_OUT, *shapes.HELD_OUT_2))
+    },
 }
 
 

@@ -120,6 +120,12 @@ def rays(camera: SceneCamera) -> np.ndarray:
     return np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
 
 
+def points(depth: np.ndarray, camera: SceneCamera) -> np.ndarray:
+    """Returns where the pixels of a square depth image, shape (h, w) [m], lie in the world, shape (h, w, 3) [m]."""
+    scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
+    return camera.position + (depth[..., None] * rays(scaled).reshape(*depth.shape, 3)) @ camera.R.T
+
+
 def depth_image(model: mujoco.MjModel, data: mujoco.MjData, camera: SceneCamera) -> np.ndarray:
     """Returns the exact depth of each pixel, shape (side, side) [m]."""
     return _cast(model, data, camera.position, rays(camera) @ camera.R.T, camera.side)

@@ -1,9 +1,10 @@
-"""A simulated operator who grasps, and episodes of it in the very form of the recorded ones.
+"""Simulated operators who grasp, and episodes of them in the very form of the recorded ones.
 
-Stands in for a teleoperating operator where none is at hand; whatever was found with it is to be called simulated. It
-sees the exact labels, prefers high and slender parts of things, and grasps beside the chosen place by a constant bias
-and a tremor. The higher the place, the more the wrist turns, the wider the hand opens, and the less it leans away from
-the operator, who sits below the image; and it leans with the surface. How people do it, nobody has measured here.
+They stand in for teleoperating operators where none is at hand; whatever was found with them is to be called simulated.
+Each sees the exact labels and chooses by rules of its own (`OPERATORS`), not always alike (`whim`), and grasps beside
+the chosen place by a constant bias and a tremor. Line through the fingers, opening and lean depend on the height, and
+the hand leans with the surface and away from the operator, who sits below the image. How people do it, nobody has
+measured here.
 Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the grasp, as wide
 open as the operator opens the hand (the recorded fingers' angles say so), and lifts.
 """
@@ -11,6 +12,7 @@ open as the operator opens the hand (the recorded fingers' angles say so), and l
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import cv2
@@ -18,35 +20,50 @@ import numpy as np
 import pinocchio as pin
 
 from common.poses import inverse, pose, read_only
+from common.rotations import rotation_about
 from grasping.lab.dataset.episode import TELEOPERATION, Episode, Metadata, angles_of_opening
 from grasping.lab.evaluation import trials
 from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic import labels, samples, scene
-from grasping.lab.synthetic.labels import Labels
-from grasping.lab.synthetic.samples import GRIPPER
+from grasping.lab.synthetic.samples import CELL_M, GRIPPER
 from grasping.network import depth_image, maps
 from grasping.network.depth_image import CAMERA
 from grasping.network.maps import gaussian
 from grasping.network.networks import MapNetwork, infer
+from grasping.refinement.candidates import candidates
 
 DOWN = np.array([0.0, 0.0, -1.0])
 EYE_M = 0.02  # standard deviation of the blur through which the lean of a surface is seen
+RIM_M = 0.012  # so near to the outline of a thing is its rim
+SLENDER_PART = 0.6  # a part is a handle where it is thinner than this fraction of the thing's thickest place
+WHIM_M = 0.01  # standard deviation of the blur of a whim: near places are liked alike
 SMOOTHING = maps.Smoothing(quality=2.0)
 MAP_SIDE = 150
 FRAME_S, REACH_S = 0.5, 2.0  # between two frames; from the last one to the closing of the fingers [s]
-OPERATOR = "simulated"
+ANYBODY = "anybody_"  # who grasp anything, with a number behind
+ANYBODIES = tuple(f"{ANYBODY}{i}" for i in range(8))
+ANY_TILT_RAD, ANY_TURN_RAD = 0.15, 0.12  # standard deviations, about each axis, of these grasps
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
-SETTINGS_VERSION = 2
+SETTINGS_VERSION = 3
 
 
 class SimulatedOperator(NamedTuple):
-    """An operator's taste and hand."""
+    """An operator's taste and hand. What is liked is in units of the label's quality, which is at most 1."""
 
     holds: float = 0.3  # lowest quality of a grasp that the operator considers
-    higher: float = 8.0  # what height is worth, in quality a metre
-    slender: float = 6.0  # what a narrow opening is worth, in quality a metre less
-    blur: float = 2.0  # standard deviation of the eye's blur of all that [px]
-    turn: float = 4.0  # of the line through the fingers, anticlockwise in the image, by the height [rad/m]
+    higher: float = 8.0  # what height is worth [1/m]
+    slender: float = 6.0  # what a narrow opening is worth, by the metre less
+    middle: float = 0.0  # what it is worth to be nearer to the middle of the thing [1/m]
+    near: float = 0.0  # and nearer to the operator [1/m]
+    handle: float = 0.0  # what a slender part outside of the thing's bulk is worth
+    inside: float = 0.0  # what it is worth not to be at the thing's outline
+    across: float = 0.0  # what it is worth to close the fingers across the long axis of a long thing
+    comfort: float = 0.0  # what it is worth to close them along the line that the wrist likes
+    wrist: float = 0.0  # that line, anticlockwise in the image [rad]
+    whim: float = 0.0  # standard deviation of what is liked today and not tomorrow
+    blur: float = 0.004  # standard deviation of the eye's blur of all that [m]
+    twist: float = 0.0  # by which the line through the fingers misses, anticlockwise [rad]
+    turn: float = 4.0  # of that line by the height [rad/m]
     lean: float = 0.3  # away from the operator, on the table [rad]; less with the height, none from
     upright: float = 0.12  # this height on [m]
     follow: float = 0.4  # fraction of the surface's lean that the hand takes over
@@ -57,6 +74,147 @@ class SimulatedOperator(NamedTuple):
     tremor_rad: float = np.radians(5.0)  # standard deviation of a turn about each axis [rad]
 
 
+OPERATORS: Mapping[str, SimulatedOperator] = {
+    # Takes what stands up and is slender; turns the wrist with the height.
+    "high": SimulatedOperator(),
+    # Takes a thing by its middle, across it, and comes down straight.
+    "middle": SimulatedOperator(
+        higher=0.0,
+        slender=1.0,
+        middle=8.0,
+        across=0.3,
+        whim=0.1,
+        turn=0.0,
+        lean=0.08,
+        follow=0.2,
+        margin=0.01,
+        generous=0.0,
+        bias=(-0.006, 0.010, 0.0),
+        tremor_m=0.004,
+        tremor_rad=np.radians(4.0),
+    ),
+    # The handle first, else whatever is slender; not the bulk.
+    "handle": SimulatedOperator(
+        higher=1.0,
+        slender=4.0,
+        handle=0.6,
+        whim=0.1,
+        turn=2.0,
+        lean=0.2,
+        follow=0.3,
+        bias=(0.003, -0.012, 0.004),
+        tremor_m=0.006,
+        tremor_rad=np.radians(6.0),
+    ),
+    # The end that is nearest to the operator, with a hand that leans.
+    "near": SimulatedOperator(
+        higher=0.0,
+        slender=2.0,
+        near=8.0,
+        comfort=0.1,
+        whim=0.15,
+        twist=0.1,
+        turn=0.0,
+        lean=0.35,
+        follow=0.2,
+        bias=(0.002, -0.008, -0.004),
+    ),
+    # Away from the outline, rather high: nothing shall slip out or tip over.
+    "inside": SimulatedOperator(
+        higher=3.0,
+        slender=0.0,
+        middle=2.0,
+        inside=0.6,
+        whim=0.05,
+        turn=1.0,
+        lean=0.05,
+        follow=0.5,
+        margin=0.015,
+        generous=0.1,
+        bias=(-0.010, -0.004, 0.0),
+    ),
+    # A firm hold low on the bulk, where the wrist need not turn: a right hand that comes from the lower right.
+    "firm": SimulatedOperator(
+        higher=-4.0,
+        slender=-4.0,
+        middle=3.0,
+        comfort=0.3,
+        wrist=np.radians(35.0),
+        whim=0.1,
+        twist=-0.08,
+        turn=0.0,
+        lean=0.15,
+        follow=0.1,
+        margin=0.02,
+        generous=0.0,
+        bias=(0.005, 0.002, 0.006),
+        tremor_m=0.007,
+        tremor_rad=np.radians(6.0),
+    ),
+}
+"""Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
+
+
+def drawn_operator(seed: int) -> SimulatedOperator:
+    """Returns an operator whose taste, hand and miss are drawn at random: to choose settings with, so that the named
+    ones are as new to whatever is tested on them as the things are.
+    """
+    rng = np.random.default_rng([94, seed])
+    return SimulatedOperator(
+        holds=rng.uniform(0.2, 0.5),
+        higher=rng.normal(0.0, 4.0),
+        slender=rng.normal(0.0, 4.0),
+        middle=rng.normal(0.0, 4.0),
+        near=rng.normal(0.0, 4.0),
+        handle=abs(rng.normal(0.0, 0.3)),
+        inside=abs(rng.normal(0.0, 0.3)),
+        across=rng.normal(0.0, 0.2),
+        comfort=abs(rng.normal(0.0, 0.2)),
+        wrist=rng.uniform(-0.5, 0.5) * np.pi,
+        whim=rng.uniform(0.0, 0.15),
+        twist=rng.normal(0.0, 0.07),
+        turn=rng.normal(0.0, 2.0),
+        lean=rng.uniform(0.0, 0.35),
+        follow=rng.uniform(0.0, 0.5),
+        margin=rng.uniform(0.0, 0.02),
+        generous=rng.uniform(0.0, 0.2),
+        bias=tuple(rng.normal(0.0, 0.007, 3).tolist()),
+        tremor_m=rng.uniform(0.003, 0.007),
+        tremor_rad=np.radians(rng.uniform(3.0, 7.0)),
+    )
+
+
+class Sight(NamedTuple):
+    """What an operator sees on the cells of the height map, each shape (n, n)."""
+
+    place: np.ndarray  # in the base frame but for its origin, which is the world's, shape (n, n, 3) [m]
+    height: np.ndarray  # above the table [m]
+    away: np.ndarray  # distance from the middle of the thing, over the table [m]
+    nearer: np.ndarray  # how much nearer to the operator than that middle [m]
+    axis: np.ndarray  # long axis of the thing, anticlockwise in the image [rad]
+    long: np.ndarray  # how long it is: 0 is round, 1 a line
+    handle: np.ndarray  # 1 on slender parts outside of the bulk, else 0
+    inside: np.ndarray  # 0 at the outline of the thing, 1 from `RIM_M` on
+
+
+class EpisodeScene(NamedTuple):
+    """A scene and what an operator and a network know of it."""
+
+    number: int
+    view: samples.SceneView  # the scene, as the camera sees it
+    found: labels.Grasps  # of the cells of its height map
+    sight: Sight  # likewise
+    friction: float  # of the scene
+    T_base_world: np.ndarray  # shape (4, 4) [m]
+
+
+class Chosen(NamedTuple):
+    """An operator's grasp."""
+
+    T_base_grasp: np.ndarray  # shape (4, 4) [m]; z the approach, x through the fingers
+    opening: float  # of the hand before it closes [m]
+
+
 def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
     """Returns a base frame whose x axis points to the image's right, T_world_base, shape (4, 4): on a rig the camera
     stands still before the base, here the scenes stand still before cameras turned anyhow.
@@ -65,37 +223,63 @@ def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
     return pose(pin.exp3(np.array([0.0, 0.0, heading])))
 
 
-def chosen_pixel(
-    operator: SimulatedOperator, labels: Labels, height: np.ndarray, opening: np.ndarray
-) -> tuple[int, int] | None:
-    """Returns row and column of the grasp the operator likes best, None where nothing holds; `height`: above the table,
-    shape (h, w) [m]; `opening`: that the grasp needs, shape (h, w) [m].
-    """
-    worth = labels.quality + operator.higher * height - operator.slender * opening
-    holds = (labels.quality > operator.holds) & labels.known
+def sight(seen: samples.SceneView) -> Sight:
+    """Returns what an operator sees of a scene."""
+    n, camera = len(seen.surface), seen.camera
+    c = CELL_M * (np.arange(n) - 0.5 * (n - 1))
+    x, y = np.meshgrid(c, c)
+    world = camera.position + np.stack([x, y, seen.surface], axis=-1) @ camera.R.T
+    place = world @ base_in_world(camera)[:3, :3]
+    objects = seen.surface < seen.table - labels.LOWEST_OBJECT_M
+    depth = cv2.distanceTransform(objects.astype(np.uint8), cv2.DIST_L2, 5)
+    count, parts = cv2.connectedComponents(objects.astype(np.uint8))
+    away, nearer, axis, long, handle = (np.zeros((n, n)) for _ in range(5))
+    for part in range(1, count):
+        of = parts == part
+        points = place[of][:, :2]
+        off = points - points.mean(axis=0)
+        sizes, axes = np.linalg.eigh(off.T @ off / len(off))
+        away[of], nearer[of] = np.linalg.norm(off, axis=1), -off[:, 1]
+        axis[of] = np.arctan2(axes[1, 1], axes[0, 1])
+        long[of] = 1.0 - np.sqrt(max(0.0, sizes[0]) / max(sizes[1], 1e-12))
+        bulk = np.argmax(np.where(of, depth, 0.0))
+        thick = depth.flat[bulk]
+        from_bulk = np.linalg.norm(place[of][:, :2] - place.reshape(-1, 3)[bulk, :2], axis=1) / CELL_M
+        # A part is as thin as the thickest place within its own half width.
+        near = cv2.dilate(np.where(of, depth, 0.0).astype(np.float32), np.ones((5, 5), np.uint8))
+        handle[of] = (near[of] < SLENDER_PART * thick) & (from_bulk > 1.2 * thick)
+    return Sight(place, place[..., 2], away, nearer, axis, long, handle, np.clip(depth * CELL_M / RIM_M, 0.0, 1.0))
+
+
+def liked(
+    operator: SimulatedOperator, of: Sight, found: labels.Grasps, rng: np.random.Generator
+) -> tuple[int, tuple[int, int]] | None:
+    """Returns direction and cell of the grasp the operator likes best, None where nothing holds."""
+    holds = found.scores > operator.holds
     if not holds.any():
         return None
+    places = operator.higher * of.height - operator.middle * of.away + operator.near * of.nearer
+    places = places + operator.handle * of.handle + operator.inside * of.inside
+    whim = gaussian(rng.standard_normal(of.height.shape), WHIM_M / CELL_M)
+    places = places + operator.whim * whim / max(float(whim.std()), 1e-12)
+    angles = found.angles[:, None, None]
+    lines = operator.comfort * np.cos(2.0 * (angles - operator.wrist))
+    lines = lines - operator.across * of.long * np.cos(2.0 * (angles - of.axis))
+    worth = found.scores - operator.slender * found.openings + places + lines
     # A place is liked for its neighbourhood; what does not hold is worth little there.
-    blurred = gaussian(np.where(holds, worth, worth[holds].min() - 1.0).astype(np.float32), operator.blur)
-    row, column = np.unravel_index(np.argmax(np.where(holds, blurred, -np.inf)), blurred.shape)
-    return int(row), int(column)
+    worth = np.where(holds, worth, worth[holds].min() - 1.0)
+    blurred = np.stack([gaussian(one, operator.blur / CELL_M) for one in worth])
+    k, row, column = np.unravel_index(np.argmax(np.where(holds, blurred, -np.inf)), blurred.shape)
+    return int(k), (int(row), int(column))
 
 
-def points(depth: np.ndarray, camera: scene.SceneCamera) -> np.ndarray:
-    """Returns where the pixels of a square depth image, shape (h, w) [m], lie in the world, shape (h, w, 3) [m]."""
-    scaled = camera._replace(focal=camera.focal * len(depth) / camera.side, side=len(depth))
-    rays = scene.rays(scaled).reshape(*depth.shape, 3)
-    return camera.position + (depth[..., None] * rays) @ camera.R.T
-
-
-def lean(operator: SimulatedOperator, height: np.ndarray, pixel_m: float, at: tuple[int, int]) -> np.ndarray:
-    """Returns the hand's lean about the base frame's x and y axes, shape (2,) [rad], at row and column `at`.
-
-    `height`: above the table, shape (h, w) [m]; `pixel_m`: what a pixel shows of the scene [m].
+def lean(operator: SimulatedOperator, height: np.ndarray, at: tuple[int, int]) -> np.ndarray:
+    """Returns the hand's lean about the base frame's x and y axes, shape (2,) [rad], at row and column `at`; `height`:
+    of the cells above the table, shape (n, n) [m].
     """
     row, column = at
-    seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / pixel_m)
-    down, right = (float(np.gradient(seen, pixel_m, axis=axis)[row, column]) for axis in (0, 1))
+    seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / CELL_M)
+    down, right = (float(np.gradient(seen, CELL_M, axis=axis)[row, column]) for axis in (0, 1))
     steep = 1.0 + np.hypot(down, right)  # an edge is no slope to lean with
     away = operator.lean * max(0.0, 1.0 - max(0.0, height[at]) / operator.upright)
     # Rows run against the base frame's y axis.
@@ -123,14 +307,23 @@ def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.r
     return float(np.clip(wanted, needed, GRIPPER.opening))
 
 
-class EpisodeScene(NamedTuple):
-    """A scene and what an operator and a network know of it."""
-
-    view: samples.SceneView  # the scene, as the camera sees it
-    labels: Labels  # of the pixels of the network's image
-    depth: np.ndarray  # exact, in that image [m]
-    friction: float  # of the scene
-    T_base_world: np.ndarray  # shape (4, 4) [m]
+def choose(of: EpisodeScene, who: SimulatedOperator, steady: bool = False) -> Chosen | None:
+    """Returns the operator's grasp in a scene, always the same; None where nothing holds. `steady`: without bias,
+    twist and tremor, which is what the operator meant.
+    """
+    rng = np.random.default_rng([97, of.number])
+    best = liked(who, of.sight, of.found, rng)
+    if best is None:
+        return None
+    if steady:
+        who = who._replace(twist=0.0, bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0)
+    k, cell = best
+    height = float(of.sight.height[cell])
+    angle = labels.angle_at(of.found, k, cell) + who.twist + who.turn * max(0.0, height)
+    line = of.T_base_world[:3, :3] @ of.view.camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
+    leant = lean(who, of.sight.height, cell)
+    T_base_grasp = grasp_pose(who, of.sight.place[cell], line, leant, rng)
+    return Chosen(T_base_grasp, opening(who, float(of.found.openings[k][cell]), height, rng))
 
 
 def file_name(split: str, number: int) -> str:
@@ -145,24 +338,24 @@ def scene_of(name: str) -> tuple[str, int] | None:
 
 
 def situation(split: str, number: int) -> EpisodeScene:
-    """Returns scene `number` of a split: one object where the number is even, else two or three."""
-    seen = samples.view(split, number, 1 if number % 2 == 0 else 2 + number // 2 % 2)
-    side = depth_image.NETWORK_SIDE
-    exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
-    found = labels.best(labels.grasps(seen.surface, seen.table, samples.CELL_M, GRIPPER))
-    focal = seen.camera.focal * side / depth_image.CROP_SIDE
-    of_pixels = labels.in_image(found, seen.surface, samples.CELL_M, exact, focal)
+    """Returns scene `number` of a split: one object of a kind, or where the split is of several kinds, one object where
+    the number is even, else two or three.
+    """
+    alone = number % 2 == 0 or len(samples.SPLITS[split][1]) == 1
+    seen = samples.view(split, number, 1 if alone else 2 + number // 2 % 2)
+    found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
     friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))
-    return EpisodeScene(seen, of_pixels, exact, friction, inverse(base_in_world(seen.camera)))
+    return EpisodeScene(number, seen, found, sight(seen), friction, inverse(base_in_world(seen.camera)))
 
 
-def intended(of: EpisodeScene, made: Episode) -> np.ndarray:
-    """Returns the operator's intended T_base_grasp, shape (4, 4) [m], without tremor: no prediction can be nearer."""
-    who = SimulatedOperator(**made.metadata.configuration["person"])
-    steady = who._replace(tremor_m=0.0, tremor_rad=0.0)
-    found = _grasp(of, steady, np.random.default_rng(0))
+def meant(of: EpisodeScene, made: Episode) -> np.ndarray:
+    """Returns what the operator of an episode meant, T_base_grasp, shape (4, 4) [m]: no miss and no tremor."""
+    person = made.metadata.configuration["person"]
+    if person is None:
+        return made.T_base_grasp
+    found = choose(of, SimulatedOperator(**{**person, "bias": tuple(person["bias"])}), steady=True)
     assert found is not None, "an episode is of a grasp"
-    return found[0]
+    return found.T_base_grasp
 
 
 def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.opening) -> bool:
@@ -171,84 +364,92 @@ def held(of: EpisodeScene, T_base_grasp: np.ndarray, width: float = GRIPPER.open
     return lift(of.view.scene, T_world_grasp, width, GRIPPER, of.friction).lifted
 
 
-def episode(
-    split: str,
-    number: int,
-    network: MapNetwork,
-    network_sha256: str,
-    who: SimulatedOperator,
-    frames: int,
-) -> Episode | None:
-    """Returns a scene's episode, None without a grasp; each of `frames` images draws the camera's faults again."""
-    of, rng = situation(split, number), np.random.default_rng([97, number])
-    chosen = _grasp(of, who, rng)
-    if chosen is None:
-        return None
-    T_base_grasp, wide = chosen
-    T_base_camera = of.T_base_world @ pose(of.view.camera.R, of.view.camera.position)
+def camera_pose(of: EpisodeScene) -> np.ndarray:
+    """Returns the camera in the base frame, T_base_camera, shape (4, 4) [m]."""
+    return of.T_base_world @ pose(of.view.camera.R, of.view.camera.position)
+
+
+def photograph(of: EpisodeScene, rng: np.random.Generator) -> np.ndarray:
+    """Returns the camera's image of a scene as an episode keeps it, shape (side, side), uint16 [mm], 0 = no reading."""
+    return np.nan_to_num(np.round(1000.0 * samples.observe(of.view.exact, rng))).astype(np.uint16)
+
+
+def episodes(
+    split: str, number: int, network: MapNetwork, network_sha256: str, operators: Iterable[str], frames: int
+) -> Iterator[tuple[str, Episode]]:
+    """Yields for each operator, by name, the scene's episode, none where nothing can be grasped. All see the same
+    `frames` images, each of which draws the camera's faults again.
+    """
+    of, rng = situation(split, number), np.random.default_rng([96, number])
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):
-        depth = np.nan_to_num(np.round(1000.0 * samples.observe(of.view.exact, rng))).astype(np.uint16)
+        depth = photograph(of, rng)
         image = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
         output = infer(network, image.input)
         peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
         small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
-        for name, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
-            stored[name].append(value)
-    lifted = held(of, T_base_grasp, wide)
+        for key, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
+            stored[key].append(value)
     stamp = FRAME_S * np.arange(frames)
-    return Episode(
-        metadata=_metadata(of, who, lifted, network_sha256),
-        camera=trials.camera(),
-        crop=trials.CROP,
-        T_flange_tool=np.eye(4),
-        T_tool_grasp=np.eye(4),
-        T_base_tool_closed=read_only(T_base_grasp),
-        t_grasp=float(stamp[-1] + REACH_S),
-        held=lifted,
-        stamp=stamp,
-        depth=np.stack(stored["depth"]),
-        maps=np.stack(stored["maps"]),
-        mean=np.array(stored["mean"], np.float32),
-        peak=np.array(stored["peak"], float),
-        T_base_camera=np.stack([T_base_camera] * frames),
-        T_base_tool_measured=np.stack([T_base_grasp] * frames),
-        T_base_tool_desired=np.full((frames, 4, 4), np.nan),
-        finger_angles=np.tile(angles_of_opening(wide), (frames, 1)).astype(np.float32),
-        teleop_active=np.ones(frames, bool),
-    )
+    for name in operators:
+        anybody = name.startswith(ANYBODY)
+        chosen = anything(of, image, output, int(name[-1])) if anybody else choose(of, OPERATORS[name])
+        if chosen is None:
+            continue
+        lifted = held(of, chosen.T_base_grasp, GRIPPER.opening if anybody else chosen.opening)
+        yield (
+            name,
+            Episode(
+                metadata=_metadata(of, name, lifted, network_sha256),
+                camera=trials.camera(),
+                crop=trials.CROP,
+                T_flange_tool=np.eye(4),
+                T_tool_grasp=np.eye(4),
+                T_base_tool_closed=read_only(chosen.T_base_grasp),
+                t_grasp=float(stamp[-1] + REACH_S),
+                held=lifted,
+                stamp=stamp,
+                depth=np.stack(stored["depth"]),
+                maps=np.stack(stored["maps"]),
+                mean=np.array(stored["mean"], np.float32),
+                peak=np.array(stored["peak"], float),
+                T_base_camera=np.stack([camera_pose(of)] * frames),
+                T_base_tool_measured=np.stack([chosen.T_base_grasp] * frames),
+                T_base_tool_desired=np.full((frames, 4, 4), np.nan),
+                finger_angles=np.tile(angles_of_opening(chosen.opening), (frames, 1)).astype(np.float32),
+                teleop_active=np.ones(frames, bool),
+            ),
+        )
 
 
-def _grasp(of: EpisodeScene, who: SimulatedOperator, rng: np.random.Generator) -> tuple[np.ndarray, float] | None:
-    """Returns T_base_grasp, shape (4, 4) [m], and the opening of the hand before it closes [m]."""
-    camera = of.view.camera
-    places = points(of.depth, camera)
-    height = places[..., 2]
-    pixel_m = of.depth * camera.side / len(of.depth) / camera.focal
-    pixel = chosen_pixel(who, of.labels, height, of.labels.opening * pixel_m)
-    if pixel is None:
+def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray, which: int) -> Chosen | None:
+    """Returns any candidate in the image, tilted and turned anyhow if `which` is odd; GGCNN's best one for 0; None
+    where there is none.
+    """
+    seen = maps.smoothed(output, image.valid, SMOOTHING)
+    found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())
+    if not found.peaks:
         return None
-    angle = float(of.labels.angle[pixel]) + who.turn * max(0.0, height[pixel])
-    line = camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
-    leant = lean(who, height, float(pixel_m[pixel]), pixel)
-    R, p = of.T_base_world[:3, :3], of.T_base_world[:3, 3]
-    T_base_grasp = grasp_pose(who, R @ places[pixel] + p, R @ line, leant, rng)
-    needed = float(of.labels.opening[pixel] * pixel_m[pixel])
-    return T_base_grasp, opening(who, needed, float(height[pixel]), rng)
+    rng = np.random.default_rng([95, of.number, which])
+    i = int(rng.integers(len(found.peaks))) if which else 0
+    tilt, turn = which % 2 * rng.normal(0.0, ANY_TILT_RAD, 2), which % 2 * rng.normal(0.0, ANY_TURN_RAD)
+    R = found.frame.R @ pin.exp3(np.append(tilt, 0.0)) @ rotation_about(2, -(found.angles[i] + turn))
+    opening = float(np.clip(found.openings[i], 0.02, GRIPPER.opening))
+    return Chosen(camera_pose(of) @ pose(R, found.frame.R @ found.points[i]), opening)
 
 
-def _metadata(of: EpisodeScene, who: SimulatedOperator, lifted: bool, network_sha256: str) -> Metadata:
+def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) -> Metadata:
     return Metadata(
         version="0.1.0",
         revision="",
         date="",
-        operator=OPERATOR,
+        operator=f"simulated {name}",
         object=", ".join(of.view.scene.families),
         source=TELEOPERATION,
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
         configuration={
             "simulated": SETTINGS_VERSION,
-            "person": who._asdict(),
+            "person": None if name.startswith(ANYBODY) else OPERATORS[name]._asdict(),
             "view": CAMERA,
             "crop": {"side": trials.CROP.side, "rows_up": 0},
             "table": None,

@@ -1,0 +1,287 @@
+"""The places of an image that can be grasped, and what can be seen of each: what taste and lifts are judged by.
+
+The level frame: its origin is the camera's optical centre, z points down across the table, x is the image's x axis laid
+into it, y points towards who stands below the image. A grasp along z has the axes of a grasp before a camera that looks
+straight down, whatever the camera's tilt. Where objects have a direction, features say so in the object's own axes: its
+long axis, its middle, its bulk (the thickest place of its outline) and which of its ends is the lighter one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from common.camera_model import CameraModel
+from common.rotations import cross, unit
+from grasping.network.depth_image import EVERY, NOISE, NetworkImage, best_plane
+from grasping.network.maps import Maps, Peak, gaussian, peak_at, peaks
+
+SPACING = 4  # between two candidates, rows or columns [px of the network's image]
+MOST = 96  # candidates in an image
+LEAST_QUALITY, LEAST_OF_BEST = 0.1, 0.3  # of a candidate, smoothed, and as a fraction of the best one's
+AMBIGUOUS = 0.7  # where GGCNN is less certain of its line, others are candidates as well
+OTHER_LINES = (0.25 * np.pi, 0.5 * np.pi, -0.25 * np.pi)  # turned from that line [rad]
+OTHER_QUALITY = 0.8  # of these candidates, by that of GGCNN's line
+BORDER = 20  # rows and columns at the image's border without candidates, as those without peaks
+OBJECT_M = 0.008  # what stands out of the table by more is an object
+SMALLEST_OBJECT_PX = 40
+EYE_M = 0.02  # standard deviation of the blur through which a surface's slope is seen
+RIM_M = 0.012  # radius in which the surroundings of a place are looked at
+LOWEST_M, HIGHEST_M = -0.01, 0.25  # heights beyond are holes badly filled, or the arm
+LENGTH_M = 0.05  # makes lengths about 1
+
+TASTES = (
+    "quality",  # smoothed, of GGCNN
+    "height",  # above the table
+    "below top",  # of the object
+    "opening",
+    "along",  # distance from the middle along the long axis, by half the object's length
+    "towards lighter end",  # the same with a sign, as far as the ends differ
+    "aside",  # distance from the long axis, by half the object's width
+    "from middle",
+    "from bulk",
+    "thickness",  # of the outline here, by that of the bulk
+    "across",  # cosine of twice the angle between line and long axis, as far as there is one
+    "right",  # of the middle
+    "towards operator",
+    "line cos",  # of twice the angle in the image
+    "line sin",
+    "rim",  # fraction of the surroundings that is table
+    "certainty",  # of GGCNN's line
+    "against line",  # how far a line is from GGCNN's, as far as that one is certain
+)
+LIFTS = (
+    "quality",
+    "certainty",
+    "height",
+    "below top",
+    "opening",
+    "from middle",
+    "along",
+    "aside",
+    "thickness",
+    "rim",
+    "across",
+    "hollow",  # how much higher the surroundings are
+    "flat",  # how low the whole object is
+    "other line",  # 1 where the line is not GGCNN's, else 0
+    "against line",
+)
+
+
+class LevelFrame(NamedTuple):
+    """The table as a camera sees it."""
+
+    R: np.ndarray  # of the level frame in the camera's, shape (3, 3)
+    distance: float  # from the camera [m]
+
+
+class Candidates(NamedTuple):
+    """n places that can be grasped, the best quality first."""
+
+    peaks: tuple[Peak, ...]  # in the network's image
+    frame: LevelFrame
+    points: np.ndarray  # on the surface in the level frame, shape (n, 3) [m]
+    angles: np.ndarray  # of the lines through the fingers, anticlockwise in the image, shape (n,) [rad]
+    openings: np.ndarray  # shape (n,) [m]
+    slopes: np.ndarray  # of the surface, down by x and y, an edge being none, shape (n, 2)
+    tastes: np.ndarray  # shape (n, len(TASTES)), about 1
+    lifts: np.ndarray  # shape (n, len(LIFTS)), about 1
+
+    @property
+    def quality(self) -> np.ndarray:
+        """Smoothed, of GGCNN, shape (n,)."""
+        return self.tastes[:, TASTES.index("quality")]
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Above the table, shape (n,) [m]."""
+        return self.frame.distance - self.points[:, 2]
+
+
+def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: CameraModel) -> Candidates:
+    """Returns the candidates of smoothed maps; `certainty`: length of GGCNN's (cos, sin), shape of the maps."""
+    found = covering(maps)
+    turns = np.zeros(len(found))
+    for peak, sure in [(p, certainty[p.row, p.column]) for p in found]:
+        if sure < AMBIGUOUS:
+            found += [_turned(peak, turn) for turn in OTHER_LINES]
+            turns = np.append(turns, OTHER_LINES)
+    order = np.argsort([-p.quality for p in found], kind="stable")
+    return described([found[i] for i in order], turns[order], certainty, image, camera)
+
+
+def _turned(peak: Peak, turn: float) -> Peak:
+    angle = (peak.angle + turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    return peak._replace(angle=angle, quality=OTHER_QUALITY * peak.quality)
+
+
+def covering(maps: Maps) -> list[Peak]:
+    """Returns the best peak and pixels of no better quality, best first, `SPACING` rows or columns apart."""
+    best = peaks(maps, 1, BORDER, LEAST_QUALITY)
+    if not best:
+        return []
+    quality = maps.quality[BORDER:-BORDER, BORDER:-BORDER]
+    least = max(LEAST_QUALITY, LEAST_OF_BEST * best[0].quality)
+    rows, columns = np.nonzero((quality > least) & (quality < best[0].quality))
+    order = np.argsort(-quality[rows, columns], kind="stable")
+    places = zip((rows[order] + BORDER).tolist(), (columns[order] + BORDER).tolist())
+    free, found = np.ones(maps.quality.shape, bool), best
+    for row, column in ((best[0].row, best[0].column), *places):
+        if not free[row, column]:
+            continue
+        free[max(0, row - SPACING + 1) : row + SPACING, max(0, column - SPACING + 1) : column + SPACING] = False
+        if (row, column) != best[0][:2]:
+            found.append(peak_at(maps, row, column))
+            if len(found) == MOST:
+                break
+    return found
+
+
+def level_frame(image: NetworkImage, rays: np.ndarray) -> LevelFrame:
+    """Returns the table's frame; without a plane, the table lies across the optical axis at the image's mean depth.
+    `rays`: of the image's pixels in the camera's frame, x, y, 1, shape (h, w, 3).
+    """
+    part = (slice(EVERY // 2, None, EVERY),) * 2
+    seen = image.valid[part]
+    plane = best_plane(rays[part][seen], image.depth[part][seen], NOISE)
+    if plane is None or plane.direction[2] < 0.5:
+        return LevelFrame(np.eye(3), image.mean)
+    z = plane.direction
+    x = unit(np.array([1.0, 0.0, 0.0]) - z[0] * z)
+    return LevelFrame(np.column_stack([x, cross(z, x), z]), plane.distance)
+
+
+def image_rays(image: NetworkImage, camera: CameraModel) -> np.ndarray:
+    """Returns the rays x, y, 1 of the network's image's pixels before an undistorted camera, shape (h, w, 3)."""
+    # Pixels are squares: their centres, not their corners, lie on each other's grid.
+    centres = (np.arange(len(image.depth)) + 0.5) * image.crop.side / len(image.depth) - 0.5
+    u, v = image.crop.column + centres, image.crop.row + centres
+    x, y = np.meshgrid((u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1])
+    return np.stack([x, y, np.ones_like(x)], axis=-1)
+
+
+class _Object(NamedTuple):
+    """An object's outline on the table."""
+
+    middle: np.ndarray  # shape (2,) [m]
+    axis: np.ndarray  # unit vector along it, towards its lighter end, shape (2,)
+    length: float  # half of it [m]
+    width: float  # likewise
+    long: float  # 0 is round, 1 a line
+    uneven: float  # how much its ends differ, 0 to 1
+    bulk: np.ndarray  # shape (2,) [m]
+    thick: float  # thickness of the bulk [px]
+    top: float  # height above the table [m]
+
+
+def described(
+    grasps: Sequence[Peak], turns: np.ndarray, certainty: np.ndarray, image: NetworkImage, camera: CameraModel
+) -> Candidates:
+    """Returns grasps with what can be seen of them; `turns`: of their lines from GGCNN's, shape (n,) [rad]."""
+    rays = image_rays(image, camera)
+    frame = level_frame(image, rays)
+    points = (image.depth[..., None] * rays) @ frame.R
+    height = np.clip(cv2.medianBlur((frame.distance - points[..., 2]).astype(np.float32), 5), LOWEST_M, HIGHEST_M)
+    pixel_m = image.crop.side / len(image.depth) * image.mean / camera.K[0, 0]
+    mask = cv2.morphologyEx((height > OBJECT_M).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    thickness = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
+    nearest, objects = _objects(mask, thickness, points, height)
+    reach = max(1, round(RIM_M / pixel_m))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    around = cv2.filter2D(mask.astype(np.float32), -1, disc / np.float32(disc.sum()))
+    highest = cv2.dilate(height, disc)
+    smooth = gaussian(np.clip(height, 0.0, None), EYE_M / pixel_m)
+    down, right = (np.gradient(smooth, pixel_m, axis=axis) for axis in (0, 1))
+    at = np.array([(p.row, p.column) for p in grasps], int).reshape(-1, 2)
+    rows, columns = at[:, 0], at[:, 1]
+    steep = 1.0 + np.hypot(down[rows, columns], right[rows, columns])
+    z = cv2.medianBlur(image.depth.astype(np.float32), 5)[rows, columns]
+    places = (z[:, None] * rays[rows, columns]) @ frame.R
+    angles = np.array([p.angle for p in grasps], float)
+    openings = np.array([p.width for p in grasps], float) * z * image.crop.side / len(image.depth) / camera.K[0, 0]
+    quality, sure = np.array([p.quality for p in grasps], float), certainty[rows, columns]
+    tastes, lifts = [], []
+    for i, point in enumerate(places):
+        one = objects[nearest[rows[i], columns[i]]]
+        off = point[:2] - one.middle
+        along, aside = off @ one.axis / one.length, off @ np.array([-one.axis[1], one.axis[0]]) / one.width
+        # y points down the image, angles are anticlockwise.
+        axis = np.arctan2(-one.axis[1], one.axis[0])
+        h = frame.distance - point[2]
+        seen = {
+            "quality": quality[i],
+            "height": h / LENGTH_M,
+            "below top": (one.top - h) / LENGTH_M,
+            "opening": openings[i] / LENGTH_M,
+            "along": abs(along),
+            "towards lighter end": along * one.uneven,
+            "aside": abs(aside),
+            "from middle": np.linalg.norm(off) / LENGTH_M,
+            "from bulk": np.linalg.norm(point[:2] - one.bulk) / LENGTH_M,
+            "thickness": thickness[rows[i], columns[i]] / one.thick,
+            "across": one.long * np.cos(2.0 * (angles[i] - axis)),
+            "right": off[0] / LENGTH_M,
+            "towards operator": off[1] / LENGTH_M,
+            "line cos": np.cos(2.0 * angles[i]),
+            "line sin": np.sin(2.0 * angles[i]),
+            "rim": 1.0 - around[rows[i], columns[i]],
+            "certainty": sure[i],
+            "other line": float(turns[i] != 0.0),
+            "against line": np.sin(turns[i]) ** 2 * sure[i],
+            "hollow": (highest[rows[i], columns[i]] - h) / LENGTH_M,
+            "flat": one.top / LENGTH_M,
+        }
+        tastes.append([seen[name] for name in TASTES])
+        lifts.append([seen[name] for name in LIFTS])
+    slopes = np.stack([right[rows, columns] / steep, down[rows, columns] / steep], axis=1)
+    as_rows = (
+        np.clip(np.array(a, float).reshape(-1, n), -4.0, 4.0) for a, n in ((tastes, len(TASTES)), (lifts, len(LIFTS)))
+    )
+    return Candidates(tuple(grasps), frame, places, angles, openings, slopes, *as_rows)
+
+
+def _objects(
+    mask: np.ndarray, thickness: np.ndarray, points: np.ndarray, height: np.ndarray
+) -> tuple[np.ndarray, list[_Object]]:
+    """Returns for each pixel the number of the object there, or of the nearest one, and the objects."""
+    count, parts, sizes, _ = cv2.connectedComponentsWithStats(mask)
+    kept = [part for part in range(1, count) if sizes[part, cv2.CC_STAT_AREA] >= SMALLEST_OBJECT_PX]
+    if not kept:
+        kept, parts = [1], np.ones_like(parts)
+    which = np.zeros(parts.shape, np.int32)
+    found = []
+    for i, part in enumerate(kept):
+        of = parts == part
+        which[of] = i + 1
+        xy = points[of][:, :2]
+        middle = xy.mean(axis=0)
+        spread, axes = np.linalg.eigh(np.cov((xy - middle).T))
+        axis = axes[:, 1]
+        t, s = (xy - middle) @ axis, (xy - middle) @ np.array([-axis[1], axis[0]])
+        sd = np.sqrt(np.maximum(spread, 1e-8))
+        skew = float(np.mean(t**3)) / sd[1] ** 3
+        # The tail of the distribution is the lighter end.
+        axis = axis if skew >= 0.0 else -axis
+        bulk = int(np.argmax(np.where(of, thickness, -1.0)))
+        found.append(
+            _Object(
+                middle,
+                axis,
+                max(0.005, float(np.percentile(np.abs(t), 98))),
+                max(0.005, float(np.percentile(np.abs(s), 98))),
+                1.0 - sd[0] / sd[1],
+                min(1.0, 2.0 * abs(skew)),
+                points.reshape(-1, 3)[bulk, :2],
+                max(1.0, float(thickness.flat[bulk])),
+                float(np.percentile(height[of], 95)),
+            )
+        )
+    away = np.where(which > 0, 0, 1).astype(np.uint8)
+    _, cells = cv2.distanceTransformWithLabels(away, cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
+    of_label = np.zeros(int(cells.max()) + 1, np.int32)
+    of_label[cells[away == 0]] = which[away == 0]
+    return np.maximum(of_label[cells] - 1, 0), found
