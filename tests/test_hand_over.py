@@ -12,7 +12,7 @@ from common.rotations import rotation_from_quaternion
 from golden.two_arms import SIDES, SRC, TwoArms
 from kuka_control.loop import algorithms
 from rig_simulation.files import read_scene
-from rig_simulation.operator.hand_over import GIVER, TAKER, HandOver, HandOverPlan, HandOverView, roles, turns_of
+from rig_simulation.operator.hand_over import GIVER, TAKER, HandOver, HandOverPlan, HandOverView, roles
 from rig_simulation.operator.steering import GRIP_OFFSET
 from rig_simulation.world.scene import scene_from
 
@@ -76,10 +76,10 @@ def test_left_hands_the_box_to_right_and_the_arms_keep_apart():
             T_tool = rig.T_world_tool(side)
             grips[role] = T_tool[:3, 3] + rig.T_world_flange(side)[:3, :3] @ GRIP_OFFSET
             tools[role] = T_tool[:3, :3]
+        touching = frozenset(role for role, side in who.names.items() if any(side in name for name in state.touches))
         following = all(map(rig.following, SIDES))
-        results.append(
-            person.step(HandOverView(grips, turns_of(shape, T, tools), T, state.clearance, following), rig.now)
-        )
+        view = HandOverView(grips, tools, T, state.clearance, touching, following)
+        results.append(person.step(view, rig.now))
         if results[-1].move is not None:
             rig.operators[who.names[results[-1].who]].reach(**results[-1].move.fields)
         if results[-1].over or rig.now > SECONDS:

@@ -14,12 +14,12 @@ from common.rotations import rotation_about, rotation_angle
 from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.evaluation.lifting import lift, nearest_object
 from grasping.lab.evaluation.trials import angle_between, is_right, judge, oracle, overlap, situation
-from grasping.lab.synthetic import scene
+from grasping.lab.synthetic import samples, scene
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml
 from grasping.lab.synthetic.shapes import Geom
 from grasping.network.depth_image import Crop, NetworkImage
-from grasping.network.maps import Peak
+from grasping.network.maps import REFLEX, Peak
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 
@@ -142,8 +142,17 @@ def test_the_arms_error_grows_and_thick_fingers_open_less():
     assert misses[1] == pytest.approx(2.5 * misses[0]) and misses[0] > 0.0
     turns = [rotation_angle(exact[:3, :3].T @ T[:3, :3]) for T in (usual, poor)]
     assert turns[1] == pytest.approx(np.radians(5.0) / 0.035 * turns[0])
-    narrow = situation("test", 2, 1, trials.GRIPPERS["thick"])
+    narrow = situation("test", 2, 1, trials.Conditions(trials.GRIPPERS["thick"]))
     assert narrow.widest == pytest.approx(0.85 * of.widest)
+
+
+def test_the_oracle_knows_the_grasps_of_the_hand_that_tries_them():
+    of = situation("test", 2, 1, trials.Conditions(hand=REFLEX))
+    label = samples.sample(of.view, samples.LabelSettings(REFLEX))
+    np.testing.assert_array_equal(np.round(255.0 * of.best.quality), label.quality)
+    found = oracle(of)
+    assert label.quality[found.row, found.column] == label.quality.max() > 0
+    assert of.widest == pytest.approx(1.16 * situation("test", 2, 1).widest)
 
 
 def test_the_oracle_lifts_what_it_labels():

@@ -17,6 +17,7 @@ import torch
 
 from grasping.lab.programs import evaluate, find_grasps, make_dataset, runs, train_ggcnn
 from grasping.network import weights
+from grasping.network.maps import PARALLEL, REFLEX
 from grasping.network.networks import NETWORKS
 
 
@@ -189,8 +190,12 @@ def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_pro
     assert sorted((task.split, task.number) for task in tasks) == [("test_2", n) for n in (7, 8, 9)]
     assert tasks[0].methods[-2:] == ["net #1", "net #2"]
     conditions = tasks[0].conditions
-    assert conditions[1:] == (0.005, pytest.approx(np.radians(4.0)), True)
+    assert conditions[1:] == (0.005, pytest.approx(np.radians(4.0)), True, PARALLEL)
     assert conditions.gripper.opening == 0.085
+    monkeypatch.setattr(evaluate, "export", lambda _path, tasks, _processes: exported.extend(tasks))
+    exported = []
+    call(monkeypatch, evaluate, "--export", tmp_path / "grasps.json", *options)
+    assert {task.conditions for task in exported} == {conditions._replace(shake=False, hand=REFLEX)}
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,21 @@ def test_a_ridge_is_not_held_by_faces_that_lean_beyond_the_friction():
         assert (score > 0.3) == held
 
 
+def rod(radius):
+    """Returns a height map of a round rod that lies along y."""
+    c = CELL * (np.arange(N) - 0.5 * (N - 1))
+    x, y = np.meshgrid(c, c)
+    top = radius + np.sqrt(np.maximum(radius**2 - x**2, 0.0))
+    return np.where((np.abs(x) < radius) & (np.abs(y) < 0.05), 0.7 - top, TABLE)
+
+
+@pytest.mark.parametrize(("radius", "held"), [(0.009, False), (0.011, False), (0.016, True), (0.03, True)])
+def test_the_fingers_slide_over_a_thin_rod_but_not_over_a_bar_of_its_height(radius, held):
+    score, _ = reflex_labels.along_rows(rod(radius), TABLE, CELL, HAND)
+    assert (score[MIDDLE] > 0.5) == held
+    assert across((0.0, 0.0, radius, 0.05, 2.0 * radius))[0] > 0.8
+
+
 @pytest.mark.parametrize("margin", [0.0, 0.008, 0.1])
 def test_the_margin_widens_the_opening_alone_and_as_far_as_the_hand_opens(margin):
     score, opening = across(BAR)

@@ -6,13 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from grasping.lab.training.trainer import MapTargets, NetworkTraining, batch, losses, network_trainer, random_batch
+from grasping.lab.training.trainer import (
+    MapTargets,
+    NetworkTraining,
+    batch,
+    images,
+    losses,
+    network_trainer,
+    random_batch,
+)
 
 SMALL = NetworkTraining(steps=40, count=2, side=60, rate=3e-3, warm_up=5, half=False)
 
 
-def some_samples(count=4, side=120, seed=0):
-    """Images of bars, to be grasped across."""
+def some_arrays(count=4, side=120, seed=0):
+    """Samples of bars, to be grasped across."""
     rng = np.random.default_rng(seed)
     shape = (count, side, side)
     samples = {
@@ -30,17 +38,21 @@ def some_samples(count=4, side=120, seed=0):
     return samples
 
 
+def some_images(**kind):
+    return images(some_arrays(**kind))
+
+
 def maps_of(target: MapTargets) -> torch.Tensor:
     return torch.stack([target.quality, target.cos, target.sin, target.width], dim=1)
 
 
 def test_the_targets_themselves_have_no_loss():
-    _, target = batch(some_samples())
+    _, target = batch(some_images().arrays)
     assert float(losses(maps_of(target), target).total) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_background_teaches_no_angle_and_no_width():
-    _, target = batch(some_samples())
+    _, target = batch(some_images().arrays)
     maps = maps_of(target)
     background = target.quality == 0.0
     for channel in (1, 2, 3):
@@ -51,16 +63,16 @@ def test_background_teaches_no_angle_and_no_width():
 
 
 def test_unknown_pixels_do_not_count():
-    samples = some_samples()
+    samples = some_arrays()
     samples["known"][:, :60] = False
-    _, target = batch(samples)
+    _, target = batch(images(samples).arrays)
     maps = maps_of(target)
     maps[:, :, :60] = 9.0
     assert float(losses(maps, target).total) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_batches_depend_on_the_seed_alone():
-    samples = some_samples()
+    samples = some_images()
     for a, b in zip(*(random_batch(samples, np.random.default_rng(8), 3, 96) for _ in range(2))):
         for x, y in zip(a, b) if isinstance(a, MapTargets) else [(a, b)]:
             assert torch.equal(x, y)
@@ -68,8 +80,9 @@ def test_batches_depend_on_the_seed_alone():
 
 def test_mirrors_turn_the_angle():
     """A field of one angle stays so or becomes its negative."""
-    samples = some_samples(1)
-    samples["angle"][:] = 32  # 22.5 degrees
+    bars = some_arrays(1)
+    bars["angle"][:] = 32  # 22.5 degrees
+    samples = images(bars)
     signs = set()
     for seed in range(40):
         _, target = random_batch(samples, np.random.default_rng(seed), 1, 60)
@@ -78,8 +91,43 @@ def test_mirrors_turn_the_angle():
     assert signs == {0.7071, -0.7071}
 
 
+def test_windows_are_cut_from_the_images_mirrored_or_not():
+    """Each pixel's five values stay together: they are those of one pixel of one image, in order or in reverse."""
+    rng, shape = np.random.default_rng(3), (3, 70, 80)
+    bars = some_arrays()
+    bars = {name: rng.integers(0, 200, shape).astype(values.dtype) for name, values in bars.items()}
+    bars["known"][:] = True
+    bars["quality"][:] = np.arange(np.prod(shape)).reshape(shape) % 251
+    _, target = random_batch(images(bars), np.random.default_rng(1), 20, 60)
+    width = np.round(255.0 * target.width.numpy()).astype(int)
+    found = set()
+    for one in width:
+        matches = [
+            (i, row, column, flips)
+            for i in range(3)
+            for flips in ((1, 1), (-1, 1), (1, -1), (-1, -1))
+            for row in range(11)
+            for column in range(21)
+            if (bars["width"][i, row : row + 60, column : column + 60][:: flips[0], :: flips[1]] == one).all()
+        ]
+        assert len(matches) == 1
+        found |= {flips for *_, flips in matches}
+    assert len(found) == 4
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_cuda_device_trains_as_the_processor_does():
+    arrays = some_arrays()
+    device = torch.device("cuda")
+    here, there = network_trainer(SMALL), network_trainer(SMALL, device)
+    for _ in range(3):
+        assert there.train(images(arrays, device)) == pytest.approx(here.train(images(arrays)), rel=1e-3)
+    found, wanted = there.validate(images(arrays, device)), here.validate(images(arrays))
+    assert found == pytest.approx(wanted, rel=0.02)
+
+
 def test_a_run_may_end_and_go_on(tmp_path):
-    samples = some_samples()
+    samples = some_images()
     whole = network_trainer(SMALL)
     for _ in range(6):
         whole.train(samples)
@@ -97,7 +145,7 @@ def test_a_run_may_end_and_go_on(tmp_path):
 
 
 def test_training_learns():
-    samples = some_samples()
+    samples = some_images()
     trainer = network_trainer(SMALL)
     before = trainer.validate(samples)["validation"]
     found = [trainer.train(samples) for _ in range(SMALL.steps)]

@@ -13,8 +13,11 @@ import published_networks
 import pytest
 import torch
 
+from common.ros.files import read_yaml
 from grasping.network import refinement_file, weights
+from grasping.network.maps import PARALLEL, REFLEX
 
+OWN = {"ggcnn2.pt": ("ggcnn2", PARALLEL), "ggcnn2_reflex.pt": ("ggcnn2", REFLEX)}
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
 
@@ -159,9 +162,17 @@ def test_hash_is_checked():
 def test_the_packages_own_weights_are_as_listed():
     folder = Path(__file__).parents[1] / "weights"
     sums = (folder / "SHA256SUMS").read_text()
-    for path in folder.glob("*.pt"):
-        content = path.read_bytes()
+    assert {path.name for path in folder.glob("*.pt")} == OWN.keys()
+    for name, (network, hand) in OWN.items():
+        content = (folder / name).read_bytes()
         assert len(content) < 300_000
-        assert weights.load(content, weights.listed_sha256(sums, path.name)).name == path.stem
+        loaded = weights.load(content, weights.listed_sha256(sums, name))
+        assert (loaded.name, loaded.hand) == (network, hand)
     with pytest.raises(weights.WeightsError, match="does not name other.pt"):
         weights.listed_sha256(sums, "other.pt")
+
+
+def test_the_node_comes_with_weights_for_the_hand_that_the_rig_has():
+    config = Path(__file__).parents[1] / "config"
+    name = read_yaml(config / "ggcnn.yaml")["network"]["weights"]
+    assert OWN[name][1] == read_yaml(config / "tool_pose.yaml")["hand"] == REFLEX

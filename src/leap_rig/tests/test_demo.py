@@ -9,13 +9,17 @@ import re
 import shutil
 import signal
 import socket
+import subprocess
 import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
 from campaign.trial import runs
+from rig_simulation.control_port import ControlClient
 
 pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.timeout(400)]
 
@@ -47,17 +51,28 @@ def demo(processes, free_port, tmp_path):
         launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
         if easy:
             launch["overrides"] = overrides
+        master = f"http://localhost:{free_port()}"
         process = processes.start(
             *within, "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
             "--", *(f"{name}:={value}" for name, value in launch.items()),
-            env={"ROS_MASTER_URI": f"http://localhost:{free_port()}", "ROS_HOME": str(tmp_path / "ros"),
+            env={"ROS_MASTER_URI": master, "ROS_HOME": str(tmp_path / "ros"),
                  "ROS_LOG_DIR": str(tmp_path / "log")},
             fork=False,  # how it starts and ends is what is tested
         )  # fmt: skip
-        process.report = report
+        process.report, process.master = report, master
         return process
 
     return start
+
+
+def choose_arm(process, arm: str) -> tuple[bool, str]:
+    """Calls leap_kuka/choose_arm of a demo; returns what it answers."""
+    called = subprocess.run(
+        ["rosservice", "call", "leap_kuka/choose_arm", arm],
+        env={**os.environ, "ROS_MASTER_URI": process.master}, check=True, capture_output=True, text=True, timeout=60.0,
+    )  # fmt: skip
+    answer = yaml.safe_load(called.stdout)
+    return answer["success"], answer["message"]
 
 
 def free_pair(free_port, kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
@@ -278,15 +293,34 @@ def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo)
 
 
 @pytest.mark.alone
-def test_two_arms_pick_up_a_cup_each_with_the_hand_of_their_side(demo, free_port, wait_until, tmp_path):
+def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(demo, free_port, wait_until, tmp_path):
+    """With relative engagement, which the choice of an arm needs: neither the choice nor its end moves a tool."""
     pairs = {name: free_pair(free_port) for name in ("robot_port", "robot_control_port", "hand_control_port")}
-    pairs["hand_port"] = free_pair(free_port, socket.SOCK_DGRAM)
-    process = demo("--scenario", "two_cups", robots=2, **pairs)
-    assert process.wait(350) == 0, process.log_path.read_text()
+    pairs |= {"hand_port": free_pair(free_port, socket.SOCK_DGRAM), "world_port": free_port()}
+    process = demo("--scenario", "hand_over", robots=2, arm_choice="service", **pairs)
+    left = ControlClient("127.0.0.1", pairs["robot_control_port"], 30.0)
+    read = process.log_path.read_text
+    wait_until(lambda: "left servo" in read() or process.poll() is not None, 120.0, "a hand that steers")
+    assert process.poll() is None, read()
+    world = ControlClient("127.0.0.1", pairs["world_port"], 30.0)
+    wait_until(lambda: world.ask("objects")["objects"]["box"]["clearance"] > 0.05, 90.0, "the box in the air")
+    success, sentence = choose_arm(process, "middle")
+    assert not success and "the arm is 'middle', but must be left, right or both" in sentence
+    assert choose_arm(process, "right")[0]
+    time.sleep(0.5)
+    before, began = left.ask("state")["joints"], time.monotonic()
+    while time.monotonic() < began + 3.0:
+        np.testing.assert_allclose(
+            left.ask("state")["joints"], before, atol=0.01, err_msg="the left arm holds its tool"
+        )
+        time.sleep(0.2)
+    assert choose_arm(process, "both")[0]
+    assert process.wait(350) == 0, read()
     summary = json.loads(process.report.read_text())
     assert summary["faults"] == [] and set(summary["arms"]) == {"left", "right"}
-    for arm, part in summary["arms"].items():
+    for part in summary["arms"].values():
         assert part["scenario"]["step"] == "done" and part["streams"] and part["safety_stops"] == 0
-        assert summary["objects"][f"{arm}_cup"]["picked_and_placed"]
         assert max(part["hand_travel_rad"]) > 1.0
+    box = summary["objects"]["box"]
+    assert box["picked_and_placed"] and box["at_m"][1] < -0.1
     wait_until(lambda: not started_by(tmp_path), 20.0, "the end of all nodes")

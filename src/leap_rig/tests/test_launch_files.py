@@ -205,7 +205,7 @@ def test_two_arms_have_their_nodes_in_namespaces_and_share_world_leap_and_panel(
         "grasping:=true", "camera:=true", "camera_rate:=1.0", "web_host:=0.0.0.0", "web_port:=1",
         "operator_input:=true", "guard_obstacles:=/a.yaml",
         "marker_ring:=true", "lift_workspace:=true", "sounds:=true", "tutorial:=true",
-        "language:=de", "camera_control_port:=1", "camera_fault:=slow",
+        "language:=de", "camera_fault:=slow",
     ],
 )  # fmt: skip
 def test_what_is_for_one_arm_ends_the_launch_of_two_with_a_sentence(given):
@@ -308,12 +308,12 @@ def test_the_presets_of_rviz_show_topics_and_frames_of_each_arm():
         here = {display[key] for key in keys if key in display} | set(display.get("Frames", ()))
         return here.union(*(named(inner, keys) for inner in display.get("Displays", ())))
 
-    keys = ("Marker Topic", "Robot Description")
+    keys = ("Marker Topic", "Robot Description", "Reference Frame")
     one, two = (
         {name for display in preset["Visualization Manager"]["Displays"] for name in named(display, keys)}
         for preset in (yaml.safe_load((ROOT / f"src/leap_rig/rviz/{name}.rviz").read_text()) for name in PRESETS)
     )
-    shared = {"All Enabled", "simulation/objects", "simulation/contacts"}
+    shared = {"world", "simulation/objects", "simulation/contacts"}
     assert shared < two and {name.split("/")[0] for name in two - shared} == set(ARMS)
     for arm in ARMS:
         assert {name[len(arm) + 1 :] for name in two if name.startswith(f"{arm}/")} <= one

@@ -125,6 +125,53 @@ def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros
     assert "Traceback" not in node.log_path.read_text()
 
 
+def test_one_hand_steers_the_arm_that_the_service_names_and_the_other_one_waits(ros, rig_of, wait_until):
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from std_msgs.msg import String
+
+    from rig_msgs.msg import KukaStatus
+    from rig_msgs.srv import ChooseArm
+
+    arms = ("left", "right")
+    port = rig_of(*(f"{arm}/" for arm in arms), arguments=("--hand", "right"))
+    homes = {}
+    for arm in arms:
+        rospy.set_param(f"{arm}/tf_prefix", arm)
+        settings = {"hand": arm, "arm_choice": "service", "engagement": "relative", "hold_time": 30.0}
+        for key, value in settings.items():
+            rospy.set_param(f"{arm}/leap/{key}", value)
+        homes[arm] = rospy.Publisher(f"{arm}/kuka/status", KukaStatus, queue_size=10)
+    rospy.set_param("/leap_teleop_choice/arms", list(arms))
+    streams = {arm: ros.record(f"{arm}/leap_kuka/stream", DiagnosticStatus) for arm in arms}
+    chosen = ros.record("leap_kuka/chosen_arm", String)
+    arguments = ("__name:=leap_teleop_choice", f"_driver/port:={port}", "_hand/hand_only:=true")
+    node = ros.run("leap_rig", "leap_teleop.py", *arguments)
+    wait_until(lambda: chosen and chosen[-1].data == "both", 90.0, "the choice at the start")
+    rospy.wait_for_service("leap_kuka/choose_arm", 30.0)
+    choose = rospy.ServiceProxy("leap_kuka/choose_arm", ChooseArm)
+
+    def reason(arm: str) -> str:
+        for home in homes.values():
+            home.publish(KukaStatus(mode="home", control_on=True, scaling_factor=1.0))
+        return streams[arm][-1].message if streams[arm] else ""
+
+    def check(own: str, other: str) -> None:
+        answer = choose(own)
+        assert answer.success and answer.message == f"The hand steers the {own} arm; the others hold their tools."
+        wait_until(lambda: f"the hand steers the {own} arm" in reason(other), 30.0, "the reason of the other arm")
+        wait_until(lambda: "right hand" in reason(own) and "steers" not in reason(own), 30.0, "any hand for this arm")
+
+    check(*arms)
+    check(*arms[::-1])
+    refused = choose("middle")
+    assert not refused.success and "'middle', but must be left, right or both" in refused.message
+    assert [message.data for message in chosen] == ["both", "left", "right"]
+    node.send_signal(signal.SIGINT)
+    assert node.wait(20.0) == 0, node.log_path.read_text()
+    assert "Traceback" not in node.log_path.read_text()
+
+
 @pytest.mark.parametrize(
     ("argument", "sentence"), [("_driver/port:=0", "~driver/port is 0"), ("_hand/only:=1", "only")]
 )

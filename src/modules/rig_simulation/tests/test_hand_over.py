@@ -21,7 +21,6 @@ from rig_simulation.operator.hand_over import (
     HandOverView,
     LongBox,
     roles,
-    turns_of,
 )
 from rig_simulation.world.scene import scene_from
 
@@ -43,7 +42,7 @@ class TwoFollowingArms:
         self.yaws = dict.fromkeys(BASES, 0.0)
         self.T = pose(rotation_about(2, yaw), (x, y, TABLE + BOX.height / 2.0))
         self.scale, self.lag = scale, lag
-        self.holds, self.handed = set(), []
+        self.holds, self.handed, self.slow = set(), [], 0
 
     def make(self, arm, move):
         self.palms[arm], self.yaws[arm], self.curls[arm] = move.palm, move.yaw, move.curl
@@ -65,11 +64,18 @@ class TwoFollowingArms:
             self.T[:3, 3] += np.mean([self.tools[arm] - before[arm] for arm in holds], axis=0)
 
     @property
+    def touching(self):
+        """The fingers that let go do so `slow` looks later than the person's."""
+        holds = {arm for arm in BASES if self.curls[arm] > 0.5}
+        self.seen = [*getattr(self, "seen", []), holds]
+        return holds.union(*self.seen[-self.slow :]) if self.slow else holds
+
+    @property
     def clearance(self):
         return self.T[2, 3] - BOX.height / 2.0 - TABLE
 
 
-def work(rig, following=lambda now: True, seconds=200.0):
+def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, steps: None):
     """Lets the person work; returns the last result, the steps, and the least distance of both tools [m]."""
     who = roles(BOX, rig.T, BASES)
     person = HandOver(PLAN, dict.fromkeys((GIVER, TAKER), AHEAD), BOX, who)
@@ -77,8 +83,9 @@ def work(rig, following=lambda now: True, seconds=200.0):
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S
         grips = {role: rig.tools[arm] for role, arm in who.names.items()}
-        tools = {role: rotation_about(2, -rig.yaws[arm]) for role, arm in who.names.items()}
-        view = HandOverView(grips, turns_of(BOX, rig.T, tools), rig.T, rig.clearance, following(now))
+        tools = {role: rotation_about(2, np.pi - rig.yaws[arm]) for role, arm in who.names.items()}
+        touching = frozenset(role for role, arm in who.names.items() if arm in rig.touching)
+        view = HandOverView(grips, tools, rig.T, rig.clearance, touching, following(now))
         result = person.step(view, now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
@@ -87,6 +94,7 @@ def work(rig, following=lambda now: True, seconds=200.0):
         if result.over:
             return result, steps, least
         rig.advance()
+        each(person, steps)
         least = min(least, float(np.linalg.norm(rig.tools["left"] - rig.tools["right"])))
     pytest.fail(f"not over after {seconds} s: {steps}")
 
@@ -134,11 +142,39 @@ def test_a_box_that_is_not_lifted_or_falls_is_given_up_with_the_reason():
     assert result.failure == f"the box fell (step {steps[-1]!r})" and steps[-1] in ("let go", "part")
 
 
+def test_slow_fingers_are_waited_for():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.slow = 100
+    result, steps, _ = work(rig)
+    assert not result.failure and steps == list(STEPS)
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.slow = 5000
+    result, steps, _ = work(rig)
+    assert result.failure == "step 'let go' took longer than 30 s"
+
+
 def test_a_person_waits_out_an_interruption_but_not_for_ever():
     result, steps, _ = work(TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0), lambda now: not 20.0 < now < 30.0)
     assert not result.failure and steps[-1] == "done"
     result, _, _ = work(TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0), lambda now: now < 20.0)
     assert "the arms did not follow within 30 s" in result.failure
+
+
+def test_a_hand_that_comes_in_anew_goes_on_from_where_the_tool_was_kept():
+    """Its palm is in the middle again, its fingers are closed as before, and the tool has not moved."""
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    who = roles(BOX, rig.T, BASES)
+
+    def again(person, steps):
+        if steps[-1] == "bring" and not rig.again:
+            rig.again = True
+            assert person.enters(GIVER) == 1.0
+            rig.palms["left"], rig.start["left"] = np.zeros(3), rig.tools["left"].copy()
+
+    rig.again = False
+    result, steps, _ = work(rig, each=again)
+    assert rig.again and not result.failure and steps == list(STEPS)
+    assert_allclose(rig.T[:2, 3], who.place, atol=5 * PLAN.tolerance)
 
 
 def test_arms_above_each_other_have_no_middle():

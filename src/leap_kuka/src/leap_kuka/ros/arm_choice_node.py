@@ -54,7 +54,7 @@ class ArmChoiceNode:
                 self._publish()
             else:
                 rospy.logwarn(answer.sentence)
-            return answer
+        return answer.success, answer.sentence
 
     def _publish(self) -> None:
         self._publisher.publish(String(self._choice.chosen))

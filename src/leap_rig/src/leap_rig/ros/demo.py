@@ -47,7 +47,7 @@ SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_c
 OF_ONE_ARM = {
     "tracker": "leap", "world": "true", "recording": "", "offset": "0 0 0", "rounds": "1", "mounting": "",
     "dh_parameters": "", "guard_obstacles": "", "hand_args": "", "camera_device": "0", "video": "", "language": "",
-    "camera_fault": "", "camera_rate": "3.0", "camera_control_port": "30031", "web_host": "127.0.0.1",
+    "camera_fault": "", "camera_rate": "3.0", "web_host": "127.0.0.1",
     "web_port": "8443",
     **dict.fromkeys(
         ("grasping", "camera", "operator_input", "marker_ring", "lift_workspace", "sounds", "tutorial"), "false"

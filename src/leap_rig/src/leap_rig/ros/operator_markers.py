@@ -10,6 +10,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE, ONE_ARM, ArmFrames
+from common.hand_tracking import RIGHT
 from common.operator_rows import BRIGHT_COLOURS, Row, RowTone, plain_text
 from leap_motion.ros.hand_markers import marker
 from leap_motion.skeleton import traffic_light
@@ -19,7 +20,7 @@ LIFETIME = rospy.Duration.from_sec(1.0)  # a marker that is not renewed vanishes
 BAR_WIDTH_M = 0.004
 SHORTEST_BAR_M, LONGEST_BAR_M = 0.001, 0.03
 TEXT_HEIGHT_M, TEXT_COLUMNS = 0.03, 44
-TEXT_AT = (0.0, 0.5, 0.6)  # in the base, beside the arm [m]
+TEXT_AT = (0.0, 0.5, 0.6)  # in the base, to the left of the arm, of a right one to the right [m]
 WORST = (RowTone.FAULT, RowTone.WARNING, RowTone.GOOD, RowTone.NORMAL, RowTone.STALE)
 
 
@@ -29,7 +30,8 @@ def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]], fram
     `pressures` are those of the nine taxels of index, middle and thumb as fractions of a full bar; empty if unknown.
     """
     text = marker("text", Marker.TEXT_VIEW_FACING, 0, frames(BASE), LIFETIME)
-    text.pose.position, text.scale.z = Point(*TEXT_AT), TEXT_HEIGHT_M
+    x, y, z = TEXT_AT
+    text.pose.position, text.scale.z = Point(x, -y if frames.tf_prefix == RIGHT else y, z), TEXT_HEIGHT_M
     text.text = plain_text(rows, TEXT_COLUMNS)
     tones = {row.tone for row in rows}
     colour = BRIGHT_COLOURS[next((tone for tone in WORST if tone in tones), RowTone.STALE)]

@@ -18,10 +18,10 @@ from common.camera_model import CameraModel, pinhole
 from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.evaluation.lifting import lift, nearest_object
-from grasping.lab.synthetic import labels
-from grasping.lab.synthetic.samples import CELL_M, FOCAL_PX, GRIPPER, SceneView, view
+from grasping.lab.synthetic import labels, reflex_labels
+from grasping.lab.synthetic.samples import FOCAL_PX, GRIPPER, LabelSettings, SceneView, hand_grasps, view
 from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
-from grasping.network.maps import Maps, Peak, peaks
+from grasping.network.maps import PARALLEL, Maps, Peak, peaks
 from grasping.pipeline.projection import project_grasp
 
 OUTSTANDING_M = 0.012
@@ -150,7 +150,7 @@ class TrialScene(NamedTuple):
     number: int  # of the scene in its split
     view: SceneView  # what the camera sees
     image: NetworkImage  # what the network sees
-    widest: float  # opening of the gripper at the table [px]
+    widest: float  # opening of the hand at the table [px]
     best: labels.Labels  # labels in the image
     rectangles: list[Peak]  # labelled grasps in all directions
 
@@ -158,10 +158,11 @@ class TrialScene(NamedTuple):
 class Conditions(NamedTuple):
     """How grasps are tried."""
 
-    gripper: labels.Gripper = GRIPPER
+    gripper: labels.Gripper = GRIPPER  # if the hand is parallel
     position_error: float = POSITION_ERROR_M  # standard deviation of the arm's error along both axes of the image [m]
     angle_error: float = ANGLE_ERROR_RAD  # and about the approach [rad]
     shake: bool = False  # after the lift
+    hand: str = PARALLEL  # name in `network.maps.HANDS`
 
 
 USUAL = Conditions()
@@ -192,22 +193,21 @@ class Executed(NamedTuple):
     target: int  # number of the object that the grasp is meant for
 
 
-def situation(split: str, number: int, count: int, gripper: labels.Gripper = GRIPPER) -> TrialScene:
-    """Returns the scene `number` of a split with `count` objects, and its grasps for a gripper."""
+def situation(split: str, number: int, count: int, conditions: Conditions = USUAL) -> TrialScene:
+    """Returns the scene `number` of a split with `count` objects, and its grasps for the hand that tries them."""
     seen = view(split, number, count)
     image = prepare(seen.observed, CROP)
-    focal = FOCAL_PX * NETWORK_SIDE / CROP_SIDE
-    exact = cv2.resize(seen.exact, (NETWORK_SIDE, NETWORK_SIDE), interpolation=cv2.INTER_NEAREST)
-    found = labels.grasps(seen.surface, seen.table, CELL_M, gripper)
-    rectangles = []
+    of_hand = hand_grasps(seen, LabelSettings(conditions.hand), conditions.gripper)
+    found, rectangles = of_hand.found, []
     for k, angle in enumerate(found.angles):
         score = found.scores[k]
         one = labels.Labels(score, np.full_like(score, angle), found.openings[k], np.ones_like(score, bool))
-        flat = labels.in_image(one, seen.surface, CELL_M, exact, focal)
+        flat = of_hand.in_image(one)
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
         rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
-    best = labels.in_image(labels.best(found), seen.surface, CELL_M, exact, focal)
-    return TrialScene(number, seen, image, gripper.opening * focal / float(exact.max()), best, rectangles)
+    best = of_hand.in_image(labels.best(found))
+    widest = conditions.gripper.opening if conditions.hand == PARALLEL else 2.0 * reflex_labels.Hand().preshape
+    return TrialScene(number, seen, image, widest * of_hand.focal / float(of_hand.exact.max()), best, rectangles)
 
 
 def oracle(of: TrialScene) -> Peak | None:

@@ -160,7 +160,7 @@ def chosen_grasps(task: Task) -> tuple[trials.TrialScene, dict[str, maps.Peak | 
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
     number = task.number
-    of = trials.situation(task.split, number, object_count(number), task.conditions.gripper)
+    of = trials.situation(task.split, number, object_count(number), task.conditions)
     chosen: dict[str, maps.Peak | None] = {}
     for name in task.methods:
         if name == "oracle":
@@ -393,6 +393,7 @@ def main() -> None:
     gripper = trials.GRIPPERS[arguments.gripper]
     conditions = trials.Conditions(gripper, 0.001 * millimetres, float(np.radians(degrees)), arguments.shake)
     if arguments.export is not None:
+        conditions = conditions._replace(hand=maps.REFLEX)
         every = [Task(arguments.split, number, methods, trained, conditions) for number in numbers]
         export(arguments.export, every, arguments.processes)
         return

@@ -25,7 +25,7 @@ from common.errors import RigError
 from grasping.lab.programs import runs
 from grasping.lab.programs.make_dataset import label_settings
 from grasping.lab.synthetic.samples import Sample
-from grasping.lab.training.trainer import NetworkTraining, network_trainer
+from grasping.lab.training.trainer import NetworkTraining, images, network_trainer
 from grasping.network import weights
 
 CURVES = runs.Curves(
@@ -103,5 +103,6 @@ def main() -> None:
     def files(mean: nn.Module) -> dict[str, object]:
         return {"weights.pt": weights.state_for_file(settings.network, mean, train.hand)}
 
-    trainer, data = network_trainer(settings, device, start and start.network), (train.samples, validation.samples)
+    trainer = network_trainer(settings, device, start and start.network)
+    data = images(train.samples, device), images(validation.samples, device)
     runs.train(arguments.run, about, saved, trainer, data, arguments.every, files, CURVES)

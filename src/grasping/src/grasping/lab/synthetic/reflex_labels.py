@@ -16,9 +16,12 @@ import numpy as np
 
 from grasping.lab.synthetic.labels import FREE, LEVEL_M, LOWEST_OBJECT_M, Grasps, around, in_directions
 
-ONE_FINGER = 0.85  # value of a grasp of which only one finger meets the object, against both
+ONE_FINGER = 0.7  # value of a grasp of which only one finger meets the object, against both
 ONE_BLOCKED = 0.5  # of one where a finger comes down on something
 CENTRING_LOSS, LEAN_LOSS = 0.2, 0.5  # greatest losses beside the middle, and at the edge of the friction cone
+FLAT_M = 0.0115  # pads that reach less far below what they grasp slide over a round edge
+UPRIGHT = 0.72  # a face that reaches this fraction of its height, as a mean of its first two cells, is not round
+SLIDING = 0.25  # value of a grasp that may slide over
 SLOPE_CELLS = 4  # rows to the side of a contact over which its face's direction is taken
 
 
@@ -83,6 +86,7 @@ def _at_level(
     before, after = _nearest(top < cut)
     in_the_way = cv2.dilate((surface < cut - hand.pads + hand.tips).astype(np.uint8), foot) > 0
     free = cv2.dilate((surface < cut - hand.pads + hand.palm).astype(np.uint8), palm)[y, x] == 0
+    flat = cut - surface[y, x] < FLAT_M
     out = reach + width // 2  # where the fingers come down
     rows = y, y + aside, y - aside
     scores, widest = [], np.zeros(len(y))
@@ -92,7 +96,8 @@ def _at_level(
         starts = [x + sign * reach for sign in signs]
         contacts = [end[row, start] for end, row, start in zip(ends, rows, starts)]
         thumb, *fingers = (sign * (contact - x) for contact, sign in zip(contacts, signs))
-        leans = [_lean(top, cut, row, c, -sign, cell) for row, c, sign in zip(rows, contacts, signs)]
+        rises = [_rise(top, cut, row, c, -sign) for row, c, sign in zip(rows, contacts, signs)]
+        leans = [_lean(rise, cell) for rise in rises]
         blocked = sum(in_the_way[row, x + sign * out].astype(int) for row, sign in zip(rows, signs))
         # A finger that would pass the thumb before it meets anything passes beside the object.
         meets = [finger + thumb > 0 for finger in fingers]
@@ -108,6 +113,9 @@ def _at_level(
         worst = [np.hypot(lean, slope) for lean, slope in zip(leans, slopes)]
         lean = np.max([worst[0], *(np.where(met, v, 0.0) for met, v in zip(meets, worst[1:]))], axis=0)
         value = value * np.where(lean < hand.friction, 1.0 - LEAN_LOSS * lean / hand.friction, 0.0)
+        rounded = [rise[:2].mean(axis=0) < UPRIGHT * rise.max(axis=0) for rise in rises]
+        slides = flat & np.any([rounded[0], *(met & of for met, of in zip(meets, rounded[1:]))], axis=0)
+        value = value * np.where(slides, SLIDING, 1.0)
         scores.append(value * np.where(blocked == 0, 1.0, np.where(blocked == 1, ONE_BLOCKED, 0.0)))
         widest = np.maximum(widest, far)
     score = np.where(free, np.minimum(*scores), 0.0)
@@ -133,11 +141,15 @@ def _slope(ends: np.ndarray, row: np.ndarray, start: np.ndarray, contact: np.nda
     return np.minimum(*beside) / SLOPE_CELLS
 
 
-def _lean(top: np.ndarray, cut: float, row: np.ndarray, contact: np.ndarray, inwards: int, cell: float) -> np.ndarray:
-    """Returns the tangent of the angle by which the faces at contacts lean inwards, from the rise over two cells;
-    a face that reaches its top so soon is upright.
-    """
+def _rise(top: np.ndarray, cut: float, row: np.ndarray, contact: np.ndarray, inwards: int) -> np.ndarray:
+    """Returns how far faces rise above the cut at their contacts and over the next four cells, shape (5, m) [m]."""
     column = np.clip(contact, 4, top.shape[1] - 5)
-    rise = cut - np.stack([top[row, column + k * inwards] for k in range(1, 5)])
-    soon, full = rise[:2].max(axis=0), rise.max(axis=0)
+    return cut - np.stack([top[row, column + k * inwards] for k in range(5)])
+
+
+def _lean(rise: np.ndarray, cell: float) -> np.ndarray:
+    """Returns the tangent of the angle by which faces lean inwards, from their rise over two cells; a face that reaches
+    its top so soon is upright.
+    """
+    soon, full = rise[1:3].max(axis=0), rise[1:].max(axis=0)
     return np.where(soon > 0.8 * full, 0.0, 2.0 * cell / np.maximum(soon, 1e-6))

@@ -163,13 +163,15 @@ def view(split: str, seed: int, count: int | None = None) -> SceneView:
     return SceneView(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
 
 
-def hand_grasps(seen: SceneView, settings: LabelSettings = DEFAULT_LABELS) -> SceneGrasps:
-    """Returns the grasps of a hand: the parallel gripper comes along the camera's axis, the ReFlex from above."""
+def hand_grasps(
+    seen: SceneView, settings: LabelSettings = DEFAULT_LABELS, gripper: labels.Gripper = GRIPPER
+) -> SceneGrasps:
+    """Returns the grasps of a hand: the parallel `gripper` comes along the camera's axis, the ReFlex from above."""
     side = depth_image.NETWORK_SIDE
     exact = cv2.resize(seen.exact, (side, side), interpolation=cv2.INTER_NEAREST)
     focal = seen.camera.focal * side / depth_image.CROP_SIDE
     if settings.hand == PARALLEL:
-        found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER._replace(margin=settings.margin))
+        found = labels.grasps(seen.surface, seen.table, CELL_M, gripper._replace(margin=settings.margin))
         return SceneGrasps(found, seen.surface, None, exact, focal)
     above = scene.straight_above(seen.camera)
     model = mujoco.MjModel.from_xml_string(seen.scene.xml)

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from grasping.lab.synthetic.samples import Sample
 from grasping.network.networks import NETWORKS
 
 LONGEST_GRADIENT = 1.0
@@ -24,6 +25,8 @@ Network = TypeVar("Network", bound=nn.Module)
 GRASPABLE = 0.3  # from this quality on a pixel teaches angle and width
 CENTRED_SHARE = 0.8  # share of the windows that are centred near a pixel that can be grasped
 MEAN_JITTER_M = 0.02
+_DOUBLE_ANGLES = np.arange(256, dtype=np.float32) * np.float32(2.0 * np.pi / 256.0)
+"""Twice the angle of each value of `Sample.angle` [rad]."""
 
 Samples = Mapping[str, np.ndarray]
 QUALITY_WEIGHT = 10.0
@@ -102,48 +105,59 @@ class MapTargets(NamedTuple):
     graspable: torch.Tensor  # where cos, sin and width count, bool
 
 
-def random_batch(samples: Samples, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
-    """Returns `count` random windows as input, shape (n, 1, side, side), and targets. `samples` has the arrays of
-    `synthetic.samples.Sample`: `depth`, `quality`, `angle`, `width`, `known`, each shape (m, 300, 300).
-    """
-    windows = [_window(samples, rng, side) for _ in range(count)]
-    depth, target = batch({name: np.stack([w[name] for w in windows]) for name in windows[0]})
-    jitter = torch.from_numpy(rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32))
-    return depth + jitter, target
+class Images(NamedTuple):
+    """Labelled images on the device that trains on them."""
+
+    arrays: dict[str, torch.Tensor]  # those of `synthetic.samples.Sample`, each shape (m, h, w)
+    quality: np.ndarray  # theirs again, in the processor's memory: windows are chosen by it
 
 
-def batch(samples: Samples) -> tuple[torch.Tensor, MapTargets]:
-    """Returns whole samples as input and targets."""
-    depth = torch.from_numpy(samples["depth"].astype(np.float32)).clamp(-1.0, 1.0)[:, None]
-    angle = samples["angle"].astype(np.float32) * (2.0 * np.pi / 256.0)
-    quality = torch.from_numpy(samples["quality"].astype(np.float32) / 255.0)
-    cos, sin = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
-    width = torch.from_numpy(samples["width"].astype(np.float32) / 255.0)
-    known = torch.from_numpy(samples["known"])
+def images(samples: Samples, device: torch.device = CPU) -> Images:
+    """Returns samples, the arrays of `synthetic.samples.Sample`, each shape (m, h, w), on a device."""
+    arrays = {name: torch.from_numpy(samples[name]).to(device) for name in Sample._fields}
+    return Images(arrays, samples["quality"])
+
+
+def random_batch(of: Images, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
+    """Returns `count` random windows, some of them mirrored, as input, shape (n, 1, side, side), and targets."""
+    windows = [_window(of.quality, rng, side) for _ in range(count)]
+    jitter = rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32)
+    device = of.arrays["depth"].device
+    i, row, column, *flips = (torch.from_numpy(v).to(device) for v in np.array(windows).T)
+    line = torch.arange(side, device=device)
+    row, column = (
+        first[:, None] + torch.where(flip[:, None] > 0, side - 1 - line, line)
+        for first, flip in zip((row, column), flips)
+    )
+    cut = {name: values[i[:, None, None], row[:, :, None], column[:, None, :]] for name, values in of.arrays.items()}
+    mirrored = (flips[0] != flips[1])[:, None, None]
+    cut["angle"] = torch.where(mirrored, -cut["angle"], cut["angle"])  # modulo 256
+    depth, target = batch(cut)
+    return depth + torch.from_numpy(jitter).to(device), target
+
+
+def batch(arrays: Mapping[str, torch.Tensor]) -> tuple[torch.Tensor, MapTargets]:
+    """Returns whole images, the arrays of `Images`, as input and targets."""
+    depth = arrays["depth"].float().clamp(-1.0, 1.0)[:, None]
+    cos, sin = (torch.from_numpy(of(_DOUBLE_ANGLES)).to(depth.device)[arrays["angle"].int()] for of in (np.cos, np.sin))
+    quality, width = arrays["quality"].float() / 255.0, arrays["width"].float() / 255.0
+    known = arrays["known"]
     return depth, MapTargets(quality, cos, sin, width, known, known & (quality > GRASPABLE))
 
 
-def _window(samples: Samples, rng: np.random.Generator, side: int) -> dict[str, np.ndarray]:
-    """Returns one window of one sample, perhaps mirrored."""
-    i = rng.integers(len(samples["depth"]))
-    h, w = samples["depth"].shape[1:]
+def _window(quality: np.ndarray, rng: np.random.Generator, side: int) -> tuple[int, ...]:
+    """Returns image, first row, first column of a window, and whether its rows and columns are mirrored."""
+    i = rng.integers(len(quality))
+    h, w = quality.shape[1:]
     row, column = rng.integers(0, h - side + 1), rng.integers(0, w - side + 1)
-    graspable = np.flatnonzero(samples["quality"][i] > GRASPABLE * 255.0)
+    graspable = np.flatnonzero(quality[i] > GRASPABLE * 255.0)
     if len(graspable) and rng.random() < CENTRED_SHARE:
         y, x = divmod(int(rng.choice(graspable)), w)
         row, column = (
             int(np.clip(c - side // 2 + rng.integers(-side // 3, side // 3 + 1), 0, n - side))
             for c, n in ((y, h), (x, w))
         )
-    flips = rng.random(2) < 0.5
-    window = {}
-    for name in ("depth", "quality", "angle", "width", "known"):
-        part = samples[name][i, row : row + side, column : column + side]
-        part = part[::-1] if flips[0] else part
-        window[name] = part[:, ::-1] if flips[1] else part
-    if flips[0] != flips[1]:
-        window["angle"] = (256 - window["angle"].astype(np.int16)).astype(np.uint8)
-    return window
+    return int(i), int(row), int(column), *(int(flip) for flip in rng.random(2) < 0.5)
 
 
 class MapLosses(NamedTuple):
@@ -189,7 +203,7 @@ def network_trainer(
 ) -> MeanTrainer[nn.Module]:
     """Returns the training of a grasp network from the weights of `start`, or from random ones.
 
-    Its metric is the fraction of whole images whose best pixel is a grasp.
+    It takes the `Images` of that device. Its metric is the fraction of whole images whose best pixel is a grasp.
     """
     s = settings
     torch.manual_seed(s.seed)
@@ -199,7 +213,7 @@ def network_trainer(
     network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
     def said(network: nn.Module, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:
-        depth, target = made[0].to(device), MapTargets(*(value.to(device) for value in made[1]))
+        depth, target = made
         with torch.autocast(device.type, dtype=torch.bfloat16, enabled=s.half):
             maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
         return maps, target
@@ -208,15 +222,15 @@ def network_trainer(
         left = (s.steps - step) / max(1.0, s.decay * s.steps)
         return s.rate * min(1.0, (step + 1) / s.warm_up, max(0.0, left))
 
-    def loss(network: nn.Module, samples: Samples, step: int) -> torch.Tensor:
-        made = random_batch(samples, np.random.default_rng([s.seed, step]), s.count, s.side)
+    def loss(network: nn.Module, of: Images, step: int) -> torch.Tensor:
+        made = random_batch(of, np.random.default_rng([s.seed, step]), s.count, s.side)
         return losses(*said(network.train(), made)).total
 
-    def validate(network: nn.Module, samples: Samples) -> dict[str, float]:
+    def validate(network: nn.Module, of: Images) -> dict[str, float]:
         rows = []
-        for i in range(len(samples["depth"])):
+        for i in range(len(of.quality)):
             with torch.no_grad():
-                maps, target = said(network, batch({name: values[i : i + 1] for name, values in samples.items()}))
+                maps, target = said(network, batch({name: values[i : i + 1] for name, values in of.arrays.items()}))
             rows.append([*(v.item() for v in losses(maps, target)), _best_is_grasp(maps.float(), target)])
         return dict(zip(("validation", "quality", "angle", "width", "hits"), np.mean(rows, axis=0).tolist()))
 

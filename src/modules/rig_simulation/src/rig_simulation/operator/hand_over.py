@@ -37,6 +37,7 @@ STEPS = {
     "done": BOTH,
 }
 """The steps in their order, and whose hand moves."""
+CLOSES, OPENS = ("close", "take"), ("let go", "open")
 UP_IN_THE_AIR = ("bring", "reach", "approach", "take", "let go", "part", "carry", "lower")  # the box is held
 HELD_M = 0.02  # a box whose lowest point is lower above the table is not held
 
@@ -46,7 +47,7 @@ class HandOverPlan(Plan):
     """Parameters of the work."""
 
     lift: float = 0.15  # how high the box is lifted [m]
-    grasp_height: float = 0.035  # of the grip above the box's top: the palm is 2 cm above it [m]
+    grasp_height: float = 0.022  # of the grip above the box's top: the palm is 8 mm above it [m]
     from_end: float = 0.075  # of the gripping point from the end of the box [m]
 
 
@@ -78,9 +79,10 @@ class HandOverView:
     """The operator's observation; mappings by GIVER and TAKER."""
 
     grips: Mapping[str, np.ndarray]  # gripping points of the tools, shape (3,) [m]
-    turns: Mapping[str, float]  # of the tools, after which the fingers fit the box, anticlockwise from above [rad]
+    tools: Mapping[str, np.ndarray]  # orientations of the tools, shape (3, 3)
     T_world_box: np.ndarray  # shape (4, 4) [m]
     clearance: float  # height of the lowest point of the box above the table [m]
+    touching: frozenset[str]  # whose robot hand touches the box: GIVER, TAKER
     following: bool = True  # whether both arms follow their hands
 
 
@@ -133,11 +135,6 @@ def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray
     return Roles(giver, taker, -1.0 if axis @ across > 0.0 else 1.0, middle - beside, middle - 2.0 * beside)
 
 
-def turns_of(shape: Cuboid, T_world_box: np.ndarray, tools: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Returns the turns of HandOverView for the tools' orientations in world, shape (3, 3) each."""
-    return {who: turn_to(shape, T_world_box[:3, :3], heading(R)) for who, R in tools.items()}
-
-
 class HandOver:
     """The operator at work; call `step` about ten times a second.
 
@@ -162,6 +159,12 @@ class HandOver:
         """Whether the fingers have been moved: a hand that leaves now drops the box."""
         return self._step >= self._names.index("close")
 
+    def enters(self, who: str) -> float:
+        """A hand comes in anew where its arm has kept the tool; returns the curl of its fingers, 0 to 1."""
+        self._hands[who].enter()
+        self._since = None
+        return self._hands[who].curl
+
     def step(self, view: HandOverView, now: float) -> HandOverStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
         name = self._names[self._step]
@@ -176,7 +179,7 @@ class HandOver:
             return HandOverStep(name, failure=self._complaint(name, view))
         who = STEPS[name]
         moving = [self._hands[who]] if who != BOTH else list(self._hands.values())
-        if not view.following or not all(hand.ready(now) for hand in moving):
+        if not view.following or not all(hand.ready(now) for hand in moving) or _fingers_move(name, who, view):
             return HandOverStep(name)
         if self._target is not None:
             error, turn = self._target - view.grips[who], self._turn(name, who, view)
@@ -193,9 +196,9 @@ class HandOver:
         if who == BOTH:
             return HandOverStep(name)
         hand = self._hands[who]
-        if name in ("close", "take"):
+        if name in CLOSES:
             return HandOverStep(name, who, hand.close(now))
-        if name in ("let go", "open"):
+        if name in OPENS:
             return HandOverStep(name, who, hand.open(now))
         self._target = self._target_of(name, who, view)
         move = hand.shift(self._target - view.grips[who], now, self._turn(name, who, view))
@@ -224,7 +227,8 @@ class HandOver:
         if name not in ("above", "reach"):
             return 0.0
         most, yaw = self._plan.most_turn, self._hands[who].yaw
-        return float(np.clip(view.turns[who], yaw - most, yaw + most))
+        turn = turn_to(self._box.shape, view.T_world_box[:3, :3], heading(view.tools[who]))
+        return float(np.clip(turn, yaw - most, yaw + most))
 
     def _complaint(self, name: str, view: HandOverView) -> str:
         if not view.following:
@@ -233,3 +237,10 @@ class HandOver:
             off = 1e3 * np.linalg.norm(self._target - view.grips[STEPS[name]])
             return f"the {STEPS[name]}'s tool stayed {off:.0f} mm off the target of step {name!r}"
         return f"step {name!r} took longer than {self._plan.patience:g} s"
+
+
+def _fingers_move(name: str, who: str, view: HandOverView) -> bool:
+    """Returns whether the fingers have not yet done what the step is for; the robot's may take their time."""
+    if name in CLOSES:
+        return who not in view.touching
+    return name in OPENS and who in view.touching

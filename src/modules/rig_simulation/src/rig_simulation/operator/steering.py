@@ -58,10 +58,14 @@ class SteeringHand:
         forward = np.asarray(forward, dtype=float) / np.linalg.norm(forward)
         self._habits = habits
         self._R_leap_base = np.array([np.cross(forward, UP), UP, -forward])
-        self.palm, self.yaw, self._curl = np.zeros(3), 0.0, 0.0
+        self.palm, self.yaw, self.curl = np.zeros(3), 0.0, 0.0
         self._busy_until = 0.0
         self._before: tuple[float, np.ndarray] | None = None
         self._at_rest = False
+
+    def enter(self) -> None:
+        """The hand has come in anew, with its fingers as they were."""
+        self.palm, self.yaw = np.zeros(3), 0.0
 
     def see(self, grip: np.ndarray, now: float) -> None:
         """Takes where the tool's gripping point is, shape (3,) [m]."""
@@ -87,7 +91,7 @@ class SteeringHand:
         fastest = max(float(np.linalg.norm(by) / self._habits.speed), abs(turn) / self._habits.turn_speed)
         seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * fastest)
         self._busy_until = now + seconds + SETTLE_S
-        return Move(self.palm, self.yaw, self._curl, seconds)
+        return Move(self.palm, self.yaw, self.curl, seconds)
 
     def close(self, now: float) -> Move:
         """Returns the move that closes the fingers."""
@@ -99,6 +103,6 @@ class SteeringHand:
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:
         """Returns the move of the fingers; the robot's fingers, which are slower, get `seconds` in all."""
-        self._curl = curl
+        self.curl = curl
         self._busy_until = now + seconds
         return Move(self.palm, self.yaw, curl, FINGER_FRACTION * seconds)

@@ -13,7 +13,7 @@ from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from rig_simulation.control_port import ControlClient
-from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles, turns_of
+from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles
 from rig_simulation.operator.visits import Visits
 from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import Cuboid, scene_from
@@ -32,7 +32,7 @@ class HandOverScenario:
     """
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arms: Sequence[str]) -> None:
-        self._leapd, self._world = leapd, world
+        self._leapd, self._world, self._time = leapd, world, 0.0
         shape = scene_from(world.ask("scene")["scene"]).objects.get(THING)
         if not isinstance(shape, Cuboid):
             raise RigError(f"The scenario {name} needs an object {THING!r} of the kind box in its scene.")
@@ -52,7 +52,9 @@ class HandOverScenario:
             if any(arm.grip is None for arm in self._arms.values()):
                 continue
             now = time.monotonic()
-            result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(self._view(), now)
+            if self._operator.began:
+                self._come_in_again(now)
+            result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(*self._view())
             if result.move is not None:
                 self._leapd.ask("reach", side=self._roles.names[result.who], **result.move.fields)
             self._tell(result)
@@ -69,16 +71,30 @@ class HandOverScenario:
         for arm in self._arms:
             self._show(arm)
 
-    def _show(self, arm: str) -> None:
-        """Brings a hand into its interaction box."""
-        self._leapd.ask("show", back=ENTRY_M, side=arm)
-        self._leapd.ask("reach", seconds=ENTRY_S, side=arm)
+    def _show(self, arm: str, curl: float = 0.0) -> None:
+        """Brings a hand into its interaction box; `curl`: of its fingers, 0 to 1."""
+        self._leapd.ask("show", back=ENTRY_M, curl=curl, side=arm)
+        self._leapd.ask("reach", seconds=ENTRY_S, curl=curl, side=arm)
         self._visits[arm].enter(time.monotonic())
+
+    def _come_in_again(self, now: float) -> None:
+        """Takes each hand away and back whose stream has ended while its arm keeps the tool, as with relative
+        engagement.
+        """
+        for who, name in self._roles.names.items():
+            arm = self._arms[name]
+            if self._visits[name].over(arm.streams, now) and arm.following:
+                rospy.logwarn("%s: the tool is kept: the hand leaves the view and comes in again.", name)
+                self._leapd.ask("hide", side=name)
+                time.sleep(AWAY_S)
+                self._show(name, self._operator.enters(who))
 
     def _starts_over(self, now: float) -> bool:
         """Takes both hands away and starts over if an arm does not follow and holds nothing; returns whether."""
+        if self._operator.began:
+            return False
         over = [self._visits[name].over(arm.following, now) for name, arm in self._arms.items()]
-        if self._operator.began or not any(over):
+        if not any(over):
             return False
         rospy.logwarn("An arm does not follow: the hands leave the view, come in again, and start over.")
         for arm in self._arms:
@@ -87,20 +103,27 @@ class HandOverScenario:
         self._start()
         return True
 
-    def _box(self) -> tuple[np.ndarray, float]:
-        """Returns the pose of the box in world, shape (4, 4) [m], and its clearance above the table [m]."""
-        seen = self._world.ask("objects")["objects"][THING]
-        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"]
+    def _box(self) -> tuple[np.ndarray, float, set[str]]:
+        """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and which arms'
+        hands touch it.
+        """
+        answer = self._world.ask("objects")
+        seen, self._time = answer["objects"][THING], answer["time"]
+        touching = {arm for arm in self._arms if any(body.startswith(f"{arm}/reflex/") for body in seen["touches"])}
+        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], touching
 
-    def _view(self) -> HandOverView:
-        T_world_box, clearance = self._box()
+    def _view(self) -> tuple[HandOverView, float]:
+        """Returns the observation, and its time in the world, which may be slower than the machine's [s]: the robot's
+        fingers are, too.
+        """
+        T_world_box, clearance, arms = self._box()
+        touching = frozenset(who for who, name in self._roles.names.items() if name in arms)
         grips, tools = {}, {}
         for who, name in self._roles.names.items():
             T, arm = self._T_world_base[name], self._arms[name]
             grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
-        following = all(arm.following for arm in self._arms.values())
-        turns = turns_of(self._shape, T_world_box, tools)
-        return HandOverView(grips, turns, T_world_box, clearance, following)
+        following = all(arm.following and arm.streams for arm in self._arms.values())
+        return HandOverView(grips, tools, T_world_box, clearance, touching, following), self._time
 
     def _tell(self, result: HandOverStep) -> None:
         """Publishes the step for both arms."""

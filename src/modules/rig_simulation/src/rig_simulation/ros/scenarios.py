@@ -214,11 +214,9 @@ class AssistedScenario(Scenario):
         self._operator = assisted.AssistedGrasp(
             assisted.OperatorHabits(rounds), Plan(hold=HOLD_S), self._arm.center_line
         )
-        self._streams = False
         self._grasps: GraspList | None = None
         self._execution: dict[str, str] = {}
         self._outcome: assisted.GraspReport | None = None
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
         rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take_grasps, queue_size=1)
         rospy.Subscriber("grasping/state", DiagnosticStatus, self._take_execution, queue_size=10)
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
@@ -260,7 +258,7 @@ class AssistedScenario(Scenario):
         return assisted.AssistedView(
             grip=self._arm.grip,
             heading=fingers,
-            following=self._streams and self._arm.following,
+            following=self._arm.streams and self._arm.following,
             at_home=self._arm.mode == AT_HOME,
             objects=objects,
             proposal=proposal,
@@ -282,9 +280,6 @@ class AssistedScenario(Scenario):
             if grasp.reachable and grasp.pose_base.header.frame_id:
                 return assisted.ProposedGrasp(grasp.id, array(grasp.pose_base.pose.position)), ""
         return None, grasps.grasps[0].reason if grasps.grasps else grasps.reason
-
-    def _take_stream(self, message: DiagnosticStatus) -> None:
-        self._streams = message.level == DiagnosticStatus.OK
 
     def _take_grasps(self, message: GraspList) -> None:
         self._grasps = message

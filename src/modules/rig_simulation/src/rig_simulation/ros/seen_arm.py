@@ -30,6 +30,7 @@ class SeenArm:
         R: orientation of the tool in the base, shape (3, 3); None before the first message.
         grip: gripping point of the tool in the base, shape (3,) [m]; likewise.
         mode: of the controller.
+        streams: whether the tool follows the hand: not while it is held for it.
         center_line: direction of the workspace in the base, shape (3,).
     """
 
@@ -42,12 +43,13 @@ class SeenArm:
         self.center_line = np.asarray(kuka["center_line"], dtype=float)
         self.R: np.ndarray | None = None
         self.grip: np.ndarray | None = None
-        self.mode = ""
+        self.mode, self.streams = "", False
         self._scenario, self._whose = scenario, f"{arm}: " if arm else ""
         self._published: dict[str, str] = {}
         self._publisher = rospy.Publisher(f"{of}simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
         rospy.Subscriber(f"{of}simulation/flange", PoseStamped, self._take_flange, queue_size=1)
         rospy.Subscriber(f"{of}kuka/mode", String, self._take_mode, queue_size=10)
+        rospy.Subscriber(f"{of}leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
 
     @property
     def following(self) -> bool:
@@ -77,3 +79,6 @@ class SeenArm:
 
     def _take_mode(self, message: String) -> None:
         self.mode = message.data
+
+    def _take_stream(self, message: DiagnosticStatus) -> None:
+        self.streams = message.level == DiagnosticStatus.OK
