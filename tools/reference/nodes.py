@@ -53,6 +53,7 @@ NODES: dict[str, Node] = {
         {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
     ),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
+    "leap_kuka/arm_choice_node.py": Node({"": "leap_kuka.ros.arm_choice_node:ArmChoiceConfig"}, {}),
     "leap_rig/leap_teleop.py": Node(
         {
             "": "leap_rig.teleop_config:LeapTeleopConfig",
