@@ -53,7 +53,6 @@ NODES: dict[str, Node] = {
         {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
     ),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
-    "leap_kuka/arm_choice_node.py": Node({"": "leap_kuka.ros.arm_choice_node:ArmChoiceConfig"}, {}),
     "leap_rig/leap_teleop.py": Node(
         {
             "": "leap_rig.teleop_config:LeapTeleopConfig",
@@ -62,6 +61,7 @@ NODES: dict[str, Node] = {
         },
         {},
     ),
+    "leap_kuka/arm_choice_node.py": Node({"": "leap_kuka.ros.arm_choice_node:ArmChoiceConfig"}, {}),
     "leap_motion/leap_driver.py": Node({"": "leap_motion.ros.parameters:DriverConfig"}, {}),
     "leap_motion/visualizer.py": Node({"": "leap_motion.ros.parameters:VisualizerConfig"}, {}),
     "reflex/reflex_takktile_driver.py": Node(

@@ -243,7 +243,7 @@ def _grasp_lines(grasp: dict) -> list[str]:
 
 
 def _object(track: ObjectTrack, since: Callable[[float | None], float | None]) -> dict:
-    held = {}
+    held: dict[str, Any] = {}
     if track.held_by:
         held["held_by"] = [{"from_s": since(time), "hands": list(hands)} for time, hands in track.held_by]
         held["at_m"] = [round(value, 3) for value in track.at or ()]
