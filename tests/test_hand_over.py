@@ -12,7 +12,7 @@ from common.rotations import rotation_from_quaternion
 from golden.two_arms import SIDES, SRC, TwoArms
 from kuka_control.loop import algorithms
 from rig_simulation.files import read_scene
-from rig_simulation.operator.hand_over import GIVER, TAKER, HandOver, HandOverPlan, HandOverView, roles
+from rig_simulation.operator.hand_over import GIVER, TAKER, HandOverOperator, HandOverPlan, HandOverView, roles
 from rig_simulation.operator.steering import GRIP_OFFSET
 from rig_simulation.world.scene import scene_from
 
@@ -54,7 +54,7 @@ def test_left_hands_the_box_to_right_and_the_arms_keep_apart():
     who = roles(shape, T_start, {side: place.T_world_base[:3, 3] for side, place in rig.arms.placements.items()})
     assert who.names == {GIVER: "left", TAKER: "right"}
     person, watch = (
-        HandOver(HandOverPlan(), dict.fromkeys(who.names, np.array([1.0, 0.0, 0.0])), shape, who),
+        HandOverOperator(HandOverPlan(), dict.fromkeys(who.names, np.array([1.0, 0.0, 0.0])), shape, who),
         Watch(rig),
     )
     rig.switch_on()

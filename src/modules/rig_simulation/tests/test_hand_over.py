@@ -16,7 +16,7 @@ from rig_simulation.operator.hand_over import (
     GIVER,
     STEPS,
     TAKER,
-    HandOver,
+    HandOverOperator,
     HandOverPlan,
     HandOverView,
     LongBox,
@@ -78,7 +78,7 @@ class TwoFollowingArms:
 def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, steps: None):
     """Lets the person work; returns the last result, the steps, and the least distance of both tools [m]."""
     who = roles(BOX, rig.T, BASES)
-    person = HandOver(PLAN, dict.fromkeys((GIVER, TAKER), AHEAD), BOX, who)
+    person = HandOverOperator(PLAN, dict.fromkeys((GIVER, TAKER), AHEAD), BOX, who)
     steps, least = [], np.inf
     for k in range(int(seconds / PERIOD_S)):
         now = k * PERIOD_S

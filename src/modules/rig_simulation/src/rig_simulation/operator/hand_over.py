@@ -135,7 +135,7 @@ def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray
     return Roles(giver, taker, -1.0 if axis @ across > 0.0 else 1.0, middle - beside, middle - 2.0 * beside)
 
 
-class HandOver:
+class HandOverOperator:
     """The operator at work; call `step` about ten times a second.
 
     Args:

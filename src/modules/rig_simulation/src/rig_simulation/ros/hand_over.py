@@ -13,7 +13,7 @@ from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from rig_simulation.control_port import ControlClient
-from rig_simulation.operator.hand_over import HandOver, HandOverPlan, HandOverStep, HandOverView, roles
+from rig_simulation.operator.hand_over import HandOverOperator, HandOverPlan, HandOverStep, HandOverView, roles
 from rig_simulation.operator.visits import Visits
 from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import Cuboid, scene_from
@@ -67,7 +67,7 @@ class HandOverScenario:
         forward = {
             who: self._T_world_base[arm][:3, :3] @ self._arms[arm].center_line for who, arm in self._roles.names.items()
         }
-        self._operator = HandOver(HandOverPlan(), forward, self._shape, self._roles)
+        self._operator = HandOverOperator(HandOverPlan(), forward, self._shape, self._roles)
         for arm in self._arms:
             self._show(arm)
 
