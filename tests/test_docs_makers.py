@@ -73,7 +73,7 @@ def test_a_scenario_that_fails_leaves_its_picture_alone(tmp_path, monkeypatch):
     picture = tmp_path / "sheet.png"
     picture.write_text("before")
 
-    def record(scenario, file, options):
+    def record(scenario, file, options, robots):
         file.write_text("after")
         if fails:
             raise subprocess.CalledProcessError(1, scenario)

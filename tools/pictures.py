@@ -33,7 +33,7 @@ PICTURES = ROOT / "docs" / "pictures"
 PARAMETERS = ROOT / "src" / "kuka_control" / "config" / "kuka_params_rt.yaml"
 WIDTH, COLOURS = 1200, 128
 """Largest width [px] and number of colours: more is not visible on the pages."""
-SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png"), 1920
+SHEETS, SHEET_WIDTH = ("pick-cup.png", "assisted_grasp.png", "hand-over.png"), 1920
 """Contact sheets and their width [px], at which their text can be read."""
 
 FILM_OPTIONS = ("--view", "118", "-16", "1.35", "--size", "800", "500", "--rate", "15")
@@ -205,6 +205,11 @@ def assisted_grasp() -> None:
     _sheet("assisted_grasp", SHEETS[1], ("--view", "165", "-20", "1.25"))
 
 
+def hand_over() -> None:
+    """The simulated operator hands a box from one arm to the other."""
+    _sheet("hand_over", SHEETS[2], robots=2)
+
+
 def grasping() -> None:
     """What the network sees and proposes in two scenes."""
     for scene in ("cup", "objects"):
@@ -284,6 +289,7 @@ MAKERS = {
         film,
         pick_cup,
         assisted_grasp,
+        hand_over,
         grasping,
         tag_pose,
         parts,
@@ -340,15 +346,15 @@ def _run(*command: str, **environment: str) -> None:
     subprocess.run(command, check=True, cwd=ROOT, env={**os.environ, **environment})
 
 
-def _sheet(scenario: str, name: str, options: Sequence[str] = ()) -> None:
+def _sheet(scenario: str, name: str, options: Sequence[str] = (), robots: int = 1) -> None:
     """Writes a contact sheet of a scenario that succeeded; otherwise the previous one stays."""
     with tempfile.TemporaryDirectory() as folder:
         sheet = Path(folder) / name
-        _record(scenario, sheet, options)
+        _record(scenario, sheet, options, robots)
         shutil.copy(sheet, PICTURES / name)
 
 
-def _record(scenario: str, file: Path, options: Sequence[str] = ()) -> None:
+def _record(scenario: str, file: Path, options: Sequence[str] = (), robots: int = 1) -> None:
     """Runs a scenario of the demo and films it.
 
     Raises:
@@ -359,7 +365,7 @@ def _record(scenario: str, file: Path, options: Sequence[str] = ()) -> None:
     recorder = ("rosrun", "rig_simulation", "record.py", str(file), "--port", world, "--wait", "120", *options)
     with _started(*recorder):
         _run(
-            "rosrun", "leap_rig", "demo.py", "--headless", "--scenario", scenario, "--", *ports,
+            "rosrun", "leap_rig", "demo.py", "--headless", "--scenario", scenario, "--", f"robots:={robots}", *ports,
             ROS_MASTER_URI=f"http://localhost:{free_port()}",
         )  # fmt: skip
 
