@@ -143,6 +143,17 @@ def test_the_constant_miss_is_recovered_and_not_copied():
     assert abs(best.turn) < 0.08
 
 
+def test_a_grasp_is_explained_by_what_it_missed():
+    """Not by the candidate that the constant miss happened to lead to."""
+    of = image_of(np.random.default_rng(12), 4)
+    miss = np.array([0.02, 0.0, 0.0])
+    of.points[1], of.angles[1] = of.points[0] + miss, of.angles[0]
+    known = taste.nobody()._replace(miss=miss)
+    grasp = Choice(of, of.points[0] + miss, float(of.angles[0]), np.zeros(2), 0.05)
+    meant = taste.explained(known, grasp, np.full(4, 0.25))
+    assert meant[0] > 10.0 * meant[1]
+
+
 def test_a_grasp_far_from_all_candidates_teaches_nothing():
     rng = np.random.default_rng(10)
     of = image_of(rng)
