@@ -1,4 +1,4 @@
-"""The programs about the refinement network, from simulated episodes to table, on a handful of them."""
+"""The programs about the refinement, from simulated episodes to table, on a handful of them."""
 
 from __future__ import annotations
 
