@@ -7,7 +7,6 @@ import ctypes
 import errno
 import logging
 import os
-import select
 import signal
 import sys
 import threading
@@ -30,19 +29,6 @@ M_ARENA_MAX = -8  # mallopt(3)
 REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
 
 
-class Poller(rospy.topics.Poller):
-    """rospy's watch over the connections of a topic, without its references to itself: with them the file stayed open
-    after the topic, until Python's collector came by, in a node that subscribes on demand a hundred times an hour.
-    """
-
-    def __init__(self) -> None:
-        self.poller = select.epoll()
-
-    add_fd = rospy.topics.Poller.add_epoll
-    remove_fd = rospy.topics.Poller.remove_epoll
-    error_iter = rospy.topics.Poller.error_epoll_iter
-
-
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """Starts the node `name`, runs `main` and exits the process: with 0 when main returns or ROS shuts down, with 1
     after a RigError, whose sentence goes to the log and to stderr, and when the ROS master was started anew.
@@ -51,7 +37,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
     main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
-    rospy.topics.Poller = Poller
+    _close_watches_with_topics()
     # Each connection has threads, and each thread would keep a heap of its own, of images too: 20 visits of a listener
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
@@ -98,6 +84,19 @@ def run_program(
         code = INTERRUPTED
     rospy.signal_shutdown("the program exits")
     sys.exit(code)
+
+
+def _close_watches_with_topics() -> None:
+    """Makes a topic that is closed close the file that watches its connections. Rospy leaves it to Python's collector:
+    a node that subscribes on demand a hundred times an hour, or a camera that restarts, had ever more open files.
+    """
+    close = rospy.topics._TopicImpl.close
+
+    def close_with_watch(topic) -> None:
+        close(topic)
+        topic.connection_poll.poller.close()
+
+    rospy.topics._TopicImpl.close = close_with_watch
 
 
 class RepeatedExceptions(logging.Filter):
