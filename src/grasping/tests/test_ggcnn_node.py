@@ -429,7 +429,8 @@ def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, ca
     hand = known.hand._replace(tilt_x=np.array([0.2, 0.0, 0.0]))
     torch.save(content(Preference(known._replace(hand=hand), None), Origin(view=view)), file)
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    start(ros, view=view, refine=True, refinement_weights=str(file), reach__ask=False, peaks__threshold=0.05)
+    choice = {"view": view, "refine": True, "refinement_weights": str(file)}
+    start(ros, **choice, network__weights="ggcnn2.pt", reach__ask=False, peaks__threshold=0.05)
     found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
     approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
     axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)  # of the table, in either view
