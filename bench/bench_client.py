@@ -149,7 +149,8 @@ def _bad_link_row(name: str, count: int) -> Row:
     done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True)
     what, unit, goal = f"kst goals, {name}", "1/s", Goal(PACED_HZ, at_least=True)
     if done.returncode:
-        return Row(what, None, None, unit, "this machine lets nobody make a network device", goal)
+        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        return Row(what, None, None, unit, f"not measured: {said[-1]}", goal)
     rate, missed = json.loads(done.stdout)
     return number(what, rate, unit, f"{count} goals due at 250 Hz, {missed} answers missed", goal)
 
