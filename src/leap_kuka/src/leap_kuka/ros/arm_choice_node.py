@@ -62,7 +62,7 @@ class ArmChoiceNode:
 
 
 def arm_choice(arms: Sequence[str]) -> ArmChoice | None:
-    """Waits for the parameters of these arms, and returns their choice; None where leap/arm_choice is none.
+    """Waits for the parameters of these arms, and returns their choice; None if leap/arm_choice is none.
 
     Raises ConfigError if they do not agree.
     """
@@ -87,7 +87,7 @@ def start(choice: ArmChoice, subscribe: Subscribe = subscribe) -> None:
 def _run() -> None:
     choice = arm_choice(private_config(ArmChoiceConfig).arms)
     if choice is None:
-        raise ConfigError(["leap/arm_choice is none: each hand steers the arm of its side, and nothing is chosen."])
+        raise ConfigError(["leap/arm_choice is none, but the node arm_choice needs service or region."])
     start(choice)
 
 

@@ -424,7 +424,7 @@ def episodes(
 
 def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarray, which: int) -> Chosen | None:
     """Returns any candidate in the image, tilted and turned anyhow if `which` is odd; GGCNN's best one for 0; None
-    where there is none.
+    if the image has no candidate.
     """
     seen = maps.smoothed(output, image.valid, SMOOTHING)
     found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())

@@ -1,6 +1,6 @@
 """The scenarios of the simulated operator on the running rig: its observations, actions and progress.
 
-How the progress is told: seen_arm.py. Of several arms each has its own, in its namespace.
+seen_arm.py publishes the progress; each of several arms has its own, in its namespace.
 assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
 """
 

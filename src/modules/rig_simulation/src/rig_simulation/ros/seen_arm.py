@@ -1,4 +1,4 @@
-"""An arm as the simulated operator sees it: where its tool is, what its controller does; and the progress that is told.
+"""An arm as the simulated operator sees it: where its tool is, what its controller does. Also the scenario's progress.
 
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
 are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
@@ -22,7 +22,7 @@ FOLLOWING = "servo"
 
 
 class SeenArm:
-    """The arm; `scenario`: whose progress is told, `arm`: of several, its namespace.
+    """The arm. `scenario`: whose progress is published; `arm`: its namespace, if there are several.
 
     Raises RigError if it is not upright.
 
