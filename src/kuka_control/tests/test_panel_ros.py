@@ -387,9 +387,9 @@ def press_escape_in(number):
     "press", [press_emergency, press_escape_in(None), press_escape_in(0), press_escape_in(1)],
     ids=["button", "Esc", "Esc in the left panel", "Esc in the right panel"],
 )  # fmt: skip
-def test_one_emergency_stop_ends_both_controllers_even_one_that_hangs(window, both, see, press):
+def test_one_emergency_stop_ends_both_controllers_even_one_that_hangs(window, both, see, press, suspend):
     window.activateWindow()
-    both["left"].send_signal(signal.SIGSTOP)
+    suspend(both["left"].pid)
     press(window)
     see(lambda: all(process.poll() is not None for process in both.values()), "the end of both controllers")
     see(lambda: all("Emergency Stop" in panel.answer.full for panel in window.panels.values()), "both answers")
