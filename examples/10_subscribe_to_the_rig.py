@@ -18,4 +18,5 @@ def show(message: JointState) -> None:
 
 rospy.init_node("joint_printer", anonymous=True)
 rospy.Subscriber(options.topic, JointState, show)
-rospy.sleep(options.seconds)
+rospy.Timer(rospy.Duration(options.seconds), lambda _: rospy.signal_shutdown("time is up"), oneshot=True)
+rospy.spin()  # rospy.sleep would go on sleeping after Ctrl-C

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -99,6 +100,8 @@ def test_the_subscriber_hears_the_rig(ros, processes, wait_until):
     process = processes.start(sys.executable, str(example), "--seconds", "1000")
     wait_until(lambda: "A1 0.250" in process.log_path.read_text(), 20.0, "the joints")
     assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    assert process.wait(10.0) == 0
 
 
 def test_all_are_listed_and_short():

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from following_rig import PERIOD_S
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -73,6 +76,14 @@ class TwoFollowingArms:
     @property
     def clearance(self):
         return self.T[2, 3] - BOX.height / 2.0 - TABLE
+
+
+
+def test_the_box_is_taken_and_laid_down_within_the_workspace():
+    """A tool that lays it down a little lower than it took it must not be held at the lower limit."""
+    parameters = Path(__file__).parents[3] / "kuka_control" / "config" / "kuka_params_rt.yaml"
+    lowest = yaml.safe_load(parameters.read_text())["z_lower_limit"]
+    assert TABLE + BOX.height + PLAN.grasp_height - 2.0 * PLAN.tolerance > lowest + 0.01
 
 
 def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, steps: None):
