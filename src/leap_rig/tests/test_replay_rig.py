@@ -12,7 +12,7 @@ import pytest
 from leap_rig.recording import read
 from rig_simulation.control_port import ControlClient
 
-pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.alone]
+pytestmark = [pytest.mark.ros, pytest.mark.rig, pytest.mark.full_rate]
 
 DRIVER = "leap_driver"
 LONG_S = 60.0
