@@ -78,7 +78,6 @@ class TwoFollowingArms:
         return self.T[2, 3] - BOX.height / 2.0 - TABLE
 
 
-
 def test_the_box_is_taken_and_laid_down_within_the_workspace():
     """A tool that lays it down a little lower than it took it must not be held at the lower limit."""
     parameters = Path(__file__).parents[3] / "kuka_control" / "config" / "kuka_params_rt.yaml"
