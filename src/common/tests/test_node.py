@@ -135,15 +135,21 @@ def main():
     before = watches()
     chatter, listener = publisher("chatter"), subscriber("images")
     for _ in range(20):
-        for topic in (subscriber("chatter"), publisher("images")):
-            while not topic.get_num_connections():
-                rospy.sleep(0.01)
-            topic.unregister()
-            del topic
-    end = time.monotonic() + 30.0
-    while watches() - before > 4 and time.monotonic() < end:  # connections that are just ending
-        rospy.sleep(0.1)
+        opened_and_closed(subscriber, "chatter")
+        opened_and_closed(publisher, "images")
+        wait(lambda: not listener.get_num_connections())  # or rospy takes the next publisher for this one
+    wait(lambda: watches() - before <= 4)  # connections that are just ending
     print(f"left: {watches() - before}")
+
+def opened_and_closed(make, name):
+    topic = make(name)
+    wait(topic.get_num_connections)
+    topic.unregister()
+
+def wait(condition):
+    end = time.monotonic() + 30.0
+    while not condition() and time.monotonic() < end:
+        rospy.sleep(0.01)
 
 def publisher(name):
     return rospy.Publisher(name, String, queue_size=1)
