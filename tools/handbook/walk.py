@@ -23,7 +23,8 @@ from tools.handbook.pages import BESIDE_RIG, ROOT, UNTIL_CTRL_C, Block, blocks
 from tools.handbook.terminal import ENDED, Terminal
 from tools.own_network import bring_up
 
-RIG = "make demo HEADLESS=1"
+RIG = f'make demo HEADLESS=1 ARGS="overrides:={ROOT}/campaign/rig.yaml"'
+"""With lower rates: the commands of the pages need a processor beside it."""
 RIG_CODES = (*ENDED, 1, 2)
 """The exit code is 1, of make 2, where the commands left no chance that the arm follows."""
 

@@ -13,6 +13,7 @@ from collection_rig import (
     CONFIG,
     FIST,
     GRASP_Z,
+    IMAGE_EVERY,
     KUKA,
     OPEN,
     PuppetRig,
@@ -174,7 +175,7 @@ def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status
 
 
 def write_bag(path: Path, began: float) -> None:
-    """Records two grasps, with images at 5 Hz: a busy machine would leave most of more out."""
+    """Records two grasps."""
     import rosbag
     import rospy
 
@@ -185,7 +186,7 @@ def write_bag(path: Path, began: float) -> None:
         for i, tick in enumerate(ticks([*grasp(), *grasp(touched=False)])):
             now = rospy.Time.from_sec(began + 0.05 * (i + 1))
             for topic, message in messages(now, *tick):
-                if i % 4 == 0 or not topic.startswith("/camera"):
+                if i % IMAGE_EVERY == 0 or not topic.startswith("/camera"):
                     bag.write(topic, message, now)
 
 

@@ -29,7 +29,7 @@ EASY = {
     "time_out": 1.0, "rate_servo": 100.0, "rate_joints": 25.0, "rate_state": 10.0,
     "velocity_ptp_slow": 0.6, "velocity_ptp_fast": 0.6,
 }  # fmt: skip
-"""Lower rates, a longer time-out and quicker motions home, for all but the run with the parameters of the yaml file."""
+"""Lower rates, a longer time-out and quicker motions home, for all but the runs with the parameters of the yaml file."""
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def demo(processes, free_port, tmp_path):
         )
         launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
         if easy:
-            launch["overrides"] = overrides
+            launch = {"overrides": overrides, "leap_args": "--frame-rate 60", **launch}
         master = f"http://localhost:{free_port()}"
         process = processes.start(
             *within, "rosrun", "leap_rig", "demo.py", "--headless", "--report", str(report), *arguments,
