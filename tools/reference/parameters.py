@@ -125,10 +125,12 @@ AS_IT_IS = {
     "rig_simulation/config/wall_obstacles.yaml",
     "vision/config/tags.yaml",
     "vision/config/tags_single.yaml",
+    "vision/config/two_arms_views_left.yaml",
+    "vision/config/two_arms_views_right.yaml",
     "vision/config/xtion_depth.yaml",
     "vision/config/xtion_rgb.yaml",
 }
-"""Files that are only linked: lists, calibrations, third-party formats, obstacles, and scenes as objects.yaml."""
+"""Files that are only linked: lists, calibrations, third-party formats, obstacles, and files like one with a table."""
 
 
 def page() -> str:

@@ -21,7 +21,14 @@ from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig, ViewRejected, judge, view_from
 from vision.calibration.arm_model import SHIFT_TOLERANCE_M, ArmModel
 from vision.calibration.hand_eye import CalibrationView, check_motion
-from vision.calibration.view_planner import EDGE_PX, ViewPlanner, ViewsConfig, guessed_camera
+from vision.calibration.view_planner import (
+    ARM_RADIUS_M,
+    EDGE_PX,
+    OTHER_ARM_RADIUS_M,
+    ViewPlanner,
+    ViewsConfig,
+    guessed_camera,
+)
 from vision.marker_board.board import MarkerBoardConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -103,6 +110,27 @@ def test_views_are_seen_tilted_and_clear(planner, arm, views, guess, config, poi
         pixels = camera.project(points @ T[:3, :3].T + T[:3, 3])
         assert np.all(pixels > EDGE_PX) and np.all(pixels < np.array([639.0, 479.0]) - EDGE_PX)
         assert planner.clearance(view, guess) > 0.0
+
+
+def test_the_arm_keeps_away_from_a_second_one_that_stands_upright(arm, config, points, guess):
+    """In the upright world, whatever the mounting: a turn of the base about the vertical turns the column with it."""
+    board = read(MarkerBoardConfig, "panel.yaml")
+    camera = from_calibration(yaml.safe_load((CONFIG / "xtion_rgb.yaml").read_text()))
+    free = ViewPlanner(config, arm, camera, points, board, np.eye(3))
+    q = np.radians([0.0, 90.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # stretched out level, along x of the base
+    flange = arm.flange(q)[:3, 3]
+    for turn in (0.0, 40.0):
+        R = rotation_about(2, np.radians(turn))
+        ahead, left = R[:2, 0], R[:2, 1]
+        for beside in (0.1, 0.24, 0.28, 0.6):
+            where = 0.6 * flange[0] * ahead + beside * left
+            planner = ViewPlanner(replace(config, other_arm=where), arm, camera, points, board, R)
+            expected = min(beside - ARM_RADIUS_M - OTHER_ARM_RADIUS_M, free.clearance(q, guess))
+            assert planner.clearance(q, guess) == pytest.approx(expected, abs=1e-6)
+    passed = replace(config, other_arm=np.array([0.0, -0.4]))
+    planner = ViewPlanner(passed, arm, camera, points, board, np.eye(3))
+    here, there = (np.radians([turn, 60.0, 0.0, -60.0, 0.0, 60.0, 0.0]) for turn in (-20.0, -160.0))
+    assert free.path_clear(here, there, guess) and not planner.path_clear(here, there, guess)
 
 
 def test_views_turn_about_several_axes(arm, views):

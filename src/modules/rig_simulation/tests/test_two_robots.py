@@ -38,13 +38,20 @@ PATIENT = KstTiming(reply=20.0, servo_reply=20.0)
 HOME = np.radians([0, 30, 0, -80, 0, 70, 0])
 
 
-def description(arms, scene="empty", panel=None):
-    return WorldDescription(*KIND, (0.0, 0.0, 0.0), read_scene(scene), panel, arms)
+def description(arms, scene="empty", panel=None, panel_arm=""):
+    return WorldDescription(*KIND, (0.0, 0.0, 0.0), read_scene(scene), panel, arms, panel_arm)
 
 
 def robot_bodies(model, prefix):
     names = [model.body(i).name for i in range(model.nbody)]
-    return [name for name in names if re.match(rf"{prefix}(kuka|reflex)/", name)]
+    return [name for name in names if re.match(rf"{prefix}(kuka/|reflex/|panel)", name)]
+
+
+def touches(model, one, other):
+    return bool(
+        model.geom(one).contype[0] & model.geom(other).conaffinity[0]
+        or model.geom(other).contype[0] & model.geom(one).conaffinity[0]
+    )
 
 
 def test_each_robot_is_the_only_one_behind_its_prefix_and_where_it_stands():
@@ -76,12 +83,6 @@ def placed(values):
 def test_the_parts_of_one_robot_touch_those_of_the_other_and_of_their_own_as_when_alone():
     alone, two = build_model(description(None), False), build_model(description(ARMS), False)
 
-    def touches(model, one, other):
-        return bool(
-            model.geom(one).contype[0] & model.geom(other).conaffinity[0]
-            or model.geom(other).contype[0] & model.geom(one).conaffinity[0]
-        )
-
     geoms = [alone.geom(i).name for i in range(alone.ngeom)]
     solid = [name for name in geoms if alone.geom(name).contype[0]]
     robot = [name for name in solid if name.startswith(("kuka/", "reflex/"))]
@@ -96,11 +97,36 @@ def test_the_parts_of_one_robot_touch_those_of_the_other_and_of_their_own_as_whe
                 assert touches(two, prefix + one, other) == touches(alone, one, other)
 
 
-def test_a_marker_board_or_bad_arms_are_refused():
-    with pytest.raises(ConfigError, match="marker board is mounted on an only robot"):
-        build_model(description(ARMS, panel=read_board("single")), False)
-    with pytest.raises(ConfigError, match="arms/left/position is"):
-        build_model(description({**ARMS, "left": {"position": [0, 99, 0]}}), False)
+@pytest.mark.parametrize(("side", "other"), [("left", "right"), ("right", "left")])
+def test_one_of_both_arms_holds_the_marker_board_on_its_ring_and_the_board_touches_the_other(side, other):
+    alone = build_model(description(None, panel=read_board("bundle")), False)
+    two = build_model(description(ARMS, panel=read_board("bundle"), panel_arm=side), False)
+    with_board = robot_bodies(two, f"{side}/")
+    assert set(with_board) - {name.replace(other, side) for name in robot_bodies(two, f"{other}/")} == {
+        f"{side}/kuka/marker_connector",
+        f"{side}/panel",
+    }
+    held, only = two.body(f"{side}/panel"), alone.body("panel")
+    assert two.body(held.parentid[0]).name == f"{side}/kuka/flange"
+    np.testing.assert_array_equal([*held.pos, *held.quat], [*only.pos, *only.quat])
+    plate, link = f"{side}/panel/plate", "kuka/link_3/collision_0"
+    assert touches(two, plate, f"{other}/{link}") and touches(two, plate, "table")
+    assert not touches(two, plate, f"{side}/{link}")
+
+
+@pytest.mark.parametrize(
+    ("arms", "panel", "panel_arm", "sentence"),
+    [
+        (ARMS, "single", "", "panel_arm is '', but must be left or right"),
+        (ARMS, "single", "top", "panel_arm is 'top', but must be left or right"),
+        (None, "single", "left", "panel_arm is 'left', but must be left out"),
+        (ARMS, None, "left", "panel_arm is 'left', but there is no marker board"),
+        ({**ARMS, "left": {"position": [0, 99, 0]}}, None, "", "arms/left/position is"),
+    ],
+)
+def test_a_marker_board_that_no_arm_holds_or_bad_arms_are_refused(arms, panel, panel_arm, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        build_model(description(arms, panel=panel and read_board(panel), panel_arm=panel_arm), False)
 
 
 class TwoArms:

@@ -1,7 +1,8 @@
 """Plans the views of a calibration from a guess of the camera pose. Random poses of the marker board in the camera
-image are tried: wholly in the image, tilted, within the arm's reach, not hidden by the arm, and clear of table, arm and
-camera. From these, views are chosen greedily so that each gives the greatest determinant of the Fisher information. The
-collision shapes are rough: the arm is a chain of capsules, the hand another capsule, the marker board a grid of points.
+image are tried: wholly in the image, tilted, within the arm's reach, not hidden by the arm, and clear of table, arm,
+camera and an upright second arm. From these, views are chosen greedily so that each gives the greatest determinant of
+the Fisher information. The collision shapes are rough: the arm is a chain of capsules, the hand another capsule, the
+marker board a grid of points, a second arm a column.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from vision.marker_board.board import MarkerBoardConfig
 ARM_RADIUS_M = 0.075
 HAND_LENGTH_M, HAND_RADIUS_M = 0.25, 0.06
 CAMERA_CLEARANCE_M = 0.25
+OTHER_ARM_RADIUS_M = 0.2  # of an upright second arm with an open hand
 EDGE_PX = 25.0  # distance of the marker board from the edges of the image
 GRID = 5
 PATH_STEP_RAD = np.radians(4.0)
@@ -43,6 +45,9 @@ class ViewsConfig:
     guess_position: np.ndarray = vector(3, "m", low=-5.0, high=5.0, doc="rough camera position over the base")
     guess_target: np.ndarray = vector(3, "m", low=-5.0, high=5.0, doc="rough position of the image centre")
     start: np.ndarray = vector(7, "deg", low=-175.0, high=175.0, doc="joints from which the views are reached")
+    other_arm: np.ndarray | None = vector(
+        2, "m", low=-5.0, high=5.0, doc="where a second arm stands upright, over the arm's base", absent=None
+    )
 
     def faults(self) -> list[str]:
         """Returns empty ranges, and a guess without a viewing direction."""
@@ -81,7 +86,7 @@ class ViewPlanner:
         R_world_base: np.ndarray,
     ) -> None:
         self._config, self._arm, self._camera, self._points = config, arm, camera, points
-        self._T_flange_board, self._up = board.T_flange_tag, R_world_base[2]
+        self._T_flange_board, self._R_world_base, self._up = board.T_flange_tag, R_world_base, R_world_base[2]
         self._start = np.radians(config.start)
         side = np.linspace(-board.plate / 2.0, board.plate / 2.0, GRID)
         self._plate = np.array([(x, y, 0.0) for x in side for y in side])
@@ -153,7 +158,9 @@ class ViewPlanner:
         return all(self.clearance(joints, T_base_camera) > least for joints in path)
 
     def clearance(self, q: ArrayLike, T_base_camera: np.ndarray) -> float:
-        """Returns the distance of arm, hand and marker board at q from table, camera and arm beyond the minimum [m]."""
+        """Returns the distance of arm, hand and marker board at q from table, camera, arm and a second arm beyond the
+        minimum [m].
+        """
         spine, plate, hand = self._bodies(q)
         held = np.concatenate((plate, hand[1:]))
         low = self._config.min_height
@@ -164,7 +171,21 @@ class ViewPlanner:
             np.min(np.linalg.norm(np.concatenate((spine[2:], held)) - T_base_camera[:3, 3], axis=1))
             - CAMERA_CLEARANCE_M,
             *(np.min(_distances(held, a, b)) - ARM_RADIUS_M for a, b in zip(spine[:3], spine[1:4])),
+            self._beside_other_arm(spine, plate, hand),
         )
+
+    def _beside_other_arm(self, spine: np.ndarray, plate: np.ndarray, hand: np.ndarray) -> float:
+        """Returns the level distance of these points of arm, marker board and hand from a second arm beyond the minimum
+        [m]; inf without one.
+        """
+        if self._config.other_arm is None:
+            return np.inf
+        axis = self._config.other_arm[None]
+        spine, plate, hand = (points @ self._R_world_base[:2].T for points in (spine, plate, hand))
+        distances = [np.min(_distances(axis, a, b)) - ARM_RADIUS_M for a, b in zip(spine, spine[1:])]
+        distances.append(np.min(_distances(axis, hand[0], hand[-1])) - HAND_RADIUS_M)
+        distances.append(np.min(np.linalg.norm(plate - axis, axis=1)))
+        return float(min(distances)) - OTHER_ARM_RADIUS_M
 
     def visible(self, q: ArrayLike, T_base_camera: np.ndarray) -> bool:
         """Returns whether the whole marker board is in the image and not hidden by the arm."""

@@ -3,9 +3,10 @@
 Processes that build it from the same description have the same model; a `WorldCopy` follows the original's state. The
 world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
 With several robots the origin is that of the frame `world`, and a robot's names have its prefix: left/kuka/link_1.
-Names: bodies and joints of the robot as in its URDF; `table`, `floor`; `object/<name>`, each with a free joint of that
-name; `panel` with `panel/plate` and `panel/tag_<id>`; cameras `camera_rgb_optical_frame`, `camera_depth_optical_frame`,
-which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a turn about x.
+Names: bodies and joints of the robot as in its URDF, and `panel` with `panel/plate` and `panel/tag_<id>` on its flange;
+`table`, `floor`; `object/<name>`, each with a free joint of that name; cameras `camera_rgb_optical_frame`,
+`camera_depth_optical_frame`, which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a
+turn about x.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ class WorldDescription:
     panel: Mapping[str, Any] | None = None
     # Several of this robot: mapping as in the yaml of common.arms, and `mounting` is not used; None: one, in the origin
     arms: Mapping[str, Any] | None = None
+    panel_arm: str = ""  # which of several robots holds the board, by its prefix; an only robot has none
 
     @property
     def frame(self) -> str:
@@ -101,18 +103,27 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
     add_table(world, scene.table)
     _add_camera(world, scene.camera)
-    urdf = read_urdf(description.robot, description.flange, ring=description.panel is not None)
     placements = description.placements
+    _check_panel_arm(description, placements)
     for number, (prefix, T_world_base) in enumerate(placements.items()):
+        holds = description.panel is not None and prefix == description.panel_arm
+        urdf = read_urdf(description.robot, description.flange, ring=holds)
         robot = _alone(urdf, T_world_base, visuals)
+        if holds:
+            _add_board(robot, child(robot, "worldbody"), board_from(description.panel), visuals)
         merge_robot(root, robot, prefix, number, len(placements))
-    if description.panel is not None:
-        if description.arms is not None:
-            raise ConfigError(["A marker board is mounted on an only robot; leave out the board, or arms."])
-        _add_board(root, world, board_from(description.panel), visuals)
     for name, shape in scene.objects.items():
         add_object(world, name, shape)
     return ET.tostring(root, encoding="unicode")
+
+
+def _check_panel_arm(description: WorldDescription, placements: Mapping[str, np.ndarray]) -> None:
+    """Raises ConfigError unless exactly one robot holds the marker board, if there is one."""
+    arm, names = description.panel_arm, " or ".join(placements)
+    if arm and description.panel is None:
+        raise ConfigError([f"panel_arm is {arm!r}, but there is no marker board to hold."])
+    if description.panel is not None and arm not in placements:
+        raise ConfigError([f"panel_arm is {arm!r}, but must be {names or 'left out'}: it holds the marker board."])
 
 
 def _alone(urdf: str, T_world_base: np.ndarray, visuals: bool) -> ET.Element:

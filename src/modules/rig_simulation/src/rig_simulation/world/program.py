@@ -133,7 +133,7 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     if arms is not None and any(options.mounting):
         raise ConfigError([f"--mounting is {list(options.mounting)} deg, but {options.arms} says how each arm stands."])
     robot = options.robot, options.flange, tuple(options.mounting)
-    description = WorldDescription(*robot, read_scene(options.scene), panel, arms)
+    description = WorldDescription(*robot, read_scene(options.scene), panel, arms, options.panel_arm)
     world = World(description, options.seed)
     hands = {}
     for number, prefix in enumerate(description.placements):
@@ -237,6 +237,9 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     add("--scene", default="cup", help="name of a scene of this package, or path of a yaml file")
     board = "marker board on the flange: single, bundle, or path of a yaml file"
     add("--panel", nargs="?", const="single", help=board)
+    add(
+        "--panel-arm", default="", metavar="NAME", help="with --arms: the arm that holds the marker board, such as left"
+    )
     several = "yaml file of several arms, as of the parameter arms; each has the ports of the one before and 1"
     add("--arms", type=Path, help=several)
     add("--seed", type=int, default=0, help="seed of scattered objects, and of the hand's slack and noise")
