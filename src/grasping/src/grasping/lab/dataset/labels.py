@@ -18,11 +18,10 @@ import numpy as np
 import pinocchio as pin
 
 from common.camera_model import CameraModel
-from common.poses import pose, read_only
-from common.rotations import rotation_about
+from common.poses import read_only
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
-from grasping.pipeline.projection import CameraGrasp, camera_pixel, project_grasp
+from grasping.pipeline.projection import CameraGrasp, project_grasp
 
 NO_TILT_RAD = 1e-9
 AGAINST_RAD = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
@@ -58,18 +57,6 @@ def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
     own_row, own_column = ((i + 0.5) * side / NETWORK_SIDE - 0.5 for i in (frame.peak.row, frame.peak.column))
     shift, depth = (row - own_row, column - own_column), float(T[2, 3] - own.T_camera_grasp[2, 3])
     return RelativeLabel(row, column, *shift, depth, half_turn(angle - own.angle), read_only(tilt))
-
-
-def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
-    """Returns the label's pose before the camera, shape (4, 4) [m]; undoes `relative_label` up to half a turn about the
-    approach. Raises ValueError if GGCNN's own grasp has no pose.
-    """
-    own = own_grasp(frame)
-    if own is None:
-        raise ValueError("GGCNN's own grasp has no pose: the camera has no reading near its pixel")
-    ray = frame.camera.rays(camera_pixel(label.row, label.column, frame.crop, frame.maps.shape[-1]))
-    R = pin.exp3(np.append(label.tilt, 0.0)) @ rotation_about(2, -(own.angle + label.angle))
-    return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)
 
 
 def own_grasp(frame: EpisodeFrame) -> CameraGrasp | None:

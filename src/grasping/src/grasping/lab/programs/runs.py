@@ -101,13 +101,12 @@ def train(
     every: int,
     weights: Callable[[Any], dict[str, object]],
     curves: Curves,
-    patience: int | None = None,
 ) -> None:
     """Trains to the last step; every `every` steps it validates and writes a checkpoint and the curves. `settings`:
 
     what settings.json says, with the training's identity; `saved`: the checkpoint of `opened`; `data`: for training and
     for validation; `weights`: returns each weight file's content by name, of the mean network that validates best so
-    far; `patience`: as in `is_over`, None: all steps.
+    far.
     """
     (folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     rows: list[dict] = []
@@ -116,7 +115,7 @@ def train(
         rows = saved["rows"]
     bar = tqdm(total=trainer.steps, initial=trainer.step, unit="step", mininterval=10.0)
     losses = []
-    while trainer.step < trainer.steps and not (patience and is_over(rows, patience)):
+    while trainer.step < trainer.steps:
         rate = trainer.rate()
         losses.append(trainer.train(data[0]))
         bar.update()
@@ -136,12 +135,6 @@ def train(
             writer.writeheader()
             writer.writerows(rows)
         plot(rows, curves, folder / "curves.png")
-
-
-def is_over(rows: list[dict], patience: int) -> bool:
-    """Returns whether the last `patience` validations were no better than the best one before them."""
-    found = [r["validation"] for r in rows]
-    return len(found) > patience and min(found[-patience:]) >= min(found[:-patience])
 
 
 def plot(rows: list[dict], curves: Curves, path: Path) -> None:
