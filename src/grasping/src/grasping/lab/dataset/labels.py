@@ -22,6 +22,7 @@ from common.poses import read_only
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
 from grasping.pipeline.projection import CameraGrasp, project_grasp
+from grasping.refinement.taste import half_turn
 
 NO_TILT_RAD = 1e-9
 AGAINST_RAD = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
@@ -93,8 +94,3 @@ def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
     tilt = np.zeros(2) if inclination < NO_TILT_RAD else inclination / across * np.array([-y, x])
     turn = pin.exp3(np.append(tilt, 0.0)).T @ R
     return tilt, -float(np.arctan2(turn[1, 0], turn[0, 0]))
-
-
-def half_turn(angle: float) -> float:
-    """Returns the angle modulo pi, in [-pi/2, pi/2): a grasp is the same after half a turn."""
-    return (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi
