@@ -265,10 +265,9 @@ def visualizer() -> None:
 def curves() -> None:
     """Training curves of the shipped GG-CNN2 weights."""
     from grasping.lab.programs.runs import plot
-    from grasping.lab.programs.train_ggcnn import CURVES
 
     with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_curves.csv").open(newline="") as file:
-        plot(list(csv.DictReader(file)), CURVES, PICTURES / "ggcnn2_curves.png")
+        plot(list(csv.DictReader(file)), PICTURES / "ggcnn2_curves.png")
 
 
 def filters() -> None:

@@ -16,6 +16,7 @@ from grasping.lab.dataset import labelled_images as li
 from grasping.lab.evaluation.trials import is_right
 from grasping.network.depth_image import Crop
 from grasping.network.maps import WIDTH_SCALE_PX
+from grasping.refinement.taste import half_turn
 
 PIXELS = st.floats(0.0, 400.0)
 RECTANGLES = st.builds(
@@ -31,7 +32,7 @@ def test_the_line_between_two_fingers_has_their_distance_middle_and_direction(ax
     grasp = li.GraspRectangle.between((ax, ay), (bx, by), 10.0)
     other = li.GraspRectangle.between((bx, by), (ax, ay), 10.0)
     assert (grasp.row, grasp.column, grasp.opening) == (other.row, other.column, other.opening)
-    assert abs(li.folded(grasp.angle - other.angle)) < 1e-9
+    assert abs(half_turn(grasp.angle - other.angle)) < 1e-9
     corners = grasp.corners()
     fingers = 0.5 * (corners[[0, 1]] + corners[[3, 2]])
     wanted = np.array([[ax, ay], [bx, by]])
@@ -50,7 +51,7 @@ def test_a_rectangle_of_cornell_is_the_one_that_was_written(tmp_path_factory, gr
     assert (found.row, found.column, found.opening, found.breadth) == pytest.approx(
         (grasp.row, grasp.column, grasp.opening, grasp.breadth), abs=1e-6
     )
-    assert abs(li.folded(found.angle - grasp.angle)) < 1e-6 or abs(found.angle) > 1.57
+    assert abs(half_turn(found.angle - grasp.angle)) < 1e-6 or abs(found.angle) > 1.57
 
 
 def test_a_point_cloud_of_cornell_is_its_distances(tmp_path):
@@ -134,7 +135,7 @@ def test_the_middle_of_a_rectangle_teaches_its_angle_and_opening_and_its_ends_ar
     here = li.in_network_image(grasp, crop)
     row, column = round(here.row), round(here.column)
     assert made.quality[row, column] == 255 and made.known.all()
-    assert abs(li.folded(made.angle[row, column] * math.pi / 256.0 - grasp.angle)) < math.pi / 256.0
+    assert abs(half_turn(made.angle[row, column] * math.pi / 256.0 - grasp.angle)) < math.pi / 256.0
     assert made.width[row, column] / 255.0 * WIDTH_SCALE_PX == pytest.approx(0.75 * grasp.opening, abs=0.31)
     ends = here.corners(0.9)
     assert all(made.quality[round(y), round(x)] == 0 for x, y in ends if here.opening > 12.0)
@@ -169,7 +170,7 @@ def test_an_image_that_cannot_teach_is_refused():
 def test_a_labelled_grasp_is_right_by_the_rectangle_metric_and_one_turned_is_not(grasp):
     (label,) = li.labels(image_of(grasp), Crop(0, 0, 400))
     assert is_right(label, [label], 0.9)
-    assert not is_right(label._replace(angle=li.folded(label.angle + 0.6)), [label], 0.1)
+    assert not is_right(label._replace(angle=half_turn(label.angle + 0.6)), [label], 0.1)
 
 
 @pytest.mark.parametrize(

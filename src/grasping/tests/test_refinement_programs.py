@@ -19,7 +19,7 @@ import pytest
 from common.errors import RigError
 from grasping.lab.dataset import store
 from grasping.lab.dataset.labels import relative_label
-from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, runs, train_refinement
+from grasping.lab.programs import evaluate, evaluate_refinement, make_dataset, make_episodes, train_refinement
 from grasping.lab.programs.make_episodes import EpisodeTask
 from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
@@ -229,13 +229,6 @@ def test_episodes_of_several_rigs_are_refused_unless_asked_for(data, tmp_path, m
     assert f"_000004 differ in {name}: train on those of one, or with --mixed." in capsys.readouterr().err
     mixed = train_refinement.origin_of(train_refinement.read_episodes(tmp_path), mixed=True)
     assert mixed == replace(train_refinement.origin_of(train_refinement.read_episodes(data)), **{name: None})
-
-
-def test_training_is_over_when_nothing_gets_better():
-    rows = [{"validation": v} for v in (3.0, 2.0, 2.5, 2.1)]
-    assert not runs.is_over(rows, 3)
-    assert runs.is_over(rows, 2)
-    assert not runs.is_over([*rows, {"validation": 1.9}], 2)
 
 
 def test_things_are_left_out_and_chosen(data):

@@ -8,11 +8,11 @@ import torch
 
 from grasping.lab.training.trainer import (
     MapTargets,
+    NetworkTrainer,
     NetworkTraining,
     batch,
     images,
     losses,
-    network_trainer,
     random_batch,
 )
 
@@ -119,7 +119,7 @@ def test_windows_are_cut_from_the_images_mirrored_or_not():
 def test_a_cuda_device_trains_as_the_processor_does():
     arrays = some_arrays()
     device = torch.device("cuda")
-    here, there = network_trainer(SMALL), network_trainer(SMALL, device)
+    here, there = NetworkTrainer(SMALL), NetworkTrainer(SMALL, device)
     for _ in range(3):
         assert there.train(images(arrays, device)) == pytest.approx(here.train(images(arrays)), rel=1e-3)
     found, wanted = there.validate(images(arrays, device)), here.validate(images(arrays))
@@ -128,14 +128,14 @@ def test_a_cuda_device_trains_as_the_processor_does():
 
 def test_a_run_may_end_and_go_on(tmp_path):
     samples = some_images()
-    whole = network_trainer(SMALL)
+    whole = NetworkTrainer(SMALL)
     for _ in range(6):
         whole.train(samples)
-    first = network_trainer(SMALL)
+    first = NetworkTrainer(SMALL)
     for _ in range(3):
         first.train(samples)
     torch.save(first.state(), tmp_path / "state.pt")
-    second = network_trainer(SMALL)
+    second = NetworkTrainer(SMALL)
     second.resume(torch.load(tmp_path / "state.pt", weights_only=True))
     for _ in range(3):
         second.train(samples)
@@ -146,7 +146,7 @@ def test_a_run_may_end_and_go_on(tmp_path):
 
 def test_training_learns():
     samples = some_images()
-    trainer = network_trainer(SMALL)
+    trainer = NetworkTrainer(SMALL)
     before = trainer.validate(samples)["validation"]
     found = [trainer.train(samples) for _ in range(SMALL.steps)]
     assert np.mean(found[-5:]) < 0.7 * np.mean(found[:5])
@@ -154,7 +154,7 @@ def test_training_learns():
 
 
 def test_rate_warms_up_and_ends_at_zero():
-    trainer = network_trainer(NetworkTraining(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
+    trainer = NetworkTrainer(NetworkTraining(steps=1000, rate=1e-3, warm_up=100, decay=0.2))
     rates = []
     for trainer.step in range(1001):
         rates.append(trainer.rate())

@@ -38,6 +38,15 @@ class LiftRecord(NamedTuple):
     valid: bool = True  # the physics warned of nothing
 
 
+class LiftResult(NamedTuple):
+    """What came of a lift."""
+
+    lifted: bool  # the target rose, and was still up at the end
+    rise: float  # of the target [m], 0 where the physics diverged
+    reached: bool  # the hand came within 5 mm of the grasp before it closed
+    reason: str  # `LIFTED`, or one of `FAILURES`
+
+
 def outcome(of: LiftRecord, target: int, rise: float) -> str:
     """Returns `LIFTED` if the object `target` is up by more than `rise` [m] at the end, else the failure's reason."""
     if not (of.valid and np.isfinite([*of.risen, *of.kept]).all()):
@@ -53,14 +62,12 @@ def outcome(of: LiftRecord, target: int, rise: float) -> str:
     return SLIPPED if of.held[target] else MISSED
 
 
-def judged(of: LiftRecord, target: int | None, rise: float) -> tuple[str, float]:
-    """Returns the `outcome` for a target, None: whichever object is highest at the end, and how far that one rose [m],
-    0 where the physics diverged.
-    """
+def judged(of: LiftRecord, target: int | None, rise: float) -> LiftResult:
+    """Returns the result for a target, None: whichever object is highest at the end; `rise` as in `outcome`."""
     if target is None:
         target = int(np.argmax(of.kept))
     reason = outcome(of, target, rise)
-    return reason, 0.0 if reason == DIVERGED else float(of.kept[target])
+    return LiftResult(reason == LIFTED, 0.0 if reason == DIVERGED else float(of.kept[target]), of.reached, reason)
 
 
 def shaken_gravity(time: float) -> np.ndarray:

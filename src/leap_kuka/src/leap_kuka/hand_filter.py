@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from common.hand_tracking import MAX_SPEED_M_S
 
@@ -47,16 +46,6 @@ PALM_MOTION = Motion(jerk=6e4, sample_variance=0.4**2, farthest=0.007, fastest=M
 ORIENTATION_MOTION = Motion(jerk=1e5, sample_variance=2.0**2, farthest=0.5, fastest=4.0)
 """Noisier: while a hand rolls, the tracker's orientation jumps by up to 9 deg from one frame to the next. No joint of
 the arm is much faster than this."""
-
-
-class HandFilter(Protocol):
-    """A filter of the samples of one hand."""
-
-    def reset(self) -> None:
-        """Forgets all samples."""
-
-    def step(self, sample: Sequence[float], now: float) -> Sequence[float]:
-        """Returns the filtered sample; `sample` was taken at `now` [s], not before the one before."""
 
 
 class OneEuro:

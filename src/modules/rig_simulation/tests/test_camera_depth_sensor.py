@@ -15,7 +15,6 @@ from rig_simulation.devices.camera.sensors import (
     SHADOW_TOLERANCE_PX,
     CameraLens,
     DepthSensor,
-    axial_sigma,
     hidden,
     steep_sigma,
 )
@@ -46,6 +45,11 @@ def lens() -> CameraLens:
 def sensor(lens: CameraLens, seed: int = 1, infrared_offset: float = 0.0, **changes) -> DepthSensor:
     config = parse(DepthConfig, {**IDEAL, **changes})
     return DepthSensor(lens, config, np.random.default_rng(seed), infrared_offset)
+
+
+def axial_sigma(z):
+    """The published standard deviation of depth at z [m]: 1.2 mm at 0.5 m, 6.1 mm at 2 m."""
+    return 0.0012 + 0.0019 * (z - 0.4) ** 2
 
 
 def window_of(lens: CameraLens, inverse_depth) -> np.ndarray:
@@ -93,11 +97,6 @@ def test_the_noise_has_the_published_standard_deviation(lens, z, quantisation):
     assert np.all(depth > 0.0)
     assert depth.std() == pytest.approx(1000.0 * axial_sigma(z), rel=0.06)
     assert depth.mean() == pytest.approx(1000.0 * z, abs=0.15 * 1000.0 * axial_sigma(z))
-
-
-@pytest.mark.parametrize("z, millimetres", [(0.5, 1.2), (1.0, 1.9), (2.0, 6.1)])
-def test_the_published_standard_deviation(z, millimetres):
-    assert 1000.0 * axial_sigma(z) == pytest.approx(millimetres, abs=0.05)
 
 
 def test_noise_of_neighbours_is_alike_and_of_successive_pictures_is_not(lens):

@@ -10,12 +10,13 @@ expectation-maximisation takes each as far as it explains the grasp, and so tell
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from grasping.refinement.candidates import LENGTH_M, TASTES, Candidates
 
+Angles = TypeVar("Angles", float, np.ndarray)
 SHARPNESS = 8.0  # worth by quality, before anything is learned
 ROUNDS, STEPS = 6, 25  # of expectation and maximisation; Newton's of a maximisation, at most
 CLOSE = 1e-6
@@ -152,8 +153,8 @@ def _line_density(taste: Taste, off: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (off / taste.angle_spread) ** 2) / (np.sqrt(2.0 * np.pi) * taste.angle_spread)
 
 
-def half_turn(angles: np.ndarray) -> np.ndarray:
-    """Returns angles modulo pi in [-pi/2, pi/2)."""
+def half_turn(angles: Angles) -> Angles:
+    """Returns angles modulo pi in [-pi/2, pi/2): a grasp is the same after half a turn."""
     return (angles + 0.5 * np.pi) % np.pi - 0.5 * np.pi
 
 

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import functools
 import math
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -230,12 +229,6 @@ class CollisionGuard:
         posture = self._at if q == self._at.q else _Posture(self._kinematics, _finite(q).tolist())
         depths = {pair: self._bound - self._distance(pair, posture) for pair in pairs}
         return {pair: depth for pair, depth in depths.items() if depth > 0.0}
-
-    def path_fault(self, start: np.ndarray, goal: np.ndarray) -> str | None:
-        """Returns what is in the way of a motion of all joints in step, shape (7,) each [rad]; None: nothing."""
-        check = self.check((start, goal))
-        check.go_on(sys.maxsize)
-        return check.fault
 
     def check(self, path: Sequence[np.ndarray], softly: bool = False) -> PathCheck:
         """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of them.

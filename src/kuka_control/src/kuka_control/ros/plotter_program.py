@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from common.errors import RigError
+from common.number_arguments import whole
 from common.ros.files import read_yaml
 from common.ros.node import run_program
 from kuka_control.gui.plot import SIZE_INCH, WorkspacePicture, draw
@@ -119,21 +120,16 @@ def _parser() -> argparse.ArgumentParser:
         help="how far the tool may turn from straight down, deg; default: run_tol_* of leap_params on the server "
         "(with --from-server), else 25 25 25",
     )
-    parser.add_argument("--samples", type=_count, default=1000, help="positions of the study (default: %(default)s)")
+    count = whole(1, 100_000)
+    parser.add_argument("--samples", type=count, default=1000, help="positions of the study (default: %(default)s)")
     parser.add_argument(
-        "--attitudes", type=_count, default=12, help="orientations tried at each position (default: %(default)s)"
+        "--attitudes", type=count, default=12, help="orientations tried at each position (default: %(default)s)"
     )
     parser.add_argument(
-        "--constrained", type=_count, default=350, help="positions shown as constrained (default: %(default)s)"
+        "--constrained", type=count, default=350, help="positions shown as constrained (default: %(default)s)"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the random numbers (default: %(default)s)")
     return parser
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 100_000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 100000")
-    return int(text)
 
 
 def _angle(text: str) -> float:

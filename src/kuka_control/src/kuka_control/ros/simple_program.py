@@ -14,6 +14,7 @@ import numpy as np
 import rospy
 
 from common.errors import DeviceError, RigError
+from common.number_arguments import real
 from common.ros.files import read_yaml
 from common.ros.node import INTERRUPTED, run_program
 from iiwa_kinematics import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity
@@ -220,7 +221,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("target", nargs="*", metavar="NAME_OR_ANGLE", help="a name, or the seven joint angles in deg")
     parser.add_argument("--list", action="store_true", help="list the names with their angles, and exit")
-    parser.add_argument("--velocity", type=_fraction, default=0.15, help="fraction of full speed, (0, 1] (%(default)s)")
+    parser.add_argument(
+        "--velocity",
+        type=real(0.0, 1.0, open_low=True),
+        default=0.15,
+        help="fraction of full speed, (0, 1] (%(default)s)",
+    )
     parser.add_argument("--yes", action="store_true", help="move without asking")
     parser.add_argument("--configurations", type=Path, metavar="FILE.yaml", help="other names than the package's")
     robot = parser.add_argument_group("robot")
@@ -235,13 +241,3 @@ def _parser() -> argparse.ArgumentParser:
         help="from the flange to the tool point, m; instead of the parameters' tool",
     )
     return parser
-
-
-def _fraction(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number in (0, 1]")
-    return value

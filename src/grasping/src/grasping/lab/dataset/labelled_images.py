@@ -25,6 +25,7 @@ from common.errors import RigError
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.network.maps import WIDTH_SCALE_PX, Peak
+from grasping.refinement.taste import half_turn
 
 SCHEMA = 1
 SUFFIX = ".grasps.json"
@@ -60,7 +61,7 @@ class GraspRectangle:
         """Returns the rectangle of two fingers at (column, row) [px]."""
         across, up = b[0] - a[0], a[1] - b[1]
         middle = 0.5 * (a[1] + b[1]), 0.5 * (a[0] + b[0])
-        return cls(*middle, folded(math.atan2(up, across)), math.hypot(across, up), breadth)
+        return cls(*middle, half_turn(math.atan2(up, across)), math.hypot(across, up), breadth)
 
     def corners(self, fraction: float = 1.0) -> np.ndarray:
         """Returns the corners as (column, row), shape (4, 2) [px]; of the opening only a fraction about the middle."""
@@ -87,11 +88,6 @@ class LabelledImage:
     thing: str
     depth: Callable[[], np.ndarray]
     grasps: tuple[GraspRectangle, ...]
-
-
-def folded(angle: float) -> float:
-    """Returns the angle of a line in [-pi/2, pi/2) [rad]."""
-    return (angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
 
 def read_depth(path: Path) -> np.ndarray:
@@ -196,7 +192,7 @@ def _of_corners(corners: np.ndarray, path: Path) -> GraspRectangle:
     row, column = corners[:, 1].mean(), corners[:, 0].mean()
     opening, breadth = (float(np.linalg.norm(corners[i + 1] - corners[i])) for i in (0, 1))
     try:
-        return GraspRectangle(float(row), float(column), folded(math.atan2(ay - by, bx - ax)), opening, breadth)
+        return GraspRectangle(float(row), float(column), half_turn(math.atan2(ay - by, bx - ax)), opening, breadth)
     except ValueError as error:
         raise LabelError(f"{path}: {error}.") from error
 
@@ -227,7 +223,7 @@ def _jacquard(folder: Path) -> Iterable[LabelledImage]:
         try:
             for line in path.read_text().split():
                 column, row, degrees, opening, breadth = (float(word) for word in line.split(";"))
-                grasps.append(GraspRectangle(row, column, folded(-math.radians(degrees)), opening, breadth))
+                grasps.append(GraspRectangle(row, column, half_turn(-math.radians(degrees)), opening, breadth))
         except ValueError as error:
             raise LabelError(f"{path} does not hold five numbers a grasp: {error}.") from error
         yield LabelledImage(name, name.partition("_")[2] or name, partial(read_depth, tiff), tuple(grasps))

@@ -18,11 +18,11 @@ import numpy as np
 import pinocchio as pin
 
 from common.camera_model import CameraModel
-from common.poses import pose, read_only
-from common.rotations import rotation_about
+from common.poses import read_only
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.network.depth_image import NETWORK_SIDE, Crop
-from grasping.pipeline.projection import CameraGrasp, camera_pixel, project_grasp
+from grasping.pipeline.projection import CameraGrasp, project_grasp
+from grasping.refinement.taste import half_turn
 
 NO_TILT_RAD = 1e-9
 AGAINST_RAD = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
@@ -60,18 +60,6 @@ def relative_label(frame: EpisodeFrame) -> RelativeLabel | None:
     return RelativeLabel(row, column, *shift, depth, half_turn(angle - own.angle), read_only(tilt))
 
 
-def pose_from_label(frame: EpisodeFrame, label: RelativeLabel) -> np.ndarray:
-    """Returns the label's pose before the camera, shape (4, 4) [m]; undoes `relative_label` up to half a turn about the
-    approach. Raises ValueError if GGCNN's own grasp has no pose.
-    """
-    own = own_grasp(frame)
-    if own is None:
-        raise ValueError("GGCNN's own grasp has no pose: the camera has no reading near its pixel")
-    ray = frame.camera.rays(camera_pixel(label.row, label.column, frame.crop, frame.maps.shape[-1]))
-    R = pin.exp3(np.append(label.tilt, 0.0)) @ rotation_about(2, -(own.angle + label.angle))
-    return pose(R, (own.T_camera_grasp[2, 3] + label.depth) * ray)
-
-
 def own_grasp(frame: EpisodeFrame) -> CameraGrasp | None:
     """Returns GGCNN's own grasp before the camera, None where the camera has no reading near its pixel."""
     window = Crop(0, 0, frame.crop.side)
@@ -106,8 +94,3 @@ def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
     tilt = np.zeros(2) if inclination < NO_TILT_RAD else inclination / across * np.array([-y, x])
     turn = pin.exp3(np.append(tilt, 0.0)).T @ R
     return tilt, -float(np.arctan2(turn[1, 0], turn[0, 0]))
-
-
-def half_turn(angle: float) -> float:
-    """Returns the angle modulo pi, in [-pi/2, pi/2): a grasp is the same after half a turn."""
-    return (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi

@@ -5,8 +5,6 @@ What the physics can say is bounded by its contact model: rigid bodies, Coulomb 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import mujoco
 import numpy as np
 
@@ -41,15 +39,6 @@ REST = """<equality><joint joint1="finger0" joint2="finger1" polycoef="0 1 0 0 0
 <motor joint="finger0"/><motor joint="finger1"/></actuator>"""
 
 
-class LiftResult(NamedTuple):
-    """What came of a trial."""
-
-    lifted: bool  # the target rose by more than `RISE_M` and was still up at the end
-    rise: float  # of the target [m]
-    reached: bool  # the hand came within 5 mm of the grasp before it closed
-    reason: str  # of `common.lift_trial`
-
-
 def lift(
     scene: HeapScene,
     T_world_grasp: np.ndarray,
@@ -58,7 +47,7 @@ def lift(
     friction: float,
     target: int | None = None,
     shake: bool = False,
-) -> LiftResult:
+) -> lift_trial.LiftResult:
     """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
 
     `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]; `target`: the
@@ -103,8 +92,7 @@ def lift(
             risen = (places() - before)[:, 2]
     kept = (places() - before)[:, 2]
     record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
-    reason, rise = lift_trial.judged(record, target, RISE_M)
-    return LiftResult(reason == lift_trial.LIFTED, rise, reached, reason)
+    return lift_trial.judged(record, target, RISE_M)
 
 
 def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:

@@ -8,7 +8,7 @@ object. Openings are in pixels of the image.
 
 from __future__ import annotations
 
-from typing import Callable, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -43,8 +43,6 @@ GRIPPERS = {  # the labels' own, and another one: narrower, with thick fingers
     "labels": GRIPPER,
     "thick": labels.Gripper(opening=0.085, thickness=0.016, breadth=0.022),
 }
-
-Method = Callable[[NetworkImage, float, np.random.Generator], "Peak | None"]
 
 
 def random_pixel(image: NetworkImage, widest: float, rng: np.random.Generator) -> Peak | None:

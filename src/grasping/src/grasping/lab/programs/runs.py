@@ -7,33 +7,34 @@ import csv
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
-from grasping.lab.training.trainer import MeanTrainer
+from grasping.lab.training.trainer import Images, NetworkTrainer, NetworkTraining
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
 
 
-def add_options(parser: argparse.ArgumentParser, data: str, default: Any, every: int) -> None:
-    """Adds the arguments and options of every training, and one option for each field of its settings."""
-    parser.add_argument("data", type=Path, help=f"folder of the {data}")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the arguments and options of a run, and one option for each field of `NetworkTraining`."""
+    parser.add_argument("data", type=Path, help="folder of the shards")
     parser.add_argument("run", type=Path, help="folder of the run; the same training in it is resumed")
-    for name, value in asdict(default).items():
+    for name, value in asdict(NetworkTraining()).items():
         kind = (lambda text: text == "true") if isinstance(value, bool) else type(value)
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=value, help=f"default: {value}")
     anew = "start again where RUN holds another training, which is kept"
     parser.add_argument("--anew", action="store_true", help=anew)
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
-    parser.add_argument("--every", type=int, default=every, help="steps between validations and checkpoints")
+    parser.add_argument("--every", type=int, default=250, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
 
 
@@ -81,33 +82,19 @@ def device(name: str) -> torch.device:
     return torch.device(name)
 
 
-@dataclass(frozen=True)
-class Curves:
-    """The curves of a training, and how they are drawn."""
-
-    columns: tuple[str, ...]  # of curves.csv
-    losses: tuple[str, ...]  # columns of the left axes
-    scale: str  # of the losses: linear or log
-    metric: str  # column of the right axes
-    label: str  # of the metric
-
-
 def train(
     folder: Path,
     settings: dict[str, Any],
     saved: dict[str, Any] | None,
-    trainer: MeanTrainer[Any],
-    data: tuple[Any, Any],
+    trainer: NetworkTrainer,
+    data: tuple[Images, Images],
     every: int,
-    weights: Callable[[Any], dict[str, object]],
-    curves: Curves,
-    patience: int | None = None,
+    weights: Callable[[nn.Module], object],
 ) -> None:
     """Trains to the last step; every `every` steps it validates and writes a checkpoint and the curves. `settings`:
 
     what settings.json says, with the training's identity; `saved`: the checkpoint of `opened`; `data`: for training and
-    for validation; `weights`: returns each weight file's content by name, of the mean network that validates best so
-    far; `patience`: as in `is_over`, None: all steps.
+    for validation; `weights`: returns the content of weights.pt, of the mean network that validates best so far.
     """
     (folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     rows: list[dict] = []
@@ -116,7 +103,7 @@ def train(
         rows = saved["rows"]
     bar = tqdm(total=trainer.steps, initial=trainer.step, unit="step", mininterval=10.0)
     losses = []
-    while trainer.step < trainer.steps and not (patience and is_over(rows, patience)):
+    while trainer.step < trainer.steps:
         rate = trainer.rate()
         losses.append(trainer.train(data[0]))
         bar.update()
@@ -124,39 +111,32 @@ def train(
             continue
         found = trainer.validate(data[1])
         if found["validation"] < min((r["validation"] for r in rows), default=float("inf")):
-            for name, content in weights(trainer.mean).items():
-                save(content, folder / name)
+            save(weights(trainer.mean), folder / "weights.pt")
         rows.append({"step": trainer.step, "rate": rate, "training": float(np.mean(losses)), **found})
         losses = []
-        bar.set_postfix_str(f"loss {found['validation']:.4f}, {curves.metric} {found[curves.metric]:.2f}")
+        bar.set_postfix_str(f"loss {found['validation']:.4f}, hits {found['hits']:.2f}")
         checkpoint = {"identity": settings["identity"], "trainer": trainer.state(), "rows": rows}
         save(checkpoint, folder / CHECKPOINT)
         with (folder / "curves.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, curves.columns, extrasaction="ignore", lineterminator="\n")
+            writer = csv.DictWriter(file, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
-        plot(rows, curves, folder / "curves.png")
+        plot(rows, folder / "curves.png")
 
 
-def is_over(rows: list[dict], patience: int) -> bool:
-    """Returns whether the last `patience` validations were no better than the best one before them."""
-    found = [r["validation"] for r in rows]
-    return len(found) > patience and min(found[-patience:]) >= min(found[:-patience])
-
-
-def plot(rows: list[dict], curves: Curves, path: Path) -> None:
-    """Draws the losses and, beside them, the metric; the rows may be those of a curves.csv, texts."""
+def plot(rows: list[dict], path: Path) -> None:
+    """Draws the losses and, beside them, the hits; the rows may be those of a curves.csv, texts."""
     import matplotlib.figure
 
     figure = matplotlib.figure.Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     steps = [float(r["step"]) for r in rows]
-    for name in curves.losses:
+    for name in ("training", "validation"):
         left.plot(steps, [float(r[name]) for r in rows], label=name)
-    left.set(xlabel="step", ylabel="loss", yscale=curves.scale)
+    left.set(xlabel="step", ylabel="loss", yscale="log")
     left.legend()
-    right.plot(steps, [float(r[curves.metric]) for r in rows])
-    right.set(xlabel="step", ylabel=curves.label, ylim=(0, None))
+    right.plot(steps, [float(r["hits"]) for r in rows])
+    right.set(xlabel="step", ylabel="fraction of best pixels that are grasps", ylim=(0, None))
     part = path.with_suffix(".part")  # a viewer that watches the file sees whole pictures
     figure.savefig(part, dpi=110, format="png")
     part.replace(path)

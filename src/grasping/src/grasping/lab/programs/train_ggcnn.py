@@ -25,16 +25,8 @@ from common.errors import RigError
 from grasping.lab.programs import runs
 from grasping.lab.programs.make_dataset import label_settings
 from grasping.lab.synthetic.samples import Sample
-from grasping.lab.training.trainer import NetworkTraining, images, network_trainer
+from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining, images
 from grasping.network import weights
-
-CURVES = runs.Curves(
-    ("step", "rate", "training", "validation", "quality", "angle", "width", "hits"),
-    losses=("training", "validation"),
-    scale="log",
-    metric="hits",
-    label="fraction of best pixels that are grasps",
-)
 
 
 class LoadedShards(NamedTuple):
@@ -67,14 +59,13 @@ def load(folder: Path, split: str, most: int) -> LoadedShards:
 
 
 def main() -> None:
-    default = NetworkTraining()
     parser = argparse.ArgumentParser(description=__doc__)
-    runs.add_options(parser, "shards", default, every=250)
+    runs.add_options(parser)
     parser.add_argument("--shards", type=int, default=10**6, help="most shards of each split")
     parser.add_argument("--from", dest="start", type=Path, metavar="WEIGHTS", help="weight file to begin with")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    settings = NetworkTraining(**{name: getattr(arguments, name) for name in asdict(default)})
+    settings = NetworkTraining(**{name: getattr(arguments, name) for name in asdict(NetworkTraining())})
     try:
         device = runs.device(arguments.device)
         start = arguments.start and weights.load(arguments.start.read_bytes())
@@ -100,9 +91,9 @@ def main() -> None:
     if start:
         about["from"] = start.sha256
 
-    def files(mean: nn.Module) -> dict[str, object]:
-        return {"weights.pt": weights.state_for_file(settings.network, mean, train.hand)}
+    def content(mean: nn.Module) -> object:
+        return weights.state_for_file(settings.network, mean, train.hand)
 
-    trainer = network_trainer(settings, device, start and start.network)
+    trainer = NetworkTrainer(settings, device, start and start.network)
     data = images(train.samples, device), images(validation.samples, device)
-    runs.train(arguments.run, about, saved, trainer, data, arguments.every, files, CURVES)
+    runs.train(arguments.run, about, saved, trainer, data, arguments.every, content)

@@ -155,35 +155,6 @@ OPERATORS: Mapping[str, SimulatedOperator] = {
 """Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
 
 
-def drawn_operator(seed: int) -> SimulatedOperator:
-    """Returns an operator whose taste, hand and miss are drawn at random: to choose settings with, so that the named
-    ones are as new to whatever is tested on them as the things are.
-    """
-    rng = np.random.default_rng([94, seed])
-    return SimulatedOperator(
-        holds=rng.uniform(0.2, 0.5),
-        higher=rng.normal(0.0, 4.0),
-        slender=rng.normal(0.0, 4.0),
-        middle=rng.normal(0.0, 4.0),
-        near=rng.normal(0.0, 4.0),
-        handle=abs(rng.normal(0.0, 0.3)),
-        inside=abs(rng.normal(0.0, 0.3)),
-        across=rng.normal(0.0, 0.2),
-        comfort=abs(rng.normal(0.0, 0.2)),
-        wrist=rng.uniform(-0.5, 0.5) * np.pi,
-        whim=rng.uniform(0.0, 0.15),
-        twist=rng.normal(0.0, 0.07),
-        turn=rng.normal(0.0, 2.0),
-        lean=rng.uniform(0.0, 0.35),
-        follow=rng.uniform(0.0, 0.5),
-        margin=rng.uniform(0.0, 0.02),
-        generous=rng.uniform(0.0, 0.2),
-        bias=tuple(rng.normal(0.0, 0.007, 3).tolist()),
-        tremor_m=rng.uniform(0.003, 0.007),
-        tremor_rad=np.radians(rng.uniform(3.0, 7.0)),
-    )
-
-
 class Sight(NamedTuple):
     """What an operator sees on the cells of the height map, each shape (n, n)."""
 

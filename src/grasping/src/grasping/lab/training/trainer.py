@@ -7,9 +7,8 @@ horizontal one (synthetic.labels). Unlike in the published loss, angle and width
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Mapping, NamedTuple, TypeVar
+from typing import Any, Mapping, NamedTuple
 
 import numpy as np
 import torch
@@ -21,7 +20,6 @@ from grasping.network.networks import NETWORKS
 LONGEST_GRADIENT = 1.0
 CPU = torch.device("cpu")
 
-Network = TypeVar("Network", bound=nn.Module)
 GRASPABLE = 0.3  # from this quality on a pixel teaches angle and width
 CENTRED_SHARE = 0.8  # share of the windows that are centred near a pixel that can be grasped
 MEAN_JITTER_M = 0.02
@@ -33,65 +31,6 @@ QUALITY_WEIGHT = 10.0
 GRASP_WEIGHT = 4.0  # how much more a pixel of quality 1 counts than the background
 ANGLE_WEIGHT = 0.5
 WIDTH_WEIGHT = 2.0
-
-
-class MeanTrainer(Generic[Network]):
-    """A network in training: `step` counts its steps, `mean` is the same network with the running mean of the weights,
-    usable at any time. `memory`: weight of the old mean in the new one; `steps`: of the whole training; `rate`: returns
-    a step's learning rate; `loss`: returns the loss in a step, its batch set by seed and step alone; `validate`:
-    returns the losses on the data, `validation` the total, and a metric.
-    """
-
-    def __init__(
-        self,
-        network: Network,
-        optimiser: torch.optim.Optimizer,
-        memory: float,
-        steps: int,
-        rate: Callable[[int], float],
-        loss: Callable[[Network, Any, int], torch.Tensor],
-        validate: Callable[[Network, Any], dict[str, float]],
-    ) -> None:
-        self.network, self.mean = network, copy.deepcopy(network)
-        self.step, self.steps = 0, steps
-        self._optimiser, self._memory = optimiser, memory
-        self._rate, self._loss, self._validate = rate, loss, validate
-
-    def rate(self) -> float:
-        """Returns the learning rate of the next step."""
-        return self._rate(self.step)
-
-    def validate(self, data: Any) -> dict[str, float]:
-        """Returns the losses of the mean network, `validation` the total, and a metric."""
-        return self._validate(self.mean, data)
-
-    def train(self, data: Any) -> float:
-        """Takes one step down the loss of the network and returns it."""
-        loss = self._loss(self.network, data, self.step)
-        for group in self._optimiser.param_groups:
-            group["lr"] = self.rate()
-        self._optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), LONGEST_GRADIENT)
-        self._optimiser.step()
-        memory = min(self._memory, (self.step + 1) / (self.step + 10))
-        with torch.no_grad():
-            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
-                kept.lerp_(new, 1.0 - memory)
-        self.step += 1
-        return loss.item()
-
-    def state(self) -> dict:
-        """Returns the checkpoint for `resume`."""
-        parts: dict[str, Any] = {"network": self.network, "mean": self.mean, "optimiser": self._optimiser}
-        return {"step": self.step, **{name: part.state_dict() for name, part in parts.items()}}
-
-    def resume(self, state: dict) -> None:
-        """Continues from a checkpoint of `state`."""
-        self.network.load_state_dict(state["network"])
-        self.mean.load_state_dict(state["mean"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self.step = state["step"]
 
 
 class MapTargets(NamedTuple):
@@ -198,44 +137,73 @@ class NetworkTraining:
     half: bool = True  # compute in bfloat16, which is faster where the device knows it
 
 
-def network_trainer(
-    settings: NetworkTraining, device: torch.device = CPU, start: nn.Module | None = None
-) -> MeanTrainer[nn.Module]:
-    """Returns the training of a grasp network from the weights of `start`, or from random ones.
+class NetworkTrainer:
+    """A grasp network in training, from the weights of `start` or from random ones; it takes the `Images` of `device`.
 
-    It takes the `Images` of that device. Its metric is the fraction of whole images whose best pixel is a grasp.
+    `step` counts its steps; `mean` is the same network with the running mean of the weights, usable at any time.
     """
-    s = settings
-    torch.manual_seed(s.seed)
-    network = NETWORKS[s.network]()
-    if start is not None:
-        network.load_state_dict(start.state_dict())
-    network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
 
-    def said(network: nn.Module, made: tuple[torch.Tensor, MapTargets]) -> tuple[torch.Tensor, MapTargets]:
-        depth, target = made
-        with torch.autocast(device.type, dtype=torch.bfloat16, enabled=s.half):
-            maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
-        return maps, target
+    def __init__(self, settings: NetworkTraining, device: torch.device = CPU, start: nn.Module | None = None) -> None:
+        torch.manual_seed(settings.seed)
+        network = NETWORKS[settings.network]()
+        if start is not None:
+            network.load_state_dict(start.state_dict())
+        network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+        self.network, self.mean = network, copy.deepcopy(network)
+        self.step, self.steps = 0, settings.steps
+        self._settings, self._device = settings, device
+        self._optimiser = torch.optim.Adam(network.parameters(), lr=settings.rate)
 
-    def rate(step: int) -> float:
-        left = (s.steps - step) / max(1.0, s.decay * s.steps)
-        return s.rate * min(1.0, (step + 1) / s.warm_up, max(0.0, left))
+    def rate(self) -> float:
+        """Returns the learning rate of the next step."""
+        s = self._settings
+        left = (s.steps - self.step) / max(1.0, s.decay * s.steps)
+        return s.rate * min(1.0, (self.step + 1) / s.warm_up, max(0.0, left))
 
-    def loss(network: nn.Module, of: Images, step: int) -> torch.Tensor:
-        made = random_batch(of, np.random.default_rng([s.seed, step]), s.count, s.side)
-        return losses(*said(network.train(), made)).total
+    def train(self, of: Images) -> float:
+        """Takes one step down the loss of the network and returns it."""
+        s = self._settings
+        made = random_batch(of, np.random.default_rng([s.seed, self.step]), s.count, s.side)
+        loss = losses(*self._said(self.network.train(), *made)).total
+        for group in self._optimiser.param_groups:
+            group["lr"] = self.rate()
+        self._optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), LONGEST_GRADIENT)
+        self._optimiser.step()
+        memory = min(s.memory, (self.step + 1) / (self.step + 10))
+        with torch.no_grad():
+            for kept, new in zip(self.mean.parameters(), self.network.parameters()):
+                kept.lerp_(new, 1.0 - memory)
+        self.step += 1
+        return loss.item()
 
-    def validate(network: nn.Module, of: Images) -> dict[str, float]:
+    def validate(self, of: Images) -> dict[str, float]:
+        """Returns the mean network's losses, `validation` the total, and the share of images whose best pixel hits."""
         rows = []
         for i in range(len(of.quality)):
+            whole = batch({name: values[i : i + 1] for name, values in of.arrays.items()})
             with torch.no_grad():
-                maps, target = said(network, batch({name: values[i : i + 1] for name, values in of.arrays.items()}))
+                maps, target = self._said(self.mean, *whole)
             rows.append([*(v.item() for v in losses(maps, target)), _best_is_grasp(maps.float(), target)])
         return dict(zip(("validation", "quality", "angle", "width", "hits"), np.mean(rows, axis=0).tolist()))
 
-    optimiser = torch.optim.Adam(network.parameters(), lr=s.rate)
-    return MeanTrainer(network, optimiser, s.memory, s.steps, rate, loss, validate)
+    def _said(self, network: nn.Module, depth: torch.Tensor, target: MapTargets) -> tuple[torch.Tensor, MapTargets]:
+        with torch.autocast(self._device.type, dtype=torch.bfloat16, enabled=self._settings.half):
+            maps: torch.Tensor = network(depth.to(memory_format=torch.channels_last))
+        return maps, target
+
+    def state(self) -> dict:
+        """Returns the checkpoint for `resume`."""
+        parts: dict[str, Any] = {"network": self.network, "mean": self.mean, "optimiser": self._optimiser}
+        return {"step": self.step, **{name: part.state_dict() for name, part in parts.items()}}
+
+    def resume(self, state: dict) -> None:
+        """Continues from a checkpoint of `state`."""
+        self.network.load_state_dict(state["network"])
+        self.mean.load_state_dict(state["mean"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.step = state["step"]
 
 
 def _best_is_grasp(maps: torch.Tensor, target: MapTargets) -> float:

@@ -14,6 +14,7 @@ from pathlib import Path
 import rospy
 
 import common.errors
+from common.number_arguments import whole
 from common.ros.node import run_program
 from leap_rig.recording import lerobot_export
 from leap_rig.recording.recording_files import (
@@ -26,7 +27,6 @@ from leap_rig.recording.recording_files import (
     write_mcap,
 )
 from leap_rig.recording.run import between, read
-from vision.ros.number_arguments import whole
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"

@@ -24,6 +24,7 @@ import rospy
 import yaml
 
 from common.errors import RigError
+from common.number_arguments import real
 from common.ros.node import run_program
 from kuka_control.ros.parameter_server import master_of_this_graph
 from leap_motion.ros.registrations import registration_file
@@ -38,7 +39,6 @@ from leap_rig.recording.recording_files import (
 )
 from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
 from leap_rig.ros.live_status import CLEAR_LINE
-from vision.ros.number_arguments import real
 
 FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
 QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped

@@ -21,6 +21,7 @@ from tf2_msgs.msg import TFMessage
 
 from common.errors import RigError
 from common.frames import BASE
+from common.number_arguments import real, whole
 from common.ros.conversions import stamped_pose
 from common.ros.files import read_yaml
 from common.ros.node import run_program
@@ -37,7 +38,6 @@ from leap_rig.recording.ros.record_program import file_hash
 from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
 from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
-from vision.ros.number_arguments import real, whole
 
 SLOWLY = 0.2  # rate of the first pass on the robot
 SHARE = 0.95  # of tcp_speed, for the fastest line

@@ -14,7 +14,7 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -51,18 +51,9 @@ SLIDE = "slide"
 FINGER = re.compile(r"reflex/(?:proximal|distal)_(\d)")  # name of a finger's body
 
 
-class LiftTrial(NamedTuple):
-    """Result of a trial."""
-
-    lifted: bool  # whether the target rose by more than `RISE_M` and stayed up
-    rise: float  # of the target [m]
-    reached: bool  # whether the hand came within 5 mm of its target before it closed
-    reason: str  # of `common.lift_trial`
-
-
 def lift(
     scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray, target: int | None = None, shake: bool = False
-) -> LiftTrial:
+) -> lift_trial.LiftResult:
     """Simulates a grasp.
 
     `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
@@ -113,8 +104,7 @@ def lift(
             risen = (places() - before)[:, 2]
     kept = (places() - before)[:, 2]
     record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
-    reason, rise = lift_trial.judged(record, target, RISE_M)
-    return LiftTrial(reason == lift_trial.LIFTED, rise, reached, reason)
+    return lift_trial.judged(record, target, RISE_M)
 
 
 def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
@@ -220,7 +210,7 @@ def try_scene(task: tuple[dict[str, Any], list[str], bool]) -> list[dict[str, An
         if grasp["method"] in names:
             row = {name: scene[name] for name in ("split", "scene", "objects")}
             row.update({name: grasp[name] for name in ("method", "width", "peak")}, shake=shake)
-            trial = LiftTrial(False, 0.0, False, lift_trial.NO_GRASP)
+            trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
             if grasp["T_world_grasp"] is not None:
                 T = np.array(grasp["T_world_grasp"])
                 trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], shake)

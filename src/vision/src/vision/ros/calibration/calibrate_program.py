@@ -19,6 +19,7 @@ from std_srvs.srv import Trigger
 
 from common.errors import DeviceError, RigError
 from common.mounting import rotation_of_mounting
+from common.number_arguments import real
 from common.poses import inverse
 from common.ros.node import run_program
 from common.ros.params import wait_for_config
@@ -33,7 +34,6 @@ from vision.calibration.view_planner import ViewPlanner, ViewsConfig, guessed_ca
 from vision.ros.calibration.calibration_setup import NAMESPACE, CalibrationSetup, TfPoses, read, read_setup
 from vision.ros.calibration.rviz_comparison import RvizComparison
 from vision.ros.marker_board.detections import VIEW_TIMEOUT_S, BoardListener, ViewCapture
-from vision.ros.number_arguments import real
 from vision.ros.ptp_arm import PtpArm, arm_address
 
 NODE = "calibrate_camera"

@@ -22,6 +22,7 @@ from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.settings import detector_settings
 from common.config import parse
 from common.errors import DeviceError, RigError
+from common.number_arguments import real, whole
 from common.poses import inverse
 from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig
@@ -42,7 +43,6 @@ from vision.marker_board.pose_evaluation import (
     wrong_lens,
 )
 from vision.ros.marker_board.image_folder import TAGS, board_target, read_config, read_images, rendered_images
-from vision.ros.number_arguments import real, whole
 
 NAME = "evaluate_calibration"
 METHODS = ("corners", "refined")

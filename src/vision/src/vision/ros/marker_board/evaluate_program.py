@@ -18,13 +18,13 @@ import numpy as np
 from apriltag_ros.settings import detector_settings
 from common.config import parse
 from common.errors import RigError
+from common.number_arguments import real, whole
 from vision.marker_board import pose_evaluation as tables
 from vision.marker_board.plane_fit import PlanePoseConfig
 from vision.marker_board.plane_pose import RgbdDetector
 from vision.marker_board.pose_evaluation import METHODS, PoseTrial, cells, trial, values
 from vision.ros.marker_board import image_folder
 from vision.ros.marker_board.image_folder import BoardImageSet, read_config
-from vision.ros.number_arguments import real, whole
 
 NAME = "evaluate_tag_pose"
 COLOURS = {"colour": "tab:red", "plane": "tab:blue", "fused": "tab:green"}

@@ -133,14 +133,9 @@ ANGLE_STEPS = 255
 WARP_NODES = (4, 5)  # nodes of a unit's smooth warp, over height and width of the image
 
 
-def axial_sigma(z: float | np.ndarray) -> float | np.ndarray:
-    """Returns the standard deviation of depth at z [m], for surfaces up to 60 deg (Nguyen, Izadi, Lovell 2012)."""
-    return 0.0012 + 0.0019 * (z - 0.4) ** 2
-
-
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
     """Returns the standard deviation added by a surface whose normal has this `angle` to the line of sight [rad], times
-    sqrt(z) [m sqrt(m)] (the same paper).
+    sqrt(z) [m sqrt(m)] (Nguyen, Izadi, Lovell 2012).
     """
     angle = np.minimum(angle, np.radians(85.0))
     return np.where(angle > STEEP, 0.0001 * angle**2 / (np.pi / 2.0 - angle) ** 2, 0.0)
@@ -270,7 +265,7 @@ class DepthSensor:
         if self._warp is not None:
             disparity += self._warp
         if self._config.noise:
-            # fb axial_sigma(1 / w) w^2, with 0.0012 + 0.0019 (1 / w - 0.4)^2 multiplied out
+            # fb sigma(1 / w) w^2; for surfaces up to 60 deg sigma(z) = 0.0012 + 0.0019 (z - 0.4)^2 (the same paper)
             a, b, c = np.float32(self._fb) * np.array([0.001504, -0.00152, 0.0019], np.float32)
             sigma = a * square
             sigma += b * w
