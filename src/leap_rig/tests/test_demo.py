@@ -29,7 +29,7 @@ EASY = {
     "time_out": 1.0, "rate_servo": 100.0, "rate_joints": 25.0, "rate_state": 10.0,
     "velocity_ptp_slow": 0.6, "velocity_ptp_fast": 0.6,
 }  # fmt: skip
-"""Lower rates, a longer time-out and quicker motions home, for all but the runs with the parameters of the yaml file."""
+"""Lower rates, a longer time-out and quicker motions home, for all but the runs with the parameters as shipped."""
 
 
 @pytest.fixture
