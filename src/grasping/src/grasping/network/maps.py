@@ -149,7 +149,7 @@ def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Map
     return SmoothedMaps(output, valid, smoothing).everywhere()
 
 
-def _angle(cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+def _angle(cos: np.ndarray | np.float32, sin: np.ndarray | np.float32) -> np.ndarray:
     return np.float32(0.5) * np.arctan2(sin, cos)
 
 
