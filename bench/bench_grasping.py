@@ -32,6 +32,7 @@ ROWS, COLUMNS = slice(40, 440), slice(120, 520)
 GGCNN_WEIGHTS = SHARED_DATA / "ggcnn" / "epoch_29_model.hdf5"
 STAGES = ("view", "network", "peaks", "poses")
 UP = np.array([0.0, 0.0, 1.0])
+RATE = 30  # images of a depth camera in a second
 CLOCK = time.thread_time
 """With one processor all work is done in this thread; what others do on a busy machine does not count."""
 
@@ -73,7 +74,9 @@ def _rows(name: str, weights: Path, images: list[np.ndarray]) -> list[Row]:
 
 
 def _table(name: str, times: dict[str, list]) -> list[Row]:
-    """Returns the whole time of each live chain beside the published one, and the stages of the last chain."""
+    """Returns the whole time of each live chain beside the published one; of the last chain also its share of one
+    processor at `RATE` and its stages.
+    """
     totals = {
         chain: [1e3 * sum(s.values()) for s in seconds[1:]] for chain, seconds in times.items()
     }  # the first compiles
@@ -81,6 +84,8 @@ def _table(name: str, times: dict[str, list]) -> list[Row]:
     how = "all stages, time of one processor"
     table = [row(f"{name}, {chain}", whole, "ms", how, peer=peer) for chain, whole in totals.items()]
     chain, seconds = list(times.items())[-1]
+    busy = [100.0 * RATE * 1e-3 * whole for whole in totals[chain]]
+    table.append(row(f"{name}, {chain}, {RATE} Hz", busy, "%", "of one processor"))
     for stage in STAGES:
         part = [1e3 * s[stage] for s in seconds[1:]]
         published = Peer("published", float(np.median([1e3 * s[stage] for s in times["published"][1:]])))

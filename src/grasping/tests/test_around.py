@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from table_scene import CAMERA, depth_picture, looking_at
 
-from grasping.network.around import around, tiles, windows
-from grasping.network.maps import HIGHEST_QUALITY, Smoothing, gaussian, radius, reach
+from grasping.network.around import around
+from grasping.network.maps import HIGHEST_QUALITY, Smoothing, decisive, gaussian, radius
 from grasping.network.networks import NETWORKS
+from grasping.network.strips import array, put, side_by_side, strips, tensor, with_margin
 from grasping.network.weights import load
 from grasping.pipeline.pipeline import GraspPipeline
 from grasping.pipeline.settings import overlaid, settings_from
@@ -50,12 +51,12 @@ def within(mask, distance):
     return cv2.dilate(mask.astype(np.uint8), np.ones((2 * distance + 1,) * 2, np.uint8)) > 0
 
 
-def is_the_networks(net, image, objects, margin):
-    maps, known = around(net)(image, objects, margin)
+def is_the_networks(net, image, objects, wanted):
     with torch.no_grad():
-        wanted = net(torch.from_numpy(image)[None, None])[0].numpy()
-    assert known[within(objects, margin)].all()
-    np.testing.assert_allclose(maps[:, known], wanted[:, known], rtol=0.0, atol=1e-5 * max(1.0, np.abs(wanted).max()))
+        plain = net(torch.from_numpy(image)[None, None])[0].numpy()
+    maps, known = around(net)(image, objects, wanted)
+    assert known[wanted].all()
+    np.testing.assert_allclose(maps[:, known], plain[:, known], rtol=0.0, atol=1e-5 * max(1.0, np.abs(plain).max()))
     assert not maps[:, ~known].any()
 
 
@@ -65,20 +66,26 @@ rectangles = st.tuples(st.integers(0, 119), st.integers(0, 119), st.integers(1, 
 
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=12)
-@given(st.lists(rectangles, min_size=1, max_size=3), st.integers(0, 25), st.integers(0, 1000))
-def test_near_objects_the_maps_are_the_networks(name, places, margin, seed):
+@given(
+    st.lists(rectangles, min_size=1, max_size=3),
+    st.lists(rectangles, min_size=1, max_size=3),
+    st.integers(0, 25),
+    st.integers(0, 1000),
+)
+def test_near_objects_and_anywhere_else_the_maps_are_the_networks(name, places, others, margin, seed):
     random = np.random.default_rng(seed)
-    objects = np.zeros((120, 120), bool)
-    for row, column, rows, columns in places:
-        objects[row : row + rows, column : column + columns] = True
+    objects, elsewhere = np.zeros((2, 120, 120), bool)
+    for mask, found in ((objects, places), (elsewhere, others)):
+        for row, column, rows, columns in found:
+            mask[row : row + rows, column : column + columns] = True
     image = np.where(objects, random.normal(size=objects.shape), random.normal()).astype(np.float32)
-    is_the_networks(network(name), 0.2 * image, objects, margin)
+    is_the_networks(network(name), 0.2 * image, objects, within(objects, margin) | elsewhere)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_image_full_of_objects_is_the_networks(name):
     image = np.random.default_rng(2).normal(size=(120, 144)).astype(np.float32)
-    is_the_networks(network(name), image, np.ones(image.shape, bool), 0)
+    is_the_networks(network(name), image, *np.ones((2, *image.shape), bool))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -87,7 +94,7 @@ def test_views_of_a_table_give_the_networks_maps(name, boxes):
     s = settings_from(YAML)
     view = TableView(s.crop, s.table).step(noisy(depth_picture(ASIDE, boxes), 0), CAMERA)
     assert view.flat
-    is_the_networks(network(name), view.image.input, view.graspable, reach(Smoothing(), 0.2))
+    is_the_networks(network(name), view.image.input, view.graspable, decisive(view.graspable, Smoothing(), 0.2))
 
 
 def noisy(depth, seed):
@@ -167,34 +174,57 @@ def test_where_peaks_can_be_anywhere_the_network_is_evaluated_everywhere(changes
     net.pos_output.bias.data += bias
     depth = noisy(depth_picture(ABOVE, (BOX,)), 3)
     a, b = (chain(n, changes).step(depth, CAMERA, ABOVE) for n in (net, Everywhere(net)))
-    for one, other in zip(a.maps, b.maps):
+    for one, other in zip(a.maps.everywhere(), b.maps.everywhere()):
         np.testing.assert_array_equal(one, other)
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10**6), st.floats(0.05, 1.0), st.floats(1.0, 8.0))
-def test_beyond_the_reach_no_quality_is_above_the_threshold(seed, threshold, sigma):
+@settings(max_examples=40)
+@given(st.integers(0, 10**6), st.floats(0.05, 1.0), st.floats(0.0, 8.0), st.floats(0.0, 4.0))
+def test_beyond_what_decides_no_quality_is_above_the_threshold(seed, threshold, sigma, angle_sigma):
     random = np.random.default_rng(seed)
-    graspable = gaussian(random.random((90, 90), dtype=np.float32), random.uniform(0.0, 6.0))
+    graspable = gaussian(random.random((90, 120), dtype=np.float32), random.uniform(0.0, 6.0))
     graspable = graspable > np.quantile(graspable, random.uniform(0.3, 0.99))
-    smoothing = Smoothing(sigma, 2.0, 1.0)
-    distance = reach(smoothing, threshold) - radius(smoothing.angle)
+    smoothing = Smoothing(sigma, angle_sigma, 1.0)
+    known = decisive(graspable, smoothing, threshold)
     quality = gaussian(np.where(graspable, np.float32(HIGHEST_QUALITY), np.float32(0.0)), sigma)
-    assert not (quality[~within(graspable, distance)] > threshold).any()
+    assert known[graspable].all()
+    assert known[within(quality > threshold, max(radius(angle_sigma), radius(1.0)))].all()
 
 
-@given(st.integers(0, 10**6), st.integers(1, 12))
-def test_windows_and_tiles_hold_all_that_is_wanted(seed, side):
+def test_without_a_threshold_all_of_the_maps_decide():
+    assert decisive(np.ones((20, 20), bool), Smoothing(), None) is None
+    assert decisive(np.ones((20, 20), bool), Smoothing(), 0.0) is None
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(0, 8))
+def test_strips_hold_all_that_is_wanted_and_no_pixel_twice_in_a_band(seed, rows, gap):
     random = np.random.default_rng(seed)
     wanted = random.random((30, 40)) < random.uniform(0.0, 0.3)
-    for squares in (
-        windows(wanted, side),
-        [(slice(r, r + side), slice(c, c + side)) for r, c in tiles(wanted, side)],
-    ):
-        held = np.zeros_like(wanted)
-        for rows, columns in squares:
-            assert 0 <= rows.start < rows.stop <= 30
-            assert 0 <= columns.start < columns.stop <= 40
-            assert wanted[rows, columns].any()
-            held[rows, columns] = True
-        assert held[wanted].all()
+    held, ends = np.zeros_like(wanted), {}
+    for strip in strips(wanted, rows, gap):
+        assert 0 <= strip.row <= 30 - rows
+        assert 0 <= strip.start < strip.stop <= 40
+        part = wanted[strip.row : strip.row + rows, strip.start : strip.stop]
+        assert part[:, [0, -1]].any(axis=0).all()
+        assert strip.start - ends.get(strip.row, -gap - 1) > gap
+        ends[strip.row] = strip.stop
+        held[strip.row : strip.row + rows, strip.start : strip.stop] = True
+    assert held[wanted].all()
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10**6), st.sampled_from([(1, 1), (3, 1), (5, 1), (5, 2)]))
+def test_a_layer_in_strips_is_the_layer(seed, of):
+    torch.manual_seed(seed)
+    random, rows, (kernel, dilation) = np.random.default_rng(seed), 6, of
+    pad = dilation * (kernel // 2)
+    layer = torch.nn.Conv2d(3, 4, kernel, padding=pad, dilation=dilation)
+    x = random.normal(size=(30, 40, 3)).astype(np.float32)
+    wanted = random.random((30, 40)) < 0.05
+    found, result = strips(wanted, rows, 2 * pad), np.zeros((30, 40, 4), np.float32)
+    laid = side_by_side([with_margin(x, strip, rows, pad, pad) for strip in found])
+    with torch.no_grad():
+        values = torch.nn.functional.conv2d(tensor(laid), layer.weight, layer.bias, dilation=dilation)
+        put(result, found, array(values), 2 * pad)
+        plain = array(layer(tensor(x)))
+    np.testing.assert_allclose(result[wanted], plain[wanted], atol=1e-5)

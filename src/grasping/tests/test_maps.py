@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.network.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
+from grasping.network.maps import Maps, SmoothedMaps, Smoothing, gaussian, highest, peaks, smoothed
 
 
 def blurred(image, sigma):
@@ -85,3 +86,49 @@ def test_peaks_are_maxima_and_keep_their_distance(seed, distance):
         near = quality[p.row - distance : p.row + distance + 1, p.column - distance : p.column + distance + 1]
         assert near.max() == quality[p.row, p.column]
         assert all(max(abs(p.row - q.row), abs(p.column - q.column)) > distance for q in found[:i])
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 6))
+@settings(max_examples=30)
+def test_peaks_are_those_of_a_maximum_over_the_whole_image(seed, distance, count):
+    random = np.random.default_rng(seed)
+    quality = gaussian(random.random((60, 70), dtype=np.float32), random.uniform(0.0, 3.0))
+    quality = np.round(quality, random.integers(1, 6))  # with plateaus
+    best = quality == cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))
+    inner = np.zeros_like(best)
+    inner[distance:-distance, distance:-distance] = True
+    rows, columns = np.nonzero(best & inner & (quality > 0.3))
+    wanted = []
+    for i in np.argsort(-quality[rows, columns], kind="stable"):
+        if all(max(abs(rows[i] - r), abs(columns[i] - c)) > distance for r, c in wanted):
+            wanted.append((rows[i], columns[i]))
+    found = peaks(Maps(quality, quality, quality), count, distance, 0.3)
+    assert [(p.row, p.column) for p in found] == wanted[:count]
+
+
+@given(st.integers(0, 10**6), st.tuples(st.floats(0.0, 6.0), st.floats(0.0, 4.0), st.floats(0.0, 3.0)))
+@settings(max_examples=30)
+def test_a_grasp_at_a_pixel_is_that_of_the_whole_maps(seed, sigmas):
+    random = np.random.default_rng(seed)
+    raw, valid, smoothing = (
+        random.normal(size=(4, 40, 50)).astype(np.float32),
+        random.random((40, 50)) < 0.7,
+        Smoothing(*sigmas),
+    )
+    maps, everywhere = SmoothedMaps(raw, valid, smoothing), smoothed(raw, valid, smoothing)
+    for row, column in [(0, 0), (39, 49), (random.integers(40), random.integers(50))]:
+        found, wanted = maps.at(row, column), everywhere.at(row, column)
+        np.testing.assert_allclose(found[:3], wanted[:3], atol=1e-6)
+        np.testing.assert_allclose(found.width, wanted.width, atol=1e-4)
+        np.testing.assert_allclose(np.exp(2j * found.angle), np.exp(2j * wanted.angle), atol=1e-3)
+
+
+@given(st.integers(0, 10**6), st.floats(0.0, 6.0))
+@settings(max_examples=30)
+def test_the_quality_is_the_blur_of_the_whole_map(seed, sigma):
+    random = np.random.default_rng(seed)
+    raw, valid = random.normal(size=(4, 80, 90)).astype(np.float32), np.zeros((80, 90), bool)
+    row, column = random.integers(80), random.integers(90)
+    valid[row : row + random.integers(1, 30), column : column + random.integers(1, 30)] = True
+    found = SmoothedMaps(raw, valid, Smoothing(quality=sigma)).quality
+    np.testing.assert_allclose(found, gaussian(np.where(valid, raw[0], np.float32(0.0)), sigma), atol=1e-6)

@@ -20,7 +20,7 @@ VIEWS = (CAMERA, TABLE)
 NETWORK_SIDE = 300
 CROP_SIDE = 400
 TRIPLES = 64  # hypotheses: with a third of the pixels in the plane, one triple has no outlier in nine of ten images
-AT_ONCE = 16  # hypotheses that are judged at once: more would not stay in the processor's cache
+AT_ONCE = 2**16  # distances from hypotheses that are judged at once: more would not stay in the processor's cache
 GATE_SD = 3.0
 ROUNDS = 3
 FLAT = 1e-9  # a smaller determinant is of three pixels in a row
@@ -106,35 +106,76 @@ def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound 
     """
     if len(depth) < 3:
         return None
-    inverse = 1.0 / np.asarray(depth, dtype=float)
-    gate = GATE_SD * noise
-    picks = _picks(len(depth))
-    triples = rays[picks]
-    wide = np.abs(np.linalg.det(triples)) > FLAT
-    if not wide.any():
+    pixels, gate = _pixels(rays, depth), GATE_SD * noise
+    planes = _planes(pixels[:, _picks(len(depth))])
+    if not len(planes):
         return None
-    planes = np.linalg.solve(triples[wide], inverse[picks[wide]][..., None])[..., 0]
-    parts = (planes[i : i + AT_ONCE] for i in range(0, len(planes), AT_ONCE))
-    cost = [_clipped(part @ rays.T, inverse, gate) for part in parts]
-    a = planes[np.argmin(np.concatenate(cost))]
-    for _ in range(ROUNDS):
-        inside = np.abs(rays @ a - inverse) < gate
-        chosen = rays[inside]
-        squares = chosen.T @ chosen
-        if np.linalg.det(squares) < FLAT:
-            return None
-        a = np.linalg.solve(squares, chosen.T @ inverse[inside])
-    if not np.linalg.norm(a) > 0.0:
-        return None
-    return PlaneFound(a, np.count_nonzero(np.abs(rays @ a - inverse) < gate) / len(inverse))
+    step = max(1, AT_ONCE // len(depth))
+    parts = (planes[i : i + step] for i in range(0, len(planes), step))
+    cost = [_clipped(part @ pixels, gate) for part in parts]
+    return _refined(planes[np.argmin(np.concatenate(cost))], pixels, gate)
 
 
-def _clipped(off: np.ndarray, inverse: np.ndarray, gate: float) -> np.ndarray:
+def same_plane(known: PlaneFound, rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound | None:
+    """Returns a known plane as other pixels show it, without a search; None if too few lie in it. Arguments: as of
+    `best_plane`.
+    """
+    return _refined(np.append(known.a, -1.0), _pixels(rays, depth), GATE_SD * noise)
+
+
+def _pixels(rays: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Returns x, y, 1 and the inverse depth of pixels, shape (4, n). The product of a plane's a and -1 with them is how
+    far off the plane they are.
+    """
+    pixels = np.empty((4, len(depth)))
+    pixels[:3] = rays.T
+    np.divide(1.0, depth, out=pixels[3], dtype=float)
+    return pixels
+
+
+def _planes(triples: np.ndarray) -> np.ndarray:
+    """Returns the planes through those triples of pixels, shape (4, m, 3), that are not in a row: a and -1, (k, 4)."""
+    x, y, _, inverse = triples[..., 0]
+    (x1, x2), (y1, y2), _, (z1, z2) = np.moveaxis(triples[..., 1:] - triples[..., :1], 2, 1)
+    area = x1 * y2 - x2 * y1
+    wide = np.abs(area) > FLAT
+    area[~wide] = 1.0
+    planes = np.full((len(area), 4), -1.0)
+    planes[:, 0] = a = (z1 * y2 - z2 * y1) / area
+    planes[:, 1] = b = (x1 * z2 - x2 * z1) / area
+    planes[:, 2] = inverse - a * x - b * y
+    return planes if wide.all() else planes[wide]
+
+
+def _clipped(off: np.ndarray, gate: float) -> np.ndarray:
     """Returns the sums over the pixels of how far planes are off, at most the gate each; `off` is overwritten."""
-    off -= inverse
     np.abs(off, out=off)
     np.minimum(off, gate, out=off)
     return off.sum(axis=1)
+
+
+def _refined(plane: np.ndarray, pixels: np.ndarray, gate: float) -> PlaneFound | None:
+    """Returns the plane, shape (4,), fitted to the pixels, shape (4, n), within the gate; None if they are no plane."""
+    for _ in range(ROUNDS):
+        inside = pixels.compress(np.abs(plane @ pixels) < gate, axis=1)
+        (xx, xy, x, xz), (_, yy, y, yz), (_, _, n, z), _ = (inside @ inside.T).tolist()
+        # The inverse of a symmetric matrix by its cofactors.
+        a, b, c, d, e, f = (
+            yy * n - y * y,
+            x * y - xy * n,
+            xy * y - x * yy,
+            xx * n - x * x,
+            xy * x - xx * y,
+            xx * yy - xy * xy,
+        )
+        determinant = xx * a + xy * b + x * c
+        if determinant < FLAT:
+            return None
+        solution = a * xz + b * yz + c * z, b * xz + d * yz + e * z, c * xz + e * yz + f * z
+        plane = np.array([*(value / determinant for value in solution), -1.0])
+    if not plane[:3].any():
+        return None
+    return PlaneFound(plane[:3], np.count_nonzero(np.abs(plane @ pixels) < gate) / pixels.shape[1])
 
 
 @functools.lru_cache(maxsize=1024)

@@ -6,7 +6,8 @@ where it jumps from +90 to -90 degrees.
 
 from __future__ import annotations
 
-import math
+import copy
+import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import numpy as np
 PARALLEL, REFLEX = HANDS = "parallel", "reflex"  # whose grasps the maps are of; files count them, so new ones come last
 WIDTH_SCALE_PX = 150.0  # the opening, in pixels of the network's image, that the width map calls 1
 HIGHEST_QUALITY = 1.4  # that is expected; a network that says more is evaluated everywhere
+ROUNDED = 0.999  # a blur in single precision is off by less
 THRESHOLD = 0.2  # lowest quality of a peak where nothing else is configured
 
 
@@ -28,27 +30,52 @@ class Smoothing:
     width: float = 1.0
 
 
-def reach(smoothing: Smoothing, threshold: float | None) -> int | None:
-    """Returns how far from graspable pixels the maps decide on the peaks above a threshold, rows and columns [px]; None
-    for everywhere: without a threshold.
+def decisive(graspable: np.ndarray, smoothing: Smoothing, threshold: float | None) -> np.ndarray | None:
+    """Returns where the maps decide on the peaks above a threshold, shape (h, w), bool; None for everywhere: without a
+    threshold. `graspable`: shape (h, w), bool, with even sides.
 
-    A Gaussian has the fraction exp(-d^2 / (2 sigma^2)) of its mass beyond the distance d. So a pixel as far from all
-    graspable ones, whose quality is at most `HIGHEST_QUALITY`, has less than that after the blur. At a peak the blurs
-    of angle and opening read what is around it.
+    Peaks are where the blurred quality is above the threshold, which it cannot be if `HIGHEST_QUALITY` in each
+    graspable pixel is not enough. There the blurs of angle and opening read what is around a peak. This is decided for
+    blocks of 2 x 2 pixels, which count as graspable if one of them is.
     """
     if threshold is None or threshold <= 0.0:
         return None
-    peak = smoothing.quality * math.sqrt(2.0 * math.log(max(1.0, HIGHEST_QUALITY / threshold)))
-    farthest = min(radius(smoothing.quality), math.ceil(peak))
-    return farthest + max(radius(smoothing.angle), radius(smoothing.width))
+    halves = blocks(graspable, 2)
+    above = halves
+    if smoothing.quality > 0.0:
+        weights = _block_weights(smoothing.quality)
+        share = cv2.sepFilter2D(halves.astype(np.float32), -1, weights, weights, borderType=cv2.BORDER_REFLECT)
+        above = share > ROUNDED * threshold / HIGHEST_QUALITY
+    read = -(-max(radius(smoothing.angle), radius(smoothing.width)) // 2)
+    return enlarged(near(above, read) | halves, 2)
 
 
-class Maps(NamedTuple):
-    """What the network says of each pixel, each shape (h, w)."""
+@functools.lru_cache(maxsize=16)
+def _block_weights(sigma: float) -> np.ndarray:
+    """Returns the weight that a Gaussian's blur of one pixel gives to two neighbours, at most, by their distance in
+    such blocks.
+    """
+    reached = radius(sigma) // 2 + 1
+    pixel = cv2.getGaussianKernel(2 * radius(sigma) + 1, sigma, cv2.CV_32F).ravel()
+    padded = np.pad(pixel, 2 * reached + 2 - radius(sigma))  # its middle is at 2 reached + 2
+    pairs = padded[:-1] + padded[1:]
+    return np.maximum(pairs[1:-1:2], pairs[2::2])
 
-    quality: np.ndarray  # about 0 to 1
-    angle: np.ndarray  # of the line through both fingers, from the horizontal, anticlockwise, [-pi/2, pi/2] [rad]
-    width: np.ndarray  # opening [px]
+
+def blocks(mask: np.ndarray, side: int) -> np.ndarray:
+    """Returns which blocks of `side` rows and columns hold anything, shape (h / side, w / side), bool."""
+    rows = np.logical_or.reduce([mask[i::side] for i in range(side)])
+    return np.logical_or.reduce([rows[:, i::side] for i in range(side)])
+
+
+def enlarged(mask: np.ndarray, factor: int) -> np.ndarray:
+    """Returns the mask with each pixel as a block of `factor` rows and columns."""
+    return mask.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def near(mask: np.ndarray, distance: int) -> np.ndarray:
+    """Returns what is within `distance` rows and columns of the mask, bool."""
+    return cv2.dilate(mask.view(np.uint8), np.ones((2 * distance + 1, 2 * distance + 1), np.uint8)).view(bool)
 
 
 class Peak(NamedTuple):
@@ -61,14 +88,77 @@ class Peak(NamedTuple):
     width: float  # opening [px]
 
 
+class Maps(NamedTuple):
+    """What the network says of each pixel, each shape (h, w)."""
+
+    quality: np.ndarray  # about 0 to 1
+    angle: np.ndarray  # of the line through both fingers, from the horizontal, anticlockwise, [-pi/2, pi/2] [rad]
+    width: np.ndarray  # opening [px]
+
+    def at(self, row: int, column: int) -> Peak:
+        """Returns the grasp at a pixel."""
+        return Peak(row, column, *(float(m[row, column]) for m in self))
+
+    def with_quality(self, quality: np.ndarray) -> Maps:
+        """Returns the maps with another quality, shape (h, w)."""
+        return self._replace(quality=quality)
+
+
+class SmoothedMaps:
+    """The maps of `smoothed`; angle and opening are computed where they are asked for."""
+
+    def __init__(self, output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> None:
+        self._output, self._smoothing = output, smoothing
+        self.quality = np.zeros(valid.shape, np.float32)
+        reached, (x, y, w, h) = radius(smoothing.quality), cv2.boundingRect(valid.view(np.uint8))
+        # Beyond the blur's reach the quality is 0.
+        part = slice(max(0, y - reached), y + h + reached), slice(max(0, x - reached), x + w + reached)
+        self.quality[part] = gaussian(np.where(valid[part], output[0][part], np.float32(0.0)), smoothing.quality)
+
+    @functools.cached_property
+    def angle(self) -> np.ndarray:
+        """As in `Maps`."""
+        return _angle(*(gaussian(part, self._smoothing.angle) for part in self._output[1:3]))
+
+    @functools.cached_property
+    def width(self) -> np.ndarray:
+        """As in `Maps`."""
+        return gaussian(self._output[3], self._smoothing.width) * np.float32(WIDTH_SCALE_PX)
+
+    def at(self, row: int, column: int) -> Peak:
+        """Returns the grasp at a pixel."""
+        cos, sin = (_blurred_pixel(part, row, column, self._smoothing.angle) for part in self._output[1:3])
+        width = _blurred_pixel(self._output[3], row, column, self._smoothing.width) * np.float32(WIDTH_SCALE_PX)
+        return Peak(row, column, float(self.quality[row, column]), float(_angle(cos, sin)), float(width))
+
+    def with_quality(self, quality: np.ndarray) -> SmoothedMaps:
+        """Returns the maps with another quality, shape (h, w)."""
+        other = copy.copy(self)
+        other.quality = quality
+        return other
+
+    def everywhere(self) -> Maps:
+        """Returns all three maps."""
+        return Maps(self.quality, self.angle, self.width)
+
+
 def smoothed(output: np.ndarray, valid: np.ndarray, smoothing: Smoothing) -> Maps:
     """Returns the smoothed maps; `output`: of the network, shape (4, h, w); `valid`: where the camera had a reading,
     shape (h, w); elsewhere the quality is 0 before it is smoothed.
     """
-    quality, cos, sin, width = output
-    quality = gaussian(np.where(valid, quality, np.float32(0.0)), smoothing.quality)
-    angle = 0.5 * np.arctan2(gaussian(sin, smoothing.angle), gaussian(cos, smoothing.angle))
-    return Maps(quality, angle, gaussian(width, smoothing.width) * np.float32(WIDTH_SCALE_PX))
+    return SmoothedMaps(output, valid, smoothing).everywhere()
+
+
+def _angle(cos: np.ndarray | np.float32, sin: np.ndarray | np.float32) -> np.ndarray:
+    return np.float32(0.5) * np.arctan2(sin, cos)
+
+
+def _blurred_pixel(image: np.ndarray, row: int, column: int, sigma: float) -> np.float32:
+    """Returns a pixel of the blurred image."""
+    top, left = max(0, row - radius(sigma)), max(0, column - radius(sigma))
+    around = image[top : row + radius(sigma) + 1, left : column + radius(sigma) + 1]
+    # At the image's border the part is mirrored as the whole image is.
+    return gaussian(np.ascontiguousarray(around), sigma)[row - top, column - left]
 
 
 def radius(sigma: float) -> int:
@@ -84,29 +174,25 @@ def gaussian(image: np.ndarray, sigma: float) -> np.ndarray:
     return cv2.GaussianBlur(image, (side, side), sigma, borderType=cv2.BORDER_REFLECT)
 
 
-def peaks(maps: Maps, count: int, distance: int = 20, threshold: float = THRESHOLD) -> list[Peak]:
+def peaks(maps: Maps | SmoothedMaps, count: int, distance: int = 20, threshold: float = THRESHOLD) -> list[Peak]:
     """Returns the best local maxima of quality, best first, `distance` rows or columns apart and from the border."""
     quality = maps.quality
-    highest = cv2.dilate(quality, np.ones((2 * distance + 1, 2 * distance + 1), np.uint8))
-    is_peak = (quality == highest) & (quality > threshold)
-    inner = np.zeros_like(is_peak)
-    inner[distance : len(quality) - distance, distance : quality.shape[1] - distance] = True
-    rows, columns = np.nonzero(is_peak & inner)
+    rows, columns = (slice(distance, size - distance) for size in quality.shape)
+    highest = cv2.dilate(quality, np.ones((3, 3), np.uint8))[rows, columns]
+    inner = quality[rows, columns]
+    at = np.argwhere((inner == highest) & (inner > threshold)) + distance
     chosen: list[Peak] = []
-    for i in np.argsort(-quality[rows, columns], kind="stable"):
-        row, column = int(rows[i]), int(columns[i])
-        if all(max(abs(row - p.row), abs(column - p.column)) > distance for p in chosen):
-            chosen.append(peak_at(maps, row, column))
+    for i in np.argsort(-quality[at[:, 0], at[:, 1]], kind="stable"):
+        row, column = at[i].tolist()
+        around = quality[row - distance : row + distance + 1, column - distance : column + distance + 1]
+        apart = all(max(abs(row - p.row), abs(column - p.column)) > distance for p in chosen)
+        if apart and quality[row, column] == around.max():
+            chosen.append(maps.at(row, column))
             if len(chosen) == count:
                 break
     return chosen
 
 
-def highest(maps: Maps) -> Peak:
+def highest(maps: Maps | SmoothedMaps) -> Peak:
     """Returns the pixel of the highest quality."""
-    return peak_at(maps, *(int(i) for i in np.unravel_index(np.argmax(maps.quality), maps.quality.shape)))
-
-
-def peak_at(maps: Maps, row: int, column: int) -> Peak:
-    """Returns the grasp at a pixel."""
-    return Peak(row, column, *(float(m[row, column]) for m in maps))
+    return maps.at(*(int(i) for i in np.unravel_index(np.argmax(maps.quality), maps.quality.shape)))

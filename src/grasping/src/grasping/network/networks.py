@@ -11,7 +11,7 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Callable, NamedTuple, TypeVar
 
 import numpy as np
@@ -20,11 +20,13 @@ import torch.nn.functional as F
 from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE
+from grasping.network.strips import Strip, array, put, side_by_side, tensor, with_margin
 
 Network = TypeVar("Network", bound=nn.Module)
 MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
-BAND = 10  # rows of GG-CNN's features that are evaluated at once
+BAND = 10  # rows of GG-CNN's features in a strip
+AT_ONCE = 3  # strips as wide as the image that are evaluated at once
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 
 
@@ -73,21 +75,19 @@ class GGCNN(nn.Module):
         """Returns the input of the last transposed convolution, shape (n, 16, h / 3, w / 3)."""
         check_side(depth, self.side_multiple)
         x = depth
-        for layer, (before, after) in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
-            if before == after:
-                x = F.conv2d(x, layer.weight, layer.bias, layer.stride, before)
-            else:
-                x = layer(F.pad(x, (before, after, before, after)))
-            x = F.relu(x)
+        for layer, border in zip((self.conv1, self.conv2), self.borders.conv):
+            x = bordered(layer, x, border)
+        return self.upwards(x)
+
+    def upwards(self, x: torch.Tensor) -> torch.Tensor:
+        """Returns the same of the features behind the first two layers, shape (n, 16, h / 6, w / 6)."""
+        x = bordered(self.conv3, x, self.borders.conv[2])
         for transposed, start in zip((self.convt1, self.convt2), self.borders.crop):
             rows, columns = (2 * n for n in x.shape[2:])
-            if start == transposed.kernel_size[0] // 2:
-                x = F.conv_transpose2d(
-                    x, transposed.weight, transposed.bias, transposed.stride, start, output_padding=1
-                )
-            else:
-                x = transposed(x)[:, :, start : start + rows, start : start + columns]
-            x = F.relu(x)
+            weight, bias = transposed.weight, transposed.bias
+            # Torch is slow with this kernel and stride.
+            full = shuffled_transpose(x, weight, bias, 2) if transposed is self.convt2 else transposed(x)
+            x = F.relu(full[:, :, start : start + rows, start : start + columns])
         return x
 
 
@@ -127,50 +127,45 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2
 
 
 class ShuffledHeads:
-    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, by windows.
+    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, in strips.
 
     A head is a 2 x 2 convolution, so each of its four taps can be evaluated where the transposed convolution leaves
-    its 3 x 3 remainders; what is shuffled are the sums of the taps. A window's features stay in the cache.
+    its 3 x 3 remainders; what is shuffled are the products of the taps.
     """
+
+    seam = 3  # columns of the features that a strip reads beside its own
 
     def __init__(self, network: GGCNN) -> None:
         weight, bias = network.convt3.weight.detach(), network.convt3.bias
-        kernel = _remainders(weight).permute(2, 3, 1, 0, 4, 5).reshape(-1, 9 * weight.shape[0])  # by remainder, channel
-        # The last column is the bias, for an input that is one.
-        self._kernel = torch.cat([kernel, bias.detach().repeat(9)[:, None]], dim=1).contiguous()  # type: ignore[union-attr]
+        inputs, outputs = weight.shape[:2]
+        kernel = _remainders(weight, 3).permute(2, 3, 1, 0, 4, 5)  # by remainder and channel
+        self._kernel = kernel.reshape(9 * outputs, inputs, 3, 3).contiguous(memory_format=torch.channels_last)
+        self._bias = bias.detach().repeat(9)  # type: ignore[union-attr]
         heads, head_bias = stacked_heads(network)
-        self._taps = heads.detach().permute(2, 3, 0, 1).reshape(-1, heads.shape[1]).contiguous()  # by tap, head
-        self._bias = head_bias.detach()[:, None, None]
+        self._taps = heads.detach().permute(1, 2, 3, 0).reshape(outputs, -1).contiguous()  # by tap and head
+        self._head_bias = head_bias.detach()
         self._padded_heads = network.borders.head == (0, 1)
 
-    def into(self, maps: torch.Tensor, x: torch.Tensor, windows: Iterable[tuple[slice, slice]]) -> None:
-        """Writes windows, slices of rows and columns of `x`, of the maps, shape (4, 3 h, 3 w); `x`: the features, shape
-        (1, 16, h, w).
-        """
-        _, channels, h, w = x.shape
-        x = F.pad(x, (1, 2, 1, 2)).contiguous()[0]
-        shuffled = maps.view(len(maps), h, 3, w, 3)
-        for window in windows:
-            (row, rows), (column, columns) = ((part.start, part.stop - part.start) for part in window)
-            # One row and column more than are wanted: a head's second tap can be in the next pixel.
-            size = channels, 3, 3, rows + 1, columns + 1
-            strides = x.stride(0), x.stride(1), x.stride(2), x.stride(1), x.stride(2)
-            patches = torch.ones(9 * channels + 1, (rows + 1) * (columns + 1))
-            patches[:-1].view(size).copy_(x[:, row:, column:].as_strided(size, strides))
-            full = (self._kernel @ patches).relu_().view(9, -1, rows + 1, columns + 1)
-            if self._padded_heads:
-                full[:, :, h - row :] = 0.0
-                full[:, :, :, w - column :] = 0.0
-            taps = torch.matmul(self._taps, full.view(9, -1, (rows + 1) * (columns + 1)))
-            taps = taps.view(3, 3, 2, 2, len(maps), rows + 1, columns + 1)
-            across = taps[:, :, :, 0, :, :, :-1]
-            across[:, :2] += taps[:, 1:, :, 1, :, :, :-1]
-            across[:, 2] += taps[:, 0, :, 1, :, :, 1:]
-            down = across[:, :, 0, :, :-1]
-            down[:2] += across[1:, :, 1, :, :-1]
-            down[2] += across[0, :, 1, :, 1:]
-            down += self._bias
-            shuffled[:, row : row + rows, :, column : column + columns] = down.permute(2, 3, 0, 4, 1)
+    def into(self, maps: np.ndarray, x: np.ndarray, found: Sequence[Strip], rows: int) -> None:
+        """Writes strips of so many rows of `x` into the maps, shape (4, 3 h, 3 w); `x`: features, shape (h, w, 16)."""
+        h, w, _ = x.shape
+        laid = side_by_side([with_margin(x, strip, rows, 1, 2) for strip in found])
+        full = F.conv2d(tensor(laid), self._kernel, self._bias).relu_()[0].permute(1, 2, 0)
+        if self._padded_heads:
+            column = 0
+            for strip in found:
+                last = column + strip.stop - strip.start
+                full[h - strip.row :, column : last + 1] = 0.0
+                full[:, last : last + (strip.stop == w)] = 0.0
+                column = last + self.seam
+        size = full.shape[:2]
+        taps = (full.reshape(-1, self._taps.shape[0]) @ self._taps).view(*size, 3, 3, 2, 2, len(maps))
+        taps = taps.permute(0, 2, 1, 3, 4, 5, 6).reshape(3 * size[0], 3 * size[1], 2, 2, len(maps))
+        values = taps[:-3, :-3, 0, 0] + taps[:-3, 1:-2, 0, 1]
+        values += taps[1:-2, :-3, 1, 0]
+        values += taps[1:-2, 1:-2, 1, 1]
+        values += self._head_bias
+        put(maps.transpose(1, 2, 0), [strip.scaled(3) for strip in found], values.numpy(), 3 * self.seam)
 
 
 class FrozenGGCNN:
@@ -184,10 +179,11 @@ class FrozenGGCNN:
         n, _, h, w = depth.shape
         maps = torch.empty(n, len(MAPS), h, w)
         with torch.no_grad():
-            for image, found in zip(depth, maps):
-                x = self._network.features(image[None])
-                bands = (slice(row, min(row + BAND, h // 3)) for row in range(0, h // 3, BAND))
-                self._heads.into(found, x, ((band, slice(0, w // 3)) for band in bands))
+            for image, found in zip(depth, maps.numpy()):
+                x = array(self._network.features(image[None]))
+                bands = [Strip(min(row, h // 3 - BAND), 0, w // 3) for row in range(0, h // 3, BAND)]
+                for i in range(0, len(bands), AT_ONCE):
+                    self._heads.into(found, x, bands[i : i + AT_ONCE], BAND)
         return maps
 
 
@@ -213,19 +209,31 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> MapNetwork:
 
 def channels_last(network: Network) -> Network:
     """Turns a network's weights into the order that a CPU is fastest with; returns the network."""
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+    network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # not in torch's types
+    for module in network.modules():
+        # With one input channel torch sees no difference and leaves the strides, which are slow without AVX-512.
+        if isinstance(module, nn.Conv2d) and module.in_channels == 1:
+            outputs, _, rows, columns = module.weight.shape
+            module.weight.data = module.weight.data.as_strided(module.weight.shape, (rows * columns, 1, columns, 1))
+    return network
 
 
-def shuffled_transpose(x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None) -> torch.Tensor:
-    """Returns the transposed convolution with stride 3 and a 9 x 9 kernel, by a convolution and a pixel shuffle.
+def shuffled_transpose(
+    x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None, stride: int = 3
+) -> torch.Tensor:
+    """Returns the transposed convolution, whose kernel is 9 x 9 or 5 x 5 and whose stride 3 or 2, by a convolution and
+    a pixel shuffle.
 
-    Output row 3 q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row 3 m + r: for each remainder r
-    a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, 9, 9), `bias` (o,): (n, o, 3 h + 6, 3 w + 6).
+    With stride s, output row s q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row s m + r: for each
+    remainder r a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, k, k), `bias` (o,): (n, o, s h + k - s,
+    s w + k - s).
     """
-    i, o = weight.shape[:2]
-    kernel = _remainders(weight).permute(1, 2, 3, 0, 4, 5).reshape(9 * o, i, 3, 3)
-    bias = None if bias is None else bias.repeat_interleave(9)
-    return F.pixel_shuffle(F.conv2d(x, kernel, bias, padding=2), 3)
+    i, o, k = weight.shape[:3]
+    kernel = _remainders(weight, stride).permute(1, 2, 3, 0, 4, 5).reshape(stride * stride * o, i, 3, 3)
+    bias = None if bias is None else bias.repeat_interleave(stride * stride)
+    full = F.pixel_shuffle(F.conv2d(x, kernel, bias, padding=2), stride)
+    rows, columns = (stride * size + k - stride for size in x.shape[2:])
+    return full[:, :, :rows, :columns]
 
 
 def check_side(depth: torch.Tensor, multiple: int) -> None:
@@ -235,6 +243,14 @@ def check_side(depth: torch.Tensor, multiple: int) -> None:
     h, w = depth.shape[2:]
     if h % multiple or w % multiple:
         raise ValueError(f"the image is {w} x {h}, but its sides must be multiples of {multiple}")
+
+
+def bordered(layer: nn.Conv2d, x: torch.Tensor, border: tuple[int, int]) -> torch.Tensor:
+    """Returns what a convolution and its ReLU make of the input with so many zeros before and behind it."""
+    before, after = border
+    if before == after:
+        return F.relu(F.conv2d(x, layer.weight, layer.bias, layer.stride, before))
+    return F.relu(layer(F.pad(x, (before, after, before, after))))
 
 
 def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tuple[nn.Module, nn.Module]:
@@ -252,12 +268,14 @@ def _heads(network: nn.Module, x: torch.Tensor) -> torch.Tensor:
     return F.conv2d(x, *stacked_heads(network))
 
 
-def _remainders(weight: torch.Tensor) -> torch.Tensor:
-    """Returns a transposed convolution's kernel, shape (i, o, 9, 9), as convolutions of its remainders: shape
-    (i, o, 3, 3, 3, 3), the remainders of row and column, then the taps, reversed because a convolution correlates.
+def _remainders(weight: torch.Tensor, stride: int) -> torch.Tensor:
+    """Returns a transposed convolution's kernel, shape (i, o, k, k), as convolutions of its remainders: shape
+    (i, o, stride, stride, 3, 3), the remainders of row and column, then the taps, reversed because a convolution
+    correlates. The kernel is filled up with zeros to three taps.
     """
-    i, o = weight.shape[:2]
-    return weight.reshape(i, o, 3, 3, 3, 3).flip(2, 4).permute(0, 1, 3, 5, 2, 4)
+    i, o, k = weight.shape[:3]
+    full = F.pad(weight, (0, 3 * stride - k) * 2)
+    return full.reshape(i, o, 3, stride, 3, stride).flip(2, 4).permute(0, 1, 3, 5, 2, 4)
 
 
 def _initialise(network: nn.Module) -> None:

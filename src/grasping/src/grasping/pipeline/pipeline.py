@@ -11,13 +11,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from torch import nn
 
 from common.camera_model import CameraModel
 from common.poses import inverse, read_only
 from grasping.network.around import around
-from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, Smoothing, highest, peaks, reach, smoothed
+from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, SmoothedMaps, Smoothing, decisive, highest, peaks
 from grasping.network.networks import frozen, infer
 from grasping.pipeline import projection, refined_grasp
 from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
@@ -81,7 +82,7 @@ class PipelineResult(NamedTuple):
     """The result for one depth image."""
 
     view: GraspView | None  # the network's input, None where there was nothing to see
-    maps: Maps | None  # smoothed, with the quality for this hand; None likewise
+    maps: Maps | SmoothedMaps | None  # smoothed, with the quality for this hand; None likewise
     candidates: tuple[GraspCandidate, ...]  # one for each peak, best first
     grasps: tuple[GraspProposal, ...]  # the candidates that passed all limits, tracked, best first
     reason: str  # why there is no grasp, a clause; empty if there is one
@@ -163,10 +164,12 @@ class GraspPipeline:
         """Returns the network's maps, shape (4, h, w), and where they were evaluated, shape (h, w), None: everywhere.
         In a view that is flat beside its objects, they are only as far as peaks and the blurs about them reach.
         """
-        margin = reach(self._settings.smoothing, self._settings.threshold)
-        if self._around is not None and view.flat and margin is not None and view.graspable.mean() < MOST_GRASPABLE:
-            output, known = self._around(view.image.input, view.graspable, margin)
-            if not (output[0][view.graspable] > HIGHEST_QUALITY).any():
+        s, graspable, wanted = self._settings, view.graspable, None
+        if view.flat and np.count_nonzero(graspable) < MOST_GRASPABLE * graspable.size:
+            wanted = decisive(graspable, s.smoothing, s.threshold)
+        if self._around is not None and wanted is not None:
+            output, known = self._around(view.image.input, graspable, wanted)
+            if cv2.minMaxLoc(output[0], graspable.view(np.uint8))[1] <= HIGHEST_QUALITY:
                 return output, known
         return infer(self.network, view.image.input), None
 
@@ -175,13 +178,15 @@ class GraspPipeline:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak] | list[refined_grasp.RefinedPeak]]:
+    def _peaks(
+        self, output: np.ndarray, view: GraspView
+    ) -> tuple[Maps | SmoothedMaps, list[Peak] | list[refined_grasp.RefinedPeak]]:
         """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers."""
         s = self._settings
         if self._refinement is None:
-            maps = maps_of(output, view, s)
-            return maps, [highest(maps)] if s.threshold is None else peaks(maps, s.count, s.distance, s.threshold)
-        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING))
+            found = maps_of(output, view, s)
+            return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
+        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING)).everywhere()
         widest = np.inf if s.tool is None else s.tool.max_opening
         seen = maps, np.hypot(output[1], output[2]), view.image, view.camera
         return maps, refined_grasp.refined_peaks(self._refinement, *seen, s.count, s.distance, s.threshold, widest)
@@ -247,9 +252,9 @@ class GraspPipeline:
         return OUT_OF_SIGHT
 
 
-def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
+def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> SmoothedMaps:
     """Returns the maps for peaks: the output, shape (4, h, w), smoothed and with the hand's preference."""
-    maps = smoothed(output, view.graspable, settings.smoothing)
+    maps = SmoothedMaps(output, view.graspable, settings.smoothing)
     if settings.tool is None or settings.threshold is None:
         return maps
     return preferred(maps, projection.pixel_size(view.image, view.camera), settings.tool, settings.threshold)

@@ -6,6 +6,7 @@ The frame of a grasp: z the approach, at first along the camera's axis; x throug
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import choice, integer, number
 from common.poses import pose, read_only
-from common.rotations import cross, rotation_about, unit
+from common.rotations import rotation_about
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
@@ -74,29 +75,37 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     (3,). The fingers keep their line and pixels in the image: they move in the plane through the grasp across the
     approach. None if the camera looks along that plane.
     """
-    p, n = grasp.T_camera_grasp[:3, 3], np.asarray(approach, dtype=float)
-    half = 0.5 * grasp.width * camera.K[0, 0] / p[2]
-    line = max(half, 1.0) * np.array([np.cos(grasp.angle), -np.sin(grasp.angle)])  # a closed gripper has a line too
-    rays = camera.rays(np.array([grasp.pixel - line, grasp.pixel + line]))
-    if (rays @ n / np.linalg.norm(rays, axis=1)).min() < LEAST_FACING:
-        return None
-    ends = rays * (p @ n) / (rays @ n)[:, None]
-    across = ends[1] - ends[0]
-    x = unit(across)
-    T = pose(np.column_stack([x, cross(n, x), n]), p)
-    width = float(np.linalg.norm(across)) * half / max(half, 1.0)
-    return grasp._replace(T_camera_grasp=read_only(T), width=width)
+    (px, py, pz), (nx, ny, nz) = grasp.T_camera_grasp[:3, 3].tolist(), np.asarray(approach, dtype=float).tolist()
+    half = 0.5 * grasp.width * float(camera.K[0, 0]) / pz
+    long = max(half, 1.0)  # a closed gripper has a line too
+    (u, v), du, dv = grasp.pixel, long * math.cos(grasp.angle), -long * math.sin(grasp.angle)
+    ends = []
+    for x, y, z in camera.rays([(u - du, v - dv), (u + du, v + dv)]).tolist():
+        along_n = x * nx + y * ny + z * nz
+        if along_n < LEAST_FACING * math.sqrt(x * x + y * y + z * z):
+            return None
+        far = (px * nx + py * ny + pz * nz) / along_n
+        ends.append((far * x, far * y, far * z))
+    ax, ay, az = (end - start for start, end in zip(*ends))
+    length = math.sqrt(ax * ax + ay * ay + az * az)
+    x, y, z = ax / length, ay / length, az / length
+    T = [
+        (x, ny * z - nz * y, nx, px),
+        (y, nz * x - nx * z, ny, py),
+        (z, nx * y - ny * x, nz, pz),
+        (0.0, 0.0, 0.0, 1.0),
+    ]
+    return grasp._replace(T_camera_grasp=read_only(T), width=length * half / long)
 
 
 def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
     """Returns a grasp's angle [rad], pixel (u, v) and opening [px] in an image; its pose is (4, 4) [m], `width` [m]."""
     p, x = T_camera_grasp[:3, 3], T_camera_grasp[:3, 0]
     half = max(0.5 * width, CLOSED_M)
-    left, right = camera.project(np.stack([p - half * x, p + half * x]))
-    du, dv = right - left
-    angle = np.arctan(-dv / du) if du else 0.5 * np.pi
-    px = np.hypot(du, dv) * 0.5 * width / half
-    return float(angle), tuple(camera.project(p).tolist()), float(px)
+    left, right, middle = camera.project([p - half * x, p + half * x, p]).tolist()
+    du, dv = right[0] - left[0], right[1] - left[1]
+    angle = math.atan(-dv / du) if du else 0.5 * math.pi
+    return angle, tuple(middle), math.hypot(du, dv) * 0.5 * float(width) / half
 
 
 def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
@@ -137,12 +146,11 @@ def surface_normal(
     window = slice(max(0, row - half), row + half + 1), slice(max(0, column - half), column + half + 1)
     near = depth[window]
     with np.errstate(invalid="ignore"):
-        known = np.abs(near - z) < config.radius
-    count = int(known.sum())
-    if count < config.min_pixels:
+        known = np.flatnonzero(np.abs(near - z) < config.radius)
+    if len(known) < config.min_pixels:
         return None
-    stride = max(1, count // MAX_PIXELS)
-    plane = best_plane(rays[window][known][::stride].astype(float), near[known][::stride], config.noise)
+    known = known[:: max(1, len(known) // MAX_PIXELS)]
+    plane = best_plane(rays[window].reshape(-1, 3)[known], near.ravel()[known], config.noise)
     if plane is None or plane.share < config.min_share:
         return None
     tilt = np.degrees(np.arccos(np.clip(plane.direction[2], -1.0, 1.0)))

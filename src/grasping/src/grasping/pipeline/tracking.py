@@ -53,19 +53,23 @@ class MapAverage:
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
             return output.copy(), True
-        for average, newest in zip(averages, (output, depth)):
-            average += np.float32(self._config.weight) * (newest - average)
+        average, _ = self._averages = self._mean(averages[0], output), self._mean(averages[1], depth)
+        pixels, newest = average.reshape(len(average), -1), output.reshape(len(output), -1)
         if known is not None:
-            averages[0][:, ~known if before is None else before & ~known] = 0.0
+            pixels[:, np.flatnonzero(~known if before is None else before & ~known)] = 0.0
         if before is not None:
-            begins = ~before if known is None else known & ~before
-            averages[0][1:, begins] = output[1:, begins]
-        return averages[0].copy(), False
+            begins = np.flatnonzero(~before if known is None else known & ~before)
+            pixels[1:, begins] = newest[1:, begins]
+        return average.copy(), False
+
+    def _mean(self, average: np.ndarray, newest: np.ndarray) -> np.ndarray:
+        w, rows = self._config.weight, (-1, newest.shape[-1])
+        return cv2.addWeighted(newest.reshape(rows), w, average.reshape(rows), 1.0 - w, 0.0).reshape(newest.shape)
 
     def _moved(self, average: np.ndarray, depth: np.ndarray) -> bool:
         """Returns whether more than edges, which flicker, differ from the averaged depth."""
-        differs = (np.abs(depth - average) > self._config.step).astype(np.uint8)
-        return float(np.mean(cv2.erode(differs, EDGE))) > self._config.share
+        differs = cv2.absdiff(depth, average) > self._config.step
+        return np.count_nonzero(cv2.erode(differs.view(np.uint8), EDGE)) > self._config.share * depth.size
 
 
 @dataclass(frozen=True)

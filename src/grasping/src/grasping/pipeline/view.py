@@ -26,10 +26,12 @@ from grasping.network.depth_image import (
     best_plane,
     centre_crop,
     prepare,
+    same_plane,
 )
 
 STRIDE = 6  # pixels of the camera's image, in rows and columns, to one in which the table is looked for
 GAP = np.ones((5, 5), np.uint8)
+ROUNDED = 1e-5  # error of a height in single precision, at most [m]
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,8 @@ class _Place(NamedTuple):
     table: PlaneFound  # as it was found
     T: np.ndarray  # pose of the view's camera in the real one, shape (4, 4) [m]
     turned: np.ndarray  # directions of the real camera's pixels in the view's axes, shape (3, h, w), float32
-    shift: np.ndarray  # of the real camera in the view's axes, shape (3,) [m]
+    shift: np.ndarray  # of the real camera in the view's axes, shape (3,), float32 [m]
+    above: np.ndarray  # depth at which each of its pixels would still show table, shape (h, w), float32 [m]
 
 
 class TableView:
@@ -146,25 +149,40 @@ class TableView:
         if not known.any():
             raise NoView("the depth image holds no reading inside the crop")
         c = self._config
-        seen_rays, seen_depth = rays[window][known].astype(float), depth[window][known]
+        seen_rays, seen_depth = rays[window][known], depth[window][known]
+        middle = rays[crop.row + crop.side // 2, crop.column + crop.side // 2].astype(float)
+        made_for = (camera.K.tobytes(), camera.D.tobytes(), depth.shape, crop)
+        place = self._place if self._place is not None and self._place.made_for == made_for else None
+        if place is not None and self._stays(same_plane(place.table, seen_rays, seen_depth, c.noise), place, middle):
+            return place
         table = best_plane(seen_rays, seen_depth, c.noise)
         if table is None or table.share < c.min_share:
             share = 0.0 if table is None else table.share
             raise NoView(f"no table is seen: {share:.0%} of the pixels lie in one plane")
-        middle = rays[crop.row + crop.side // 2, crop.column + crop.side // 2].astype(float)
-        slope = np.degrees(np.arccos(np.clip(unit(middle) @ table.direction, -1.0, 1.0)))
+        slope = _slope(table, middle)
         if slope > c.max_slope:
             raise NoView(f"the largest plane is seen too flatly to be the table: {slope:.0f} degrees off its normal")
-        made_for = (camera.K.tobytes(), camera.D.tobytes(), depth.shape, crop)
-        if self._place is not None and self._place.made_for == made_for and self._same(self._place.table, table):
-            return self._place
-        on_it = np.abs(seen_rays @ table.a - 1.0 / seen_depth) < GATE_SD * c.noise
-        shown = (seen_rays[on_it] * seen_depth[on_it, None]).mean(axis=0)
+        if place is not None and self._same(place.table, table):
+            return place
+        on_it = np.abs(seen_rays.astype(float) @ table.a - 1.0 / seen_depth) < GATE_SD * c.noise
+        shown = (seen_rays[on_it].astype(float) * seen_depth[on_it, None]).mean(axis=0)
         T = read_only(_looking_down(table, shown, c.distance))
         R, p = T[:3, :3], T[:3, 3]
         turned = np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32)
-        self._place = _Place(made_for, table, T, turned, -R.T @ p)
+        shift = (-R.T @ p).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            nearest = np.where(turned[2] > 0.0, (c.distance - c.min_height + ROUNDED - shift[2]) / turned[2], np.inf)
+        self._place = _Place(made_for, table, T, turned, shift, nearest.astype(np.float32))
         return self._place
+
+    def _stays(self, table: PlaneFound | None, place: _Place, middle: np.ndarray) -> bool:
+        """Returns whether the view stays because most pixels lie in its table as they show it: no other plane holds as
+        many. `middle`: direction of the window's middle, shape (3,).
+        """
+        c = self._config
+        if table is None or table.share <= max(0.5, c.min_share):
+            return False
+        return self._same(place.table, table) and _slope(table, middle) <= c.max_slope
 
     def _same(self, known: PlaneFound, table: PlaneFound) -> bool:
         turned = np.degrees(np.arccos(np.clip(table.direction @ known.direction, -1.0, 1.0)))
@@ -174,22 +192,23 @@ class TableView:
     def _heights(self, depth: np.ndarray, place: _Place) -> np.ndarray:
         """Returns the height above the table in the view, gaps closed, shape (300, 300), float32 [m]; 0: table."""
         c, side, turned, shift = self._config, NETWORK_SIDE, place.turned, place.shift
-        with np.errstate(invalid="ignore", divide="ignore"):
-            z = depth * turned[2]
-            z += np.float32(shift[2])
-            height = np.float32(c.distance) - z
-            chosen = np.flatnonzero((height > c.min_height) & (height < c.max_height) & (depth > 0.0))
-        flat, z, height = depth.ravel()[chosen], z.ravel()[chosen], height.ravel()[chosen]
+        with np.errstate(invalid="ignore"):
+            chosen = np.flatnonzero(depth < place.above)
+        flat = depth.ravel()[chosen]
+        x, y, z = (flat * turned[i].ravel()[chosen] + shift[i] for i in range(3))
+        height = np.float32(c.distance) - z
         scale, centre = self._camera.K[0, 0], self._camera.K[0, 2]
-        u, v = (
-            np.rint((flat * turned[i].ravel()[chosen] + np.float32(shift[i])) / z * scale + centre).astype(np.int32)
-            for i in (0, 1)
-        )
-        inside = (u >= 0) & (u < side) & (v >= 0) & (v < side)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            u, v = (np.rint(p / z * scale + centre) for p in (x, y))
+        shown = (height > c.min_height) & (height < c.max_height) & (flat > 0.0)
+        shown &= (u >= 0.0) & (u < side) & (v >= 0.0) & (v < side)
+        pixels = v[shown].astype(np.int32) * side + u[shown].astype(np.int32)
         highest = np.zeros(side * side, np.float32)
-        np.maximum.at(highest, v[inside] * side + u[inside], height[inside])
+        np.maximum.at(highest, pixels, height[shown])
         highest = highest.reshape(side, side)
-        return np.where(highest > 0.0, highest, cv2.morphologyEx(highest, cv2.MORPH_CLOSE, GAP))
+        closed = cv2.morphologyEx(highest, cv2.MORPH_CLOSE, GAP)
+        np.copyto(closed, highest, where=highest > 0.0)
+        return closed
 
 
 class Rays:
@@ -218,6 +237,11 @@ def _window(depth: np.ndarray, crop: CropConfig) -> Crop:
         return centre_crop(depth.shape, crop.side, crop.rows_up)
     except ValueError as error:
         raise NoView(str(error)) from None
+
+
+def _slope(table: PlaneFound, middle: np.ndarray) -> float:
+    """Returns the angle between a direction `middle`, shape (3,), and the table's normal [deg]."""
+    return float(np.degrees(np.arccos(np.clip(unit(middle) @ table.direction, -1.0, 1.0))))
 
 
 def _looking_down(table: PlaneFound, middle: np.ndarray, distance: float) -> np.ndarray:

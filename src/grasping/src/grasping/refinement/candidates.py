@@ -17,7 +17,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.rotations import cross, unit
 from grasping.network.depth_image import EVERY, NOISE, NetworkImage, best_plane
-from grasping.network.maps import Maps, Peak, gaussian, peak_at, peaks
+from grasping.network.maps import Maps, Peak, gaussian, peaks
 
 SPACING = 4  # between two candidates, rows or columns [px of the network's image]
 MOST = 96  # candidates in an image
@@ -135,7 +135,7 @@ def covering(maps: Maps) -> list[Peak]:
             continue
         free[max(0, row - SPACING + 1) : row + SPACING, max(0, column - SPACING + 1) : column + SPACING] = False
         if (row, column) != best[0][:2]:
-            found.append(peak_at(maps, row, column))
+            found.append(maps.at(row, column))
             if len(found) == MOST:
                 break
     return found

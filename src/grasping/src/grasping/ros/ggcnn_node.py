@@ -7,6 +7,7 @@ camera_target_frame below camera_depth_frame, and, with a view of the table, ggc
 
 from __future__ import annotations
 
+import ctypes
 import re
 import time
 
@@ -47,6 +48,8 @@ WAIT_S = 0.2
 SILENT_PERIOD_S = 0.5
 WARM_UP = 5
 RATE_WEIGHT = 0.1  # weight of the newest value in the times that diagnostics show
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
+KEPT_BYTES, LARGEST_BYTES = 2**26, 2**25  # that stay with the process when they are free; of an array among them
 NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
@@ -206,7 +209,17 @@ def _measured(pipeline: GraspPipeline) -> float:
     return min(seconds)
 
 
+def _keep_memory() -> None:
+    """Keeps freed memory: else it goes back to the system after each layer of a network, and each page that comes anew
+    is a fault.
+    """
+    libc = ctypes.CDLL(None)
+    libc.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+    libc.mallopt(M_MMAP_THRESHOLD, LARGEST_BYTES)
+
+
 def _run() -> None:
+    _keep_memory()
     values = overlaid({**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}, private_values())
     settings = settings_from(values, prefix="~")
     for sentence in sentences(settings):
