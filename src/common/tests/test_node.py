@@ -120,6 +120,33 @@ def test_only_a_socket_or_topic_that_is_closed_at_the_end_ends_its_thread_in_sil
     assert "late" not in log and all(word in log for word in said), log
 
 
+ANY_THREAD = """
+import signal, threading, time
+import rospy
+from common.ros.node import run, run_together
+
+def job():
+    while not rospy.is_shutdown():
+        time.sleep(0.05)
+
+def interrupt():
+    (thread,) = (thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool"))
+    signal.pthread_kill(thread.ident, signal.SIGINT)
+
+def main():
+    threading.Timer(1.0, interrupt).start()
+    run_together(job)
+
+run("together", main)
+"""
+
+
+def test_an_interrupt_that_reaches_another_thread_ends_the_node(ros, start, wait_until):
+    process = start(ANY_THREAD)
+    wait_until(lambda: process.poll() is not None, 10.0, "the end of the node")
+    assert process.returncode == 0 and "Traceback" not in process.log_path.read_text()
+
+
 TOPICS = """
 import gc, os, time
 import rospy

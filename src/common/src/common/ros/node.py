@@ -8,6 +8,7 @@ import errno
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -203,22 +204,30 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
     is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs.
     With `leave` the process exits afterwards.
+
+    The kernel may give a signal to any thread, and a main thread that waits for a lock would not learn of it. So it
+    comes through a socket (signal.set_wakeup_fd).
     """
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+    numbers = (signal.SIGINT, signal.SIGTERM)
 
     def shut_down(reason: str) -> None:
         rospy.signal_shutdown(reason)
         if leave:
             _leave(0)
 
-    threads: list[threading.Thread] = []
+    def listen() -> None:
+        with reader, writer:
+            while (number := reader.recv(1)[0]) not in numbers:
+                pass
+            threading.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown").start()
+            threading.Event().wait()  # the socket stays open for the signals that follow
 
-    def handle(number: int, _) -> None:
-        if not threads:  # a second one would not wait for the first
-            threads.append(threading.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown"))
-            threads[0].start()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, handle)
+    signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+    for number in numbers:
+        signal.signal(number, lambda *_: None)
+    threading.Thread(target=listen, name="signals", daemon=True).start()
 
 
 def run_together(*jobs: Callable[[], None]) -> None:
