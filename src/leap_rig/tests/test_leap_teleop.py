@@ -112,8 +112,12 @@ def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros
     assert all(steering(arm) <= {"", arm} for arm in arms)
     wait_until(lambda: all(commands.values()) and humans, 30.0, "commands to both robot hands")
     desired = {f"{arm}/kuka/tool_frame/desired" for arm in arms}
-    children = {transform.child_frame_id for message in tuple(tf) for transform in message.transforms}
-    assert desired <= children and all(child.split("/")[0] in arms for child in children)
+
+    def children() -> set[str]:
+        return {transform.child_frame_id for message in tuple(tf) for transform in message.transforms}
+
+    wait_until(lambda: desired <= children(), 30.0, "both desired tools")
+    assert all(child.split("/")[0] in arms for child in children())
     names = {f"{arm}/{name}" for arm in arms for name in ("leap_kuka", "leap_hand")} | {"leap_motion"}
     wait_until(
         lambda: names <= {status.name for message in tuple(diagnostics) for status in message.status},
