@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # All tests, in four parts, one after another: those of single nodes, which mostly wait, many side by side; those of the
 # whole rig, which waits for faults and takes half a processor; demos at the rates of the real rig, which take most of
-# one; and those that want the processors for themselves. Those without ROS run behind all of them, where a processor is
-# idle.
+# one; and those that want the processors for themselves. Those without ROS run behind all but these, where a processor
+# is idle.
 # Options of pytest may follow.
 set -uo pipefail
 export PYTHONDONTWRITEBYTECODE=  # hundreds of nodes start: each would compile its modules again
@@ -29,7 +29,7 @@ run "ros and not rig" -n 5 --dist worksteal "$@" "${with_ros[@]}"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
 [ "$how" = idle ] || wait "$pure"
 run "full_rate and not alone" -n 2 "$@" "${with_full_rate[@]}"
-run alone "$@" "${with_alone[@]}"
 wait "$pure" || code=$?
+run alone "$@" "${with_alone[@]}"
 cat "$log"
 exit "$code"

@@ -32,7 +32,7 @@ BOX = scene_from(read_scene("hand_over")).objects["box"]
 BASES = {"left": np.array([0.0, 0.45, 0.0]), "right": np.array([0.0, -0.45, 0.0])}
 AHEAD = np.array([1.0, 0.0, 0.0])
 R_WORLD_LEAP = np.column_stack([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
-TABLE = 0.08
+TABLE = scene_from(read_scene("hand_over")).table.top
 
 
 class TwoFollowingArms:
