@@ -299,7 +299,8 @@ def slow_motion(monkeypatch, serve, step_s):
 
     server = serve()
     client = Connection(server)
-    for line in ("jRelVel_1.0_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
+    # Slow: the word that says the motion has ended must not come between the questions.
+    for line in ("jRelVel_0.02_", "jp_1.0_0.0_0.0_0.0_0.0_0.0_0.0_"):
         assert client.ask(line) == "done\n"
     monkeypatch.setattr(SimulatedArm, "step", slow_step)
     assert client.ask("doPTPinJS") == "done\n"
