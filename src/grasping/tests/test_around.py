@@ -15,7 +15,7 @@ from table_scene import CAMERA, depth_picture, looking_at
 
 from grasping.network.around import around
 from grasping.network.maps import HIGHEST_QUALITY, Smoothing, decisive, gaussian, radius
-from grasping.network.networks import NETWORKS
+from grasping.network.networks import BFLOAT16, NETWORKS, PRECISIONS, frozen, infer
 from grasping.network.strips import array, put, side_by_side, strips, tensor, with_margin
 from grasping.network.weights import load
 from grasping.pipeline.pipeline import GraspPipeline
@@ -97,6 +97,19 @@ def test_views_of_a_table_give_the_networks_maps(name, boxes):
     is_the_networks(network(name), view.image.input, view.graspable, decisive(view.graspable, Smoothing(), 0.2))
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_in_bfloat16_the_maps_near_objects_are_the_networks_in_bfloat16(name):
+    objects = np.zeros((120, 120), bool)
+    objects[30:70, 50:80] = True
+    image = np.where(objects, np.random.default_rng(3).normal(size=objects.shape), 0.5).astype(np.float32)
+    net, wanted = network(name), within(objects, 10)
+    exact, rounded = (infer(frozen(net, 120, precision), image) for precision in PRECISIONS)
+    maps, known = around(net, BFLOAT16)(image, objects, wanted)
+    off, rounding = (np.abs(maps - other)[:, known].max() for other in (rounded, exact))
+    assert off <= rounding
+    assert 1e-4 < rounding / np.abs(exact).max() < 0.05
+
+
 def noisy(depth, seed):
     """A depth image with noise, holes, and readings that are not finite."""
     random = np.random.default_rng(seed)
@@ -162,6 +175,16 @@ def test_an_image_without_readings_and_a_bare_table_have_the_reasons_of_before()
         == "the depth image holds no reading inside the crop"
     )
     assert near.step(depth_picture(ABOVE, ()), CAMERA, None, 1.0).reason == "nothing stands on the table"
+
+
+@pytest.mark.parametrize("changes", [{}, {"view": "camera"}], ids=["near objects", "everywhere"])
+def test_the_chain_has_the_precision_of_its_settings(changes):
+    """The grasp is the same, its quality is rounded."""
+    depth = noisy(depth_picture(ABOVE, (BOX,)), 3)
+    in_bfloat16 = overlaid(changes, {"network": {"precision": "bfloat16"}})
+    exact, rounded = (chain(network("shipped"), c).step(depth, CAMERA, ABOVE).grasps[0] for c in (changes, in_bfloat16))
+    np.testing.assert_allclose(rounded.T_base_grasp[:3, 3], exact.T_base_grasp[:3, 3], atol=0.003)
+    assert 0.0 < abs(rounded.quality - exact.quality) < 0.02
 
 
 @pytest.mark.parametrize(

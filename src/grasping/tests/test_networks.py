@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import published_networks
 import pytest
 import torch
@@ -9,7 +10,7 @@ import torch.nn.functional as F
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.network.networks import GGCNN, KERAS, NETWORKS, frozen, shuffled_transpose
+from grasping.network.networks import BFLOAT16, GGCNN, KERAS, NETWORKS, frozen, infer, shuffled_transpose
 
 PUBLISHED = {"ggcnn": published_networks.GGCNN, "ggcnn2": published_networks.GGCNN2}
 
@@ -33,6 +34,18 @@ def test_frozen_networks_are_the_network(name):
         wanted = network(image)
         found = frozen(network, 156)(image)
     torch.testing.assert_close(found, wanted, rtol=0.0, atol=1e-5 * float(wanted.abs().max()))
+
+
+@pytest.mark.parametrize("name", NETWORKS)
+def test_in_bfloat16_the_maps_are_the_networks_to_its_rounding(name):
+    torch.manual_seed(4)
+    network = NETWORKS[name]()
+    image = np.random.default_rng(1).normal(size=(156, 156)).astype(np.float32)
+    wanted = infer(frozen(network, 156), image)
+    found = infer(frozen(network, 156, BFLOAT16), image)
+    assert found.dtype == np.float32
+    off = np.abs(found - wanted).max() / np.abs(wanted).max()
+    assert 1e-4 < off < 0.05
 
 
 @pytest.mark.parametrize("name", PUBLISHED)

@@ -253,6 +253,7 @@ def test_images_for_people():
         ({"unknown": 1}, "unknown is not a known key"),
         ({"network": {"speed": 1}}, "network/speed is not a known key"),
         ({"tracking": 7}, "tracking/ is 7"),
+        ({"network": {"precision": "half"}}, "network/precision is 'half', but must be one of float32, bfloat16."),
     ],
 )
 def test_a_wrong_key_is_named(changes, fault):

@@ -15,10 +15,15 @@ import numpy as np
 import pytest
 import torch
 
+from grasping.lab.evaluation import trials
 from grasping.lab.programs import evaluate, find_grasps, make_dataset, runs, train_ggcnn
+from grasping.lab.synthetic import samples
 from grasping.network import weights
+from grasping.network.depth_image import prepare
 from grasping.network.maps import PARALLEL, REFLEX
 from grasping.network.networks import NETWORKS
+
+SHIPPED = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 
 
 def call(monkeypatch, program, *arguments):
@@ -168,6 +173,7 @@ def test_results_of_other_conditions_are_not_mixed(tmp_path, monkeypatch, capsys
         (["--error", "5", "5"], "error [2.0, "),
         (["--split", "test_2"], "split test, not test_2"),
         (["--weights", "b", networks[0]], "another network named b"),
+        (["--weights", "b", networks[1], "--precision", "bfloat16"], "another network named b"),
     ):
         with pytest.raises(SystemExit):
             call(monkeypatch, evaluate, folder, "--scenes", "1", *options)
@@ -183,12 +189,14 @@ def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_pro
     monkeypatch.setattr(evaluate, "try_scene", lambda task: tasks.append(task) or [])
     monkeypatch.setattr(evaluate, "report", lambda *_: None)
     options = ["--first", "7", "--scenes", "3", "--error", "5", "4", "--gripper", "thick", "--split", "test_2"]
+    options += ["--precision", "bfloat16"]
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
     twice = ["--weights", "net", file] * 2
     call(monkeypatch, evaluate, tmp_path / "results", *options, "--shake", *twice)
     assert sorted((task.split, task.number) for task in tasks) == [("test_2", n) for n in (7, 8, 9)]
     assert tasks[0].methods[-2:] == ["net #1", "net #2"]
+    assert {network.precision for network in tasks[0].trained.values()} == {"bfloat16"}
     conditions = tasks[0].conditions
     assert conditions[1:] == (0.005, pytest.approx(np.radians(4.0)), True, PARALLEL)
     assert conditions.gripper.opening == 0.085
@@ -265,8 +273,7 @@ def test_grasps_of_one_image(tmp_path, monkeypatch, capsys, kind):
         np.save(path, depth)
     else:
         cv2.imwrite(str(path), np.round(1000.0 * depth).astype(np.uint16))
-    shipped = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
-    call(monkeypatch, find_grasps, path, shipped, "--picture", tmp_path / "seen.png")
+    call(monkeypatch, find_grasps, path, SHIPPED, "--picture", tmp_path / "seen.png")
     found = json.loads(capsys.readouterr().out)
     assert 255 <= found["pixel"][0] < 385
     assert 225 <= found["pixel"][1] < 255
@@ -274,6 +281,27 @@ def test_grasps_of_one_image(tmp_path, monkeypatch, capsys, kind):
     assert abs(abs(found["angle"]) - 0.5 * np.pi) < 0.3
     assert 0.03 < found["width"] < 0.08
     assert cv2.imread(str(tmp_path / "seen.png")).shape == (900, 900, 3)
+
+
+def test_grasps_in_bfloat16_have_another_quality(tmp_path, monkeypatch, capsys):
+    depth = np.full((480, 640), 0.7, np.float32)
+    depth[225:255, 255:385] = 0.65
+    path = tmp_path / "depth.npy"
+    np.save(path, depth)
+    qualities = []
+    for precision in ("float32", "bfloat16"):
+        call(monkeypatch, find_grasps, path, SHIPPED, "--precision", precision)
+        qualities.append(json.loads(capsys.readouterr().out)["quality"])
+    assert 0.0 < abs(qualities[1] - qualities[0]) < 0.02
+
+
+def test_evaluated_grasps_have_the_precision_that_was_asked_for():
+    image = prepare(samples.view("test", 0, 1).observed, trials.CROP)
+    exact, rounded = (
+        evaluate.network_grasp(image, evaluate.Trained(SHIPPED, None, precision))
+        for precision in ("float32", "bfloat16")
+    )
+    assert 0.0 < abs(rounded.quality - exact.quality) < 0.02
 
 
 @pytest.mark.parametrize(
@@ -286,5 +314,5 @@ def test_bad_images_are_refused(tmp_path, monkeypatch, capsys, content, sentence
     elif content is not None:
         path.write_bytes(content)
     with pytest.raises(SystemExit):
-        call(monkeypatch, find_grasps, path, Path(__file__).parents[1] / "weights" / "ggcnn2.pt")
+        call(monkeypatch, find_grasps, path, SHIPPED)
     assert sentence in capsys.readouterr().err

@@ -4,7 +4,8 @@ The input of such a view is one constant beside its objects. What a layer makes 
 distance from the image's border, so it is taken from a small constant image, and the first layers are evaluated only
 as far as the objects reach. The last ones are evaluated only where the wanted maps read them; these are the plain
 network's to rounding.
-A layer is evaluated in strips (strips.py). Arrays of features have the channels last, shape (h, w, c).
+A layer is evaluated in strips (strips.py). Arrays of features have the channels last, shape (h, w, c), and are float32:
+in bfloat16 the convolutions and heads alone are evaluated, and what is between them is exact.
 """
 
 from __future__ import annotations
@@ -17,7 +18,16 @@ import torch.nn.functional as F
 from torch import nn
 
 from grasping.network.maps import blocks, enlarged, near
-from grasping.network.networks import GGCNN, GGCNN2, ShuffledHeads, bordered, channels_last, stacked_heads
+from grasping.network.networks import (
+    FLOAT32,
+    GGCNN,
+    GGCNN2,
+    ShuffledHeads,
+    bordered,
+    channels_last,
+    convolutions_in,
+    stacked_heads,
+)
 from grasping.network.strips import array, put, side_by_side, strips, tensor, with_margin
 
 ROWS = 8  # of a strip of features
@@ -31,8 +41,8 @@ class GGCNNAround:
     convolution and heads where maps are wanted.
     """
 
-    def __init__(self, network: GGCNN) -> None:
-        self._network = network
+    def __init__(self, network: GGCNN, precision: str) -> None:
+        self._network, self._precision = network, precision
         self._heads = ShuffledHeads(network)
 
     def __call__(self, image: np.ndarray, objects: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -44,7 +54,7 @@ class GGCNNAround:
         """
         pixels = blocks(wanted, 3)
         maps = np.zeros((4, *image.shape), np.float32)
-        with torch.inference_mode():
+        with torch.inference_mode(), convolutions_in(self._precision):
             features = self._network.upwards(tensor(self._encoded(image, objects)))
             self._heads.into(maps, array(features), strips(pixels, ROWS, ShuffledHeads.seam), ROWS)
         return _only(maps, enlarged(pixels, 3))
@@ -66,8 +76,8 @@ class GGCNNAround:
 class GGCNN2Around:
     """GG-CNN2, whose layers are evaluated near the objects only: as far as these reach, or as maps are wanted."""
 
-    def __init__(self, network: GGCNN2) -> None:
-        layers = list(network.features)
+    def __init__(self, network: GGCNN2, precision: str) -> None:
+        self._precision, layers = precision, list(network.features)
         self._full1, self._full2, self._half1, self._half2, *later = _convolutions(layers)
         self._quarter1, self._quarter2, self._half3, self._full3 = later
         self._twice = layers[14]
@@ -81,7 +91,7 @@ class GGCNN2Around:
         `image`: network's input, shape (h, w), float32 [m], at least 4 `WIDER_SIDE` rows and columns, one constant
         beside the objects; `objects`: shape (h, w), bool.
         """
-        with torch.inference_mode():
+        with torch.inference_mode(), convolutions_in(self._precision):
             half = blocks(wanted, 2)
             maps = self._decoded(self._encoded(image, objects), half)
             return _only(maps, enlarged(half, 2))
@@ -141,7 +151,7 @@ class GGCNN2Around:
         parts = [with_margin(features, s.scaled(2), ROWS, 1, 1) for s in found]
         x = _convolved(self._full3, side_by_side(parts))
         values = torch.addmm(self._heads[1], torch.from_numpy(x).view(-1, x.shape[2]), self._heads[0])
-        put(maps.transpose(1, 2, 0), [s.scaled(2) for s in found], values.view(*x.shape[:2], 4).numpy(), 2)
+        put(maps.transpose(1, 2, 0), [s.scaled(2) for s in found], values.view(*x.shape[:2], 4).float().numpy(), 2)
         return maps
 
     def _doubled(self, features: np.ndarray) -> np.ndarray:
@@ -149,11 +159,13 @@ class GGCNN2Around:
         return array(self._twice(tensor(features)))
 
 
-def around(network: nn.Module) -> GGCNNAround | GGCNN2Around | None:
-    """Returns what evaluates a network near objects only; None for another network than GG-CNN and GG-CNN2."""
+def around(network: nn.Module, precision: str = FLOAT32) -> GGCNNAround | GGCNN2Around | None:
+    """Returns what evaluates a network near objects only, in one of the `PRECISIONS`; None for another network than
+    GG-CNN and GG-CNN2.
+    """
     if isinstance(network, GGCNN):
-        return GGCNNAround(channels_last(network.eval()))
-    return GGCNN2Around(channels_last(network.eval())) if isinstance(network, GGCNN2) else None
+        return GGCNNAround(channels_last(network.eval()), precision)
+    return GGCNN2Around(channels_last(network.eval()), precision) if isinstance(network, GGCNN2) else None
 
 
 def _convolutions(layers: Iterable[nn.Module]) -> list[nn.Conv2d]:

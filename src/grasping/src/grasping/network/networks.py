@@ -27,6 +27,7 @@ MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1,
 MAPS = ("quality", "cos", "sin", "width")
 BAND = 10  # rows of GG-CNN's features in a strip
 AT_ONCE = 3  # strips as wide as the image that are evaluated at once
+FLOAT32, BFLOAT16 = PRECISIONS = "float32", "bfloat16"  # of the convolutions; all else is float32
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 
 
@@ -159,7 +160,7 @@ class ShuffledHeads:
                 full[:, last : last + (strip.stop == w)] = 0.0
                 column = last + self.seam
         size = full.shape[:2]
-        taps = (full.reshape(-1, self._taps.shape[0]) @ self._taps).view(*size, 3, 3, 2, 2, len(maps))
+        taps = (full.reshape(-1, self._taps.shape[0]) @ self._taps).float().view(*size, 3, 3, 2, 2, len(maps))
         taps = taps.permute(0, 2, 1, 3, 4, 5, 6).reshape(3 * size[0], 3 * size[1], 2, 2, len(maps))
         values = taps[:-3, :-3, 0, 0] + taps[:-3, 1:-2, 0, 1]
         values += taps[1:-2, :-3, 1, 0]
@@ -171,14 +172,14 @@ class ShuffledHeads:
 class FrozenGGCNN:
     """GG-CNN as it is at the moment, for evaluation only."""
 
-    def __init__(self, network: GGCNN) -> None:
-        self._network, self._heads = network, ShuffledHeads(network)
+    def __init__(self, network: GGCNN, precision: str = FLOAT32) -> None:
+        self._network, self._heads, self._precision = network, ShuffledHeads(network), precision
 
     def __call__(self, depth: torch.Tensor) -> torch.Tensor:
         """Returns the maps, shape (n, 4, h, w)."""
         n, _, h, w = depth.shape
         maps = torch.empty(n, len(MAPS), h, w)
-        with torch.no_grad():
+        with torch.no_grad(), convolutions_in(self._precision):
             for image, found in zip(depth, maps.numpy()):
                 x = array(self._network.features(image[None]))
                 bands = [Strip(min(row, h // 3 - BAND), 0, w // 3) for row in range(0, h // 3, BAND)]
@@ -190,21 +191,27 @@ class FrozenGGCNN:
 def infer(network: MapNetwork, image: np.ndarray) -> np.ndarray:
     """Returns the network's maps, shape (4, h, w), of a network image, shape (h, w)."""
     with torch.no_grad():
-        return network(torch.from_numpy(image)[None, None])[0].contiguous().numpy()
+        return network(torch.from_numpy(image)[None, None])[0].float().contiguous().numpy()
 
 
-def frozen(network: nn.Module, side: int = NETWORK_SIDE) -> MapNetwork:
+def frozen(network: nn.Module, side: int = NETWORK_SIDE, precision: str = FLOAT32) -> MapNetwork:
     """Returns the network for evaluation only, its weights turned into constants, for one image of `side` rows and
-    columns.
+    columns, in one of the `PRECISIONS`.
     """
     network = channels_last(network.eval())
     if isinstance(network, GGCNN):
-        return FrozenGGCNN(network)
-    with torch.no_grad(), warnings.catch_warnings():
+        return FrozenGGCNN(network, precision)
+    with torch.no_grad(), convolutions_in(precision), warnings.catch_warnings():
         # torch advises its compiler instead, which needs a C++ compiler at run time.
         warnings.simplefilter("ignore", DeprecationWarning)
         traced = torch.jit.trace(network, torch.zeros(1, 1, side, side))  # type: ignore[no-untyped-call]
         return torch.jit.freeze(traced)
+
+
+def convolutions_in(precision: str) -> torch.autocast:
+    """Returns the context in which torch evaluates convolutions and heads in one of the `PRECISIONS`."""
+    # A trace would keep what the cache holds of weights.
+    return torch.autocast("cpu", torch.bfloat16, enabled=precision == BFLOAT16, cache_enabled=False)
 
 
 def channels_last(network: Network) -> Network:

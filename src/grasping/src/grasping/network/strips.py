@@ -75,5 +75,5 @@ def tensor(features: np.ndarray) -> torch.Tensor:
 
 
 def array(features: torch.Tensor) -> np.ndarray:
-    """Returns a tensor of shape (1, c, h, w) as features, shape (h, w, c)."""
-    return np.ascontiguousarray(features[0].permute(1, 2, 0).numpy())
+    """Returns a tensor of shape (1, c, h, w) as features, shape (h, w, c), float32, whatever its precision."""
+    return np.ascontiguousarray(features[0].permute(1, 2, 0).float().numpy())

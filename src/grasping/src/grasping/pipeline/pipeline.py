@@ -19,7 +19,7 @@ from common.camera_model import CameraModel
 from common.poses import inverse, read_only
 from grasping.network.around import around
 from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, SmoothedMaps, Smoothing, decisive, highest, peaks
-from grasping.network.networks import frozen, infer
+from grasping.network.networks import FLOAT32, frozen, infer
 from grasping.pipeline import projection, refined_grasp
 from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
 from grasping.pipeline.tracking import (
@@ -39,7 +39,7 @@ OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """Settings of the steps behind the view; None leaves a step out."""
+    """Settings of the network and of the steps behind it; None leaves a step out."""
 
     smoothing: Smoothing = field(default_factory=Smoothing)  # of the maps
     count: int = 1  # most grasps
@@ -51,6 +51,7 @@ class PipelineSettings:
     limits: LimitsConfig | None = None  # a grasp outside them is rejected
     tool: ToolPoseConfig | None = None  # the hand, with its preferred and largest opening
     up: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # vertical in kuka/base_frame, shape (3,)
+    precision: str = FLOAT32  # of the network, in `networks.PRECISIONS`
 
 
 class GraspCandidate(NamedTuple):
@@ -108,8 +109,8 @@ class GraspPipeline:
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._views, self._settings, self._clock, self._refinement = views, settings, clock, refinement
-        self._around = None if refinement is not None else around(network)
-        self.network = frozen(network)
+        self._around = None if refinement is not None else around(network, settings.precision)
+        self.network = frozen(network, precision=settings.precision)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
         self._in_base: bool | None = None

@@ -17,7 +17,7 @@ from common.config import choice, flag, integer, number, parse_part, text
 from common.errors import ConfigError
 from grasping.network.depth_image import TABLE, VIEWS
 from grasping.network.maps import Smoothing
-from grasping.network.networks import NETWORKS
+from grasping.network.networks import NETWORKS, PRECISIONS
 from grasping.pipeline.pipeline import PipelineSettings
 from grasping.pipeline.projection import ApproachConfig
 from grasping.pipeline.tool_pose import LimitsConfig, ReachConfig, ToolPoseConfig, grasp_in_tool
@@ -47,6 +47,7 @@ class NetworkConfig:
     weights: str = text(doc="weight file: a name in the package's folder weights, or an absolute path")
     sha256: str = text(doc="hash of the file; listed: as SHA256SUMS beside it says; any: unchecked")
     threads: int = integer(low=1, high=64, doc="processors that the network may use")
+    precision: str = choice(*PRECISIONS, doc="of its convolutions; bfloat16 is slow where the processor lacks it")
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class GgcnnSettings:
         """Returns the settings of the steps behind the view; `up` is the vertical in kuka/base_frame, shape (3,)."""
         p, later = self.peaks, (self.averaging, self.tracking, self.approach, self.limits, self.tool)
         smoothing = Smoothing(p.quality_sigma, p.angle_sigma, p.width_sigma)
-        return PipelineSettings(smoothing, p.count, p.distance, p.threshold, *later, up)
+        return PipelineSettings(smoothing, p.count, p.distance, p.threshold, *later, up, self.network.precision)
 
 
 SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items() if name != "main"}

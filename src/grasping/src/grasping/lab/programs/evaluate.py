@@ -44,7 +44,7 @@ from grasping.lab.synthetic.scene import points, world_xml
 from grasping.network import maps, weights
 from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.maps import WIDTH_SCALE_PX
-from grasping.network.networks import MapNetwork, frozen, infer
+from grasping.network.networks import FLOAT32, PRECISIONS, MapNetwork, frozen, infer
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
@@ -85,6 +85,7 @@ class Trained(NamedTuple):
 
     file: Path  # of its weights
     tool: ToolPoseConfig | None  # the hand whose openings it prefers, None where it knows no hand
+    precision: str = FLOAT32  # in `networks.PRECISIONS`
 
 
 class Task(NamedTuple):
@@ -105,14 +106,15 @@ class FailureTask(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def network(file: Path) -> MapNetwork:
+def network(file: Path, precision: str) -> MapNetwork:
     """Returns the network of a weight file."""
-    return frozen(weights.load(file.read_bytes()).network)
+    return frozen(weights.load(file.read_bytes()).network, precision=precision)
 
 
 def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
     """Returns the best grasp of a network."""
-    found = maps.smoothed(infer(network(trained.file), image.input), image.valid, NETWORK_SMOOTHING)
+    output = infer(network(trained.file, trained.precision), image.input)
+    found = maps.smoothed(output, image.valid, NETWORK_SMOOTHING)
     if trained.tool is not None:
         size = pixel_size(image, trials.camera())
         found = preferred(found, size, trained.tool, maps.THRESHOLD)
@@ -209,7 +211,7 @@ def report(folder: Path, split: str, rows: list[dict], methods: list[str], netwo
 def claim(folder: Path, settings: dict[str, Any]) -> None:
     """Notes the conditions of the results in a folder; raises RigError if it holds results of other ones.
 
-    Networks may join; one name stands for one weight file.
+    Networks may join; one name stands for one weight file in one precision.
     """
     path = folder / SETTINGS
     folder.mkdir(parents=True, exist_ok=True)
@@ -326,6 +328,8 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     parser.add_argument("--shake", action="store_true", help=shake_help)
     preferred_help = "a tool_pose.yaml: try each network with that hand's preferred openings as well"
     parser.add_argument("--tool", type=Path, metavar="FILE", help=preferred_help)
+    precision_help = "of these networks' convolutions; under another NAME both can be compared in one folder"
+    parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help=precision_help)
     parser.add_argument("--processes", type=int, default=1, help="how many scenes at a time")
     folder_help = "labelled depth images instead of scenes"
     parser.add_argument("--folder", dest="images", type=Path, metavar="IMAGES", help=folder_help)
@@ -351,7 +355,9 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     return arguments
 
 
-def networks(given: Iterable[tuple[str, str]], tool: ToolPoseConfig | None) -> dict[str, Trained]:
+def networks(
+    given: Iterable[tuple[str, str]], tool: ToolPoseConfig | None, precision: str = FLOAT32
+) -> dict[str, Trained]:
     """Returns the networks to be tried by name; raises RigError or OSError if a weight file is not one."""
     given, found = list(given), {}
     many, met = Counter(name for name, _ in given), Counter[str]()
@@ -359,10 +365,16 @@ def networks(given: Iterable[tuple[str, str]], tool: ToolPoseConfig | None) -> d
         weights.load(Path(file).read_bytes())
         met[name] += 1
         number = f" #{met[name]}" if many[name] > 1 else ""
-        found[name + number] = Trained(Path(file), None)
+        found[name + number] = Trained(Path(file), None, precision)
         if tool:
-            found[f"{name}, preferred openings{number}"] = Trained(Path(file), tool)
+            found[f"{name}, preferred openings{number}"] = Trained(Path(file), tool, precision)
     return found
+
+
+def identity(of: Trained) -> str:
+    """Returns what a name in a folder of results stands for: the hash of the weights, and a precision but float32."""
+    sha256 = weights.checked_sha256(of.file.read_bytes(), None)
+    return sha256 if of.precision == FLOAT32 else f"{sha256} {of.precision}"
 
 
 def main() -> None:
@@ -370,7 +382,7 @@ def main() -> None:
     arguments = read_arguments(parser)
     try:
         tool = arguments.tool and parse(ToolPoseConfig, read_yaml(arguments.tool))
-        trained = networks(arguments.weights, tool)
+        trained = networks(arguments.weights, tool, arguments.precision)
     except (OSError, RigError) as error:
         parser.error(str(error))
     if arguments.images is not None:
@@ -397,7 +409,7 @@ def main() -> None:
         export(arguments.export, every, arguments.processes)
         return
     try:
-        hashes = {name: weights.checked_sha256(network.file.read_bytes(), None) for name, network in trained.items()}
+        hashes = {name: identity(network) for name, network in trained.items()}
         hands = {"tool": None if tool is None else repr(tool)}
         settings = {name: getattr(arguments, name) for name in ("split", "gripper", "error", "shake")}
         claim(arguments.folder, {**settings, "error": list(arguments.error), **hands, "weights": hashes})

@@ -22,6 +22,7 @@ from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
 from grasping.network.maps import HANDS, THRESHOLD
+from grasping.network.networks import FLOAT32, PRECISIONS
 from grasping.pipeline.pipeline import GraspPipeline, PipelineResult, PipelineSettings
 from grasping.pipeline.projection import CameraGrasp
 from grasping.pipeline.view import CameraView, CropConfig
@@ -51,6 +52,7 @@ def main() -> None:
     parser.add_argument("--crop", type=int, default=400, help="side of the window in the middle [px], default 400")
     parser.add_argument("--hand", choices=HANDS, help="refuse weights that were trained for another hand")
     parser.add_argument("--count", type=int, default=1, help="most grasps of an image")
+    parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help="of the network's convolutions")
     picture_help = "write the network's image with the grasps to this file, or for a folder to this folder"
     parser.add_argument("--picture", type=Path, help=picture_help)
     arguments = parser.parse_args()
@@ -91,7 +93,8 @@ def find(path: Path, network: nn.Module, arguments: argparse.Namespace) -> Pipel
     h, w = depth.shape
     cx, cy = arguments.centre or (0.5 * (w - 1), 0.5 * (h - 1))
     camera = pinhole("camera", w, h, [[arguments.focal, 0.0, cx], [0.0, arguments.focal, cy], [0.0, 0.0, 1.0]])
-    settings = PipelineSettings(count=arguments.count, threshold=None if arguments.count == 1 else THRESHOLD)
+    threshold = None if arguments.count == 1 else THRESHOLD
+    settings = PipelineSettings(count=arguments.count, threshold=threshold, precision=arguments.precision)
     found = GraspPipeline(CameraView(CropConfig(arguments.crop, 0)), network, settings).step(depth, camera)
     if found.view is None:
         raise RigError(f"{path}: {found.reason}")

@@ -129,7 +129,7 @@ def setup_from(values: Mapping[str, Any]) -> CollectionSetup:
         kuka=kuka,
         T_tool_grasp=grasp_in_tool(settings.tool),
         up=rotation_of_mounting(kuka.mounting)[2],
-        network=frozen(loaded.network),
+        network=frozen(loaded.network, precision=settings.network.precision),
         weights_sha256=loaded.sha256,
         folder=Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig" / "grasps",
         version=ElementTree.parse(package / "package.xml").findtext("version"),
