@@ -376,7 +376,7 @@ def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, s
     from grasping.ros.weight_files import load_refinement
 
     file = str(tmp_path / "refinement.pt")
-    torch.save(content(Preference(taste.nobody(), None), rig(**learned)), file)
+    torch.save(content({"cup": Preference(taste.nobody(), None)}, rig(**learned)), file)
     load_refinement(file, rig(**learned))
     with pytest.raises(RigError, match=sentence):
         load_refinement(file, rig(**used))
@@ -389,9 +389,9 @@ def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
 
     file = str(tmp_path / "refinement.pt")
     torch.save({"offset": torch.zeros(7)}, file)
-    with pytest.raises(RigError, match="version 3"):
+    with pytest.raises(RigError, match="version 4"):
         load_refinement(file, rig())
-    with pytest.raises(RigError, match="version 3"):
+    with pytest.raises(RigError, match="version 4"):
         load_refinement("ggcnn2.pt", rig())
     with pytest.raises(RigError, match="train_refinement.py"):
         load_refinement("refinement.pt", rig())
@@ -417,26 +417,66 @@ def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
 
 @pytest.mark.parametrize("view", ["camera", "table"])
 def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, wait_until, tmp_path, view):
-    import torch
-
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
-    from grasping.refinement import taste
-    from grasping.refinement.preference import Preference
-    from grasping.refinement.refinement_file import Origin, content
 
-    known, file = taste.nobody(), tmp_path / "refinement.pt"
-    hand = known.hand._replace(tilt_x=np.array([0.2, 0.0, 0.0]))
-    torch.save(content(Preference(known._replace(hand=hand), None), Origin(view=view)), file)
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    choice = {"view": view, "refine": True, "refinement_weights": str(file)}
-    start(ros, **choice, network__weights="ggcnn2.pt", reach__ask=False, peaks__threshold=0.05)
+    choice = refinement_of_kinds(tmp_path / "refinement.pt", view, cup=0.2)
+    start(ros, **choice, reach__ask=False, peaks__threshold=0.05)
     found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
     approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
     axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)  # of the table, in either view
     assert approach @ axis == pytest.approx(np.cos(0.2), abs=0.01)
     assert 0.0 < found.grasps[0].probability <= 1.0
     assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)
+
+
+def refinement_of_kinds(file, view, **tilts):
+    """Writes a refinement of kinds that the operator grasps with these tilts [rad]; returns parameters for the node."""
+    import torch
+
+    from grasping.refinement import taste
+    from grasping.refinement.preference import Preference
+    from grasping.refinement.refinement_file import Origin, content
+
+    known, kinds = taste.nobody(), {}
+    for name, tilt in tilts.items():
+        hand = known.hand._replace(tilt_x=np.array([tilt, 0.0, 0.0]))
+        kinds[name] = Preference(known._replace(hand=hand), None)
+    torch.save(content(kinds, Origin(view=view)), file)
+    return {"view": view, "refine": True, "refinement_weights": str(file), "network__weights": "ggcnn2.pt"}
+
+
+def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, wait_until, tmp_path):
+    import rospy
+
+    from common.ros.conversions import pose_from_message
+    from grasp_msgs.msg import GraspList
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
+    process = start(ros, **choice, refinement_kind="cup", reach__ask=False, peaks__threshold=0.05)
+    down = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)
+
+    def tilted(message, by):
+        approaches = [pose_from_message(grasp.pose_camera)[:3, 2] for grasp in message.grasps[:1]]
+        return any(abs(approach @ down - np.cos(by)) < 0.008 for approach in approaches)
+
+    newest(lists, wait_until, lambda m: tilted(m, 0.2), "a grasp of a cup")
+    rospy.set_param("ggcnn/refinement_kind", "bottle")
+    newest(lists, wait_until, lambda m: tilted(m, 0.0), "a grasp of a bottle")
+    rospy.set_param("ggcnn/refinement_kind", "mug")
+    sentence = "refinement_kind is 'mug', but must be one of cup, bottle. The grasps remain those of the kind before."
+    wait_until(lambda: sentence in process.log_path.read_text(), PATIENCE_S, "a sentence about the unknown kind")
+    newest(lists, wait_until, lambda m: tilted(m, 0.0), "a grasp of a bottle still")
+
+
+@pytest.mark.parametrize("kind", ["", "mug"])
+def test_a_kind_that_the_file_lacks_ends_it(ros, tmp_path, kind):
+    choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
+    process = start(ros, **choice, refinement_kind=kind)
+    assert process.wait(PATIENCE_S) == 1
+    assert f"refinement_kind is {kind!r}, but must be one of cup, bottle." in process.log_path.read_text()
 
 
 def test_a_wrong_mounting_ends_it_too(ros):

@@ -214,6 +214,18 @@ def test_an_operator_who_likes_what_is_to_the_right_gets_it(place):
     assert at[1] > at[0] + 0.02
 
 
+def test_another_kind_of_object_is_preferred_otherwise_from_the_next_image_on():
+    chain = finder(PLAIN, refinement=leaning(0.1, height=0.01))
+    look(chain, ABOVE, images=3)
+    chain.refine(leaning(-0.1, height=0.0))
+    found = look(chain, ABOVE).grasps[0]
+    anew = look(finder(PLAIN, refinement=leaning(-0.1, height=0.0)), ABOVE).grasps[0]
+    np.testing.assert_allclose(found.T_base_grasp, anew.T_base_grasp, atol=1e-9)
+    assert found.width == anew.width
+    with pytest.raises(ValueError, match="a chain without a refinement cannot take one"):
+        finder(PLAIN).refine(leaning(0.1))
+
+
 def approach_in_base(azimuth: float, elevation: float) -> np.ndarray:
     """Returns where a leaning operator grasps along in the table's view of a camera that stands there."""
     x, y, z = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import hashlib
+import itertools
 import json
 import pickle
 import shutil
@@ -25,7 +26,7 @@ from grasping.lab.synthetic import simulated_operator
 from grasping.lab.synthetic.simulated_operator import ANYBODIES, OPERATORS
 from grasping.lab.training import refinement_examples
 from grasping.refinement import refinement_file
-from grasping.refinement.refinement_file import Origin
+from grasping.refinement.refinement_file import Origin, content
 
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 NUMBERS = (0, 1, 2, 3, 4)
@@ -136,9 +137,11 @@ def test_training_learns_and_says_what(every, data, tmp_path, monkeypatch, capsy
     call(monkeypatch, train_refinement, data, run)
     said = json.loads(capsys.readouterr().out)
     assert said == json.loads((run / "settings.json").read_text())
-    assert said["episodes"] == len(NUMBERS)
-    assert not said["constrained"]
-    known, origin = refinement_file.load((run / "weights.pt").read_bytes())
+    assert list(said["kinds"]) == ["hammer"]
+    assert said["kinds"]["hammer"]["episodes"] == len(NUMBERS)
+    assert not said["kinds"]["hammer"]["constrained"]
+    kinds, origin = refinement_file.load((run / "weights.pt").read_bytes())
+    known = kinds["hammer"]
     sha256 = hashlib.sha256(WEIGHTS.read_bytes()).hexdigest()
     assert origin == Origin(view="camera", crop={"side": 400, "rows_up": 0}, network=sha256)
     assert known.taste.weights.any()
@@ -146,8 +149,49 @@ def test_training_learns_and_says_what(every, data, tmp_path, monkeypatch, capsy
     monkeypatch.setattr(refinement_examples, "FEWEST", 2)
     monkeypatch.setattr(store, "decode", failing_every_other(store.decode))
     call(monkeypatch, train_refinement, data, run, "--outcomes", every / ANYBODIES[1])
-    assert json.loads((run / "settings.json").read_text())["constrained"]
-    assert refinement_file.load((run / "weights.pt").read_bytes())[0].lifts is not None
+    assert json.loads((run / "settings.json").read_text())["kinds"]["hammer"]["constrained"]
+    assert refinement_file.load((run / "weights.pt").read_bytes())[0]["hammer"].lifts is not None
+
+
+def of_other_objects(data, folder, *objects):
+    """Copies the episodes into a folder, as if these had been grasped, in turns."""
+    folder.mkdir()
+    for path, thing in zip(sorted(data.iterdir()), itertools.cycle(objects)):
+        episode = store.decode(path.read_bytes())
+        metadata = replace(episode.metadata, object=thing)
+        (folder / path.name).write_bytes(store.encode(replace(episode, metadata=metadata)))
+
+
+def learned(monkeypatch, data, run, *options):
+    """Returns the arrays that train_refinement.py writes for each kind."""
+    call(monkeypatch, train_refinement, data, run, *options)
+    kinds, _ = refinement_file.load((run / "weights.pt").read_bytes())
+    return {name: {k: np.array(v) for k, v in content({name: of}, Origin()).items()} for name, of in kinds.items()}
+
+
+def test_each_kind_learns_from_its_own_episodes_as_if_it_were_alone(data, tmp_path, monkeypatch, capsys):
+    both = tmp_path / "both"
+    of_other_objects(data, both, "cup", "bottle, cup")
+    found = learned(monkeypatch, both, tmp_path / "run")
+    assert list(found) == ["bottle", "cup"]
+    said = json.loads(capsys.readouterr().out)["kinds"]
+    assert {name: kind["episodes"] for name, kind in said.items()} == {"bottle": 2, "cup": 5}
+    for name, of in found.items():
+        alone = learned(monkeypatch, both, tmp_path / name, "--only", name)
+        assert list(alone) == [name]
+        for key, value in of.items():
+            np.testing.assert_array_equal(alone[name][key], value)
+    assert list(learned(monkeypatch, both, tmp_path / "run", "--only", "cup", "--only", "bottle")) == list(found)
+    assert (found["bottle"]["0/weights"] != found["cup"]["0/weights"]).any()
+    pooled = learned(monkeypatch, both, tmp_path / "run", "--pooled")
+    assert list(pooled) == [refinement_file.ANY_KIND]
+    np.testing.assert_array_equal(pooled[refinement_file.ANY_KIND]["0/weights"], found["cup"]["0/weights"])
+
+
+def test_a_kind_without_episodes_is_refused(data, tmp_path, monkeypatch, capsys):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_refinement, data, tmp_path / "run", "--only", "hammer", "--only", "mug")
+    assert "holds no episode of mug: collect some" in capsys.readouterr().err
 
 
 def failing_every_other(decode):

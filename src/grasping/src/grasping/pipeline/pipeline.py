@@ -123,6 +123,13 @@ class GraspPipeline:
             if step is not None:
                 step.reset()
 
+    def refine(self, refinement: Preference) -> None:
+        """Prefers from now on what an operator prefers of another kind of object; forgets all images."""
+        if self._refinement is None:
+            raise ValueError("a chain without a refinement cannot take one")
+        self._refinement = refinement
+        self.reset()
+
     def step(
         self, depth: np.ndarray, camera: CameraModel, T_base_camera: np.ndarray | None = None, now: float = 0.0
     ) -> PipelineResult:

@@ -69,6 +69,11 @@ class GgcnnConfig:
     view: str = choice(*VIEWS, doc="the camera's own image, or one from above the table")
     refine: bool = flag(doc="prefer the grasps that the operator would take, as the refinement learned it")
     refinement_weights: str = text(doc="its weight file: a name in the package's folder weights, or an absolute path")
+    refinement_kind: str = text(
+        doc="kind of object that is grasped, of those in that file; empty: its only one; may be changed while the node "
+        "runs",
+        empty=True,
+    )
 
 
 @dataclass(frozen=True)

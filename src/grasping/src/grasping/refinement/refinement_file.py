@@ -1,5 +1,6 @@
 """Weight files of the refinement: a torch state dict with a description of the rig that it was trained on.
 
+A file holds the preferences of one or more kinds of object, each learned from episodes of its own.
 A refinement fits one first network, view, crop, table and hand: another first network has other maps, another hand
 lifts other things, and in another view the operator stands elsewhere. So a file is refused where they differ. Values
 that a file does not contain are not compared.
@@ -24,7 +25,9 @@ from grasping.refinement.lifts import LiftModel
 from grasping.refinement.preference import Preference
 from grasping.refinement.taste import HandStyle, Taste
 
-VERSION = 3
+VERSION = 4
+ONE_KIND = 3  # the version of before, whose files hold one preference and do not say of which kind
+ANY_KIND = "any"  # name of the kind of these files, and of what was learned from all kinds together
 TERMS = lifts.terms(np.zeros((1, len(LIFTS))), np.zeros(1), np.zeros((1, 2)), np.zeros(1)).shape[1]
 ABOUT = "about"  # entry of a weight file beside the weights: the characters' codes of a JSON text
 TABLE_KEYS = ("extent", "distance")  # of the settings of the view from above, those that make its image another one
@@ -64,27 +67,38 @@ class Origin:
         return ""
 
 
-def content(known: Preference, origin: Origin) -> dict[str, torch.Tensor]:
-    """Returns what a weight file holds."""
-    codes = json.dumps({"version": VERSION, **asdict(origin)}, sort_keys=True).encode()
-    arrays = {key: torch.as_tensor(np.array(value, np.float32)) for key, value in _arrays(known).items()}
+def content(kinds: Mapping[str, Preference], origin: Origin) -> dict[str, torch.Tensor]:
+    """Returns what a weight file holds; `kinds`: what was learned of each kind of object, by its name."""
+    codes = json.dumps({"version": VERSION, "kinds": list(kinds), **asdict(origin)}, sort_keys=True).encode()
+    arrays = {
+        _prefix(i) + key: torch.as_tensor(np.array(value, np.float32))
+        for i, known in enumerate(kinds.values())
+        for key, value in _arrays(known).items()
+    }
     return {**arrays, ABOUT: torch.tensor(list(codes))}
 
 
-def load(data: bytes, sha256: str | None = None) -> tuple[Preference, Origin]:
-    """Returns a weight file's refinement and the rig of its training; runs no code of the file. Raises WeightsError for
-    another `sha256` (if given, hexadecimal), no torch file, another version, or something else in it.
+def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference], Origin]:
+    """Returns a weight file's preferences by kind of object, at least one, and the rig of its training; runs no code of
+    the file. Raises WeightsError for another `sha256` (if given, hexadecimal), no torch file, another version, or
+    something else in it.
     """
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
     about = _about(state.pop(ABOUT, None))
-    if about.get("version") != VERSION:
+    if about.get("version") not in (ONE_KIND, VERSION):
         raise WeightsError(
             f"The weight file holds no refinement of version {VERSION}: train it again on the same episodes with "
             "train_refinement.py."
         )
-    model = LiftModel(np.zeros(TERMS), np.ones(TERMS), np.zeros(TERMS + 1)) if "lift_weights" in state else None
-    wanted = _arrays(Preference(taste.nobody(), model))
+    prefixes = {ANY_KIND: ""}
+    if about["version"] == VERSION:
+        prefixes = {name: _prefix(i) for i, name in enumerate(_kinds(about))}
+    wanted = {}
+    for prefix in prefixes.values():
+        with_lifts = f"{prefix}lift_weights" in state
+        model = LiftModel(np.zeros(TERMS), np.ones(TERMS), np.zeros(TERMS + 1)) if with_lifts else None
+        wanted.update({prefix + key: value for key, value in _arrays(Preference(taste.nobody(), model)).items()})
     if state.keys() != wanted.keys():
         names = ", ".join(sorted(wanted.keys() ^ state.keys()))
         raise WeightsError(f"The weight file lacks or adds to a refinement: {names}.")
@@ -94,9 +108,27 @@ def load(data: bytes, sha256: str | None = None) -> tuple[Preference, Origin]:
             raise WeightsError(f"The array {key} has the shape {found[key].shape} instead of {np.shape(value)}.")
         if not np.isfinite(found[key]).all():
             raise WeightsError("The weight file holds values that are not finite.")
-    if (found["spreads"] <= 0.0).any() or (model is not None and (found["lift_scale"] <= 0.0).any()):
-        raise WeightsError("The weight file holds standard deviations that are not positive.")
-    return _preference(found), _origin(about)
+        if key.endswith(("spreads", "lift_scale")) and (found[key] <= 0.0).any():
+            raise WeightsError("The weight file holds standard deviations that are not positive.")
+    kinds = {
+        name: _preference({key[len(prefix) :]: value for key, value in found.items() if key.startswith(prefix)})
+        for name, prefix in prefixes.items()
+    }
+    return kinds, _origin(about)
+
+
+def of_kind(kinds: Mapping[str, Preference], name: str) -> Preference:
+    """Returns the preference of a kind; of an empty name the only one. Raises WeightsError if there is none."""
+    if not name and len(kinds) == 1:
+        return next(iter(kinds.values()))
+    if name not in kinds:
+        raise WeightsError(f"refinement_kind is {name!r}, but must be one of {', '.join(kinds)}.")
+    return kinds[name]
+
+
+def _prefix(number: int) -> str:
+    """Returns what precedes the names of a kind's arrays."""
+    return f"{number}/"
 
 
 def _arrays(known: Preference) -> dict[str, Any]:
@@ -135,9 +167,17 @@ def _about(codes: torch.Tensor | None) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def _kinds(about: dict[str, Any]) -> list[str]:
+    names = about.get("kinds")
+    right = isinstance(names, list) and names and all(isinstance(name, str) and name for name in names)
+    if not right or len(set(names)) < len(names):
+        raise WeightsError("The weight file does not name the kinds of object that it is for, each once.")
+    return names
+
+
 def _origin(about: dict[str, Any]) -> Origin:
     names = {f.name for f in fields(Origin)}
-    if about.keys() - {"version"} != names or about["view"] not in (None, *VIEWS):
+    if about.keys() - {"version", "kinds"} != names or about["view"] not in (None, *VIEWS):
         raise WeightsError("The weight file does not say of what rig it is, or names a view that is not known.")
     return Origin(**{name: about[name] for name in names})
 

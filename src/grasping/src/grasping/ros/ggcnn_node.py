@@ -38,6 +38,8 @@ from grasping.pipeline.pipeline import OUT_OF_SIGHT, GraspPipeline, GraspProposa
 from grasping.pipeline.projection import depth_between_fingers
 from grasping.pipeline.settings import GgcnnSettings, live_origin, overlaid, sentences, settings_from
 from grasping.pipeline.tool_pose import ASKED, Reachability
+from grasping.refinement.preference import Preference
+from grasping.refinement.refinement_file import of_kind
 from grasping.ros import ggcnn_messages as messages
 from grasping.ros.camera_input import DepthImage, DepthStream
 from grasping.ros.pose_lookup import PoseLookup
@@ -50,6 +52,7 @@ WARM_UP = 5
 RATE_WEIGHT = 0.1  # weight of the newest value in the times that diagnostics show
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
 KEPT_BYTES, LARGEST_BYTES = 2**26, 2**25  # that stay with the process when they are free; of an array among them
+KIND_PERIOD_S = 1.0
 NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
@@ -73,11 +76,37 @@ class ReasonLog:
             rospy.loginfo("There are grasps, and the best is reachable.")
 
 
+class RefinementKind:
+    """The parameter refinement_kind, which may be changed while the node runs."""
+
+    def __init__(self, kinds: dict[str, Preference], kind: str) -> None:
+        self._kinds, self._kind, self._looked = kinds, kind, time.monotonic()
+
+    def changed(self) -> Preference | None:
+        """Returns the preference of another kind than before, None otherwise; one that is not known is logged."""
+        if not self._kinds or time.monotonic() - self._looked < KIND_PERIOD_S:
+            return None
+        self._looked = time.monotonic()
+        kind = str(private_values().get("refinement_kind", self._kind))
+        if kind == self._kind:
+            return None
+        self._kind = kind
+        try:
+            found = of_kind(self._kinds, kind)
+        except RigError as error:
+            rospy.logwarn("%s The grasps remain those of the kind before.", error)
+            return None
+        rospy.loginfo("The grasps are refined for the kind %r.", kind)
+        return found
+
+
 class GgcnnNode:
     """Looks for grasps in the newest depth image, again and again."""
 
-    def __init__(self, settings: GgcnnSettings, pipeline: GraspPipeline, about: dict[str, str]) -> None:
-        self._settings, self._pipeline, self._about = settings, pipeline, about
+    def __init__(
+        self, settings: GgcnnSettings, pipeline: GraspPipeline, kind: RefinementKind, about: dict[str, str]
+    ) -> None:
+        self._settings, self._pipeline, self._kind, self._about = settings, pipeline, kind, about
         self._milliseconds: dict[str, float] = {}
         self._grasps = self._image_count = self._normals_missing = 0
         self._reasons = ReasonLog()
@@ -114,6 +143,9 @@ class GgcnnNode:
         if image.reason:
             self._publish(image.header, [], image.reason)
             return
+        refinement = self._kind.changed()
+        if refinement is not None:
+            self._pipeline.refine(refinement)
         started, header = time.perf_counter(), image.header
         T_base_camera, unknown = self._camera_pose.in_base(header.frame_id, header.stamp)
         found = self._pipeline.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
@@ -232,7 +264,8 @@ def _run() -> None:
     cv2.setNumThreads(settings.network.threads)
     main = settings.main
     rig = live_origin(settings, loaded.sha256, rospy.get_param("kuka/robot", None))
-    refinement = load_refinement(main.refinement_weights, rig) if main.refine else None
+    kinds = load_refinement(main.refinement_weights, rig) if main.refine else {}
+    refinement = of_kind(kinds, main.refinement_kind) if main.refine else None
     try:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
@@ -246,7 +279,8 @@ def _run() -> None:
     )
     threads = settings.network.threads
     rospy.loginfo(f"{file} ({name}, SHA-256 {sha256}...) takes {milliseconds:.0f} ms an image on {threads} threads.")
-    GgcnnNode(settings, pipeline, {"network": name, "weights": sha256, "weights_hand": loaded.hand}).run()
+    about = {"network": name, "weights": sha256, "weights_hand": loaded.hand}
+    GgcnnNode(settings, pipeline, RefinementKind(kinds, main.refinement_kind), about).run()
 
 
 def main() -> None:

@@ -41,8 +41,8 @@ def load_network(config: NetworkConfig) -> Loaded:
     return loaded
 
 
-def load_refinement(name: str, rig: Origin) -> Preference:
-    """Returns the refinement of a weight file; one of this package must have the hash in its list.
+def load_refinement(name: str, rig: Origin) -> dict[str, Preference]:
+    """Returns the preferences in a weight file by kind of object; one of this package must have the hash in its list.
 
     Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig.
     """

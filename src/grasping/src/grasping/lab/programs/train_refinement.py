@@ -1,8 +1,9 @@
 """Learns from episodes of an operator's grasps which ones the operator prefers, and what is lifted; takes seconds.
 
 The folder of the run gets weights.pt, for `refinement_weights` in ggcnn.yaml, and settings.json, which says what was
-learned. What is lifted is learned from the outcomes of all grasps that were at a candidate, of the episodes and of
-those in --outcomes; if they are too few, nothing is known of lifts and nothing constrains the operator's taste.
+learned. Each kind of object is learned from its own episodes; the file holds all kinds. What is lifted is learned from
+the outcomes of all grasps that were at a candidate, of these episodes and of those in --outcomes; if they are too few,
+nothing is known of lifts and nothing constrains the operator's taste.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -26,7 +27,7 @@ from grasping.network.depth_image import VIEWS
 from grasping.refinement import taste
 from grasping.refinement.candidates import TASTES
 from grasping.refinement.preference import Preference
-from grasping.refinement.refinement_file import Origin, content
+from grasping.refinement.refinement_file import ANY_KIND, Origin, content
 from grasping.refinement.taste import Choice
 
 
@@ -39,7 +40,7 @@ class Named(NamedTuple):
     @property
     def objects(self) -> set[str]:
         """What was grasped."""
-        return {thing.strip() for thing in self.episode.metadata.object.split(",")}
+        return {thing.strip() for thing in self.episode.metadata.object.split(",") if thing.strip()}
 
 
 class Lesson(NamedTuple):
@@ -64,6 +65,15 @@ def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str]
             found.append(named)
     if not found:
         raise RigError(f"{folder} holds no episode of these things: collect some, or run make_episodes.py.")
+    return found
+
+
+def by_kind(named: Sequence[Named], only: Iterable[str] = ()) -> dict[str, list[Named]]:
+    """Returns the episodes of each kind of object, ordered by its name; `only` (if any) names the kinds."""
+    found: dict[str, list[Named]] = {name: [] for name in sorted(set(only) or {o for n in named for o in n.objects})}
+    for one in named:
+        for name in one.objects & found.keys():
+            found[name].append(one)
     return found
 
 
@@ -111,22 +121,44 @@ def preference(of: Iterable[Lesson], outcomes: Iterable[Lesson] = ()) -> Prefere
     return Preference(taste.learned([one.choice for one in own]), examples.lift_model(rows))
 
 
+def learned_by_kind(
+    kinds: Mapping[str, Iterable[Named]], outcomes: Iterable[Named] = ()
+) -> dict[str, tuple[Preference, int]]:
+    """Returns of each kind what its episodes teach, and how many do; `outcomes`: of others.
+
+    Raises RigError if there is no such episode.
+    """
+    others, found = lessons(outcomes), {}
+    for name, named in kinds.items():
+        own = lessons(named)
+        if not own:
+            raise RigError(f"In none of the episodes of {name} the camera sees the operator's grasp.")
+        found[name] = preference(own, others), len(own)
+    return found
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path, help="folder of the operator's episodes")
     parser.add_argument("run", type=Path, help="where the results go")
     parser.add_argument("--outcomes", type=Path, help="folder of episodes by anybody, for what is lifted")
-    parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="learn from these alone")
+    parser.add_argument("--only", action="append", default=[], metavar="OBJECT", help="learn these kinds alone")
     parser.add_argument("--without", action="append", default=[], metavar="OBJECT", help="learn from none of these")
+    pooled_help = "learn from all kinds together, for a node that is not told the kind"
+    parser.add_argument("--pooled", action="store_true", help=pooled_help)
     parser.add_argument("--mixed", action="store_true", help="learn from episodes of several rigs all the same")
     arguments = parser.parse_args()
     try:
         arguments.named = read_episodes(arguments.data, arguments.only, arguments.without)
         arguments.others = [] if arguments.outcomes is None else read_episodes(arguments.outcomes)
         arguments.origin = origin_of([*arguments.named, *arguments.others], arguments.mixed)
-        arguments.learned = lessons(arguments.named)
-        if not arguments.learned:
-            raise RigError(f"In none of the {len(arguments.named)} episodes the camera sees the operator's grasp.")
+        kinds = {ANY_KIND: arguments.named} if arguments.pooled else by_kind(arguments.named, arguments.only)
+        if not kinds:
+            raise RigError(f"The episodes in {arguments.data} name no kind of object: learn with --pooled.")
+        missing = [name for name, of in kinds.items() if not of]
+        if missing:
+            raise RigError(f"{arguments.data} holds no episode of {missing[0]}: collect some, or leave it out.")
+        arguments.learned = learned_by_kind(kinds, arguments.others)
         arguments.run.mkdir(parents=True, exist_ok=True)
     except (RigError, OSError) as error:
         parser.error(str(error))
@@ -134,7 +166,7 @@ def parse() -> argparse.Namespace:
 
 
 def summary(known: Preference, count: int) -> dict[str, object]:
-    """Returns what was learned, for people."""
+    """Returns what was learned of a kind, for people."""
     of, hand = known.taste, known.taste.hand
     return {
         "episodes": count,
@@ -151,8 +183,9 @@ def summary(known: Preference, count: int) -> dict[str, object]:
 
 def main() -> None:
     arguments = parse()
-    known = preference(arguments.learned, lessons(arguments.others))
-    torch.save(content(known, arguments.origin), arguments.run / "weights.pt")
-    text = json.dumps({**summary(known, len(arguments.learned)), **asdict(arguments.origin)}, indent=2)
+    kinds = {name: known for name, (known, _) in arguments.learned.items()}
+    torch.save(content(kinds, arguments.origin), arguments.run / "weights.pt")
+    said = {name: summary(*of) for name, of in arguments.learned.items()}
+    text = json.dumps({"kinds": said, **asdict(arguments.origin)}, indent=2)
     (arguments.run / "settings.json").write_text(text + "\n")
     sys.stdout.write(text + "\n")
