@@ -168,9 +168,9 @@ def _about(codes: torch.Tensor | None) -> dict[str, Any]:
 
 
 def _kinds(about: dict[str, Any]) -> list[str]:
-    names = about.get("kinds")
-    right = isinstance(names, list) and names and all(isinstance(name, str) and name for name in names)
-    if not right or len(set(names)) < len(names):
+    given = about.get("kinds")
+    names = [name for name in given if isinstance(name, str) and name] if isinstance(given, list) else []
+    if not names or names != given or len(set(names)) < len(names):
         raise WeightsError("The weight file does not name the kinds of object that it is for, each once.")
     return names
 
