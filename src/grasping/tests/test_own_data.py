@@ -133,7 +133,7 @@ def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(image
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
     for turned, right in ((0.0, BARS), (0.7, 0)):
-        monkeypatch.setattr(evaluate, "network", lambda _file, turned=turned: Knowing(turned))
+        monkeypatch.setattr(evaluate, "network", lambda _file, _precision, turned=turned: Knowing(turned))
         results = tmp_path / f"results {turned}"
         call(monkeypatch, evaluate, results, "--folder", images, "--weights", "mine", file)
         with (results / "rectangles.csv").open(newline="") as csv_file:
