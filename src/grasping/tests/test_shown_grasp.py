@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import threading
 
@@ -196,6 +197,8 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     one.enter()
     wait_until(lambda: one.process.poll() is not None, LONG_S, "the end of the program")
     assert one.process.returncode == 0, one.said
+    (rate, *_) = re.findall(r"24/25 \[[^]]* ([\d.]+)it/s", one.said)
+    assert float(rate) < 6.0, "by which the time that is left is estimated; 5 poses a second are taken"
     made = [decode(file.read_bytes()) for file in one.files()]
     assert len(made) == 25 and "25 poses of cup with 3 maps" in one.said
     for episode in made:

@@ -191,7 +191,8 @@ def _run(options: argparse.Namespace) -> None:
 
 def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, step: Callable[[], None]) -> None:
     """Runs `step` until a phase is over, with a progress bar."""
-    with tqdm(total=total, desc=name, miniters=0) as bar:  # why nothing is taken is shown, too
+    # Refreshed at each poll, as it also shows why nothing is taken: only the rate since the start is right then.
+    with tqdm(total=total, desc=name, miniters=0, smoothing=0) as bar:
         while recorder.session.phase is phase:
             if rospy.is_shutdown():
                 raise RigError("ROS shut down; the poses that are written stay.")
