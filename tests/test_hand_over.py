@@ -12,7 +12,16 @@ from common.rotations import rotation_from_quaternion
 from golden.two_arms import SIDES, SRC, TwoArms
 from kuka_control.loop import algorithms
 from rig_simulation.files import read_scene
-from rig_simulation.operator.hand_over import GIVER, TAKER, BoxHandOver, HandOverPlan, HandOverView, roles
+from rig_simulation.operator.hand_over import (
+    GIVER,
+    TAKER,
+    BoxHandOver,
+    HandOverPlan,
+    HandOverView,
+    between_fingers,
+    fingers_at,
+    roles,
+)
 from rig_simulation.operator.steering import GRIP_OFFSET
 from rig_simulation.world.scene import scene_from
 
@@ -76,9 +85,10 @@ def test_left_hands_the_box_to_right_and_the_arms_keep_apart():
             T_tool = rig.T_world_tool(side)
             grips[role] = T_tool[:3, 3] + rig.T_world_flange(side)[:3, :3] @ GRIP_OFFSET
             tools[role] = T_tool[:3, :3]
-        touching = frozenset(role for role, side in who.names.items() if any(side in name for name in state.touches))
+        touching = frozenset(role for role, side in who.names.items() if fingers_at(state.touches, side))
+        holding = frozenset(role for role, side in who.names.items() if between_fingers(state.touches, side))
         following = all(map(rig.following, SIDES))
-        view = HandOverView(grips, tools, T, state.clearance, touching, following)
+        view = HandOverView(grips, tools, T, state.clearance, touching, holding, following)
         results.append(person.step(view, rig.now))
         if results[-1].move is not None:
             rig.operators[who.names[results[-1].who]].reach(**results[-1].move.fields)
