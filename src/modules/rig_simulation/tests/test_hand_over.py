@@ -177,7 +177,7 @@ def test_the_taker_aims_at_where_the_end_of_the_box_is_now():
     rig.sunk = False
     result, steps, _ = work(rig, each=sinks)
     assert rig.sunk and not result.failure and steps == list(STEPS)
-    (beside, along, above), = took
+    ((beside, along, above),) = took
     assert np.hypot(beside, along) <= PLAN.beside and abs(above - PLAN.take_height) <= PLAN.tolerance + 1e-4
 
 

@@ -60,7 +60,7 @@ class HandOverPlan(Plan):
     grasp_height: float = 0.022  # of the grip above the box's top: the palm is 8 mm above it [m]
     take_height: float = 0.015  # the same of the taker, whose palm may touch the box in the air [m]
     deep: float = 0.024  # of the taker's grip above the box's top, at most: higher fingers push the box away [m]
-    beside: float = 0.008  # accepted distance of the taker beside its target: the fingers pull the box to the middle [m]
+    beside: float = 0.008  # accepted distance of the taker beside its target: the fingers pull the box in [m]
     from_end: float = 0.075  # of the gripping point from the end of the box [m]
     takes: int = 3  # of the taker, at most
     finger_patience: float = 3.0  # longest time for the robot's fingers beyond the operator's [s]
@@ -271,7 +271,8 @@ class BoxHandOver:
     def _matches(self, name: str, error: np.ndarray) -> bool:
         """Returns whether the tool is where it is to be; `error`: from it to its target, shape (3,) [m]."""
         if name == "approach":  # to a swaying box: a hand that is lower than it need be takes it all the better
-            return -error[2] <= self._plan.tolerance and np.linalg.norm(error[:2]) <= self._plan.beside
+            beside = float(np.linalg.norm(error[:2]))
+            return beside <= self._plan.beside and float(-error[2]) <= self._plan.tolerance
         return float(np.linalg.norm(error)) <= self._plan.tolerance
 
     def _holds(self, view: HandOverView) -> bool:
