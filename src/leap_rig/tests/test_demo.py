@@ -292,9 +292,9 @@ def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo)
     assert float(report["smallest_mm"]) > 29.0 and float(report["held_s"]) > 1.0
 
 
-def held_by_right_alone(world) -> bool:
+def held_by_left_alone(world) -> bool:
     box = world.ask("objects")["objects"]["box"]
-    return box["clearance"] > 0.05 and {body.split("/")[0] for body in box["touches"]} == {"right"}
+    return box["clearance"] > 0.05 and {body.split("/")[0] for body in box["touches"]} == {"left"}
 
 
 @pytest.mark.alone
@@ -308,7 +308,7 @@ def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(
     wait_until(lambda: "left servo" in read() or process.poll() is not None, 120.0, "a hand that steers")
     assert process.poll() is None, read()
     world = ControlClient("127.0.0.1", pairs["world_port"], 30.0)
-    wait_until(lambda: held_by_right_alone(world) or process.poll() is not None, 90.0, "the box in the right hand")
+    wait_until(lambda: held_by_left_alone(world) or process.poll() is not None, 90.0, "the box in the left hand")
     assert process.poll() is None, read()
     success, sentence = choose_arm(process, "middle")
     assert not success and "the arm is 'middle', but must be left, right or both" in sentence

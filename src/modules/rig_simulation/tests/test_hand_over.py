@@ -23,6 +23,8 @@ from rig_simulation.operator.hand_over import (
     HandOverPlan,
     HandOverView,
     LongBox,
+    between_fingers,
+    fingers_at,
     roles,
 )
 from rig_simulation.world.scene import scene_from
@@ -46,8 +48,10 @@ class TwoFollowingArms:
         self.T = pose(rotation_about(2, yaw), (x, y, TABLE + BOX.height / 2.0))
         self.scale, self.lag = scale, lag
         self.holds, self.handed, self.slow = set(), [], 0
+        self.misses, self.closed = 0, 0  # of the taker's grips, the first ones that miss; and how often it has closed
 
     def make(self, arm, move):
+        self.closed += arm == "right" and move.curl > self.curls[arm]
         self.palms[arm], self.yaws[arm], self.curls[arm] = move.palm, move.yaw, move.curl
 
     def at_an_end(self, arm):
@@ -55,7 +59,7 @@ class TwoFollowingArms:
         return min(np.linalg.norm(self.tools[arm] - end) for end in ends) < PLAN.grasp_height + 0.01
 
     def advance(self):
-        holds = {arm for arm in BASES if self.curls[arm] > 0.5 and self.at_an_end(arm)}
+        holds = self.between_fingers
         if holds != self.holds:
             self.handed.append(holds)
         self.holds, before = holds, dict(self.tools)
@@ -65,6 +69,11 @@ class TwoFollowingArms:
         if holds:
             self.T = self.T.copy()
             self.T[:3, 3] += np.mean([self.tools[arm] - before[arm] for arm in holds], axis=0)
+
+    @property
+    def between_fingers(self):
+        missed = {"right"} if self.closed <= self.misses else set()
+        return {arm for arm in BASES if self.curls[arm] > 0.5 and self.at_an_end(arm)} - missed
 
     @property
     def touching(self):
@@ -82,7 +91,8 @@ def test_the_box_is_taken_and_laid_down_within_the_workspace():
     """A tool that lays it down a little lower than it took it must not be held at the lower limit."""
     parameters = Path(__file__).parents[3] / "kuka_control" / "config" / "kuka_params_rt.yaml"
     lowest = yaml.safe_load(parameters.read_text())["z_lower_limit"]
-    assert TABLE + BOX.height + PLAN.grasp_height - 2.0 * PLAN.tolerance > lowest + 0.01
+    least = min(PLAN.grasp_height, PLAN.take_height)
+    assert TABLE + BOX.height + least - 2.0 * PLAN.tolerance > lowest + 0.01
 
 
 def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, steps: None):
@@ -95,7 +105,8 @@ def work(rig, following=lambda now: True, seconds=200.0, each=lambda person, ste
         grips = {role: rig.tools[arm] for role, arm in who.names.items()}
         tools = {role: rotation_about(2, np.pi - rig.yaws[arm]) for role, arm in who.names.items()}
         touching = frozenset(role for role, arm in who.names.items() if arm in rig.touching)
-        view = HandOverView(grips, tools, rig.T, rig.clearance, touching, following(now))
+        holding = frozenset(role for role, arm in who.names.items() if arm in rig.between_fingers)
+        view = HandOverView(grips, tools, rig.T, rig.clearance, touching, holding, following(now))
         result = person.step(view, now)
         if not steps or steps[-1] != result.step:
             steps.append(result.step)
@@ -140,7 +151,7 @@ def test_a_box_that_is_not_lifted_or_falls_is_given_up_with_the_reason():
     assert result.failure == "the box was not lifted" and steps[-1] == "lift"
     rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
     at_an_end = rig.at_an_end
-    rig.at_an_end = lambda arm: arm == "left" and at_an_end(arm)
+    rig.at_an_end = lambda arm: (arm == "left" or rig.curls["left"] > 0.5) and at_an_end(arm)  # right slips off alone
 
     def let_fall():
         TwoFollowingArms.advance(rig)
@@ -150,6 +161,71 @@ def test_a_box_that_is_not_lifted_or_falls_is_given_up_with_the_reason():
     rig.advance = let_fall
     result, steps, _ = work(rig)
     assert result.failure == f"the box fell (step {steps[-1]!r})" and steps[-1] in ("let go", "part")
+
+
+def test_the_taker_aims_at_where_the_end_of_the_box_is_now():
+    """The giver's hand sways, and the box's far end with it, half a metre away."""
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    took = []
+
+    def sinks(person, steps):
+        if steps[-1] == "approach" and not rig.sunk:
+            rig.sunk, rig.T = True, pose(rig.T[:3, :3], rig.T[:3, 3] - [0.01, 0.0, 0.015])
+        if steps[-1] == "take" and not took:
+            took.append(rig.tools["right"] - LongBox(BOX, PLAN.from_end).top(rig.T, -1.0))
+
+    rig.sunk = False
+    result, steps, _ = work(rig, each=sinks)
+    assert rig.sunk and not result.failure and steps == list(STEPS)
+    ((beside, along, above),) = took
+    assert np.hypot(beside, along) <= PLAN.beside and abs(above - PLAN.take_height) <= PLAN.tolerance + 1e-4
+
+
+def test_a_taker_that_missed_opens_goes_back_and_takes_again_before_the_giver_lets_go():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.misses = PLAN.takes - 1
+    result, steps, _ = work(rig)
+    taking, names = ["reach", "approach", "take"], list(STEPS)
+    again = ["again", *taking]
+    assert not result.failure and rig.closed == PLAN.takes
+    assert steps == names[: names.index("let go")] + again * rig.misses + names[names.index("let go") :]
+    assert rig.handed == [{"left"}, {"left", "right"}, {"right"}, set()]
+
+
+def test_a_giver_whose_taker_keeps_missing_does_not_let_go():
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+    rig.misses = PLAN.takes
+    result, steps, _ = work(rig)
+    assert result.failure == f"the taker did not get hold of the box, grip {PLAN.takes}"
+    assert rig.closed == PLAN.takes and "let go" not in steps
+    assert rig.curls["left"] == 1.0 and rig.holds == {"left"} and rig.clearance > 0.1
+
+
+def test_a_giver_keeps_a_box_that_the_taker_has_at_its_fingertips():
+    """While they close they push it down by 15 mm, as in the run that showed it; thumb and fingers touch it."""
+    rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
+
+    def pushes(person, steps):
+        if steps[-1] == "take" and not rig.pushed:
+            rig.pushed, rig.T = True, pose(rig.T[:3, :3], rig.T[:3, 3] - [0.0, 0.0, 0.015])
+
+    rig.pushed = False
+    rig.at_an_end, at_an_end = lambda arm: rig.closed == 1 or at_an_end(arm), rig.at_an_end
+    result, steps, _ = work(rig, each=pushes)
+    names = list(STEPS)
+    after = names.index("take") + 1
+    assert rig.pushed and not result.failure
+    assert steps == [*names[:after], "again", "reach", "approach", "take", *names[after:]]
+
+
+def test_thumb_and_a_finger_hold_a_box_by_the_names_of_the_links_that_touch_it():
+    touches = ["left/reflex/distal_1", "left/reflex/proximal_2", "table", "right/reflex/distal_2"]
+    assert fingers_at(touches, "left") == {1, 2} and not between_fingers(touches, "left")
+    palm = ["left/reflex/base_link", "left/reflex/swivel_1", "right/reflex/proximal_3"]
+    assert not fingers_at(palm, "left") and not between_fingers(palm, "right")
+    touches.append("right/reflex/proximal_3")
+    assert between_fingers(touches, "right") and not between_fingers(touches, "left")
+    assert not between_fingers(touches[-1:], "right") and not between_fingers([], "right")
 
 
 def test_slow_fingers_are_waited_for():

@@ -2,13 +2,17 @@
 
 The giver takes the box at one end, lifts it and brings it between the arms; the taker takes the other end, the giver
 lets go, and the taker puts the box down on its own side. So the robot hands stay as far apart as the two ends.
+
+The giver's hand sways by a degree, and the other end, half a metre away, by a centimetre. So the taker aims at where
+that end is, not at where it was, and closes its fingers as soon as it is low enough. And the giver does not let go
+before the taker has the box deep between its fingers: a taker that missed opens them, goes back and takes again.
 Positions in metres in `world`, times in seconds.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,8 +41,14 @@ STEPS = {
     "done": BOTH,
 }
 """The steps in their order, and whose hand moves."""
-CLOSES, OPENS = ("close", "take"), ("let go", "open")
-UP_IN_THE_AIR = ("bring", "reach", "approach", "take", "let go", "part", "carry", "lower")  # the box is held
+AGAIN = "again"  # the taker, which missed, opens its fingers; "reach" follows
+WHO = {**STEPS, AGAIN: TAKER}
+CLOSES, OPENS = ("close", "take"), ("let go", "open", AGAIN)
+AT_THE_BOX = ("above", "down", "reach", "approach")  # the target is at the box, and moves with it
+UP_IN_THE_AIR = ("bring", "reach", "approach", "take", AGAIN, "let go", "part", "carry", "lower")  # the box is held
+NEXT = {**dict(zip(STEPS, list(STEPS)[1:])), AGAIN: "reach"}
+BEFORE_CLOSE = list(STEPS)[: list(STEPS).index("close")]
+FINGERS, THUMB = (1, 2, 3), 3  # in the names of the robot hand's links
 HELD_M = 0.02  # a box whose lowest point is lower above the table is not held
 
 
@@ -48,7 +58,12 @@ class HandOverPlan(Plan):
 
     lift: float = 0.15  # how high the box is lifted [m]
     grasp_height: float = 0.022  # of the grip above the box's top: the palm is 8 mm above it [m]
+    take_height: float = 0.015  # the same of the taker, whose palm may touch the box in the air [m]
+    deep: float = 0.024  # of the taker's grip above the box's top, at most: higher fingers push the box away [m]
+    beside: float = 0.008  # accepted distance of the taker beside its target: the fingers pull the box in [m]
     from_end: float = 0.075  # of the gripping point from the end of the box [m]
+    takes: int = 3  # of the taker, at most
+    finger_patience: float = 3.0  # longest time for the robot's fingers beyond the operator's [s]
 
 
 @dataclass(frozen=True)
@@ -82,7 +97,8 @@ class HandOverView:
     tools: Mapping[str, np.ndarray]  # orientations of the tools, shape (3, 3)
     T_world_box: np.ndarray  # shape (4, 4) [m]
     clearance: float  # height of the lowest point of the box above the table [m]
-    touching: frozenset[str]  # whose robot hand touches the box: GIVER, TAKER
+    touching: frozenset[str]  # whose robot hand has a finger at the box: GIVER, TAKER
+    holding: frozenset[str]  # whose robot hand has it between thumb and fingers
     following: bool = True  # whether both arms follow their hands
 
 
@@ -135,6 +151,17 @@ def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray
     return Roles(giver, taker, -1.0 if axis @ across > 0.0 else 1.0, middle - beside, middle - 2.0 * beside)
 
 
+def fingers_at(touches: Collection[str], arm: str) -> set[int]:
+    """Returns which fingers of an arm's robot hand touch an object, by the bodies that do; its palm may, too."""
+    return {n for n in FINGERS if any(f"{arm}/reflex/{link}_{n}" in touches for link in ("proximal", "distal"))}
+
+
+def between_fingers(touches: Collection[str], arm: str) -> bool:
+    """Returns whether the robot hand of an arm has an object between thumb and fingers."""
+    fingers = fingers_at(touches, arm)
+    return THUMB in fingers and len(fingers) > 1
+
+
 class BoxHandOver:
     """The operator at work; call `step` about ten times a second.
 
@@ -149,15 +176,14 @@ class BoxHandOver:
         self._hands = {who: SteeringHand(plan, forward[who]) for who in (GIVER, TAKER)}
         self._ends = {GIVER: roles.end, TAKER: -roles.end}
         self._meeting, self._place = (np.array([*at, 0.0]) for at in (roles.meeting, roles.place))
-        self._names = list(STEPS)
-        self._step = 0
+        self._name, self._took = "wait", 0
         self._since: float | None = None
         self._target: np.ndarray | None = None
 
     @property
     def began(self) -> bool:
         """Whether the fingers have been moved: a hand that leaves now drops the box."""
-        return self._step >= self._names.index("close")
+        return self._name not in BEFORE_CLOSE
 
     def enters(self, who: str) -> float:
         """A hand comes in anew where its arm has kept the tool; returns the curl of its fingers, 0 to 1."""
@@ -167,7 +193,7 @@ class BoxHandOver:
 
     def step(self, view: HandOverView, now: float) -> HandOverStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
-        name = self._names[self._step]
+        name = self._name
         for who, hand in self._hands.items():
             hand.see(view.grips[who], now)
         if name == "done":
@@ -177,22 +203,32 @@ class BoxHandOver:
             return HandOverStep(name, failure=f"the box fell (step {name!r})")
         if now - self._since > self._plan.patience:
             return HandOverStep(name, failure=self._complaint(name, view))
-        who = STEPS[name]
+        who = WHO[name]
         moving = [self._hands[who]] if who != BOTH else list(self._hands.values())
-        if not view.following or not all(hand.ready(now) for hand in moving) or _fingers_move(name, who, view):
+        if not view.following or not all(hand.ready(now) for hand in moving):
             return HandOverStep(name)
+        if name == "take" and not self._holds(view):
+            if now - self._since <= self._plan.closing + self._plan.finger_patience:
+                return HandOverStep(name)
+            if self._took >= self._plan.takes:
+                return HandOverStep(name, failure=self._complaint(name, view))
+            return self._begin(AGAIN, view, now)
+        if _fingers_move(name, who, view):
+            return HandOverStep(name)
+        if name in AT_THE_BOX:
+            self._target = self._target_of(name, who, view)
         if self._target is not None:
             error, turn = self._target - view.grips[who], self._turn(name, who, view)
-            if np.linalg.norm(error) > self._plan.tolerance or abs(turn) > self._plan.turn_tolerance:
+            if not self._matches(name, error) or abs(turn) > self._plan.turn_tolerance:
                 return HandOverStep(name, who, self._hands[who].shift(error, now, turn))
         if name == "lift" and view.clearance < HELD_M:
             return HandOverStep(name, failure="the box was not lifted")
-        self._step += 1
-        self._since, self._target = now, None
-        return self._begin(self._names[self._step], view, now)
+        return self._begin(NEXT[name], view, now)
 
     def _begin(self, name: str, view: HandOverView, now: float) -> HandOverStep:
-        who = STEPS[name]
+        self._name, self._since, self._target = name, now, None
+        self._took += name == "take"
+        who = WHO[name]
         if who == BOTH:
             return HandOverStep(name)
         hand = self._hands[who]
@@ -211,8 +247,10 @@ class BoxHandOver:
         level = np.array([1.0, 1.0, 0.0])
         if name in ("above", "reach"):
             return top + plan.clearance * UP
-        if name in ("down", "approach"):
+        if name == "down":
             return top + plan.grasp_height * UP
+        if name == "approach":
+            return top + plan.take_height * UP
         if name == "lift":
             return grip + plan.lift * UP
         if name in ("part", "away"):
@@ -230,12 +268,26 @@ class BoxHandOver:
         turn = turn_to(self._box.shape, view.T_world_box[:3, :3], heading(view.tools[who]))
         return float(np.clip(turn, yaw - most, yaw + most))
 
+    def _matches(self, name: str, error: np.ndarray) -> bool:
+        """Returns whether the tool is where it is to be; `error`: from it to its target, shape (3,) [m]."""
+        if name == "approach":  # to a swaying box: a hand that is lower than it need be takes it all the better
+            beside = float(np.linalg.norm(error[:2]))
+            return beside <= self._plan.beside and float(-error[2]) <= self._plan.tolerance
+        return float(np.linalg.norm(error)) <= self._plan.tolerance
+
+    def _holds(self, view: HandOverView) -> bool:
+        """Returns whether the taker holds the box: with fingertips at its upper edges it does not."""
+        above = view.grips[TAKER][2] - self._box.top(view.T_world_box, self._ends[TAKER])[2]
+        return TAKER in view.holding and above < self._plan.deep
+
     def _complaint(self, name: str, view: HandOverView) -> str:
         if not view.following:
             return f"the arms did not follow within {self._plan.patience:g} s (step {name!r})"
+        if name == "take":
+            return f"the taker did not get hold of the box, grip {self._took}"
         if self._target is not None:
-            off = 1e3 * np.linalg.norm(self._target - view.grips[STEPS[name]])
-            return f"the {STEPS[name]}'s tool stayed {off:.0f} mm off the target of step {name!r}"
+            off = 1e3 * np.linalg.norm(self._target - view.grips[WHO[name]])
+            return f"the {WHO[name]}'s tool stayed {off:.0f} mm off the target of step {name!r}"
         return f"step {name!r} took longer than {self._plan.patience:g} s"
 
 

@@ -13,7 +13,15 @@ from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from rig_simulation.control_port import ControlClient
-from rig_simulation.operator.hand_over import BoxHandOver, HandOverPlan, HandOverStep, HandOverView, roles
+from rig_simulation.operator.hand_over import (
+    BoxHandOver,
+    HandOverPlan,
+    HandOverStep,
+    HandOverView,
+    between_fingers,
+    fingers_at,
+    roles,
+)
 from rig_simulation.operator.visits import Visits
 from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import Cuboid, scene_from
@@ -103,27 +111,28 @@ class HandOverScenario:
         self._start()
         return True
 
-    def _box(self) -> tuple[np.ndarray, float, set[str]]:
-        """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and which arms'
-        hands touch it.
+    def _box(self) -> tuple[np.ndarray, float, list[str]]:
+        """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and the bodies
+        that touch it.
         """
         answer = self._world.ask("objects")
         seen, self._time = answer["objects"][THING], answer["time"]
-        touching = {arm for arm in self._arms if any(body.startswith(f"{arm}/reflex/") for body in seen["touches"])}
-        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], touching
+        return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], seen["touches"]
 
     def _view(self) -> tuple[HandOverView, float]:
         """Returns the observation, and its time in the world, which may be slower than the machine's [s]: the robot's
         fingers are, too.
         """
-        T_world_box, clearance, arms = self._box()
-        touching = frozenset(who for who, name in self._roles.names.items() if name in arms)
+        T_world_box, clearance, touches = self._box()
+        names = self._roles.names.items()
+        touching = frozenset(who for who, arm in names if fingers_at(touches, arm))
+        holding = frozenset(who for who, arm in names if between_fingers(touches, arm))
         grips, tools = {}, {}
-        for who, name in self._roles.names.items():
+        for who, name in names:
             T, arm = self._T_world_base[name], self._arms[name]
             grips[who], tools[who] = T[:3, :3] @ arm.grip + T[:3, 3], T[:3, :3] @ arm.R
         following = all(arm.following and arm.streams for arm in self._arms.values())
-        return HandOverView(grips, tools, T_world_box, clearance, touching, following), self._time
+        return HandOverView(grips, tools, T_world_box, clearance, touching, holding, following), self._time
 
     def _tell(self, result: HandOverStep) -> None:
         """Publishes the step for both arms."""
