@@ -3,9 +3,10 @@
 The giver takes the box at one end, lifts it and brings it between the arms; the taker takes the other end, the giver
 lets go, and the taker puts the box down on its own side. So the robot hands stay as far apart as the two ends.
 
-The giver's hand sways by a degree, and the other end, half a metre away, by a centimetre. So the taker aims at where
-that end is, not at where it was, and closes its fingers as soon as it is low enough. And the giver does not let go
-before the taker has the box deep between its fingers: a taker that missed opens them, goes back and takes again.
+The giver's hand sways by half a degree, and the other end, half a metre away, by 5 mm (standard deviations). So the
+taker aims at where that end is, not at where it was, and closes its fingers as soon as it is low enough. And the giver
+does not let go before the taker has the box deep between its fingers: a taker that missed opens them, goes back and
+takes again.
 Positions in metres in `world`, times in seconds.
 """
 
