@@ -471,6 +471,25 @@ def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, wa
     newest(lists, wait_until, lambda m: tilted(m, 0.0), "a grasp of a bottle still")
 
 
+def test_of_a_master_that_died_and_of_a_list_no_kind_is_taken(ros, monkeypatch):
+    import rospy
+
+    from grasping.refinement import taste
+    from grasping.refinement.preference import Preference
+    from grasping.ros import ggcnn_node
+
+    monkeypatch.setattr(ggcnn_node, "KIND_PERIOD_S", 0.0)
+    kinds = {name: Preference(taste.nobody(), None) for name in ("cup", "bottle")}
+    kind = ggcnn_node.RefinementKind(kinds, "cup")
+    rospy.set_param("~refinement_kind", "bottle")
+    with monkeypatch.context() as patch:
+        patch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
+        assert kind.changed() is None
+    assert kind.changed() is kinds["bottle"]
+    rospy.set_param("~refinement_kind", ["cup"])
+    assert kind.changed() is None
+
+
 @pytest.mark.parametrize("kind", ["", "mug"])
 def test_a_kind_that_the_file_lacks_ends_it(ros, tmp_path, kind):
     choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)

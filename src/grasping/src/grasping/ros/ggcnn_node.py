@@ -30,6 +30,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.images import image_message
 from common.ros.node import run
 from common.ros.params import private_values
+from common.ros.service_calls import MasterLost, ask_master
 from grasp_msgs.msg import GraspList
 from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
 from grasping.network.networks import infer
@@ -87,16 +88,19 @@ class RefinementKind:
         if not self._kinds or time.monotonic() - self._looked < KIND_PERIOD_S:
             return None
         self._looked = time.monotonic()
-        kind = str(private_values().get("refinement_kind", self._kind))
-        if kind == self._kind:
-            return None
-        self._kind = kind
         try:
-            found = of_kind(self._kinds, kind)
+            kind = ask_master("getParam", rospy.resolve_name("~refinement_kind"))
+        except MasterLost:
+            return None
+        if kind is None or str(kind) == self._kind:
+            return None
+        self._kind = str(kind)
+        try:
+            found = of_kind(self._kinds, self._kind)
         except RigError as error:
             rospy.logwarn("%s The grasps remain those of the kind before.", error)
             return None
-        rospy.loginfo("The grasps are refined for the kind %r.", kind)
+        rospy.loginfo("The grasps are refined for the kind %r.", self._kind)
         return found
 
 
