@@ -109,7 +109,8 @@ def test_it_shows_the_world_and_its_forces_follows_a_change_of_scene_and_ends_wh
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="the package xdotool is not installed")
 def test_it_ends_when_its_window_is_closed_and_another_one_with_the_world(viewer, start, screen, world, processes):
     quit_window = ("xdotool", "search", "--onlyvisible", "--name", "MuJoCo", "windowfocus", "--sync", "key", "ctrl+q")
-    subprocess.run(quit_window, env={**os.environ, "DISPLAY": screen.display}, timeout=LONG_S, check=True)
+    # Its exit code says nothing: it fails if the window is gone before it releases the keys.
+    subprocess.run(quit_window, env={**os.environ, "DISPLAY": screen.display}, timeout=LONG_S, check=False)
     assert ends(viewer) == (0, "")
     another = start()
     processes.end(world[0])
