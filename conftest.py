@@ -39,14 +39,19 @@ hypothesis.settings.register_profile("tests", deadline=None, max_examples=50)
 hypothesis.settings.load_profile("tests")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
 def pytest_collection_modifyitems(config, items):
-    """Skips the tests marked `ros` where the workspace is not sourced, and says so."""
-    if "ROS_PACKAGE_PATH" in os.environ:
-        return
+    """Marks the tests that go by the clock, and skips those marked `ros` where the workspace is not sourced."""
     skip = pytest.mark.skip(reason="the workspace is not built and sourced: source devel/setup.bash")
     for item in items:
-        if item.get_closest_marker("ros"):
+        if GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
+            item.add_marker("clock")
+        if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
+
+
+GOES_BY_THE_CLOCK = {"wait_until", "processes"}
+"""Fixtures of tests whose threads or programs have times to keep."""
 
 
 @pytest.fixture(name="free_port")

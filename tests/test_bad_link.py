@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from campaign.network.link import CONDITIONS, Link, Way, direction, exchanged
 from campaign.network.wire import ROOT, in_own_network
 
+pytestmark = pytest.mark.clock
+
 times = st.floats(0.0, 0.2)
 fractions = st.floats(0.0, 1.0)
 

@@ -1,14 +1,13 @@
 #!/usr/bin/env bash
-# All tests, in four parts, one after another: those of single nodes, which mostly wait, many side by side; those of the
-# whole rig, which waits for faults and takes half a processor; demos at the rates of the real rig, which take most of
-# one; and those that want the processors for themselves. Those without ROS run behind all but these, where a processor
-# is idle.
+# All tests, in four parts, one after another: those of single nodes and others by the clock, which mostly wait, many side
+# by side; those of the whole rig, which waits for faults and takes half a processor; demos at the rates of the real rig,
+# which take most of one; and those that want the processors for themselves. The others, which only compute, run behind
+# all but the last, where a processor is idle.
 # Options of pytest may follow.
 set -uo pipefail
 export PYTHONDONTWRITEBYTECODE=  # hundreds of nodes start: each would compile its modules again
-# To import the other files takes each process of pytest ten seconds.
+# To import the other files takes each process of pytest ten seconds. Who goes by the clock is known only then.
 with_mark() { grep -rlE "mark\.($1)\b" --include='test_*.py' src tests | sort; }
-mapfile -t with_ros < <(with_mark 'ros|rig')
 mapfile -t with_rig < <(with_mark rig)
 mapfile -t with_full_rate < <(with_mark full_rate)
 mapfile -t with_alone < <(with_mark alone)
@@ -21,11 +20,11 @@ log=$(mktemp)
 # Any other program that becomes ready takes the processor from one behind it at once. A test may then wait for minutes.
 how=idle
 chrt --idle 0 true 2> /dev/null || how=19
-setsid src/common/shell/behind.sh "$how" python -m pytest -m "not ros and not rig" -n 2 --dist worksteal -o timeout=1200 "$@" > "$log" 2>&1 &
+setsid src/common/shell/behind.sh "$how" python -m pytest -m "not ros and not rig and not clock" -n 2 --dist worksteal -o timeout=1200 "$@" > "$log" 2>&1 &
 pure=$!
 trap 'kill -- "-$pure" 2> /dev/null; rm -f "$log"' EXIT
 trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script would run the next tests
-run "ros and not rig" -n 5 --dist worksteal "$@" "${with_ros[@]}"
+run "(ros or clock) and not rig" -n 5 --dist worksteal "$@"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
 [ "$how" = idle ] || wait "$pure"
 run "full_rate and not alone" -n 2 "$@" "${with_full_rate[@]}"

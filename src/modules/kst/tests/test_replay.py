@@ -14,6 +14,8 @@ from kst.client import KstClient
 from kst.codec import Feedback
 from kst.session import KstTiming
 
+pytestmark = pytest.mark.clock
+
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 WAITS = KstTiming(
     connect_settle=0.0, tool_settle=0.0, servo_start=0.0, servo_stop=0.0, rest=0.0, reply=10.0, servo_reply=10.0

@@ -26,6 +26,8 @@ from leap_motion.headset.transport import BUSY, MAX_MESSAGE_BYTES, MAX_WAITING, 
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
 from leap_motion.service.server import MAX_WRONG_CODES
 
+pytestmark = pytest.mark.clock
+
 AHEAD, BELOW, HEIGHT = 0.4, 0.35, 0.35
 LEVEL = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
 CENTRE = np.array([0.0, HEIGHT, 0.0])

@@ -12,6 +12,8 @@ from common.errors import DeviceError
 from rig_simulation import control_port
 from rig_simulation.control_port import ControlClient, ControlPort
 
+pytestmark = pytest.mark.clock
+
 
 def refuse():
     raise ValueError("The arm is not stopped.")
