@@ -118,7 +118,7 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
 
 
 def of_kind(kinds: Mapping[str, Preference], name: str) -> Preference:
-    """Returns the preference of a kind; of an empty name the only one. Raises WeightsError if there is none."""
+    """Returns the preference of a kind, or the only one if `name` is empty; raises WeightsError if there is none."""
     if not name and len(kinds) == 1:
         return next(iter(kinds.values()))
     if name not in kinds:
