@@ -191,6 +191,11 @@ IN_THE_BACKGROUND = ("sh", "-c", 'trap "" INT; exec "$@"', "sh")
 """Runs a command without interrupts, as the shell of a script does with what ends by &."""
 
 
+def log_of_the_arm(folder: Path) -> str:
+    """Returns what the arm's controller has logged, of a demo of this folder."""
+    return "".join(path.read_text() for path in folder.glob("log/*/kuka_real_time_node-*.log"))
+
+
 def ends_with_everything_that_it_started(process, number, wait_until, tmp_path):
     """Sends it a signal, which must end it with all its nodes, and the controller in order."""
     everything = {process.pid, *descendants(process.pid)}
@@ -204,8 +209,7 @@ def ends_with_everything_that_it_started(process, number, wait_until, tmp_path):
     finally:
         for pid in filter(runs, everything):
             os.kill(pid, signal.SIGKILL)
-    logs = [path.read_text() for path in tmp_path.glob("log/*/kuka_real_time_node-*.log")]
-    assert any("The connection to the robot is closed." in log for log in logs)
+    assert "The connection to the robot is closed." in log_of_the_arm(tmp_path)
 
 
 def test_in_a_terminal_that_is_closed_everything_ends(demo, wait_until, tmp_path):
@@ -221,12 +225,13 @@ def test_a_recording_is_played_from_a_folder_with_a_space_in_its_name_until_an_i
     folder = tmp_path / "my recordings"
     folder.mkdir()
     recording = shutil.copy(shared_data / "leap" / "rollAndPitchWithEntry.jsonl.gz", folder)
-    play = ("--recording", recording, "--offset", "0", "150", "0")
+    play = ("--recording", recording, "--offset", "0", "150", "30")  # in each round the hand comes into the box
     process = demo(*play, within=IN_THE_BACKGROUND, easy=False, **WITHOUT_WORLD)
     seconds = re.compile(r"(\d+) s \| arm")
     wait_until(
         lambda: any(int(n) >= 15 for n in seconds.findall(process.log_path.read_text())), 120.0, "15 s of the recording"
     )
+    wait_until(lambda: "in servo mode" in log_of_the_arm(tmp_path), 60.0, "the arm to follow in one of the rounds")
     ends_with_everything_that_it_started(process, signal.SIGINT, wait_until, tmp_path)
     assert "Leap Rig: " in process.log_path.read_text()
     summary = json.loads(process.report.read_text())
