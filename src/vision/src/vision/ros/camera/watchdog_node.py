@@ -33,24 +33,24 @@ class WatchedStream:
         self._watch = StreamWatch(STREAMS[name], config)
         self._lock = threading.Lock()
         self._images: rospy.Subscriber | None = None
-        self._reported = "waiting"
+        self._judged = self._watch.health(time.monotonic()), 0.0
         self._size: tuple[int, int] | None = None
         self.garbled = 0
         self.topic = rospy.resolve_name(f"{name}/image_raw")
         rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, queue_size=1)
 
+    @property
     def health(self) -> tuple[StreamHealth, float]:
-        """Returns the present state and the images per second [Hz]."""
-        with self._lock:
-            now = time.monotonic()
-            return self._watch.health(now), self._watch.rate(now)
+        """The state and the images per second [Hz], as `report` last judged them."""
+        return self._judged
 
     def report(self) -> bool:
-        """Logs a change of state; returns whether there was one."""
-        health, _ = self.health()
-        if health.state == self._reported:
+        """Judges the stream, and logs a change of its state; returns whether there was one."""
+        with self._lock:
+            now, (before, _) = time.monotonic(), self._judged
+            self._judged = health, _ = self._watch.health(now), self._watch.rate(now)
+        if health.state == before.state:
             return False
-        self._reported = health.state
         (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
         return True
 
@@ -110,7 +110,8 @@ def main() -> None:
 def _diagnosis(streams: dict[str, WatchedStream]) -> tuple[int, str, dict[str, object]]:
     level, sentences, values = DiagnosticStatus.OK, [], {}
     for name, stream in streams.items():
-        health, rate = stream.health()
+        stream.report()  # what is shown has been logged
+        health, rate = stream.health
         values.update({name: health.state, f"{name}_rate": f"{rate:.1f}", f"{name}_garbled": stream.garbled})
         sentences.append(health.sentence)
         level = max(level, LEVELS.get(health.state, DiagnosticStatus.ERROR))
