@@ -65,15 +65,26 @@ def test_a_light_box_survives_the_shake():
     assert lift(SCENE, lying(), grasp(), 0, shake=True).lifted
 
 
-@given(st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(-0.15, 0.15))
-def test_the_hand_points_down_with_the_grasp_between_its_fingers(angle, height, lean):
+ROD = SCENE.replace('type="box" size="0.02 0.04 0.03"', 'type="capsule" size="0.0095 0.06" euler="1.5708 0 0"')
+
+
+def test_of_a_thin_rod_the_hand_lifts_what_the_height_of_its_tips_allows():
+    """Pads that press too far above its axis slide over it."""
+    T, qpos = grasp(), np.array([0.0, 0.0, 0.0095, 1.0, 0.0, 0.0, 0.0])
+    T[2, 3] = 0.019
+    assert lift(ROD, qpos, T).reason == lift_trial.MISSED
+    assert lift(ROD, qpos, T, ground=0.0).lifted
+
+
+@given(st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(-0.15, 0.15), st.floats(0.0, 0.05))
+def test_the_hand_points_down_with_the_grasp_between_its_fingers(angle, height, lean, ground):
     T = pose(rotation_about(2, angle) @ DOWN @ rotation_about(0, lean), (0.1, -0.2, height))
-    T_world_hand = hand_pose(T)
+    T_world_hand = hand_pose(T, ground)
     np.testing.assert_allclose(T_world_hand[:3, 2], [0.0, 0.0, -1.0], atol=1e-12)
     np.testing.assert_allclose(T_world_hand[:3, 0], T[:3, 0] * (1.0, 1.0, 0.0), atol=1e-12)
     grip = T_world_hand[:3, :3] @ P_HAND_GRIP + T_world_hand[:3, 3]
     np.testing.assert_allclose(grip[:2], T[:2, 3], atol=1e-12)
-    assert grip[2] == pytest.approx(max(height, TIPS_M + GROUND_M - P_HAND_GRIP[2]))
+    assert grip[2] == pytest.approx(max(height, TIPS_M + ground - P_HAND_GRIP[2]))
 
 
 def test_fingers_on_a_vertical_line_are_refused():
@@ -130,6 +141,16 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([str(file), "--results", str(results), "--shake"])
     assert "holds trials without a shake" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([str(file), "--results", str(results), "--tips", "0"])
+    assert "other --tips" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("tips", ["nan", "-1", "101"])
+def test_tips_out_of_range_are_refused(tmp_path, capsys, tips):
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "grasps.json"), "--tips", tips])
+    assert "must be between 0 and 100" in capsys.readouterr().err
 
 
 def test_qualities_are_judged_by_what_was_lifted():

@@ -1,8 +1,8 @@
 """The rig's ReFlex hand on a vertical slide above a given scene: down to a grasp, close, lift, and perhaps shake.
 
-The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the straight
-fingers' tips are just above the table. Then each finger closes up to a given motor load, and the hand rises. The hand
-is that of the shared world, with its springs, tendons and rubber.
+The hand points down with half-closed fingers and descends to the palm distance of the rig's tool, or until the tips of
+its fingers, were they straight, would be just above the table. Then each finger closes up to a given motor load, and
+the hand rises. The hand is that of the shared world, with its springs, tendons and rubber.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 import mujoco
@@ -36,7 +36,7 @@ TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
 """Position of the surface between the fingers in the hand's frame, as on the rig [m]."""
 TIPS_M = 0.196  # from the hand's base to the tips of its straight fingers
-GROUND_M = 0.004  # lowest height of the tips above the table
+GROUND_M = 0.004  # least height of the straight fingers' tips above the table
 START_M = 0.10  # start height above the grasp
 LIFT_M = 0.10
 RISE_M = 0.06  # an object that rises by this much, and stays up, counts as lifted
@@ -52,16 +52,22 @@ FINGER = re.compile(r"reflex/(?:proximal|distal)_(\d)")  # name of a finger's bo
 
 
 def lift(
-    scene: str, qpos: np.ndarray, T_world_grasp: np.ndarray, target: int | None = None, shake: bool = False
+    scene: str,
+    qpos: np.ndarray,
+    T_world_grasp: np.ndarray,
+    target: int | None = None,
+    shake: bool = False,
+    ground: float = GROUND_M,
 ) -> lift_trial.LiftResult:
     """Simulates a grasp.
 
     `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
     `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above;
-    `target`: number of the object that the grasp is meant for, None: whichever rises most; `shake`: after the lift.
+    `target`: number of the object that the grasp is meant for, None: whichever rises most; `shake`: after the lift;
+    `ground`: least height of the straight fingers' tips above the table [m].
     Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene.
     """
-    model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp)))
+    model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
     data = mujoco.MjData(model)
@@ -118,7 +124,7 @@ def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
     return np.array([len(fingers) > 1 for fingers in touching])
 
 
-def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
+def hand_pose(T_world_grasp: np.ndarray, ground: float = GROUND_M) -> np.ndarray:
     """Returns the pose of the hand's base for a grasp, T_world_hand, shape (4, 4) [m]; ValueError as `lift`."""
     x = T_world_grasp[:3, 0] * (1.0, 1.0, 0.0)
     length = np.linalg.norm(x)
@@ -127,7 +133,7 @@ def hand_pose(T_world_grasp: np.ndarray) -> np.ndarray:
     x, z = x / length, np.array([0.0, 0.0, -1.0])
     R = np.column_stack([x, np.cross(z, x), z])
     p = T_world_grasp[:3, 3] - R @ P_HAND_GRIP
-    p[2] = max(p[2], TIPS_M + GROUND_M)
+    p[2] = max(p[2], TIPS_M + ground)
     return pose(R, p)
 
 
@@ -201,19 +207,27 @@ def _check(scene: dict[str, Any]) -> None:
         str(grasp["method"]), str(scene["split"]), grasp["peak"]
 
 
-def try_scene(task: tuple[dict[str, Any], list[str], bool]) -> list[dict[str, Any]]:
-    """Returns the results of the grasps of some methods in one scene; a missing grasp lifts nothing."""
-    scene, names, shake = task
+class Task(NamedTuple):
+    """Grasps to be tried in one scene."""
+
+    scene: dict[str, Any]  # of the file
+    methods: list[str]  # whose grasps
+    conditions: dict[str, Any]  # `shake` and `ground`, as in `lift`
+
+
+def try_scene(task: Task) -> list[dict[str, Any]]:
+    """Returns the results of the grasps; a missing grasp lifts nothing."""
+    scene = task.scene
     mujoco.set_mju_user_warning(_ignore)
     rows = []
     for grasp in scene["grasps"]:
-        if grasp["method"] in names:
+        if grasp["method"] in task.methods:
             row = {name: scene[name] for name in ("split", "scene", "objects")}
-            row.update({name: grasp[name] for name in ("method", "width", "peak")}, shake=shake)
+            row.update({name: grasp[name] for name in ("method", "width", "peak")}, **task.conditions)
             trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
             if grasp["T_world_grasp"] is not None:
                 T = np.array(grasp["T_world_grasp"])
-                trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], shake)
+                trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], **task.conditions)
             rows.append({**row, **trial._asdict()})
     return rows
 
@@ -267,14 +281,21 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, and resume from it")
     parser.add_argument("--processes", type=int, default=1, help="number of scenes at a time")
     parser.add_argument("--shake", action="store_true", help="shake the hand after the lift, 0.5 g along three axes")
+    tips_help = "least height of the straight fingers' tips above the table, mm; at 0 they may touch it; default 4"
+    parser.add_argument("--tips", type=float, default=1000.0 * GROUND_M, metavar="MM", help=tips_help)
     options = parser.parse_args(arguments)
     if options.processes < 1:
         parser.error(f"--processes is {options.processes}, but must be at least 1.")
+    if not 0.0 <= options.tips <= 100.0:
+        parser.error(f"--tips is {options.tips:g} mm, but must be between 0 and 100.")
+    conditions = {"shake": options.shake, "ground": options.tips / 1000.0}
     try:
         scenes = read(options.file)
         rows = json.loads(options.results.read_text()) if options.results and options.results.exists() else []
         if any(row.get("shake") != options.shake for row in rows):
             raise RigError(f"{options.results} holds trials with{'out' * options.shake} a shake: name another file.")
+        if any(abs(row.get("ground", GROUND_M) - conditions["ground"]) > 1e-9 for row in rows):
+            raise RigError(f"{options.results} holds trials with other --tips: name another file.")
     except (RigError, OSError, ValueError) as error:
         parser.error(str(error))
     done = {(row["scene"], row["method"]) for row in rows}
@@ -282,7 +303,7 @@ def main(arguments: list[str] | None = None) -> int:
     for scene in scenes:
         missing = [g["method"] for g in scene["grasps"] if (scene["scene"], g["method"]) not in done]
         if missing:
-            tasks.append((scene, missing, options.shake))
+            tasks.append(Task(scene, missing, conditions))
     with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
             rows += new
