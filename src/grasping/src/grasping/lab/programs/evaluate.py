@@ -176,6 +176,7 @@ def chosen_grasps(task: Task) -> tuple[trials.TrialScene, dict[str, maps.Peak | 
 def failed_grasp(task: FailureTask) -> sheets.FailedGrasp:
     """Returns what the sheet shows of a failed grasp."""
     cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
     row, number = task.row, int(task.row["scene"])
     seen = view(task.split, number, object_count(number))
     heights = points(prepare(seen.observed, trials.CROP).depth, seen.camera)[..., 2]
