@@ -207,7 +207,7 @@ def _check(scene: dict[str, Any]) -> None:
         str(grasp["method"]), str(scene["split"]), grasp["peak"]
 
 
-class Task(NamedTuple):
+class SceneTask(NamedTuple):
     """Grasps to be tried in one scene."""
 
     scene: dict[str, Any]  # of the file
@@ -215,7 +215,7 @@ class Task(NamedTuple):
     conditions: dict[str, Any]  # `shake` and `ground`, as in `lift`
 
 
-def try_scene(task: Task) -> list[dict[str, Any]]:
+def try_scene(task: SceneTask) -> list[dict[str, Any]]:
     """Returns the results of the grasps; a missing grasp lifts nothing."""
     scene = task.scene
     mujoco.set_mju_user_warning(_ignore)
@@ -303,7 +303,7 @@ def main(arguments: list[str] | None = None) -> int:
     for scene in scenes:
         missing = [g["method"] for g in scene["grasps"] if (scene["scene"], g["method"]) not in done]
         if missing:
-            tasks.append(Task(scene, missing, conditions))
+            tasks.append(SceneTask(scene, missing, conditions))
     with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
         for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
             rows += new
