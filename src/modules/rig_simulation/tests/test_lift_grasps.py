@@ -143,7 +143,42 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     assert "holds trials without a shake" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main([str(file), "--results", str(results), "--tips", "0"])
-    assert "other --tips" in capsys.readouterr().err
+    assert "holds trials with --tips 4:" in capsys.readouterr().err
+
+
+def test_the_program_lowers_the_hand_as_told_and_older_files_hold_trials_at_4_mm(tmp_path, capsys):
+    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
+    T = grasp()
+    T[2, 3] = 0.019
+    rod = {"mjcf": ROD, "qpos": [0.0, 0.0, 0.0095, 1.0, 0.0, 0.0, 0.0]}
+    tried = {**content()["scenes"][0]["grasps"][0], "T_world_grasp": T.tolist()}
+    file.write_text(json.dumps(content(**rod, grasps=[tried])))
+
+    def reason(*tips: str) -> str:
+        assert main([str(file), "--results", str(results), *tips]) == 0
+        (row,) = json.loads(results.read_text())
+        return row["reason"]
+
+    assert reason("--tips", "0") == lift_trial.LIFTED
+    with pytest.raises(SystemExit):
+        main([str(file), "--results", str(results)])
+    assert "holds trials with --tips 0:" in capsys.readouterr().err
+    results.unlink()
+    assert reason() == lift_trial.MISSED
+    (row,) = json.loads(results.read_text())
+    assert row.pop("ground") == pytest.approx(GROUND_M)
+    results.write_text(json.dumps([row]))
+    assert reason("--tips", "4") == lift_trial.MISSED
+
+
+@pytest.mark.parametrize("text", ['{"a": 1}', '[{"shake": false, "ground": null}]', "[1]"])
+def test_results_that_are_none_are_refused(tmp_path, capsys, text):
+    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
+    file.write_text(json.dumps(content()))
+    results.write_text(text)
+    with pytest.raises(SystemExit) as end:
+        main([str(file), "--results", str(results)])
+    assert end.value.code == 2 and "is not a file of trials" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("tips", ["nan", "-1", "101"])

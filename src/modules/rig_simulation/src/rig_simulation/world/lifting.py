@@ -36,7 +36,7 @@ TIMESTEP_S = 0.001
 P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
 """Position of the surface between the fingers in the hand's frame, as on the rig [m]."""
 TIPS_M = 0.196  # from the hand's base to the tips of its straight fingers
-GROUND_M = 0.004  # least height of the straight fingers' tips above the table
+GROUND_M = 0.004  # least height of the straight fingers' tips above the table, unless another one is asked for
 START_M = 0.10  # start height above the grasp
 LIFT_M = 0.10
 RISE_M = 0.06  # an object that rises by this much, and stays up, counts as lifted
@@ -281,8 +281,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, and resume from it")
     parser.add_argument("--processes", type=int, default=1, help="number of scenes at a time")
     parser.add_argument("--shake", action="store_true", help="shake the hand after the lift, 0.5 g along three axes")
-    tips_help = "least height of the straight fingers' tips above the table, mm; at 0 they may touch it; default 4"
-    parser.add_argument("--tips", type=float, default=1000.0 * GROUND_M, metavar="MM", help=tips_help)
+    usual = 1000.0 * GROUND_M
+    tips_help = f"least height above the table that the fingers' tips would have, were they straight, default {usual:g}"
+    parser.add_argument("--tips", type=float, default=usual, metavar="MM", help=tips_help)
     options = parser.parse_args(arguments)
     if options.processes < 1:
         parser.error(f"--processes is {options.processes}, but must be at least 1.")
@@ -294,10 +295,14 @@ def main(arguments: list[str] | None = None) -> int:
         rows = json.loads(options.results.read_text()) if options.results and options.results.exists() else []
         if any(row.get("shake") != options.shake for row in rows):
             raise RigError(f"{options.results} holds trials with{'out' * options.shake} a shake: name another file.")
-        if any(abs(row.get("ground", GROUND_M) - conditions["ground"]) > 1e-9 for row in rows):
-            raise RigError(f"{options.results} holds trials with other --tips: name another file.")
+        for row in rows:
+            tips = 1000.0 * row.get("ground", GROUND_M)  # older files do not name it
+            if not abs(tips - options.tips) < 1e-6:
+                raise RigError(f"{options.results} holds trials with --tips {tips:g}: name another file.")
     except (RigError, OSError, ValueError) as error:
         parser.error(str(error))
+    except (TypeError, AttributeError) as error:
+        parser.error(f"{options.results} is not a file of trials ({error}): name another file.")
     done = {(row["scene"], row["method"]) for row in rows}
     tasks = []
     for scene in scenes:

@@ -42,17 +42,18 @@ class WatchedStream:
     @property
     def health(self) -> tuple[StreamHealth, float]:
         """The state and the images per second [Hz], as `report` last judged them."""
-        return self._judged
+        with self._lock:
+            return self._judged
 
     def report(self) -> bool:
         """Judges the stream, and logs a change of its state; returns whether there was one."""
         with self._lock:
             now, (before, _) = time.monotonic(), self._judged
             self._judged = health, _ = self._watch.health(now), self._watch.rate(now)
-        if health.state == before.state:
-            return False
-        (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
-        return True
+            changed = health.state != before.state
+            if changed:  # under the lock, so that nobody shows a state before it is logged
+                (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
+        return changed
 
     def subscribe(self, wanted: bool) -> None:
         """Subscribes to the images while another node does."""
