@@ -231,7 +231,7 @@ def test_a_recording_is_played_from_a_folder_with_a_space_in_its_name_until_an_i
     wait_until(
         lambda: any(int(n) >= 15 for n in seconds.findall(process.log_path.read_text())), 120.0, "15 s of the recording"
     )
-    wait_until(lambda: "leaves servo mode" in log_of_the_arm(tmp_path), 60.0, "the end of a round that the arm followed")
+    wait_until(lambda: "leaves servo mode" in log_of_the_arm(tmp_path), 60.0, "a round that the arm followed")
     ends_with_everything_that_it_started(process, signal.SIGINT, wait_until, tmp_path)
     assert "Leap Rig: " in process.log_path.read_text()
     summary = json.loads(process.report.read_text())
