@@ -171,7 +171,11 @@ def test_the_program_lowers_the_hand_as_told_and_older_files_hold_trials_at_4_mm
     assert reason("--tips", "4") == lift_trial.MISSED
 
 
-@pytest.mark.parametrize("text", ['{"a": 1}', '[{"shake": false, "ground": null}]', "[1]"])
+WITHOUT_SCENE = '[{"shake": false}]'
+WITHOUT_GROUND = '[{"scene": 3, "method": "good", "shake": false, "ground": null}]'
+
+
+@pytest.mark.parametrize("text", ["{", "7", "[1]", '{"a": 1}', WITHOUT_SCENE, WITHOUT_GROUND])
 def test_results_that_are_none_are_refused(tmp_path, capsys, text):
     file, results = tmp_path / "grasps.json", tmp_path / "results.json"
     file.write_text(json.dumps(content()))

@@ -118,7 +118,11 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
 
 
 def of_kind(kinds: Mapping[str, Preference], name: str) -> Preference:
-    """Returns the preference of a kind, or the only one if `name` is empty; raises WeightsError if there is none."""
+    """Returns the preference of the kind `name`; an empty `name` means the only kind.
+
+    Raises:
+        WeightsError: the kind is unknown, or `name` is empty and there are several.
+    """
     if not name and len(kinds) == 1:
         return next(iter(kinds.values()))
     if name not in kinds:

@@ -207,6 +207,26 @@ def _check(scene: dict[str, Any]) -> None:
         str(grasp["method"]), str(scene["split"]), grasp["peak"]
 
 
+def read_trials(path: Path, shake: bool, ground: float) -> list[dict[str, Any]]:
+    """Returns the trials in a file of results.
+
+    Raises:
+        RigError: it is not such a file, or its trials had another `shake` or `ground` [m], as in `lift`.
+    """
+    try:
+        rows = json.loads(path.read_text())
+        for row in rows:
+            row["scene"], row["method"]
+            if row["shake"] != shake:
+                raise RigError(f"{path} holds trials with{'out' * shake} a shake: name another file.")
+            lowest = row.get("ground", GROUND_M)  # older files do not name it
+            if not abs(lowest - ground) < 1e-9:
+                raise RigError(f"{path} holds trials with --tips {1000.0 * lowest:g}: name another file.")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise RigError(f"{path} is not a file of trials ({error}): name another file.") from None
+    return rows
+
+
 class SceneTask(NamedTuple):
     """Grasps to be tried in one scene."""
 
@@ -292,17 +312,9 @@ def main(arguments: list[str] | None = None) -> int:
     conditions = {"shake": options.shake, "ground": options.tips / 1000.0}
     try:
         scenes = read(options.file)
-        rows = json.loads(options.results.read_text()) if options.results and options.results.exists() else []
-        if any(row.get("shake") != options.shake for row in rows):
-            raise RigError(f"{options.results} holds trials with{'out' * options.shake} a shake: name another file.")
-        for row in rows:
-            tips = 1000.0 * row.get("ground", GROUND_M)  # older files do not name it
-            if not abs(tips - options.tips) < 1e-6:
-                raise RigError(f"{options.results} holds trials with --tips {tips:g}: name another file.")
-    except (RigError, OSError, ValueError) as error:
+        rows = read_trials(options.results, **conditions) if options.results and options.results.exists() else []
+    except (RigError, OSError) as error:
         parser.error(str(error))
-    except (TypeError, AttributeError) as error:
-        parser.error(f"{options.results} is not a file of trials ({error}): name another file.")
     done = {(row["scene"], row["method"]) for row in rows}
     tasks = []
     for scene in scenes:

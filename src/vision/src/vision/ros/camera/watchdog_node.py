@@ -33,27 +33,22 @@ class WatchedStream:
         self._watch = StreamWatch(STREAMS[name], config)
         self._lock = threading.Lock()
         self._images: rospy.Subscriber | None = None
-        self._judged = self._watch.health(time.monotonic()), 0.0
+        self._reported = "waiting"
         self._size: tuple[int, int] | None = None
         self.garbled = 0
         self.topic = rospy.resolve_name(f"{name}/image_raw")
         rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, queue_size=1)
 
-    @property
-    def health(self) -> tuple[StreamHealth, float]:
-        """The state and the images per second [Hz], as `report` last judged them."""
+    def report(self) -> tuple[StreamHealth, float, bool]:
+        """Logs a change of state; returns the present state, the images per second [Hz], and whether it changed."""
         with self._lock:
-            return self._judged
-
-    def report(self) -> bool:
-        """Judges the stream, and logs a change of its state; returns whether there was one."""
-        with self._lock:
-            now, (before, _) = time.monotonic(), self._judged
-            self._judged = health, _ = self._watch.health(now), self._watch.rate(now)
-            changed = health.state != before.state
+            now = time.monotonic()
+            health, rate = self._watch.health(now), self._watch.rate(now)
+            changed = health.state != self._reported
             if changed:  # under the lock, so that nobody shows a state before it is logged
+                self._reported = health.state
                 (rospy.loginfo if health.usable else rospy.logwarn)("%s", health.sentence)
-        return changed
+        return health, rate, changed
 
     def subscribe(self, wanted: bool) -> None:
         """Subscribes to the images while another node does."""
@@ -103,7 +98,7 @@ def main() -> None:
             wanted = {topic for topic, nodes in subscribers if set(nodes) - {rospy.get_name()}}
             for stream in streams.values():
                 stream.subscribe(stream.topic in wanted)
-        if any([stream.report() for stream in streams.values()]):
+        if any([stream.report()[2] for stream in streams.values()]):
             diagnostics.publish()
         time.sleep(POLL_S)
 
@@ -111,8 +106,7 @@ def main() -> None:
 def _diagnosis(streams: dict[str, WatchedStream]) -> tuple[int, str, dict[str, object]]:
     level, sentences, values = DiagnosticStatus.OK, [], {}
     for name, stream in streams.items():
-        stream.report()  # what is shown has been logged
-        health, rate = stream.health
+        health, rate, _ = stream.report()
         values.update({name: health.state, f"{name}_rate": f"{rate:.1f}", f"{name}_garbled": stream.garbled})
         sentences.append(health.sentence)
         level = max(level, LEVELS.get(health.state, DiagnosticStatus.ERROR))
