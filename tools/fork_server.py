@@ -8,6 +8,7 @@ would make (argv, environment, session, output, `__main__`), with the modules al
 from __future__ import annotations
 
 import ast
+import atexit
 import contextlib
 import ctypes
 import gc
@@ -15,11 +16,13 @@ import importlib
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
 import types
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 PR_SET_CHILD_SUBREAPER = 36
 ROOM_FOR_COMMAND = 4096
@@ -169,7 +172,26 @@ def _show_command(command: list[str]) -> None:
     ctypes.memmove(start, text.ljust(end - start, b"\0"), end - start)
 
 
+def _run(code: types.CodeType) -> NoReturn:
+    """Runs a program and exits as Python does, but for the destruction of its objects."""
+    status, interrupted = 0, False
+    try:
+        exec(code, sys.modules["__main__"].__dict__)
+    except SystemExit as end:
+        if end.code is not None and not isinstance(end.code, int):
+            print(end.code, file=sys.stderr)
+        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+    except BaseException as error:
+        sys.excepthook(type(error), error, error.__traceback__)
+        status, interrupted = 1, isinstance(error, KeyboardInterrupt)
+    threading._shutdown()  # type: ignore[attr-defined]  # waits for the other threads
+    atexit._run_exitfuncs()
+    if interrupted:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
+    os._exit(status & 0xFF)
+
+
 if __name__ == "__main__":
     del sys.path[0]  # the tools
-    code = _serve()
-    exec(code, sys.modules["__main__"].__dict__)
+    _run(_serve())

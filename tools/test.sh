@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# All tests, in four parts, one after another: those of single nodes and others by the clock, which mostly wait, many side
-# by side; those of the whole rig, which waits for faults and takes half a processor; demos at the rates of the real rig,
-# which take most of one; and those that want the processors for themselves. The others, which only compute, run behind
-# all but the last, where a processor is idle.
+# All tests, in four parts, one after another: demos at the rates of the real rig, which take most of a processor; those
+# of the whole rig, which waits for faults and takes half of one; those of single nodes and others by the clock, which
+# mostly wait, many side by side; and those that want the processors for themselves. The others, which only compute, run
+# behind all but the last, where a processor is idle.
 # Options of pytest may follow.
 set -uo pipefail
 export PYTHONDONTWRITEBYTECODE=  # hundreds of nodes start: each would compile its modules again
-# To import the other files takes each process of pytest ten seconds. Who goes by the clock is known only then.
+# To import the other files takes each process of pytest seconds.
 with_mark() { grep -rlE "mark\.($1)\b" --include='test_*.py' src tests | sort; }
 mapfile -t with_rig < <(with_mark rig)
 mapfile -t with_full_rate < <(with_mark full_rate)
@@ -24,10 +24,10 @@ setsid src/common/shell/behind.sh "$how" python -m pytest -m "not ros and not ri
 pure=$!
 trap 'kill -- "-$pure" 2> /dev/null; rm -f "$log"' EXIT
 trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script would run the next tests
-run "(ros or clock) and not rig" -n 5 --dist worksteal "$@"
-run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
 [ "$how" = idle ] || wait "$pure"
-run "full_rate and not alone" -n 2 "$@" "${with_full_rate[@]}"
+run "full_rate and not alone" -n 2 --dist worksteal "$@" "${with_full_rate[@]}"
+run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
+run "(ros or clock) and not rig" -n 6 --dist worksteal --clock-files "$@"
 wait "$pure" || code=$?
 run alone "$@" "${with_alone[@]}"
 cat "$log"

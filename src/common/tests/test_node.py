@@ -196,6 +196,34 @@ def test_a_topic_that_is_closed_leaves_no_open_file(ros, start, wait_until):
     assert left <= 4, log  # the two that stay, and those whose connections are just ending
 
 
+SERVER = """
+import sys, time, traceback
+import rospy
+from common.ros.node import run
+
+def serves():
+    stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
+    return any(frame.f_code.co_name == "serve_forever" for stack in stacks for frame, _ in stack)
+
+def main():
+    assert serves()
+    rospy.signal_shutdown("the node ends, and has still to do")
+    until = time.monotonic() + 20.0
+    while serves() and time.monotonic() < until:
+        time.sleep(0.05)
+    print("serves:", serves())
+
+run("worker", main)
+"""
+
+
+def test_the_server_of_a_node_ends_with_it(ros, start, wait_until):
+    """Else its thread takes a processor, and Python's lock, from what the node does at its end."""
+    process = start(SERVER)
+    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
+    assert "serves: False" in process.log_path.read_text()
+
+
 HEAPS = """
 import ctypes, threading
 from common.ros.node import run

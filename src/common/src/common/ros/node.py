@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
+import rosgraph.xmlrpc
 import rospy
 import rospy.topics
 from rospy.impl.paramserver import get_param_server_cache
@@ -43,6 +44,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
     _shut_down_beside_the_main_thread(disposable)
+    end_closed_servers()
     hide_closed_connections()
     try:
         rospy.init_node(name, disable_signals=True)
@@ -72,6 +74,7 @@ def run_program(
     Ctrl-C or SIGTERM, which print `interrupted`.
     """
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    end_closed_servers()
     hide_closed_connections()
     sys.stdout.reconfigure(line_buffering=True)
     try:
@@ -143,6 +146,20 @@ def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[l
             emit(record)
 
     return guarded
+
+
+def end_closed_servers() -> None:
+    """Ends the thread of a node's XML-RPC server when rospy closes it at shutdown. It would ask the closed socket again
+    and again (https://github.com/ros/ros_comm/issues/2238), and take a processor and Python's lock from what the node
+    still does, such as braking an arm.
+    """
+    rosgraph.xmlrpc.ThreadingXMLRPCServer.service_actions = _end_if_closed
+
+
+def _end_if_closed(server: rosgraph.xmlrpc.ThreadingXMLRPCServer) -> None:
+    """Called by the server after each request, twice a second, and again and again once its socket is closed."""
+    if server.fileno() < 0:
+        raise ConnectionAbortedError("the server is closed")  # rosgraph expects one when it has closed the server
 
 
 def hide_closed_connections() -> None:

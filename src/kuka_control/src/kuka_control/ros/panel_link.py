@@ -23,7 +23,7 @@ from python_qt_binding.QtCore import QObject, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication
 
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
-from common.ros.node import hide_closed_connections
+from common.ros.node import end_closed_servers, hide_closed_connections
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
 from kuka_control.gui.panel import ArmsPanel, ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
@@ -285,6 +285,7 @@ def _show(on_top: bool, arms: Sequence[str]) -> int:
 
 
 def _join_ros() -> None:
+    end_closed_servers()
     hide_closed_connections()
     try:
         rospy.init_node(panel_process.NODE, disable_signals=True)

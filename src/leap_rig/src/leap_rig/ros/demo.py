@@ -26,6 +26,7 @@ from roslaunch.pmon import ProcessListener
 from rospkg.environment import get_log_dir
 
 from common.errors import RigError
+from common.ros.node import end_closed_servers
 from common.ros.service_calls import ServiceFailed, call
 from kuka_control.ros.panel_process import no_screen
 from kuka_msgs.srv import exitApp
@@ -391,6 +392,7 @@ def wait_for_end(
 def main() -> None:
     """Runs the demo with the arguments of the command line."""
     arguments = parse_arguments(sys.argv[1:])
+    end_closed_servers()
     try:
         sys.exit(run(arguments))
     except KeyboardInterrupt:
