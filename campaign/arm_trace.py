@@ -86,7 +86,7 @@ class ArmTrace:
         self._client.close()
 
     def _run(self) -> None:
-        seen, told = 0.0, 0.0
+        seen, reported = 0.0, 0.0
         while not self._stop.wait(PERIOD_S):
             try:
                 answer = self._client.ask("trace", since=seen)
@@ -99,8 +99,8 @@ class ArmTrace:
             seen = self.now.time
             self.samples.append(self.now)
             self.steps += answer["steps"]
-            self.events += [(when, text) for when, text in answer["events"] if when > told]
-            told = max([told, *(when for when, _ in answer["events"])])
+            self.events += [(when, text) for when, text in answer["events"] if when > reported]
+            reported = max([reported, *(when for when, _ in answer["events"])])
 
 
 def _sample(state: dict) -> Sample:

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """`make soak HOURS=2`: the whole simulated rig works for hours, and a judgement says whether anything grows.
 
-A simulated person visits the Leap; about every minute a device fails, the operator recovers as the handbook says,
+A simulated operator visits the Leap; about every minute a device fails, the operator recovers as the handbook says,
 switches the scaling factor and other settings, and a listener or the control panel comes and goes. Every SAMPLE_S the
 memory, threads, sockets and files of each process go to a file, line by line, with delays and counts. How to read the
 result: docs/handbook/endurance.md. Exit code 0: steady, 1: something grows or died, 2: the rig did not start.

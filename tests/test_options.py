@@ -163,13 +163,13 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
 
     if error is KeyboardInterrupt:
         monkeypatch.setattr(run.concurrent.futures, "as_completed", completed)
-    told = []
-    take = tell if error is OSError else lambda entry, *_: told.append(entry.number)
+    reported = []
+    take = tell if error is OSError else lambda entry, *_: reported.append(entry.number)
     campaign = run.Campaign(run.chosen(rows.load(), "1-5"), 1, None, take)
     with pytest.raises(error):
         campaign.run()
     assert len(rig.judged) == 1 and rig.closed == 1
-    assert not told, "a row that was cut off says nothing"
+    assert not reported, "a row that was cut off says nothing"
 
 
 @ros

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-TOLD = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
+NOTE_CALL = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def project(tmp_path):
 
 def program(file: Path, says: str = "") -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(f"#!/usr/bin/env bash\n{TOLD}{says}\n")
+    file.write_text(f"#!/usr/bin/env bash\n{NOTE_CALL}{says}\n")
     file.chmod(0o755)
 
 
@@ -85,7 +85,7 @@ def test_mediapipe_brings_no_packages_of_its_own(project):
     assert "--no-deps" in call.split()
 
 
-def test_without_mediapipe_the_set_up_goes_on_and_says_so(project):
+def test_without_mediapipe_the_set_up_continues_and_says_so(project):
     program(project / ".venv" / "bin" / "python", 'case "$*" in *webcam*) exit 1 ;; esac')
     calls, said = set_up_and_said(project, project / "nowhere")
     assert "webcam tracker is not available" in said

@@ -196,8 +196,8 @@ def missing(trial):
     with FrameStream(lambda t: [Frame(path(t), MOUNT)]) as stream:
         trial.begins()
         rig.watch(3.0)
-        told = [text for _, who, text in list(rig.said) if who == "rosout" and "nobody publishes where" in text]
-        trial.check("it is said once, not with each frame", 1 <= len(told) <= 3, str(len(told)))
+        reported = [text for _, who, text in list(rig.said) if who == "rosout" and "nobody publishes where" in text]
+        trial.check("it is said once, not with each frame", 1 <= len(reported) <= 3, str(len(reported)))
         rig.control(False)
         trial.operator()
         stream.path = lambda t: [Frame(T_BASE_MOUNT, child=MOUNT), Frame(path(t), MOUNT)]
@@ -314,9 +314,11 @@ def skew(trial):
     rig.watch(1.0)  # the frames so far are another stream
     with FrameStream(lambda t: [Frame(path(t), ahead=ahead[0])], silent=True) as stream:
         follow_frames(trial, stream)
-        told = [text for _, who, text in list(rig.said) if who == "rosout" and "s behind this machine's" in text]
+        reported = [text for _, who, text in list(rig.said) if who == "rosout" and "s behind this machine's" in text]
         trial.check(
-            "the offset of a clock that differs is said", any("The clock of" in text for text in told), str(told)
+            "the offset of a clock that differs is said",
+            any("The clock of" in text for text in reported),
+            str(reported),
         )
         ahead[0] = -8.0
         rig.wait(lambda: rig.mode not in ("pick_up", "servo"), "the end of servo mode when that clock is set", 5.0)
@@ -389,8 +391,8 @@ def no_clock(trial):
         rig.start(node)
     for node in nodes:
         trial.check(f"{node} ends with a fault", rig.exit_code(node) == 1)
-    told = rig.log.count("use_sim_time is true, but nobody publishes /clock")
-    trial.check("each says why", told >= len(nodes), str(told))
+    reported = rig.log.count("use_sim_time is true, but nobody publishes /clock")
+    trial.check("each says why", reported >= len(nodes), str(reported))
     trial.operator()
     rig.clock.pause(False)
     for node in nodes:

@@ -147,8 +147,8 @@ def not_rigid(trial):
         T[2, 3] = 0.106
         rig.start(CONTROLLER, use_tool_transform=True, tool_transform=T.ravel().tolist())
         trial.check(f"the controller does not start with a {what} tool", rig.exit_code(CONTROLLER) == 1)
-        told = [line for line in rig.log.splitlines() if "tool_transform is not a pose" in line and fault in line]
-        trial.check(f"it says why, with a {what} tool", bool(told), rig.log[-300:])
+        reported = [line for line in rig.log.splitlines() if "tool_transform is not a pose" in line and fault in line]
+        trial.check(f"it says why, with a {what} tool", bool(reported), rig.log[-300:])
     trial.operator()
     rig.leap.ask("fault", name="mirrored", on=False)
     rig.start(CONTROLLER, use_tool_transform=False)

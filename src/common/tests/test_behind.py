@@ -16,7 +16,7 @@ NICER = str(min(os.nice(0) + 7, 19))
 TELL = f"import os; print(os.nice(0)); print(open('{SESSION}').read())"
 
 
-def told(new_session: bool, how: str = "7") -> tuple[str, str]:
+def priority_of(new_session: bool, how: str = "7") -> tuple[str, str]:
     """Returns what a program started behind the others sees: its niceness, and its session."""
     command = [str(BEHIND), how, sys.executable, "-c", TELL]
     result = subprocess.run(command, capture_output=True, text=True, start_new_session=new_session, check=True)
@@ -31,7 +31,7 @@ def with_autogroups():
 
 
 def test_a_session_of_its_own_stands_behind_the_others():
-    niceness, session = told(new_session=True)
+    niceness, session = priority_of(new_session=True)
     if not session:
         pytest.skip("this machine shares the processor among processes, not among sessions")
     assert (niceness, session.split()[1:]) == (NICER, ["nice", "7"])
@@ -40,12 +40,12 @@ def test_a_session_of_its_own_stands_behind_the_others():
 def test_idle_gets_only_what_the_others_leave():
     command = [str(BEHIND), "idle", sys.executable, "-c", "import os; print(os.sched_getscheduler(0) == os.SCHED_IDLE)"]
     assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "True\n"
-    session = told(new_session=True, how="idle")[1]
+    session = priority_of(new_session=True, how="idle")[1]
     assert not session or session.split()[1:] == ["nice", "19"]
 
 
 def test_the_session_of_others_stays_as_it_is():
-    assert told(new_session=False) == (NICER, SESSION.read_text().strip())
+    assert priority_of(new_session=False) == (NICER, SESSION.read_text().strip())
 
 
 def test_the_exit_code_is_the_program_s():

@@ -109,7 +109,7 @@ def stream(active: bool):
 
 
 class PuppetRig:
-    """Publishes the tick that it is told, again and again, until it is told another."""
+    """Publishes the tick that it is given, again and again, until it is given another."""
 
     def __init__(self):
         import rospy

@@ -222,7 +222,7 @@ def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(
     assert os.listdir(folder) == []
     frames = int(status()["frames_kept"])
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])
-    wait_until(lambda: int(status()["frames_kept"]) > frames, 15.0, "that it goes on")
+    wait_until(lambda: int(status()["frames_kept"]) > frames, 15.0, "that it continues")
     assert processes.end(process) == 0
     assert "Traceback" not in process.log_path.read_text()
     assert "could not be written until the end" in process.log_path.read_text()
@@ -286,12 +286,12 @@ def test_frames_in_which_ggcnn_takes_the_robot_for_an_object_make_no_episode(rig
     process = start(frames__hand_radius=2.0, frames__hand_reach=1.0)
     wait_until(lambda: int(status().get("frames_on_hand", 0)) > 0, 60.0, "frames that are left out")
 
-    def told():
+    def reported():
         rig.perform([(1.0, FIST, True, GRASP_Z, GRASP_Z), (1.5, FIST, True, GRASP_Z, GRASP_Z + 0.1)])
         rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z)])
         return "no frame was kept since the operator began" in process.log_path.read_text()
 
-    wait_until(told, 15.0, "the sentence")
+    wait_until(reported, 15.0, "the sentence")
     assert status()["frames_kept"] == "0" and not files(folder)
 
 

@@ -41,7 +41,7 @@ def info(folder, monkeypatch, capsys):
     return run
 
 
-def test_objects_frames_and_the_share_that_was_held_are_told(info):
+def test_objects_frames_and_the_fraction_that_was_held_are_reported(info):
     code, text = info("--check")
     assert code == 0
     lines = {line.split()[0]: line.split() for line in text.splitlines() if line}

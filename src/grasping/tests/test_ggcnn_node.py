@@ -269,17 +269,17 @@ def test_a_torn_image_is_refused(ros, camera, wait_until):
     for reason, image in images.items():
         seen = len(lists)
 
-        def told(reason=reason, image=image, seen=seen):
+        def reported(reason=reason, image=image, seen=seen):
             image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_OPTICAL
             torn.publish(image)
             return any(reason in m.reason for m in lists[seen:])
 
-        wait_until(told, PATIENCE_S, reason)
+        wait_until(reported, PATIENCE_S, reason)
     torn.unregister()
     assert process.poll() is None
 
 
-def test_the_arms_controller_is_asked_and_the_way_goes_on_without_it(ros, camera, calibrated, wait_until):
+def test_the_arms_controller_is_asked_and_the_way_continues_without_it(ros, camera, calibrated, wait_until):
     import rospy
 
     from common.ros.conversions import pose_from_message

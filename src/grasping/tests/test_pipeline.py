@@ -1,4 +1,4 @@
-"""The whole way from depth images to grasps that may be told, without ROS."""
+"""The whole way from depth images to grasps that may be published, without ROS."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ def test_a_wrong_key_is_named(changes, fault):
     assert fault in str(caught.value)
 
 
-def test_all_faults_are_told_at_once():
+def test_all_faults_are_reported_at_once():
     with pytest.raises(ConfigError) as caught:
         settings_from(overlaid(YAML, {"view": "sideways", "peaks": {"count": 0}, "reach": {"best": 0}}))
     assert len(caught.value.faults) == 3

@@ -181,7 +181,7 @@ def test_a_grasp_out_of_sight_keeps_its_number_for_a_while_only():
     assert tracker.step([detection(0.0, 0.6)], 1.0)[0].id == 2
 
 
-def test_no_rival_is_told_while_the_best_is_out_of_sight_for_a_moment():
+def test_no_rival_is_published_while_the_best_is_out_of_sight_for_a_moment():
     tracker = GraspTracker(tracking(keep=0.5))
     both, rival = [detection(0.0, 0.7), detection(0.3, 0.6)], [detection(0.3, 0.6)]
     assert [t.id for t in tracker.step(both, 0.0)] == [1, 2] and not tracker.best_out_of_sight

@@ -63,7 +63,7 @@ class FakeArm(Arm):
         self.q = np.full(7, 0.1)
         self.goal = self.q
         self.mode = "idle"
-        self.told = []
+        self.commands = []
         self.goals = []
         self.held = False
         self.refuse = None
@@ -84,7 +84,7 @@ class FakeArm(Arm):
     def start_ptp(self, q, velocity):
         assert self.mode == "idle"
         self._fail()
-        self.told.append(("ptp", tuple(np.round(q, 9)), velocity))
+        self.commands.append(("ptp", tuple(np.round(q, 9)), velocity))
         self._refuse("start")
         self.goal, self.mode = q, "ptp"
 
@@ -99,7 +99,7 @@ class FakeArm(Arm):
     def start_servo(self):
         assert self.mode == "idle"
         self._fail()  # as at the real arm: an answer that is missing after servo mode began is pending
-        self.told.append(("start_servo",))
+        self.commands.append(("start_servo",))
         self._refuse("start_servo")
         self.mode, self.goal = "servo", self.q
         self.read()
@@ -114,7 +114,7 @@ class FakeArm(Arm):
 
     def stop_servo(self):
         assert self.mode == "servo"
-        self.told.append(("stop_servo",))
+        self.commands.append(("stop_servo",))
         self._refuse("stop_servo")
         self.mode, self.goal = "idle", self.q
 
@@ -210,7 +210,7 @@ class World:
     def at_home(self):
         self.until("home", 4.0)
         np.testing.assert_allclose(self.arm.q, self.rig.home.q)
-        self.arm.told.clear()
+        self.arm.commands.clear()
         self.modes.clear()
         return self
 
@@ -219,7 +219,7 @@ class World:
         self.control_on = True
         tool = tool if tool is not None else shifted(0.0, 0.0, 0.0)
         self.until("servo", 4.0, tool).run(76 * DT, tool)  # to a cycle with a frame
-        self.arm.told.clear()
+        self.arm.commands.clear()
         self.modes.clear()
         return self
 

@@ -466,7 +466,7 @@ def test_a_pick_up_that_is_blocked_is_refused_and_the_arm_stays_until_the_hand_i
     place(world, WALL)
     world.control_on = True
     world.run(1.0, aside(0.2))
-    assert world.mode == Mode.HOME and not world.arm.told
+    assert world.mode == Mode.HOME and not world.arm.commands
     assert "wall" in world.steps[-1].reason and sum("refuses" in event for event in world.events) == 1
     world.until("servo", 4.0, aside(-0.05))
 
@@ -476,7 +476,7 @@ def test_an_arm_whose_motion_home_is_blocked_stays_and_says_why():
     place(world, wall(0.05, "post"))
     world.run(1.0)
     assert world.mode == Mode.STOPPED and "post" in world.steps[-1].reason
-    assert not any(command[0] == "ptp" for command in world.arm.told)
+    assert not any(command[0] == "ptp" for command in world.arm.commands)
 
 
 def test_a_hand_behind_a_wall_is_followed_to_the_wall_and_the_reason_names_it():
@@ -495,7 +495,7 @@ def test_a_motion_does_not_begin_if_what_asked_for_it_ends_while_its_way_is_chec
     world = guarded_world().at_home()
     world.control_on = True
     world.ask("aside").run(DT)
-    assert not world.arm.told and world.progress.state is MoveState.RUNNING and world.loop.counts["moves"] == 0
+    assert not world.arm.commands and world.progress.state is MoveState.RUNNING and world.loop.counts["moves"] == 0
     if change == "cancel":
         world.cancel()
     elif change == "exit":
@@ -505,7 +505,7 @@ def test_a_motion_does_not_begin_if_what_asked_for_it_ends_while_its_way_is_chec
         world.control_on = change == "again"
     world.run(1.0)
     goal = ptp(Q_ASIDE, SLOW)
-    assert (goal in world.arm.told) == (change == "again")
+    assert (goal in world.arm.commands) == (change == "again")
     assert world.progress.state is (MoveState.DONE if change == "again" else MoveState.REFUSED)
 
 
@@ -514,10 +514,10 @@ def test_a_pick_up_does_not_begin_if_control_goes_off_while_its_way_is_checked()
         world = guarded_world().at_home()
         world.control_on = True
         world.run(DT, aside(-0.1))
-        assert not world.arm.told and world.mode == Mode.HOME
+        assert not world.arm.commands and world.mode == Mode.HOME
         world.control_on = not off
         world.run(0.3)
-        assert any(command[0] == "ptp" for command in world.arm.told) == (not off)
+        assert any(command[0] == "ptp" for command in world.arm.commands) == (not off)
 
 
 def test_one_cycle_checks_a_part_of_a_way_only(monkeypatch):

@@ -390,7 +390,7 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released_and_th
     assert "connection to the robot is closed" not in node.log, "it leaves the connection alone"
 
 
-def test_a_motion_that_a_safety_stop_holds_is_said_and_goes_on_to_its_end_when_it_is_released(
+def test_a_motion_that_a_safety_stop_holds_is_said_and_continues_to_its_end_when_it_is_released(
     ros, robot, start, wait_until
 ):
     from rosgraph_msgs.msg import Log
@@ -464,10 +464,10 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
         20.0,
         "the force from the torques",
     )
-    told = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
-    assert any(values.get("estimated_in_servo") == "moment, pose, force" for values in told)
+    reported = [{v.key: v.value for v in status.values} for m in diagnostics for status in m.status]
+    assert any(values.get("estimated_in_servo") == "moment, pose, force" for values in reported)
     late = node.log.count(LINK_LOST)  # on a busy machine
-    assert int(told[-1].get("missed_answers", "0")) <= 2 + late, "an answer may come late, but none is missing"
+    assert int(reported[-1].get("missed_answers", "0")) <= 2 + late, "an answer may come late, but none is missing"
     assert node.modes[-1].data == "servo"
 
 
@@ -697,7 +697,7 @@ def test_the_workspace_of_a_real_robot_is_not_lifted(ros, wait_until, executable
     assert "--lift-workspace is refused: kuka/ip is 192.0.2.1" in node.log and "Connecting" not in node.log
 
 
-def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_told(ros, robot, hand, wait_until):
+def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_warned(ros, robot, hand, wait_until):
     from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import String
 

@@ -1,5 +1,5 @@
-"""Two nodes that publish one frame are told apart from one node, and from one that takes over; and a frame of the chain
-that was calibrated anew from a hand that moves.
+"""Two nodes that publish one frame are distinguished from one node, and from one that takes over; and a frame of the
+chain that was calibrated anew from a hand that moves.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def test_a_closed_topic_is_an_error_only_while_ros_runs(view, monkeypatch, shut_
             view._show()
 
 
-def test_a_guard_that_fails_is_said_and_the_display_goes_on(view, monkeypatch):
+def test_a_guard_that_fails_is_said_and_the_display_continues(view, monkeypatch):
     import rospy
 
     from kuka_control.limits.speed_change import GuardError

@@ -263,7 +263,7 @@ def test_a_hand_takes_over_where_the_line_ended():
     world.until_state(State.SERVO, shifted(0.0, 0.03, 0.05))
 
 
-def test_a_line_whose_goals_wait_in_a_stall_goes_on_and_stays_on_the_line():
+def test_a_line_whose_goals_wait_in_a_stall_continues_and_stays_on_the_line():
     world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True, velocity=0.3)
     world.run(0.3)
     for _ in range(3):

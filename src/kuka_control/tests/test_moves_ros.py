@@ -43,9 +43,9 @@ def test_programs_move_the_arm(ros, robot, wait_until):
         return handle.get_result()
 
     def move(**goal):
-        told = []
-        handle = client.send_goal(MoveGoal(**goal), feedback_cb=lambda _, feedback: told.append(feedback))
-        return result_of(handle), told
+        feedback_messages = []
+        handle = client.send_goal(MoveGoal(**goal), feedback_cb=lambda _, feedback: feedback_messages.append(feedback))
+        return result_of(handle), feedback_messages
 
     def pose_goal(T, **goal):
         message = stamped_pose(T, goal.pop("frame", "kuka/base_frame"), rospy.Time())
@@ -81,9 +81,9 @@ def test_programs_move_the_arm(ros, robot, wait_until):
     # A line, with its feedback.
     assert node.control(True).success
     T = shifted(home, 0.0, 0.03, 0.08)
-    result, told = move(**pose_goal(T, straight=True, velocity=0.1))
+    result, feedback_messages = move(**pose_goal(T, straight=True, velocity=0.1))
     assert result.success, result.message
-    assert told and 0.0 < told[-1].fraction <= 1.0
+    assert feedback_messages and 0.0 < feedback_messages[-1].fraction <= 1.0
     node.wait_for_mode("holding")
     np.testing.assert_allclose(tool_of(robot)[:3, 3], T[:3, 3], atol=2e-3)
     np.testing.assert_allclose(result.joints, robot.joints, atol=2e-3)

@@ -410,7 +410,7 @@ def test_without_a_screen_a_controller_says_so_and_runs(ros, beside, wait_until)
     assert controller.poll() is None and children(controller) == []
 
 
-def test_a_wish_for_the_panel_that_is_no_truth_value_is_refused(ros, beside):
+def test_a_request_for_the_control_panel_that_is_no_truth_value_is_refused(ros, beside):
     controller = beside("ptp_controller.py", "gui:=perhaps")
     assert controller.wait(LONG_S) == 1 and "gui:=perhaps" in controller.log_path.read_text()
 

@@ -24,13 +24,13 @@ class Loop:
 
     def __init__(self):
         self.counts, self.observations = Counter(faults=0), []
-        self.told = []
+        self.calls = []
 
     def open_hand(self, opening):
-        self.told.append(opening)
+        self.calls.append(opening)
 
     def step(self, observation, now):
-        self.told.append("step")
+        self.calls.append("step")
         self.observations.append(observation)
         self.counts["ptp_motions"] += 1
         return Step(StartPtp(np.zeros(7), 0.1), "homing", "It moves.", ())
@@ -73,7 +73,7 @@ def test_nothing_moves_until_control_is_switched_on(supervisor, loops):
 def test_the_fresh_loop_knows_the_hand_before_its_first_step(supervisor, loops):
     supervisor.open_hand("folded")
     supervisor.step(observation(control_on=True), 101.0)
-    assert loops[0].told == ["folded", "step"]
+    assert loops[0].calls == ["folded", "step"]
 
 
 def test_a_frame_from_before_never_reaches_the_new_loop(supervisor, loops):

@@ -29,7 +29,7 @@ def run(law, arm_s=0.027, home=HOME, noise=0.0, late=1, push=None):
 
 @pytest.mark.parametrize("arm_s", [0.01, 0.02, 0.027, 0.04])
 @pytest.mark.parametrize("noise", [0.0, 5e-5])
-def test_both_laws_are_told_apart_with_fast_and_slow_drives(arm_s, noise):
+def test_both_laws_are_distinguished_with_fast_and_slow_drives(arm_s, noise):
     assert run(lts, arm_s, noise=noise)[0].law == "lts"
     assert run(lambda e: e, arm_s, noise=noise)[0].law == "none"
 

@@ -94,7 +94,7 @@ def test_the_same_hand_without_shaping_does_trip_it():
 
 
 @pytest.mark.parametrize("rate", [74.0, 115.0])
-def test_between_frames_the_goal_goes_on_smoothly(rate):
+def test_between_frames_the_goal_continues_smoothly(rate):
     """A circle of 0.19 m/s: its joints need 3 rad/s^2; steps from frame to frame would show hundreds."""
     r = rig()
     r.follow(2.5, circle(home(r), 0.06, 0.5), rate)

@@ -233,7 +233,7 @@ class TestWithoutMaster:
         truth = robot.ask("state")
         assert truth["stops"] == 0 and 0.5 < truth["max_tcp_speed"] < 0.8
 
-    def test_an_interruption_says_that_the_arm_goes_on_and_closes(self, robot, start, wait_until):
+    def test_an_interruption_says_that_the_arm_continues_and_closes(self, robot, start, wait_until):
         process = start(*FAR, "--yes", *SLOW, *robot.here)
         wait_until(lambda: robot.degrees[3] < -5.0, MOVE_S, "the motion")
         process.send_signal(signal.SIGINT)

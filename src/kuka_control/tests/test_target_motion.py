@@ -25,7 +25,7 @@ def feed(follower, q_of, rate, seconds, late=lambda i: 0.0):
 
 
 @given(st.floats(-1.5, 1.5), st.sampled_from([74.0, 100.0, 115.0]), st.floats(0.0, 0.015))
-def test_a_steady_target_goes_on_between_frames(speed, rate, age):
+def test_a_steady_target_continues_between_frames(speed, rate, age):
     follower = motion()
     last = feed(follower, lambda t: speed * t, rate, 0.5)
     at = follower.at(last + min(age, 1.0 / rate))

@@ -94,7 +94,7 @@ def test_a_pose_on_a_bound_is_inside():
 
 
 @pytest.mark.parametrize("mode", ["pick_up", "servo"])
-def test_an_arm_that_follows_goes_on_from_where_it_is(mode):
+def test_an_arm_that_follows_continues_from_where_it_is(mode):
     joints = HOME.q + 0.1
     assert seed(mode, joints, HOME.q) is joints
 

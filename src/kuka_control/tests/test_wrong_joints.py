@@ -38,7 +38,7 @@ class ServoArm(FakeArm):
 
 def at_home(schema=RealTimeConfig, law="none"):
     world = World(schema, ServoArm(law)).until("home", 9.0)
-    world.arm.told.clear()
+    world.arm.commands.clear()
     return world
 
 
@@ -46,7 +46,7 @@ def following(law):
     world = at_home(law=law)
     world.control_on = True
     world.until("servo", 4.0, shifted(0.0, 0.0, 0.0)).run(76 * DT, shifted(0.0, 0.0, 0.0))
-    world.arm.told.clear()
+    world.arm.commands.clear()
     return world
 
 
@@ -74,7 +74,7 @@ def test_an_arm_that_stands_in_servo_mode_stays(law, offset):
     world.arm.shift = offset
     joints = watch(world, 1.5, shifted(0.0, 0.0, 0.0))
     assert np.max(np.abs(joints - joints[0])) < 2e-3
-    assert is_latched(world) and world.arm.told == [("stop_servo",)]
+    assert is_latched(world) and world.arm.commands == [("stop_servo",)]
     assert re.search(r"joint \d is at -?\d+\.\d\d deg", world.loop.stopped_because)
 
 
@@ -99,7 +99,7 @@ def test_joints_that_are_wrong_when_the_pick_up_ends_start_no_stream(law, offset
     world.until("pick_up", 1.0, shifted(0.1, 0.0, 0.0))
     world.arm.shift = offset
     watch(world, 3.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and [t[0] for t in world.arm.told] == ["ptp"]
+    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp"]
 
 
 @pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
@@ -110,7 +110,7 @@ def test_joints_that_become_wrong_at_home_start_nothing_but_a_motion_home(schema
     world.run(2.0 * DT)
     world.control_on = True
     joints = watch(world, 2.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and world.arm.told == [ptp(HOME.q, SLOW)]
+    assert is_latched(world) and world.arm.commands == [ptp(HOME.q, SLOW)]
     assert np.max(np.abs(joints - HOME.q)) < 1e-3
 
 
@@ -121,12 +121,12 @@ def test_joints_that_were_wrong_from_the_beginning_start_nothing_but_the_way_hom
     world.arm.shift = offset
     world.control_on = True
     world.run(4.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and [t[0] for t in world.arm.told] == ["ptp"]
+    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp"]
     world.control_on = False
     world.run(0.3)
     world.control_on = True
     world.run(4.0).run(2.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and [t[0] for t in world.arm.told] == ["ptp", "ptp"]
+    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp", "ptp"]
     world.arm.shift = 0.0
     world.control_on = False
     world.run(0.3)
@@ -147,7 +147,7 @@ def test_joints_that_become_wrong_when_servo_mode_starts_get_no_goal(law):
     world.arm.start_servo = starts_wrong
     world.control_on = True
     watch(world, 1.0, shifted(0.003, 0.0, 0.0))
-    assert is_latched(world) and world.arm.told == [("start_servo",), ("stop_servo",)]
+    assert is_latched(world) and world.arm.commands == [("start_servo",), ("stop_servo",)]
     np.testing.assert_allclose(world.arm.q, HOME.q, atol=2e-3)
 
 
@@ -158,7 +158,7 @@ def test_frozen_joints_pull_the_arm_back_nowhere(law):
     watch(world, 0.6, tool)
     at = world.arm.frozen = world.arm.q
     joints = watch(world, 1.5, lambda t: tool(t + 0.6))
-    assert world.mode == "stopped" and world.arm.told == [("stop_servo",)]
+    assert world.mode == "stopped" and world.arm.commands == [("stop_servo",)]
     away = np.max(np.abs(joints - at), axis=1)
     assert away[-1] > np.max(away) - 5e-3, "it did not go back"
 

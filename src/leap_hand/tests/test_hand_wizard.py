@@ -197,7 +197,7 @@ def test_what_is_no_open_hand_is_refused_with_a_sentence(shown, hint):
     person = Person()
     step = person.show(*shown, seconds=3.0)
     assert hint in step.hint and step.progress == 0.0 and step.instruction == INSTRUCTIONS[OPEN]
-    assert person.obey(synthetic_hand).done, "then it goes on"
+    assert person.obey(synthetic_hand).done, "then it continues"
 
 
 def test_the_other_hand_does_not_continue():

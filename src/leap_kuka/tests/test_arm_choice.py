@@ -146,7 +146,7 @@ def test_one_hand_steers_the_chosen_arm_and_the_other_holds_its_tool(two, sample
     assert play.rigs["right"].mode == "servo"
 
 
-def test_an_arm_that_is_not_chosen_holds_longer_than_hold_time_and_goes_on_where_the_hand_is(two, sample):
+def test_an_arm_that_is_not_chosen_holds_longer_than_hold_time_and_continues_where_the_hand_is(two, sample):
     play = two()
     play.choose("right")
     play.steps(15, sample(position=(0.16, 0.35, 0.0)))

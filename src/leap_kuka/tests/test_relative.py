@@ -81,7 +81,7 @@ def test_each_angle_is_clipped_and_counts_from_the_start(rig, sample):
 
 @pytest.mark.parametrize("stop", [{"clutched": True}, {"enabled": False}])
 def test_a_hand_works_its_way_by_the_clutch(rig, sample, stop):
-    """The same hand goes on, wherever and however it is held, and the tool travels farther than the hand."""
+    """The same hand continues, wherever and however it is held, and the tool travels farther than the hand."""
     play = rig(hold_time=60.0).engaged(sample())
     for _ in range(4):
         for x in np.linspace(0.0, 0.3, 60):
@@ -137,7 +137,7 @@ def test_while_the_arm_is_not_ready_the_tool_stays_wherever_the_hand_was_when_th
         np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, before, atol=1e-9)
 
 
-def test_after_a_loss_a_hand_must_come_in_and_goes_on_from_there(rig, sample):
+def test_after_a_loss_a_hand_must_come_in_and_continues_from_there(rig, sample):
     play = rig(hold_time=60.0).engaged(sample())
     for x in np.linspace(0.0, 0.15, 30):
         play.step(sample(position=(x, BOX_HEIGHT, 0.0)))
@@ -209,7 +209,7 @@ def test_the_desired_tool_waits_for_an_arm_that_does_not_servo_yet(rig, sample, 
 
 
 @pytest.mark.parametrize("filter", ["mean", "kalman", "one_euro"])
-def test_a_hand_that_comes_back_elsewhere_goes_on_from_there(rig, sample, filter):
+def test_a_hand_that_comes_back_elsewhere_continues_from_there(rig, sample, filter):
     play = rig(filter=filter).engaged(sample())
     play.steps(30, sample())
     before = play.T_arm

@@ -122,7 +122,7 @@ def test_a_hand_that_flies_through_the_box_starts_nothing_until_it_rests_there(
     assert play.steps(max(buffer_size, 10), sample(position=middle))[-1].state == StreamState.RUNNING
 
 
-def test_a_slow_hand_starts_and_a_fast_one_goes_on(play, sample):
+def test_a_slow_hand_starts_and_a_fast_one_continues(play, sample):
     for step in range(9):
         play.step(sample(position=(-0.05 + 0.0025 * step, 0.35, 0.0)))
     assert play.step(sample(position=(-0.0275, 0.35, 0.0))).state == StreamState.RUNNING

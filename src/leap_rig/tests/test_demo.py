@@ -241,7 +241,7 @@ def test_a_recording_is_played_from_a_folder_with_a_space_in_its_name_until_an_i
 
 
 @pytest.mark.full_rate
-def test_the_simulated_person_picks_a_cup_up_and_puts_it_down(demo, wait_until, tmp_path):
+def test_the_simulated_operator_picks_a_cup_up_and_puts_it_down(demo, wait_until, tmp_path):
     process = demo("--scenario", "pick_cup")
     assert process.wait(350) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())
@@ -267,7 +267,7 @@ def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo, monkeyp
 
 
 @pytest.mark.full_rate
-def test_the_simulated_person_plays_the_tutorial(demo):
+def test_the_simulated_operator_plays_the_tutorial(demo):
     process = demo("--tutorial", "--language", "de", **WITHOUT_WORLD)
     assert process.wait(200) == 0, process.log_path.read_text()
     summary, log = json.loads(process.report.read_text()), process.log_path.read_text()
@@ -279,7 +279,7 @@ def test_the_simulated_person_plays_the_tutorial(demo):
 
 @pytest.mark.full_rate
 @pytest.mark.parametrize("scenario", ["clutch", "two_hands"])
-def test_the_simulated_person_clutches_and_goes_on_from_there(demo, scenario):
+def test_the_simulated_operator_clutches_and_continues_from_there(demo, scenario):
     process = demo("--scenario", scenario)
     assert process.wait(200) == 0, process.log_path.read_text()
     summary = json.loads(process.report.read_text())

@@ -102,7 +102,7 @@ def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, m
     assert launch_arguments(parse_arguments(["--", "scene:=objects"]), False)[-1] == "scene:=objects"
 
 
-def test_the_scenarios_are_those_of_the_simulated_person():
+def test_the_scenarios_are_those_of_the_simulated_operator():
     from common.config import parse
     from common.errors import ConfigError
     from leap_rig.ros.demo import OF_TWO_ARMS, SCENARIOS
@@ -118,7 +118,7 @@ def test_the_scenarios_are_those_of_the_simulated_person():
     assert all(name in str(refusal.value) for name in SCENARIOS)
 
 
-def test_the_rig_goes_on_without_a_film_a_camera_or_a_window_and_without_no_other_node():
+def test_the_rig_continues_without_a_film_a_camera_or_a_window_and_without_no_other_node():
     from leap_rig.ros.demo import Deaths
 
     deaths = Deaths()

@@ -27,10 +27,10 @@ HELD = {
 LOOKING = {**HELD, "step": "look", "object": "", "correction_m": "", "correction_rad": "", "held": "", "outcome": ""}
 
 
-def summary_of(*told, put_down=True):
+def summary_of(*reported, put_down=True):
     recorder = Recorder()
     recorder.start(0.0)
-    for values in told:
+    for values in reported:
         recorder.set_scenario(values)
     recorder.add_object("box", translation(0.0, 0.0, 0.1), 0.0, ("table",), 1.0)
     recorder.add_object("box", translation(0.0, 0.0, 0.3), 0.2, ("reflex/distal_1",), 2.0)
@@ -39,7 +39,7 @@ def summary_of(*told, put_down=True):
     return summarise(recorder, 10.0)
 
 
-def test_a_grasp_is_told_in_numbers_and_in_words():
+def test_a_grasp_is_reported_in_numbers_and_in_words():
     summary = summary_of(LOOKING, HELD)
     assert summary["scenario"] == {"scenario": "assisted_grasp", "step": "done", "failure": ""}
     (grasp,) = summary["grasps"]
@@ -63,13 +63,13 @@ def test_a_grasp_that_was_not_put_down_is_a_fault():
 
 
 @pytest.mark.parametrize("second", [{**HELD, "round": "2"}, {**LOOKING, "round": "2"}])
-def test_each_round_is_told(second):
+def test_each_round_is_reported(second):
     assert [grasp["round"] for grasp in summary_of(HELD, second)["grasps"]] == [1, 2]
 
 
 def test_a_scenario_that_was_given_up_says_why():
-    told = {**LOOKING, "failure": "waited 60 s in vain: no grasp is proposed"}
-    summary = summary_of(told)
+    reported = {**LOOKING, "failure": "waited 60 s in vain: no grasp is proposed"}
+    summary = summary_of(reported)
     assert summary["grasps"][0]["held"] is None and summary["grasps"][0]["correction_mm"] is None
     assert any("was not finished: waited 60 s in vain" in fault for fault in summary["faults"])
     assert "held:" not in as_text(summary)

@@ -114,7 +114,7 @@ def test_without_a_scenario_objects_are_no_fault():
     assert not any("scenario" in fault for fault in summary_of(seen(*PICKED[:1]))["faults"])
 
 
-def test_an_object_that_was_put_down_on_its_side_is_told_in_json():
+def test_an_object_that_was_put_down_on_its_side_is_reported_in_json():
     lying = STANDS.copy()
     lying[:3, :3] = rotation_about(0, np.pi / 2.0)
     cup = json.loads(json.dumps(summary_of(seen(*PICKED[:3], (lying, 0.0, ON_TABLE), scenario=DONE))))["objects"]["cup"]

@@ -114,7 +114,7 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_second(
     assert again.wait(20.0) == 1 and "exists already" in again.log_path.read_text()
 
 
-def test_a_slow_disk_is_told_with_the_next_chunk(tmp_path):
+def test_a_slow_disk_is_reported_with_the_next_chunk(tmp_path):
     from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages, verify
     from leap_rig.recording.ros.record_program import Inbox, _store
 

@@ -85,7 +85,7 @@ def test_run_leap_control_refuses_a_busy_leap_port_in_a_sentence(words):
     [((), "sim:=false"), (("gui:=false", "robot_ip:=10.0.0.1"), "sim:=false gui:=false robot_ip:=10.0.0.1"),
      (("--sim", "leap_port:=1"), "sim:=true leap_port:=1"), (("sim:=true", "sim:=false"), "sim:=false")],
 )  # fmt: skip
-def test_run_leap_control_is_for_the_real_rig_unless_it_is_told_otherwise(tmp_path, words, launched):
+def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path, words, launched):
     """With programs of ROS that only note how they are called."""
     folder = tmp_path / "src" / "leap_rig" / "shell"
     folder.mkdir(parents=True)

@@ -13,8 +13,8 @@ from leap_kuka.start_gate import BOX, CONDITIONS, PITCH, ROLL
 from leap_rig.tutorial import (
     DONE,
     FRESH_S,
-    HINDRANCES,
     HINT_S,
+    HINTS_BY_REASON,
     STEPS,
     ArmRecord,
     FingersRecord,
@@ -264,7 +264,7 @@ def test_the_hints_fit_the_reasons_of_the_start_gate(palm, hint):
 def test_every_text_is_there_in_every_language():
     assert TEXTS[ENGLISH].keys() == TEXTS[GERMAN].keys()
     needed = {f"{kind}_{step}" for kind in ("name", "do", "hint") for step in STEPS} | {"title", f"do_{DONE}"}
-    needed |= {f"hint_{key}" for key in HINDRANCES.values()}
+    needed |= {f"hint_{key}" for key in HINTS_BY_REASON.values()}
     assert needed <= TEXTS[ENGLISH].keys() and all(text.strip() for texts in TEXTS.values() for text in texts.values())
 
 

@@ -158,7 +158,7 @@ def test_what_makes_no_plane_is_refused_with_a_reason():
         assert result.fused is None and result.plane is None and np.isnan(result.disagreement)
 
 
-def test_a_tag_of_another_size_than_told_is_noticed():
+def test_a_tag_of_another_size_than_configured_is_noticed():
     T = board_pose(1.0, 20.0)
     pixels = RGB.project(0.94 * POINTS @ T[:3, :3].T + T[:3, 3])
     result = see(T, pixels=pixels)

@@ -109,7 +109,7 @@ def test_a_bent_arm_errs_the_same_way_in_the_same_pose(drawn):
         calibration(0.0, lambda _: None)
 
 
-def test_an_arm_that_errs_anew_each_time_errs_by_what_it_was_told():
+def test_an_arm_that_errs_anew_each_time_errs_by_what_was_set():
     arm = inexact_arm(1e-3, 2e-3, np.random.default_rng(1))
     reports = [arm(T_BASE_CAMERA) for _ in range(400)]
     shifts = np.array([T[:3, 3] - T_BASE_CAMERA[:3, 3] for T in reports])

@@ -232,11 +232,11 @@ class TestWeb:
             wait_until(lambda: self.ask(connection)[0] == {"picture": False}, 30.0, "silence")
             rows = [dict(name="Hand", text="waiting", tone="good", kind="ticks", labels=["flat"], values=[1.0])]
 
-            def told():
+            def shown():
                 view.publish(OperatorView(rows=[OperatorRow(**row) for row in rows]))
                 return self.ask(connection)[0].get("rows")
 
-            assert wait_until(told, 30.0, "what the operator sees") == rows
+            assert wait_until(shown, 30.0, "what the operator sees") == rows
             wait_until(lambda: "rows" not in self.ask(connection)[0], 30.0, "the view's silence")
         wait_until(lambda: not camera.watched(), 30.0, "the camera's rest")
 

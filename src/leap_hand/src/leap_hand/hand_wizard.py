@@ -109,7 +109,7 @@ class HandWizard:
 
     def _take(self, hands: Iterable[TrackedHand], stamp: float) -> str:
         """Adds a frame; returns what hinders, or an empty text."""
-        hand, hindrance = self._hand(tuple(hands))
+        hand, reason = self._hand(tuple(hands))
         try:
             angles = (
                 None
@@ -117,11 +117,11 @@ class HandWizard:
                 else np.degrees(flexion(hand.palm, hand.normal, hand.fingers))
             )
         except ValueError as error:
-            angles, hindrance = None, f"The tracker reports invalid numbers: {error}."
+            angles, reason = None, f"The tracker reports invalid numbers: {error}."
         if angles is None:
             if not self._window or stamp - self._window[-1][0] > MAX_GAP_S:
                 self._window.clear()
-                return hindrance
+                return reason
             return ""  # a short gap
         if self._window and stamp - self._window[-1][0] > MAX_GAP_S:
             self._window.clear()

@@ -386,8 +386,8 @@ def scenario_lines(summary: dict) -> list[str]:
                 "{way_back}".format(**summary["scenario"])
             )
         if "clutched" in summary["scenario"]:
-            told = "clutched {clutched} times, tool travel {travel_mm} mm, largest step at an engagement "
-            lines.append(f"{'':25}{told.format(**summary['scenario'])}{summary['scenario']['engagement_step_mm']} mm")
+            text = "clutched {clutched} times, tool travel {travel_mm} mm, largest step at an engagement "
+            lines.append(f"{'':25}{text.format(**summary['scenario'])}{summary['scenario']['engagement_step_mm']} mm")
     return lines
 
 

@@ -28,7 +28,7 @@ SERVO = "servo"
 WAITING, RUNNING = "waiting", "running"  # states of TeleopRecord; in all others the tool is held
 FLAT = {BOX, PITCH, ROLL}
 GONE = ("no hand is seen", "was lost")  # ends of the reason's first part when the hand has left the view
-HINDRANCES = {
+HINTS_BY_REASON = {
     "above the box": "too_high",
     "below the box": "too_low",
     "left of the box": "too_left",
@@ -215,7 +215,7 @@ class Tutorial:
         if not arm.control_on:
             return "control_off"
         if not teleop.follows:
-            return _hindrance(teleop.reason) or step
+            return _hint_for(teleop.reason) or step
         if step == "fingers" and not arm.gripper_on:
             return "gripper_off"
         if step == "fingers" and self._fresh(FingersRecord, now) is None:
@@ -228,12 +228,12 @@ class Tutorial:
 
 
 def _gone(teleop: TeleopRecord) -> bool:
-    """Whether the hand has left the view; while the tool is held, the reason goes on with for how long."""
+    """Whether the hand has left the view; while the tool is held, the reason adds for how long."""
     return teleop.reason.split(";")[0].endswith(GONE)
 
 
-def _hindrance(reason: str) -> str:
+def _hint_for(reason: str) -> str:
     """Returns the key of the hint about what a reason of TeleopRecord names first, or an empty text."""
     spread = re.sub(r"(left of|right of|below|above|behind) and", r"\1 the box and", reason)
-    found = {spread.find(words): key for words, key in HINDRANCES.items() if words in spread}
+    found = {spread.find(words): key for words, key in HINTS_BY_REASON.items() if words in spread}
     return found[min(found)] if found else ""

@@ -177,7 +177,7 @@ def test_rectified_images_are_taken_as_they_are(camera, single):
     np.testing.assert_allclose(found.pose.T_camera_tag[:3, 3], truth[:3, 3], atol=0.0015)
 
 
-def test_tags_of_no_target_are_told_and_wrong_sizes_refused(camera, single):
+def test_tags_of_no_target_are_reported_and_wrong_sizes_refused(camera, single):
     detector = TagDetector(detector_settings({"tag_threads": 1, "rectified": False}), (single,))
     image = render(camera, view(0.6, 30.0), [(3, 0.1, 0, 0)], 0.13)
     result = detector.detect(image, camera, 0.0)

@@ -77,7 +77,7 @@ def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wa
 
 
 @pytest.mark.parametrize("word", ["jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
-def test_a_dead_main_thread_is_told_from_a_dead_link(server, connect, wait_until, word):
+def test_a_dead_main_thread_is_distinguished_from_a_dead_link(server, connect, wait_until, word):
     client = connect(**BRIEF, tries=2)
     server.answers[word] = b""
     with pytest.raises(ReplyTimeout) as caught:

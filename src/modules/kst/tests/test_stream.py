@@ -144,7 +144,7 @@ def test_while_an_answer_is_overdue_no_numbers_are_asked_for(server):
     assert client.stream(np.zeros(7)) is Feedback.DONE
 
 
-def test_the_search_goes_on_until_the_last_late_answer(server):
+def test_the_search_continues_until_the_last_late_answer(server):
     client = a_client(server)
     server.delay = 0.2
     for _ in range(3):

@@ -222,7 +222,7 @@ def test_of_a_backlog_only_the_newest_frame_is_returned(start, wait_until):
     assert client.counts.superseded == 49
 
 
-def test_bad_frames_are_dropped_with_a_reason_and_the_stream_goes_on(start, wait_until):
+def test_bad_frames_are_dropped_with_a_reason_and_the_stream_continues(start, wait_until):
     bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=7), b"\xff"]
     step = threading.Semaphore(0)
 

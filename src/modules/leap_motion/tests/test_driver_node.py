@@ -134,7 +134,7 @@ def test_unusable_frames_are_a_warning_and_a_missing_service_is_an_error():
     assert set(levels.values()) == {DiagnosticStatus.ERROR}
 
 
-def test_waits_for_the_service_and_goes_on_when_it_appears(ros, free_port, wait_until):
+def test_waits_for_the_service_and_continues_when_it_appears(ros, free_port, wait_until):
     from leap_motion.msg import Human
 
     port = free_port()

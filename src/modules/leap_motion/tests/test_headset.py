@@ -237,7 +237,7 @@ class TestHandStream:
             before = after
         assert person.stream.placement.heading == pytest.approx(0.02)
 
-    def test_who_looks_up_is_told_and_has_no_hands(self):
+    def test_who_looks_up_is_warned_and_has_no_hands(self):
         person = Person()
         person.settle()
         hand = person.room(flat_hand(CENTRE))
@@ -372,7 +372,7 @@ class TestConversation:
                     ask(connection, message(0.0))
         assert not rig.endpoint.driven and not rig.frames and "127.0.0.1" in rig.said[-1]
 
-    def test_a_second_headset_is_told_and_may_come_when_the_first_has_left(self, rig):
+    def test_a_second_headset_is_refused_and_may_come_when_the_first_has_left(self, rig):
         first, said = seat(rig)
         second, refused = seat(rig)
         assert said["drives"] and "Another headset" in refused["refused"] and refused["key"] != said["key"]

@@ -210,5 +210,5 @@ def test_the_program_serves_empty_frames_of_a_film_without_a_hand_and_ends_in_or
     client.close()
     assert all(received is not None and not received.frame.hands for received in frames)
     assert processes.end(program) == 0
-    told = program.log_path.read_text()
-    assert "No hand is seen." in told and "from image to frame" in told and "Traceback" not in told
+    printed = program.log_path.read_text()
+    assert "No hand is seen." in printed and "from image to frame" in printed and "Traceback" not in printed

@@ -192,7 +192,7 @@ def test_a_proposal_beside_all_objects_is_never_executed():
     assert steps == ["look"] and rig.requests == []
 
 
-def test_refusals_are_told_and_outlived():
+def test_refusals_are_reported_and_outlived():
     rig = Rig(refusals=2)
     result, _, ended = work(rig)
     assert not result.failure and ended[1].refused == ("control is off",) * 2

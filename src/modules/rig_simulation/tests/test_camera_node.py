@@ -140,7 +140,7 @@ def test_without_listeners_nothing_is_rendered(world, start, ros, wait_until):
         assert "render_depth_ms" not in status()
 
 
-def test_it_waits_for_the_world_and_goes_on_when_it_comes_back(world, start, ros, free_port, wait_until):
+def test_it_waits_for_the_world_and_continues_when_it_comes_back(world, start, ros, free_port, wait_until):
     from sensor_msgs.msg import Image
 
     status = diagnostics(ros)

@@ -57,7 +57,7 @@ def test_the_answer_is_what_the_handler_returns(client):
         ("fail", {}, "ZeroDivisionError"),
     ],
 )
-def test_refusals_are_sentences_and_the_port_goes_on(client, name, fields, word):
+def test_refusals_are_sentences_and_the_port_continues(client, name, fields, word):
     with pytest.raises(DeviceError, match=word):
         client.ask(name, **fields)
     assert client.ask("state")

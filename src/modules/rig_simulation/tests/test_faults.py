@@ -68,7 +68,7 @@ def test_a_fault_that_is_on_gets_the_new_value_and_duration(faults, clock):
     assert faults.active() == {"slow": 0.5}
 
 
-def test_changes_are_told_once(faults, clock):
+def test_changes_are_reported_once(faults, clock):
     assert faults.changes() == {}
     faults.switch("cut", duration=1.0)
     faults.switch("slow", value=0.3)

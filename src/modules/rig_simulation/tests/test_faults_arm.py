@@ -278,11 +278,11 @@ def test_refused(server, connect, fault):
 
 def test_frozen(server, moving, fault, wait_until):
     fault("frozen")
-    told, before = moving.ask(), joint(server)
+    answer, before = moving.ask(), joint(server)
     wait_until(lambda: joint(server) > before + 0.01, SOON_S, "the arm to go on")
-    assert moving.ask() == told
+    assert moving.ask() == answer
     fault("frozen", on=False)
-    assert moving.ask() != told
+    assert moving.ask() != answer
 
 
 def test_shifted(connect, fault):

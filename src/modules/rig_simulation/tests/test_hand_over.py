@@ -246,7 +246,7 @@ def test_a_person_waits_out_an_interruption_but_not_for_ever():
     assert "the arms did not follow within 30 s" in result.failure
 
 
-def test_a_hand_that_comes_in_anew_goes_on_from_where_the_tool_was_kept():
+def test_a_hand_that_comes_in_anew_continues_from_where_the_tool_was_kept():
     """Its palm is in the middle again, its fingers are closed as before, and the tool has not moved."""
     rig = TwoFollowingArms(1.0, 0.1, 0.56, 0.19, 0.0)
     who = roles(BOX, rig.T, BASES)

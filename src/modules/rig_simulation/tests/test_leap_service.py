@@ -166,7 +166,7 @@ def test_a_client_that_does_not_read_costs_only_its_own_frames(start, wait_until
         slow.close()
 
 
-def test_paused_it_sends_empty_frames_until_told_to_play(start, wait_until):
+def test_paused_it_sends_empty_frames_until_asked_to_play(start, wait_until):
     service = start(playing=False)
     client = LeapClient(port=service.port)
     try:
@@ -185,7 +185,7 @@ def test_paused_it_sends_empty_frames_until_told_to_play(start, wait_until):
         client.close()
 
 
-def test_an_unplugged_device_is_told_and_silent(start, wait_until):
+def test_an_unplugged_device_is_reported_and_silent(start, wait_until):
     service = start()
     client = LeapClient(port=service.port)
     try:

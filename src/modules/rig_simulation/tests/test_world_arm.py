@@ -132,7 +132,7 @@ def pressed_on_the_table(rig):
     assert np.abs(rig.arm.external_torques).max() > 25.0
 
 
-def test_an_arm_that_still_presses_is_not_released_but_can_back_off_and_then_goes_on():
+def test_an_arm_that_still_presses_is_not_released_but_can_back_off_and_then_continues():
     rig = Rig()
     pressed_on_the_table(rig)
     height = rig.arm.robot.flange(rig.arm.q)[2, 3]

@@ -58,7 +58,7 @@ def test_objects_reset_and_change_of_scene(ros, world, wait_until):
     wait_until(lambda: len(states[-1].objects) == 5, 15.0, "the other scene")
 
 
-def test_the_pace_of_the_world_is_told(ros, world, wait_until):
+def test_the_pace_of_the_world_is_reported(ros, world, wait_until):
     from diagnostic_msgs.msg import DiagnosticArray
 
     arrays = ros.record("/diagnostics", DiagnosticArray)
@@ -89,17 +89,17 @@ def test_a_world_that_is_behind_is_called_slow(ros, wait_until):
     }
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
-    def told() -> tuple:
+    def reported() -> tuple:
         found = [s for array in arrays for s in array.status if s.name == "simulated_world"]
         return (found[-1].level, found[-1].message) if found else ()
 
     with ControlPort(state) as port:
         ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={port.port}")
         slow = "Too slow: 0.50 s of the world in a second; close other programs."
-        wait_until(lambda: told() == (1, slow), 30.0, "the warning")
+        wait_until(lambda: reported() == (1, slow), 30.0, "the warning")
         speed = 1.0
-        wait_until(lambda: told() == (0, "The world runs in real time."), 60.0, "its end")
-    wait_until(lambda: told() and told()[0] == 2 and "does not answer" in told()[1], 30.0, "the world's end")
+        wait_until(lambda: reported() == (0, "The world runs in real time."), 60.0, "its end")
+    wait_until(lambda: reported() and reported()[0] == 2 and "does not answer" in reported()[1], 30.0, "the end")
 
 
 def test_without_a_world_it_says_so_and_waits(ros, free_port, wait_until):

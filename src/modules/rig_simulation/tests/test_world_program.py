@@ -152,7 +152,7 @@ def test_the_same_commands_in_stepped_time_lead_to_the_very_same_numbers(start):
     np.testing.assert_allclose(other[:, :7], first[:, :7], atol=1e-9, err_msg="the arm goes its way in any scene")
 
 
-def test_pressing_on_the_table_stops_the_arm_and_after_backing_off_it_goes_on(start):
+def test_pressing_on_the_table_stops_the_arm_and_after_backing_off_it_continues(start):
     program = start("--stepped", "--scene", "empty")
     program.start_motion(HOME, 0.3)
     program.step(3.0)

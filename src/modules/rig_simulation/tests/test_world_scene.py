@@ -63,7 +63,7 @@ def test_there_is_a_scene_with_one_of_each_kind():
         (lambda s: s.update(objects=[1]), "objects is [1]"),
     ],
 )
-def test_a_faulty_scene_is_told_what_is_wrong(change, sentence):
+def test_the_faults_of_a_scene_are_named(change, sentence):
     values = read_scene("objects")
     change(values)
     with pytest.raises(ConfigError) as error:
@@ -71,7 +71,7 @@ def test_a_faulty_scene_is_told_what_is_wrong(change, sentence):
     assert [fault for fault in error.value.faults if fault.startswith(sentence)], error.value.faults
 
 
-def test_all_faults_are_told_at_once():
+def test_all_faults_are_reported_at_once():
     values = read_scene("cup")
     values["table"]["yaw"] = 500.0
     values["objects"]["cup"]["radius"] = -1.0

@@ -29,7 +29,7 @@ shipped workspaces, at the tilts that the operator is permitted, no joint turns 
 STEADY_RAD = float(np.radians(1.0))  # the joints hurry if their step is larger than this and what full speed allows
 STEADY_TURN_RAD = float(np.radians(4.0))  # a tool frame with a step beyond these has jumped: the joints may, too
 STEADY_M = 0.02
-FAR_RAD = float(np.radians(60.0))  # joints that are further off than this are not approached at the first sight
+FAR_RAD = float(np.radians(60.0))  # joints that are further off than this are not approached at once
 STEADY_PACE = 0.9  # fraction of full joint speed at which they come after it
 SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as within these for the joints' steps [s]
 

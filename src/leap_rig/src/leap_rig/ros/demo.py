@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 WINDOWS = ("rviz", "kuka_panel")  # no motion depends on one, and whoever looks on may close it
 READY_TIMEOUT_S = 90.0
-TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated person plays
+TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated operator plays
 EXIT_TIMEOUT_S = 60.0
 LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
@@ -105,7 +105,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     if scenario and scenario not in SCENARIOS:
         parser.error(f"there is no scenario {scenario!r}; known are {' and '.join(SCENARIOS)}")
     if scenario and arguments.tutorial:
-        parser.error(f"the scenario {scenario} and the tutorial exclude each other: each of them leads the person")
+        parser.error(f"the scenario {scenario} and the tutorial exclude each other: each of them leads the operator")
     if scenario and given.get("recording"):
         parser.error(f"the scenario {scenario} and a recording exclude each other: each of them moves the hand")
     tracker = given.get("tracker", "leap")

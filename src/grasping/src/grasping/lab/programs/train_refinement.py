@@ -101,7 +101,7 @@ def origin_of(named: list[Named], mixed: bool = False) -> Origin:
 
 
 def lesson(episode: Episode) -> Lesson | None:
-    """Returns what an episode teaches; None where the camera saw nothing or the grasp was out of its sight."""
+    """Returns what an episode teaches; None where the camera saw nothing or the grasp was outside its view."""
     frame = episode.frame(len(episode) - 1)
     of = examples.seen(frame)
     choice = None if of is None else examples.choice(frame, of)

@@ -155,10 +155,10 @@ OPERATORS: Mapping[str, SimulatedOperator] = {
 """Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
 
 
-class Sight(NamedTuple):
+class CellFeatures(NamedTuple):
     """What an operator sees on the cells of the height map, each shape (n, n)."""
 
-    place: np.ndarray  # in the base frame but for its origin, which is the world's, shape (n, n, 3) [m]
+    position: np.ndarray  # in the base frame but for its origin, which is the world's, shape (n, n, 3) [m]
     height: np.ndarray  # above the table [m]
     away: np.ndarray  # distance from the middle of the thing, over the table [m]
     nearer: np.ndarray  # how much nearer to the operator than that middle [m]
@@ -174,7 +174,7 @@ class EpisodeScene(NamedTuple):
     number: int
     view: samples.SceneView  # the scene, as the camera sees it
     found: labels.Grasps  # of the cells of its height map
-    sight: Sight  # likewise
+    features: CellFeatures  # likewise
     friction: float  # of the scene
     T_base_world: np.ndarray  # shape (4, 4) [m]
 
@@ -194,20 +194,20 @@ def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
     return pose(pin.exp3(np.array([0.0, 0.0, heading])))
 
 
-def sight(seen: samples.SceneView) -> Sight:
+def cell_features(seen: samples.SceneView) -> CellFeatures:
     """Returns what an operator sees of a scene."""
     n, camera = len(seen.surface), seen.camera
     c = CELL_M * (np.arange(n) - 0.5 * (n - 1))
     x, y = np.meshgrid(c, c)
     world = camera.position + np.stack([x, y, seen.surface], axis=-1) @ camera.R.T
-    place = world @ base_in_world(camera)[:3, :3]
+    position = world @ base_in_world(camera)[:3, :3]
     objects = seen.surface < seen.table - labels.LOWEST_OBJECT_M
     depth = cv2.distanceTransform(objects.astype(np.uint8), cv2.DIST_L2, 5)
     count, parts = cv2.connectedComponents(objects.astype(np.uint8))
     away, nearer, axis, long, handle = (np.zeros((n, n)) for _ in range(5))
     for part in range(1, count):
         of = parts == part
-        points = place[of][:, :2]
+        points = position[of][:, :2]
         off = points - points.mean(axis=0)
         sizes, axes = np.linalg.eigh(off.T @ off / len(off))
         away[of], nearer[of] = np.linalg.norm(off, axis=1), -off[:, 1]
@@ -215,15 +215,17 @@ def sight(seen: samples.SceneView) -> Sight:
         long[of] = 1.0 - np.sqrt(max(0.0, sizes[0]) / max(sizes[1], 1e-12))
         bulk = np.argmax(np.where(of, depth, 0.0))
         thick = depth.flat[bulk]
-        from_bulk = np.linalg.norm(place[of][:, :2] - place.reshape(-1, 3)[bulk, :2], axis=1) / CELL_M
+        from_bulk = np.linalg.norm(position[of][:, :2] - position.reshape(-1, 3)[bulk, :2], axis=1) / CELL_M
         # A part is as thin as the thickest place within its own half width.
         near = cv2.dilate(np.where(of, depth, 0.0).astype(np.float32), np.ones((5, 5), np.uint8))
         handle[of] = (near[of] < SLENDER_PART * thick) & (from_bulk > 1.2 * thick)
-    return Sight(place, place[..., 2], away, nearer, axis, long, handle, np.clip(depth * CELL_M / RIM_M, 0.0, 1.0))
+    return CellFeatures(
+        position, position[..., 2], away, nearer, axis, long, handle, np.clip(depth * CELL_M / RIM_M, 0.0, 1.0)
+    )
 
 
 def liked(
-    operator: SimulatedOperator, of: Sight, found: labels.Grasps, rng: np.random.Generator
+    operator: SimulatedOperator, of: CellFeatures, found: labels.Grasps, rng: np.random.Generator
 ) -> tuple[int, tuple[int, int]] | None:
     """Returns direction and cell of the grasp the operator likes best, None where nothing holds."""
     holds = found.scores > operator.holds
@@ -258,16 +260,16 @@ def lean(operator: SimulatedOperator, height: np.ndarray, at: tuple[int, int]) -
 
 
 def grasp_pose(
-    operator: SimulatedOperator, place: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
+    operator: SimulatedOperator, position: np.ndarray, line: np.ndarray, leant: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """Returns the operator's grasp, T_base_grasp, shape (4, 4) [m]; x through the fingers, z the approach. In the base
-    frame: `place`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad].
+    frame: `position`, shape (3,) [m], the fingers' direction `line`, shape (3,), lean about x and y, shape (2,) [rad].
     """
     x = line - (line @ DOWN) * DOWN
     x /= np.linalg.norm(x)
     upright = np.column_stack([x, np.cross(DOWN, x), DOWN])
     R = pin.exp3(np.append(leant, 0.0)) @ upright @ pin.exp3(rng.normal(0.0, operator.tremor_rad, 3))
-    return pose(R, place + operator.bias + rng.normal(0.0, operator.tremor_m, 3))
+    return pose(R, position + operator.bias + rng.normal(0.0, operator.tremor_m, 3))
 
 
 def opening(operator: SimulatedOperator, needed: float, height: float, rng: np.random.Generator) -> float:
@@ -283,17 +285,17 @@ def choose(of: EpisodeScene, who: SimulatedOperator, steady: bool = False) -> Ch
     twist and tremor, which is what the operator meant.
     """
     rng = np.random.default_rng([97, of.number])
-    best = liked(who, of.sight, of.found, rng)
+    best = liked(who, of.features, of.found, rng)
     if best is None:
         return None
     if steady:
         who = who._replace(twist=0.0, bias=(0.0, 0.0, 0.0), tremor_m=0.0, tremor_rad=0.0)
     k, cell = best
-    height = float(of.sight.height[cell])
+    height = float(of.features.height[cell])
     angle = labels.angle_at(of.found, k, cell) + who.twist + who.turn * max(0.0, height)
     line = of.T_base_world[:3, :3] @ of.view.camera.R @ np.array([np.cos(angle), -np.sin(angle), 0.0])
-    leant = lean(who, of.sight.height, cell)
-    T_base_grasp = grasp_pose(who, of.sight.place[cell], line, leant, rng)
+    leant = lean(who, of.features.height, cell)
+    T_base_grasp = grasp_pose(who, of.features.position[cell], line, leant, rng)
     return Chosen(T_base_grasp, opening(who, float(of.found.openings[k][cell]), height, rng))
 
 
@@ -316,7 +318,7 @@ def situation(split: str, number: int) -> EpisodeScene:
     seen = samples.view(split, number, 1 if alone else 2 + number // 2 % 2)
     found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
     friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))
-    return EpisodeScene(number, seen, found, sight(seen), friction, inverse(base_in_world(seen.camera)))
+    return EpisodeScene(number, seen, found, cell_features(seen), friction, inverse(base_in_world(seen.camera)))
 
 
 def meant(of: EpisodeScene, made: Episode) -> np.ndarray:

@@ -88,8 +88,8 @@ class WebcamWindow(QWidget):
         font = painter.font()
         font.setPointSize(12)
         painter.setFont(font)
-        told = view.remark or "The hand is tracked."
-        painter.drawText(band.adjusted(12, 6, -12, -28), int(Qt.AlignLeft | Qt.AlignVCenter | Qt.TextWordWrap), told)
+        text = view.remark or "The hand is tracked."
+        painter.drawText(band.adjusted(12, 6, -12, -28), int(Qt.AlignLeft | Qt.AlignVCenter | Qt.TextWordWrap), text)
         font.setPointSize(9)
         painter.setFont(font)
         painter.setPen(WHITE)
