@@ -69,7 +69,6 @@ def test_a_page_shows_faults_what_was_not_measured_and_what_was_not_run():
 
 @pytest.mark.ros
 @pytest.mark.rig
-@pytest.mark.alone
 def test_the_arm_keeps_its_limits_on_a_link_that_loses_packets_or_freezes():
     device = [sys.executable, "-c", "from campaign.network.wire import Wire; Wire('arm').close()"]
     if subprocess.run(in_own_network(device), cwd=ROOT, capture_output=True).returncode:
