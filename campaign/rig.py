@@ -27,6 +27,7 @@ from campaign.clocks import Clock
 from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
+from campaign.trial import ENGAGEMENTS
 from common.frames import BASE
 from common.ros.action_client import ActionClient
 from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
@@ -48,7 +49,6 @@ PROGRAMS = {
 }
 START_S, MOVE_S, SOON_S = 60.0, 15.0, 5.0
 """Longest waits [s]: for the rig to start, for a motion, for a message."""
-ENGAGEMENTS = 3  # a busy machine's pauses may end so many streams, less one, before the arm is where the hand is
 
 STANDING = 2e-3
 """A servo goal is approached ever more slowly: at this speed [rad/s] a joint is 0.1 deg away from it."""

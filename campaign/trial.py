@@ -21,7 +21,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,19 @@ Behind a slash a variant names a wire, such as "patient/arm": its link may becom
 STOOD_S, CREEPS = 0.2, 0.03
 """An arm that rests so long has stopped [s], one that turns back on its way rests for less; in servo mode it creeps to
 its goal, its fastest joint below this speed [rad/s]."""
+
+
+ENGAGEMENTS = 3  # a busy machine's pauses may end so many streams, less one, before what is to be seen has happened
+STARVED = "no tracking frames come in"
+"""Why a stream ends of which the tracker, or this machine, delivers no frames."""
+
+
+def why_it_ended(changes: Sequence[tuple[str, str]]) -> str:
+    """Returns why the last stream ended, of the changes of its state as (state, reason); else an empty text."""
+    reason = ""
+    for (before, _), (state, why) in zip(changes, changes[1:]):
+        reason = why if before == "running" != state else reason
+    return reason
 
 
 @dataclass(frozen=True)
@@ -126,6 +139,22 @@ class Trial:
         ask("fault", name=name, **{key: number for key, number in options.items() if number is not None})
         if duration is not None:
             self._mended = began + duration
+
+    def tracker_fault(
+        self, name: str, duration: float, follow: Callable[[], None], says: str = "", value: float | None = None
+    ) -> None:
+        """Lets the arm `follow` a hand, then the tracker fails so long [s], until the stream ends. Anew if the stream
+        ended because this machine paused: then nobody can say what the row expects, `says`.
+        """
+        for _ in range(ENGAGEMENTS):
+            follow()
+            self.fault("leap", name, value=value, duration=duration)
+            self.rig.wait(lambda: self.rig.stream_state != "running", "the end of the stream")
+            if re.search(says, STARVED) or STARVED not in why_it_ended(self.rig.stream):
+                return
+            self.rig.calm()
+            self._fault = self._mended = None
+        pytest.fail(f"pauses of this machine ended {ENGAGEMENTS} streams")
 
     def mend(self, device: str, name: str) -> None:
         """Switches a fault off."""

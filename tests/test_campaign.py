@@ -64,6 +64,45 @@ def statuses(*changes):
     return found
 
 
+def tracker_trial(ends):
+    """Returns a trial and its rig, whose streams end for these reasons; after the end the reason changes once more."""
+    from campaign.trial import Trial
+
+    class Rig:
+        followed = calmed = 0
+        stream_state = ""
+
+        def __init__(self):
+            self.stream, self.asked, self._ends = [], [], iter(ends)
+
+        def follow(self):
+            self.followed += 1
+            self.stream_state = "running"
+            self.stream.append(("running", "right hand 1 is followed"))
+
+        def devices(self):
+            return {"leap": self}
+
+        def ask(self, what, name, duration):
+            self.asked.append((name, duration))
+            self.stream_state = "waiting"
+            self.stream += [
+                ("running", "still"),
+                ("waiting", next(self._ends)),
+                ("waiting", "it was in the box already"),
+            ]
+
+        def wait(self, condition, what):
+            assert condition(), what
+
+        def calm(self):
+            self.calmed += 1
+            self.stream.clear()
+
+    rig = Rig()
+    return Trial(rig), rig
+
+
 def seen(**fields):
     return Evidence(**{"steps": stops(), "fault": FAULT, "end": FAULT + 8.0, "heard": FAULT + 8.0, **fields})
 
@@ -357,6 +396,28 @@ class TestRows:
         late = "held: H: only after 0.84 s, expected within 0.5 s"
         assert (trial([]).result, trial([]).faults) == ("failed", [late])
         assert (trial([(FAULT + 0.6, 0.5)]).result, trial([(FAULT + 0.6, 0.5)]).faults) == ("slow", [late])
+
+    @pytest.mark.parametrize(
+        ("ends", "says", "follows"),
+        [
+            (["right hand 1 was lost"], "was lost", 1),
+            (["no tracking frames come in", "right hand 1 was lost"], "was lost", 2),
+            (["no tracking frames come in"], "unplugged|no tracking frames", 1),
+            (["no tracking frames come in"], "", 1),
+        ],
+    )
+    def test_a_fault_of_the_tracker_is_provoked_anew_if_a_pause_ended_the_stream_first(self, ends, says, follows):
+        trial, rig = tracker_trial(ends)
+        trial.tracker_fault("hand_lost", 2.0, rig.follow, says)
+        assert (rig.followed, rig.calmed) == (follows, follows - 1)
+        assert rig.asked == [("hand_lost", 2.0)] * follows
+        assert trial._fault == pytest.approx(time.monotonic(), abs=5.0) and trial._mended == trial._fault + 2.0
+
+    def test_a_tracker_fault_whose_stream_always_ends_for_want_of_frames_fails(self):
+        trial, rig = tracker_trial(["no tracking frames come in"] * 9)
+        with pytest.raises(pytest.fail.Exception):
+            trial.tracker_fault("hand_lost", 2.0, rig.follow, "was lost")
+        assert rig.followed == 3
 
     def test_a_condition_is_a_sentence_of_what_is_to_be_and_said_only_if_it_is_not_so(self):
         from campaign.trial import Trial

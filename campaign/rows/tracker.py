@@ -53,8 +53,7 @@ def fastest(trial, since):
 
 def loses_its_hand(trial, fault, lasts, away, stands=0.5, says=""):
     """The arm follows a hand, the tracker fails for so long, and nothing follows in the time `away` [s]."""
-    trial.follow()
-    trial.fault("leap", fault, duration=lasts)
+    trial.tracker_fault(fault, lasts, trial.follow, says)
     trial.stands(stands)
     if says:
         trial.says(says)
@@ -64,9 +63,14 @@ def loses_its_hand(trial, fault, lasts, away, stands=0.5, says=""):
 
 def sees_another_hand(trial, fault, says, value=None):
     """The arm follows a hand up and down, for which the tracker takes another one; the arm must not go sideways."""
-    follow_up_and_down(trial)
-    since = trial.rig.arm.now.time
-    trial.fault("leap", fault, value=value, duration=2.5)
+    since = 0.0
+
+    def follow():
+        nonlocal since
+        follow_up_and_down(trial)
+        since = trial.rig.arm.now.time
+
+    trial.tracker_fault(fault, 2.5, follow, says, value=value)
     trial.stands(0.5)
     sideways = way(tools(trial, since), LEFT)
     trial.check("the arm does not go to the other hand", sideways < 0.005, f"{sideways:.3f} m sideways")
