@@ -27,7 +27,7 @@ trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script wo
 [ "$how" = idle ] || wait "$pure"
 run "full_rate and not alone" -n 2 --dist worksteal "$@" "${with_full_rate[@]}"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
-run "(ros or clock) and not rig" -n 8 --dist worksteal --clock-files "$@"
+run "(ros or clock) and not rig" -n 6 --dist worksteal --clock-files "$@"
 wait "$pure" || code=$?
 run alone "$@" "${with_alone[@]}"
 cat "$log"
