@@ -67,8 +67,8 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
             item.add_marker("clock")
-            if not clock_files[item.path]:
-                raise pytest.UsageError(f"{item.nodeid} goes by the clock: its file must name the fixture")
+        if (item.get_closest_marker("clock") or item.get_closest_marker("ros")) and not clock_files[item.path]:
+            raise pytest.UsageError(f"{item.nodeid}: its file must name the mark or fixture, for --clock-files")
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
 

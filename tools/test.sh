@@ -24,7 +24,7 @@ setsid src/common/shell/behind.sh "$how" python -m pytest -m "not ros and not ri
 pure=$!
 trap 'kill -- "-$pure" 2> /dev/null; rm -f "$log"' EXIT
 trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script would run the next tests
-[ "$how" = idle ] || wait "$pure"
+[ "$how" = idle ] || wait "$pure"  # niceness alone leaves them too much beside the demos
 run "full_rate and not alone" -n 2 --dist worksteal "$@" "${with_full_rate[@]}"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
 run "(ros or clock) and not rig" -n 6 --dist worksteal --clock-files "$@"

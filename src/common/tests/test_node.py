@@ -199,7 +199,7 @@ def test_a_topic_that_is_closed_leaves_no_open_file(ros, start, wait_until):
 SERVER = """
 import sys, time, traceback
 import rospy
-from common.ros.node import run
+from common.ros.node import run, run_program
 
 def serves():
     stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
@@ -213,13 +213,18 @@ def main():
         time.sleep(0.05)
     print("serves:", serves())
 
-run("worker", main)
+def program():
+    rospy.init_node("worker", disable_signals=True)
+    main()
+
+{start}
 """
 
 
-def test_the_server_of_a_node_ends_with_it(ros, start, wait_until):
+@pytest.mark.parametrize("how", ['run("worker", main)', 'run_program("worker", program, "")'])
+def test_the_server_of_a_node_ends_with_it(ros, start, wait_until, how):
     """Else its thread takes a processor, and Python's lock, from what the node does at its end."""
-    process = start(SERVER)
+    process = start(SERVER.format(start=how))
     wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
     assert "serves: False" in process.log_path.read_text()
 
