@@ -11,7 +11,8 @@ from pathlib import Path
 import rospy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-SHIFTED, SIMULATED = "shifted", "simulated"  # variants of the rig, of campaign.trial.VARIANTS
+from campaign.trial import SHIFTED, SIMULATED
+
 PERIOD_S = 0.01  # of /clock
 
 

@@ -63,6 +63,14 @@ MODULES = {
 }
 
 
+BUILT = {name for name in ROS if name in LAYER}  # messages of this workspace
+IMPORTED = {
+    **{".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in PYTHON},
+    **{path.stem: path for path in PYTHON if path.parent.name == "tests"},
+    **MODULES,
+}
+
+
 def package(path: Path) -> str:
     return path.parts[len(path.parts) - 1 - path.parts[::-1].index("src") + 1]
 
@@ -136,15 +144,25 @@ def test_simulation_keeps_ros_in_its_ros_folder():
     assert pure and not {path: tops(path) & ROS for path in pure if tops(path) & (ROS - {"rospkg"})}
 
 
-def test_tests_that_need_messages_at_their_import_are_marked():
-    """Others are collected where nothing is built and sourced."""
-    found = {}
+def test_tests_are_collected_where_ros_is_not_built_or_not_installed():
+    """A mark comes too late: pytest imports the file to see it."""
+    wrong = {}
     for file in PYTHON:
-        if file.name.startswith("test_") and "pytest.mark.ros" not in file.read_text():
-            needed = set().union(*(messages(name) for name in imports_at_top(file)))
-            if needed:
-                found[file.name] = needed
-    assert not found
+        if file.name.startswith("test_") or file.name == "conftest.py":
+            needed = set().union(*(ros_of(name) for name in imports_at_top(file)))
+            tried = set().union(*(ros_of(name) for name in skips_without(file)))
+            if needed and not (tried & BUILT if needed & BUILT else tried):
+                wrong[str(file.relative_to(ROOT))] = needed
+    assert not wrong, "the file must begin with pytest.importorskip of one of these"
+
+
+def skips_without(path: Path) -> set[str]:
+    calls = (node.value for node in ast.walk(tree_of(path)) if isinstance(node, (ast.Expr, ast.Assign)))
+    return {
+        call.args[0].value
+        for call in calls
+        if isinstance(call, ast.Call) and dotted(call.func) == "pytest.importorskip"
+    }
 
 
 def imports_at_top(path: Path) -> set[str]:
@@ -158,12 +176,13 @@ def imports_at_top(path: Path) -> set[str]:
 
 
 @functools.lru_cache(maxsize=None)
-def messages(module: str) -> frozenset[str]:
-    """Returns the modules of this workspace's messages and services that the import of a module imports."""
-    if re.fullmatch(r"\w+\.(msg|srv)", module):
-        return frozenset({module} if module.split(".")[0] in LAYER else ())
-    path = MODULES.get(module)
-    return frozenset().union(*(messages(name) for name in imports_at_top(path))) if path else frozenset()
+def ros_of(module: str) -> frozenset[str]:
+    """Returns the packages of ROS and of this workspace's messages that the import of a module imports."""
+    name = module.split(".")[0]
+    if name in ROS:
+        return frozenset({name})
+    path = IMPORTED.get(module)
+    return frozenset().union(*(ros_of(name) for name in imports_at_top(path))) if path else frozenset()
 
 
 def test_import_has_no_effect():

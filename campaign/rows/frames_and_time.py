@@ -11,11 +11,10 @@ import rospy
 from tf2_msgs.msg import TFMessage
 
 from campaign import hostile
-from campaign.clocks import SHIFTED, SIMULATED
 from campaign.hostile import MOUNT, Frame, FrameStream, about, swaying, turning
 from campaign.judge import Limits
 from campaign.rig import CONTROLLER, DRIVER, TELEOP
-from campaign.trial import row
+from campaign.trial import SHIFTED, SIMULATED, row
 from common.frames import BASE, FLANGE_MEASURED
 from common.poses import inverse, pose, translation
 from common.ros.conversions import pose_from_transform, stamped_pose

@@ -8,6 +8,8 @@ import time
 from types import SimpleNamespace
 
 import pytest
+
+pytest.importorskip("rospy")
 from std_srvs.srv import SetBool
 
 from common.ros import service_calls

@@ -14,6 +14,7 @@ from kst import ConnectionLost, ReplyTimeout
 from kuka_control.loop.algorithms import TOOL_MARGIN
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED, MISSING_S
+from kuka_control.loop.goal_stream import CATCH_UP_SCALE
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
@@ -731,6 +732,18 @@ def test_a_stall_of_the_loop_costs_no_pick_up_and_no_return_home():
     world.run(1.0, tool)
     assert world.arm.commands == [] and world.loop.counts["jumps"] == 0 and reached(world, tool(0.0))
     assert world.loop.counts["goal_gaps"] == 3
+
+
+def test_after_a_stall_the_arm_catches_up_at_a_third_of_its_speed():
+    world = World().following()
+    moved_on = shifted(0.0, 0.14, 0.0)
+    world.now += 0.3  # in which the hand moved there
+    first = len(world.arm.goals)
+    world.run(2.0, moved_on)
+    assert world.arm.commands == [] and world.loop.counts["jumps"] == 0 and reached(world, moved_on)
+    positions = [world.rig.kinematics.forward(q)[:3, 3] for q in world.arm.goals[first:]]
+    fastest = np.max(np.linalg.norm(np.diff(positions, axis=0), axis=1)) / DT
+    assert 0.9 * CATCH_UP_SCALE * TOP_M_S < fastest <= 1.01 * CATCH_UP_SCALE * TOP_M_S
 
 
 def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped():

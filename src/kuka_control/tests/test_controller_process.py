@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import pytest
 
+pytest.importorskip("rospy")
 from kuka_control.ros import emergency as processes_of_controllers
 
 SLEEP = "import time; print('ready', flush=True); time.sleep(60)"

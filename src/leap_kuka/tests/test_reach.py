@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
 from common.poses import pose
 from common.ros.service_calls import ServiceAbsent, ServiceFailed
 from common.rotations import rotation_about

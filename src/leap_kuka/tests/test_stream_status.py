@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+pytest.importorskip("rospy")
 from leap_kuka.ros import stream_status
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop import StreamState, TeleopResult

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+pytest.importorskip("rospy")
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from leap_motion.registration import FINGER_M, SHEET, tilt_deg

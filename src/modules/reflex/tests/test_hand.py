@@ -226,6 +226,27 @@ def test_only_the_overloaded_finger_is_loosened(bench):
     assert sum("overloaded" in note.text for note in b.notes) == 1
 
 
+@pytest.mark.parametrize("motor", range(4))
+def test_a_motor_overloaded_while_it_opens_turns_back_and_opens_no_further(bench, motor):
+    b = bench().calibrated()
+    b.command(1.5, 1.5, 1.5, 1.0)
+    b.run(2.0)
+    b.command(*(0.0 if i == motor else angle for i, angle in enumerate((1.5, 1.5, 1.5, 1.0))))
+    b.run(0.1)
+    opening = angles(b)
+    assert 0.1 < opening[motor] < (1.5, 1.5, 1.5, 1.0)[motor] - 0.05, "on its way"
+    b.device.set_load(motor, -900)
+    b.run(0.3)
+    turned = angles(b) - opening
+    assert turned[motor] > 0.0
+    np.testing.assert_allclose(np.delete(turned, motor), 0.0, atol=0.01)
+    b.device.set_load(motor, None)
+    still = angles(b)[motor]
+    b.command(*(0.0 if i == motor else angle for i, angle in enumerate((1.5, 1.5, 1.5, 1.0))))
+    b.run(1.0)
+    assert angles(b)[motor] > still - 0.1, "the bound stays until a command turns back from it"
+
+
 def test_after_an_overload_a_finger_closes_again_only_once_its_command_has_turned_back(bench):
     b = bench().calibrated()
     b.device.block(0, 0.5, 600.0)
