@@ -49,10 +49,10 @@ demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated
 	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) $(if $(TRACKER),--tracker $(TRACKER)) $(if $(filter 1 true yes,$(TUTORIAL)),--tutorial) -- $(ARGS)
 
 test: $(READY) ## all tests
-	@$(IN_WORKSPACE) tools/test.sh
+	@tools/test.sh
 
-test-fast: $(READY) ## the tests that need no ROS, in seconds
-	@.venv/bin/python -m pytest -n 2 --dist loadfile -m "not ros"
+test-fast: $(READY) ## the tests that only compute, without ROS; part of `make test`
+	@.venv/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not clock"
 
 bench: $(READY) ## measures speed on this machine and prints a table
 	@$(IN_WORKSPACE) python bench/run.py $(foreach part,$(ONLY),--only $(part)) $(if $(JSON),--json "$(JSON)")

@@ -42,9 +42,12 @@ hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, de
 hypothesis.settings.load_profile("tests")
 
 
-GOES_BY_THE_CLOCK = {"wait_until", "processes"}
+GOES_BY_THE_CLOCK = {"wait_until", "processes", "ros_master"}
 """Fixtures of tests whose threads or programs have times to keep."""
-CLOCK_FILE = re.compile(rf"mark\.(ros|clock)\b|\b({'|'.join(sorted(GOES_BY_THE_CLOCK))})\b")
+OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
+OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
+"""Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
+CLOCK_FILE = re.compile(rf"mark\.(ros|rig|clock)\b|\b({'|'.join(sorted(GOES_BY_THE_CLOCK))})\b")
 """What stands in each file of tests that go by the clock or start nodes."""
 
 
@@ -61,16 +64,52 @@ def pytest_ignore_collect(collection_path, config):
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
 def pytest_collection_modifyitems(config, items):
-    """Marks the tests that go by the clock, and skips those marked `ros` where the workspace is not sourced."""
+    """Marks the tests that go by the clock; skips those marked `ros` where the workspace is not sourced."""
     skip = pytest.mark.skip(reason="the workspace is not built and sourced: source devel/setup.bash")
     clock_files = {path: CLOCK_FILE.search(path.read_text()) for path in {item.path for item in items}}
     for item in items:
-        if GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
+        if item.get_closest_marker("rig") or GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
             item.add_marker("clock")
         if (item.get_closest_marker("clock") or item.get_closest_marker("ros")) and not clock_files[item.path]:
             raise pytest.UsageError(f"{item.nodeid}: its file must name the mark or fixture, for --clock-files")
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
+
+
+class Watch:
+    """Sees what leaves the process during a test; Python has no way to remove an audit hook again."""
+
+    def __init__(self) -> None:
+        self.seen: set[str] = set()
+        sys.addaudithook(self._hear)
+
+    def _hear(self, event: str, _) -> None:
+        if event in OUTSIDE:
+            self.seen.add(event)
+
+
+def pytest_configure(config):
+    """Begins to watch what tests do."""
+    config.stash[WATCH] = Watch()
+
+
+WATCH = pytest.StashKey[Watch]()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Begins anew for each test, before its fixtures."""
+    item.config.stash[WATCH].seen.clear()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item):
+    """Fails a test that opens sockets or starts programs beside tests that only compute: others would displace it."""
+    yield
+    seen = item.config.stash[WATCH].seen
+    if seen and not item.get_closest_marker("clock"):
+        pytest.fail(f"it raised {sorted(seen)}: mark it `clock`, so that other tests do not displace it", pytrace=False)
 
 
 @pytest.fixture(name="free_port")

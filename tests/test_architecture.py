@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ast
 import functools
-import re
 import sys
 from collections import defaultdict
 from collections.abc import Iterator

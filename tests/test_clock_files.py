@@ -1,4 +1,4 @@
-"""The option --clock-files leaves out no test that goes by the clock or starts nodes."""
+"""Which tests go by the clock: --clock-files leaves none out, and no other opens a socket or starts a program."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+pytestmark = pytest.mark.clock
 
 ROOT = Path(__file__).resolve().parents[1]
 HELPERS = """
@@ -27,25 +29,32 @@ def collected(tmp_path):
     def collect(*options, **texts):
         for name, text in {"conftest": HELPERS, **texts}.items():
             (tmp_path / f"{name}.py").write_text(text)
-        words = [
-            sys.executable,
-            "-m",
-            "pytest",
-            "-q",
-            "--collect-only",
-            "-p",
-            "conftest",
-            "-c",
-            ROOT / "pyproject.toml",
-        ]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-        done = subprocess.run(
-            [*words, f"--rootdir={ROOT}", *options, tmp_path],
-            cwd=ROOT, env=environment, capture_output=True, text=True,
-        )  # fmt: skip
+        done = run_pytest("--collect-only", *options, tmp_path)
         return done.returncode, set(re.findall(r"::(\w+)", done.stdout)), done.stderr
 
     return collect
+
+
+@pytest.fixture
+def ran(tmp_path):
+    """Runs the text of a file of tests; returns the exit code and what was printed."""
+
+    def run(text):
+        (tmp_path / "test_a.py").write_text(text)
+        done = run_pytest(tmp_path / "test_a.py")
+        return done.returncode, done.stdout
+
+    return run
+
+
+def run_pytest(*arguments):
+    """Runs pytest with the project's conftest.py and settings."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "conftest", "-c", ROOT / "pyproject.toml", f"--rootdir={ROOT}",
+         *arguments],
+        cwd=ROOT, env=environment, capture_output=True, text=True,
+    )  # fmt: skip
 
 
 DIRECT = "def test_direct(wait_until):\n    pass\n"
@@ -74,3 +83,26 @@ def test_files_without_such_tests_are_left_out(collected):
 def test_a_file_that_does_not_show_such_a_test_is_refused(collected, text):
     code, _, error = collected(test_a=text)
     assert code == pytest.ExitCode.USAGE_ERROR and "test_hidden" in error
+
+
+@pytest.mark.parametrize(
+    ("text", "event"),
+    [
+        ("import socket\ndef test_a():\n    socket.socket().bind(('127.0.0.1', 0))\n", "socket.bind"),
+        ("import subprocess\ndef test_a():\n    subprocess.run(['true'])\n", "subprocess.Popen"),
+        (
+            "import os, pytest\n@pytest.fixture\ndef made():\n    yield\n    os.system('true')\n"
+            "def test_a(made):\n    pass\n",
+            "os.system",
+        ),
+    ],
+)
+def test_a_test_that_leaves_its_process_must_be_marked(ran, text, event):
+    code, said = ran(text)
+    assert code == pytest.ExitCode.TESTS_FAILED and event in said and "1 error" in said
+    assert ran(f"{text}import pytest\npytestmark = pytest.mark.clock\n")[0] == pytest.ExitCode.OK
+
+
+def test_a_test_answers_for_itself_alone(ran):
+    code, said = ran("import os, pytest\n@pytest.mark.clock\ndef test_a():\n    os.system('true')\n" + PURE)
+    assert code == pytest.ExitCode.OK, said

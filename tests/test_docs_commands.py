@@ -18,7 +18,13 @@ from tools.handbook.walk import Walk
 needs_a_screen = pytest.mark.skipif(
     not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="the packages xvfb and xdotool are not installed"
 )
-pytestmark = [pytest.mark.ros, needs_a_screen, pytest.mark.timeout(1500), pytest.mark.xdist_group("pages")]
+pytestmark = [
+    pytest.mark.ros,
+    needs_a_screen,
+    pytest.mark.timeout(1500),
+    pytest.mark.xdist_group("pages"),
+    pytest.mark.clock,
+]
 
 BLOCKS = [block for page in pages.pages() for block in pages.blocks(page) if not block.why_not]
 BESIDE = sorted({block.page for block in BLOCKS if BESIDE_RIG in block.marks})

@@ -52,6 +52,7 @@ FOUND = [
 """Targets and inputs that were findings once."""
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_found(name):
     target = TARGETS[name]
@@ -127,6 +128,7 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
 
 
+@pytest.mark.clock
 def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
     results: dict[str, dict] = {}
     fuzz(["kst_answers", "no such target"], 2.0, 0, tmp_path, results)
@@ -168,6 +170,7 @@ def test_an_exception_in_a_node_is_a_finding(tmp_path):
     assert not _tracebacks(log)
 
 
+@pytest.mark.clock
 def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
     monkeypatch.setattr(fuzz_run, "HANGS_S", 1.0)
     says = 'import json, time; print(json.dumps({"examples": 3, "rss": 1.0}), flush=True); time.sleep(60.0)'

@@ -82,6 +82,7 @@ def test_two_statements_of_one_form_are_not_taken_for_each_other():
     assert not same
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -184,6 +184,7 @@ def test_results_that_the_disk_does_not_take_are_a_sentence(monkeypatch, capsys,
     assert "/dev/full: No space left on device" in capsys.readouterr().err
 
 
+@pytest.mark.clock
 @ros
 def test_the_folder_of_the_logs_of_a_campaign_is_made(tmp_path, monkeypatch):
     from campaign import run

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.clock
+
 ROOT = Path(__file__).parents[1]
 NOTE_CALL = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
 
@@ -132,32 +134,37 @@ except KeyboardInterrupt:  # as pytest does, which prints its report first
 
 
 def test_ctrl_c_ends_all_tests_also_those_behind_and_those_to_come(tmp_path):
-    python = tmp_path / "bin" / "python"
-    for folder in ("bin", "src", "tests"):
+    programs = [tmp_path / "bin" / "python", tmp_path / "bin" / "make"]
+    for name in ("tools/test.sh", "src/common/shell/behind.sh"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    for folder in ("bin", "devel", "tests"):
         (tmp_path / folder).mkdir()
-    python.write_text(PYTEST)
-    python.chmod(0o755)
+    for program in programs:
+        program.write_text(PYTEST)
+        program.chmod(0o755)
+    (tmp_path / "devel" / "setup.bash").touch()
     (tmp_path / "tests" / "test_rig.py").write_text("pytestmark = pytest.mark.rig\n")
-    calls = Path(f"{python}.calls")
+    calls = [Path(f"{program}.calls") for program in programs]
 
-    def called(count):
+    def called():
         for _ in range(1200):
-            if calls.exists() and len(calls.read_text().splitlines()) >= count:
+            if all(path.exists() and path.read_text() for path in calls):
                 return
             time.sleep(0.05)
-        pytest.fail(f"{count} calls of pytest did not come")
+        pytest.fail("not both parts began")
 
-    environment = {**os.environ, "PATH": f"{python.parent}:{os.defpath}", "TMPDIR": str(tmp_path)}
-    script = subprocess.Popen([ROOT / "tools" / "test.sh"], cwd=tmp_path, env=environment, start_new_session=True)
+    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.defpath}", "TMPDIR": str(tmp_path)}
+    script = subprocess.Popen([tmp_path / "tools" / "test.sh"], env=environment, start_new_session=True)
     try:
-        called(2)
+        called()
         os.killpg(script.pid, signal.SIGINT)  # as a terminal does
         assert script.wait(20.0) == 130
     finally:
         if script.poll() is None:
             os.killpg(script.pid, signal.SIGKILL)
-    assert len(calls.read_text().splitlines()) == 2, "no other tests begin"
-    left = [entry for entry in Path("/proc").glob("[0-9]*/cmdline") if str(python).encode() in _bytes(entry)]
+    assert [len(path.read_text().splitlines()) for path in calls] == [1, 1], "no other tests begin"
+    left = [entry for entry in Path("/proc").glob("[0-9]*/cmdline") if str(tmp_path / "bin").encode() in _bytes(entry)]
     assert not left
 
 

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.clock
+
 BEHIND = Path(__file__).parents[1] / "shell" / "behind.sh"
 SESSION = Path("/proc/self/autogroup")
 """Name and niceness of the session as the kernel shares the processor; empty where it does not look at sessions."""

@@ -7,6 +7,8 @@ import pytest
 
 from common import ports
 
+pytestmark = pytest.mark.clock
+
 KINDS = [socket.SOCK_STREAM, socket.SOCK_DGRAM]
 
 

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool
 from common.ros import service_calls
 from common.ros.service_calls import ServiceClient, ServiceFailed
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.clock]
 
 
 @pytest.fixture

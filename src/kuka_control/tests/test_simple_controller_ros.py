@@ -20,7 +20,7 @@ import yaml
 from kst import KstClient
 from rig_simulation.control_port import ControlClient
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.clock]
 
 CONFIG = Path(__file__).parents[1] / "config"
 MOVE_S = 60.0

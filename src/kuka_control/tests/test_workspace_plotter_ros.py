@@ -62,6 +62,7 @@ def params_file(tmp_path, **changes):
     return path
 
 
+@pytest.mark.clock
 def test_saves_a_picture_without_a_display_and_says_both_figures(tmp_path):
     picture = tmp_path / "workspace.png"
     done = rosrun("--save", picture, *QUICK)
@@ -107,6 +108,7 @@ def test_what_does_not_work_is_said_in_one_sentence(plotter, arguments, sentence
     assert sentence in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
 
 
+@pytest.mark.clock
 def test_without_a_display_a_window_is_refused_in_one_sentence():
     done = rosrun(*QUICK)
     assert done.returncode == 1
@@ -150,6 +152,7 @@ def test_takes_the_parameters_from_the_server(ros, plotter, tmp_path):
     assert bad.returncode == 1 and "kuka/inner_sphere_limit" in bad.stderr
 
 
+@pytest.mark.clock
 def test_says_that_there_is_no_master(plotter, tmp_path, free_port, monkeypatch):
     uri = f"http://localhost:{free_port()}"
     monkeypatch.setenv("ROS_MASTER_URI", uri)

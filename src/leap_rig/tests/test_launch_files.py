@@ -65,6 +65,7 @@ def test_the_workspace_is_lifted_only_where_it_is_asked_for_and_never_on_a_real_
     assert ("--lift-workspace" in words) is asked and "--i-know" not in words
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(("what", "said"), [("rig", ("sim:=false", "robot_ip")), ("camera", ("sim:=false", "Xtion"))])
 def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments(what, said):
     script = ROOT / "src/common/shell/simulated.sh"
@@ -161,6 +162,7 @@ def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():
     assert there <= set(values)
 
 
+@pytest.mark.clock
 def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own():
     from tools import launched
 
@@ -228,6 +230,7 @@ def test_what_is_for_two_arms_ends_the_launch_of_one_with_a_sentence(given):
     assert nodes(given, "rviz:=false", "gui:=false") == {"/arguments"}
 
 
+@pytest.mark.clock
 def test_the_sentence_about_misplaced_arguments_names_them():
     command = subprocess.run(
         ["rosrun", "leap_rig", "misplaced_arguments.py", "2", "recording:=/a.gz", "offset:=0", "1", "0", "__name:=x"],

@@ -19,7 +19,7 @@ from leap_motion.headset.placement import FROM_XR
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
 pytest.importorskip("rospy")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.clock]
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]

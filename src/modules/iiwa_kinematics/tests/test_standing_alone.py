@@ -10,6 +10,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+
+pytestmark = pytest.mark.clock
 
 PACKAGE = Path(__file__).parents[1]
 

@@ -24,6 +24,8 @@ from kst.errors import (
 )
 from kst.session import KstTiming
 
+pytestmark = pytest.mark.clock
+
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 GOAL = "jp_-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_"
 BRIEF = KstTiming(connect_settle=0.0, tool_settle=0.0, reply=0.4, quiet=0.02, tries=2)

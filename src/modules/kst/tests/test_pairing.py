@@ -10,6 +10,8 @@ from kst.codec import Feedback
 from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
 from kst.session import KstTiming
 
+pytestmark = pytest.mark.clock
+
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 AWAY = HOME + 0.1
 TORQUES = np.arange(1, 8) / 10

@@ -10,6 +10,8 @@ from kst.codec import ReplyKind
 from kst.errors import ConnectionLost, NoServer
 from kst.transport import KstTransport
 
+pytestmark = pytest.mark.clock
+
 
 @pytest.fixture
 def link():

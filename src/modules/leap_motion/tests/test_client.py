@@ -16,6 +16,8 @@ from leap_motion import client as client_module
 from leap_motion import transport
 from leap_motion.client import LeapClient, LeapLink
 
+pytestmark = pytest.mark.clock
+
 LONG_S = 60.0
 WAITS = ((transport, "OPEN_TIMEOUT_S"), (client_module, "HEADER_TIMEOUT_S"), (client_module, "PING_S"))
 """Waits of the client: service and client may get no processor for long, which is no fault of the service."""

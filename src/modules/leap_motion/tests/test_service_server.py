@@ -98,6 +98,7 @@ def test_the_newest_offer_wins_and_a_burst_stays_together():
     assert link.offer(("5",)) == 0 and link.frames == ("4",)
 
 
+@pytest.mark.clock
 def test_clients_that_break_every_rule_harm_only_themselves(start, offering):
     service = start()
     offering(service)
@@ -196,6 +197,7 @@ HOSTILE = (
 )
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("origin", HOSTILE)
 @pytest.mark.parametrize("service", ["2.3", "gemini"])
 def test_a_web_page_of_another_site_gets_no_hands_and_takes_none(start, origin, service):
@@ -207,6 +209,7 @@ def test_a_web_page_of_another_site_gets_no_hands_and_takes_none(start, origin, 
     assert served.clients == 0
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("origin", ["http://localhost:8080", "http://127.0.0.1", "https://[::1]:1"])
 def test_a_web_page_of_this_computer_is_served(start, origin):
     served = start()
@@ -228,6 +231,7 @@ def test_after_too_many_wrong_codes_none_is_accepted(tries):
     assert not code.accepts("right one")
 
 
+@pytest.mark.clock
 def test_a_port_in_use_is_a_sentence(start):
     service = start()
     with pytest.raises(LeapServiceError) as error:
@@ -235,6 +239,7 @@ def test_a_port_in_use_is_a_sentence(start):
     assert str(service.port) in str(error.value) and "another port" in str(error.value)
 
 
+@pytest.mark.clock
 def test_the_server_of_todays_service_sends_at_once_and_each_frame_to_one_client_only(start, offering):
     service = start(service="gemini")
     with plain(service) as first, plain(service) as second:

@@ -14,6 +14,8 @@ from reflex import CommandRefused, HandSettings, HandSilent, HandStatus, ReflexH
 from reflex.calibration_files import CalibrationFiles
 from reflex.ros.parameters import ReflexDriverConfig
 
+pytestmark = pytest.mark.clock
+
 
 def threads():
     return [thread for thread in threading.enumerate() if thread.name == "reflex hand"]

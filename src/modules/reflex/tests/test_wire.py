@@ -11,6 +11,8 @@ from reflex.errors import WireFault
 from reflex.hand import HandLogic
 from reflex.transport import HandTransport, interface_address
 
+pytestmark = pytest.mark.clock
+
 
 class Host:
     """The driver's loop."""

@@ -17,6 +17,8 @@ from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 from rig_simulation.files import read_urdf
 
+pytestmark = pytest.mark.clock
+
 SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
 ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
 ZEROS = "0.0_0.0_0.0_0.0_0.0_0.0_0.0_\n"

@@ -171,6 +171,7 @@ def test_ids_and_clock_begin_anew_after_a_restart():
     assert again["timestamp"] < first["timestamp"] + 30_000
 
 
+@pytest.mark.clock
 def test_unplugged(client, fault):
     client.frame()
     fault("unplugged")
@@ -247,6 +248,7 @@ def test_faults_of_hands_on_the_wire(client, fault, wait_until, name, changed):
     wait_until(lambda: not changed(client.frame()), SOON_S, "its end")
 
 
+@pytest.mark.clock
 def test_an_unknown_fault_is_refused(fault):
     with pytest.raises(DeviceError):
         fault("dance")

@@ -61,6 +61,7 @@ def receive(connection, timeout=60.0):
     return json.loads(connection.recv(timeout))
 
 
+@pytest.mark.clock
 def test_header_then_device_event_then_frames(start):
     with client_of(start()) as connection:
         assert receive(connection) == {"version": 6, "serviceVersion": "2.3.1+simulated"}
@@ -73,6 +74,7 @@ def test_header_then_device_event_then_frames(start):
         assert all({"hands", "pointables", "timestamp", "currentFrameRate"} <= set(frame) for frame in frames)
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("path", "header", "event"),
     [
@@ -91,6 +93,7 @@ def test_lower_versions(start, path, header, event):
         assert "hands" in frame
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("path", ["/v7.json", "/v99.json", "/other"])
 def test_unknown_versions_are_closed_with_1001_before_any_header(start, path):
     with client_of(start(), path, policies=()) as connection:
@@ -127,6 +130,7 @@ def test_frames_come_only_to_those_who_asked(start, wait_until):
         assert "hands" in receive(connection)
 
 
+@pytest.mark.clock
 def test_the_server_of_todays_service_sends_to_everybody(start):
     with client_of(start(service="gemini"), policies=()) as connection:
         assert ["version" in receive(connection), "event" in receive(connection), "hands" in receive(connection)] == [
@@ -134,6 +138,7 @@ def test_the_server_of_todays_service_sends_to_everybody(start):
         ] * 3
 
 
+@pytest.mark.clock
 def test_several_clients_get_the_same_frames(start):
     service = start()
     with client_of(service) as first, client_of(service) as second:
@@ -238,6 +243,7 @@ def test_a_request_that_is_being_answered_when_the_service_ends_is_carried_out(s
     wait_until(lambda: service._playback.playing, 15.0, "the request to be carried out")
 
 
+@pytest.mark.clock
 def test_a_port_in_use_and_a_foreign_address_are_refused(start):
     service = start()
     with pytest.raises(DeviceError):
@@ -300,6 +306,7 @@ def test_negative_offsets_can_be_given():
     assert parse(["--offset", "-50", "190", "-0.5", "__name:=leapd"]).offset == [-50.0, 190.0, -0.5]
 
 
+@pytest.mark.clock
 def test_a_machine_that_cannot_keep_up_sends_fewer_frames_but_never_none(monkeypatch, start):
     play = Playback.next
 

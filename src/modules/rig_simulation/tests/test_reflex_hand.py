@@ -162,6 +162,7 @@ def start(*arguments):
     )
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

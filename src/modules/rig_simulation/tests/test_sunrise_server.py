@@ -98,6 +98,7 @@ def test_a_line_has_a_longest_length():
         lines.feed(b"x")
 
 
+@pytest.mark.clock
 def test_torn_and_glued_lines(serve):
     client = Connection(serve())
     for byte in "getJointsPositions\r\n":
@@ -130,6 +131,7 @@ def test_a_session_moves_the_arm_and_ends(serve, wait_until):
     client.close()
 
 
+@pytest.mark.clock
 def test_a_second_client_waits_unserved_and_is_reset_at_the_end(serve):
     server = serve()
     first, second = Connection(server), Connection(server)
@@ -176,6 +178,7 @@ def test_a_lost_client_can_leave_the_port_deaf_and_the_servo_running(serve, wait
     deaf.close()
 
 
+@pytest.mark.clock
 def test_an_overlong_line_loses_that_client_only(serve):
     server = serve()
     client = Connection(server)
@@ -188,6 +191,7 @@ def test_an_overlong_line_loses_that_client_only(serve):
     client.close()
 
 
+@pytest.mark.clock
 def test_end_can_end_the_server(serve):
     server = serve(end_exits=True)
     client = Connection(server)
@@ -200,6 +204,7 @@ def test_end_can_end_the_server(serve):
     client.close()
 
 
+@pytest.mark.clock
 def test_without_a_client_it_can_end(serve):
     server = serve(wait_for_client=0.05)
     server.thread.join(LONG_S)
@@ -223,6 +228,7 @@ def test_control_port_stops_and_releases(serve, wait_until):
     client.close()
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("value", [[0] * 6, "abcdefg", [None] * 7, [True] * 7, 3])
 def test_control_port_refuses_what_are_no_torques(serve, value):
     server = serve()
@@ -247,6 +253,7 @@ def start_program(*arguments):
     )
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_program_says_when_it_is_ready_and_ends_without_a_traceback(number):
     program = start_program("--robot", "LBR14R820", "__name:=arm")
@@ -260,6 +267,7 @@ def test_the_program_says_when_it_is_ready_and_ends_without_a_traceback(number):
     assert program.returncode == 0
 
 
+@pytest.mark.clock
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -280,6 +288,7 @@ def test_the_program_refuses_bad_arguments_in_one_sentence(arguments, sentence):
     assert err.count("\n") == 1
 
 
+@pytest.mark.clock
 def test_the_program_says_that_its_port_is_taken():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         program = start_program("--port", str(taken.getsockname()[1]))
@@ -332,6 +341,7 @@ def test_an_arm_that_lags_answers_before_it_makes_up_its_lag(monkeypatch, serve,
     client.close()
 
 
+@pytest.mark.clock
 def test_a_line_that_takes_long_to_plan_does_not_hold_up_the_reader(monkeypatch, serve):
     go_on = threading.Event()
 

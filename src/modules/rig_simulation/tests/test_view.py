@@ -193,6 +193,7 @@ def test_a_film_has_the_times_of_its_images(tmp_path):
     np.testing.assert_allclose(frames_of(tmp_path / "a.mp4"), [0, 100, 100, 100, 100, 200], atol=12)
 
 
+@pytest.mark.clock
 def test_a_film_that_a_full_disk_cut_off_is_named(tmp_path):
     film = tmp_path / "a.mp4"
     program = f"""
@@ -330,6 +331,7 @@ def test_viewer_and_recorder_stop_at_an_interrupt_and_when_they_are_terminated(n
             signal.signal(one, handler)
 
 
+@pytest.mark.clock
 def test_without_a_world_the_recorder_names_it(tmp_path, free_port, monkeypatch, capsys):
     monkeypatch.setattr(record.display, "stop_when_interrupted", threading.Event)
     monkeypatch.setattr(record.os, "nice", lambda _: None)

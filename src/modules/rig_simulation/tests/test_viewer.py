@@ -18,6 +18,8 @@ import pytest
 from rig_simulation.control_port import ControlClient
 from rig_simulation.recording.display import OF_OTHERS
 
+pytestmark = pytest.mark.clock
+
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 LONG_S = 60.0
 """Longest wait; the machine may be busy."""
