@@ -16,6 +16,7 @@ import math
 import os
 import sys
 import tempfile
+import time
 import zipfile
 from collections.abc import Callable, Sequence
 from datetime import datetime
@@ -137,6 +138,7 @@ class Wire:
         self._replies = [parse_reply(line) for line in KstLineSplitter().feed(answers)]
         self.ended_by_peer = True
         self.sent: list[str] = []
+        self.monotonic = time.monotonic
 
     def send(self, line: str, timeout: float) -> None:
         """Takes a line."""

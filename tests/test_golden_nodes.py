@@ -7,12 +7,12 @@ the tf messages to the goals. Messages between them pass as bytes; no time passe
 from __future__ import annotations
 
 import contextlib
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from common import clock
 from common.frames import ONE_ARM
 from golden.chain import BEGIN_S, CLOCK_S, Trace, World
 from golden.runs import RUNS, Missing
@@ -30,13 +30,13 @@ class Done(Exception):
 
 
 class HandedIn:
-    """Stands for the module time: its clock is set."""
+    """Stands for common.clock; it is set."""
 
     def __init__(self) -> None:
         self.now, self._set = BEGIN_S, None
 
     def __getattr__(self, name):
-        return getattr(time, name)
+        return getattr(clock, name)
 
     def monotonic(self):
         import rospy
@@ -67,8 +67,8 @@ class NodeChain:
 
         self.world, self.clock = world, HandedIn()
         for module in (controller_node, desired_tool, arm, stream_status, hand_to_arm, hand, state_publisher):
-            if hasattr(module, "time"):
-                patch.setattr(module, "time", self.clock)
+            if hasattr(module, "clock"):
+                patch.setattr(module, "clock", self.clock)
         self.clock.monotonic()
         nothing = SimpleNamespace(move=None, show=lambda *_: None, collision=lambda _: None, shutdown=lambda *_: None)
         for owner, name in ((rospy, "Service"), (arm, "Diagnostics"), (hand, "Diagnostics"), (services, "Services"),

@@ -126,9 +126,9 @@ class Following(Bench):
 
 
 @pytest.fixture
-def following(monkeypatch):
+def following():
     def follow(nagle=False):
-        bench = Following(BadWire(nagle), monkeypatch)
+        bench = Following(BadWire(nagle))
         bench.run(1012.0, "servo")
         return bench
 

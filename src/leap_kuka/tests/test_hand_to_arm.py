@@ -41,7 +41,7 @@ def made(T_tool_flange, others=()):
     rests, impl = [], SimpleNamespace(callbacks=[(other, None) for other in others])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
-        patch.setattr(hand_to_arm.time, "sleep", rests.append)
+        patch.setattr(hand_to_arm.clock, "sleep", rests.append)
         patch.setattr(hand_to_arm.DelayMonitor, "_looked", {})
         monitor = hand_to_arm.DelayMonitor(T_tool_flange)
         impl.callbacks.append((monitor._take, None))

@@ -19,7 +19,7 @@ def test_the_state_is_published_again_although_nothing_changes(monkeypatch):
             self.publish = lambda message: sent.append((name, clock[0]))
 
     monkeypatch.setattr(stream_status.rospy, "Publisher", Publisher)
-    monkeypatch.setattr(stream_status.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(stream_status.clock, "monotonic", lambda: clock[0])
     status = stream_status.StreamStatus(InteractionBox(np.zeros(3), np.ones(3)), "leap")
     status.flush()
     assert not sent

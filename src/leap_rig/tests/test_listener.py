@@ -138,7 +138,7 @@ def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listen
     from std_msgs.msg import String
 
     now, read = 0.0, []
-    monkeypatch.setattr("leap_rig.ros.listener.time.monotonic", lambda: now)
+    monkeypatch.setattr("leap_rig.ros.listener.clock.monotonic", lambda: now)
     take = listener._sampled(String, lambda message: read.append(float(message.data)), 0.1)
     for i in range(1000):
         now = 5.0 + 0.003 * i

@@ -84,8 +84,14 @@ class Arm:
     one again and again."""
 
     def __init__(self, joints, ends):
-        self.calls = []
+        self.calls, self.now = [], 0.0
         self._joints, self._ends = deque(joints), deque(ends)
+
+    def monotonic(self):
+        return self.now
+
+    def pause(self, duration):
+        self.now += duration
 
     def joints(self):
         return self._next(self._joints)

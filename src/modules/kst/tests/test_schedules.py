@@ -9,13 +9,10 @@ import contextlib
 import heapq
 import itertools
 import random
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from kst import client as client_module
-from kst import session as session_module
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback, ToolTransform, parse_reply
 from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
@@ -136,15 +133,8 @@ class Server:
             raise ConnectionLost("given up")
 
 
-@pytest.fixture
-def connected(monkeypatch):
-    def connect(server):
-        clock = SimpleNamespace(monotonic=server.monotonic)
-        monkeypatch.setattr(session_module, "time", clock)
-        monkeypatch.setattr(client_module, "time", clock)
-        return KstClient(KstSession(server, TIMING), ToolTransform(np.eye(4)), LBR_IIWA_LIMITS)
-
-    return connect
+def connected(server):
+    return KstClient(KstSession(server, TIMING), ToolTransform(np.eye(4)), LBR_IIWA_LIMITS)
 
 
 def spans(rng, count, longest):
@@ -191,7 +181,7 @@ def run(client, server, goal):
 
 
 @pytest.mark.parametrize("seed", range(150))
-def test_every_motion_is_counted_once_and_to_its_end(connected, seed):
+def test_every_motion_is_counted_once_and_to_its_end(seed):
     """With acknowledgements that are late, lost or overtaken, starts that are wiped, and a server that freezes."""
     rng = random.Random(seed)
     busy, overtaken = rng.choice([0.0, rng.uniform(0.0, 0.9)]), rng.choice([0.001, None, rng.uniform(0.0, 0.3)])
@@ -210,7 +200,7 @@ def test_every_motion_is_counted_once_and_to_its_end(connected, seed):
 
 
 @pytest.mark.parametrize("seed", range(50))
-def test_no_answer_is_taken_for_another_and_nothing_but_probes_is_sent_into_a_silence(connected, seed):
+def test_no_answer_is_taken_for_another_and_nothing_but_probes_is_sent_into_a_silence(seed):
     rng = random.Random(seed)
     server = Server(rng, loss=rng.choice([0.0, 0.02, 0.3]), frozen=spans(rng, 2, 4.5))
     client = connected(server)
@@ -231,7 +221,7 @@ def test_no_answer_is_taken_for_another_and_nothing_but_probes_is_sent_into_a_si
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_server_that_stays_silent_is_given_up_in_time_and_hears_the_farewell(connected, seed):
+def test_a_server_that_stays_silent_is_given_up_in_time_and_hears_the_farewell(seed):
     rng = random.Random(seed)
     begin = 1000.0 + rng.uniform(0.0, 2.0)
     server = Server(rng, frozen=[(begin, 2000.0)])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 from collections import deque
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from kst import client as client_module
-from kst import session as session_module
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback, ToolTransform, parse_reply
 from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
@@ -36,6 +33,9 @@ class Server:
         self.now, self.delay, self.stalled_until = 1000.0, 0.0005, 0.0
         self.sent, self.drop, self.answers = [], False, deque()
         self.lost = self.ended_by_peer = False
+
+    def monotonic(self):
+        return self.now
 
     def say(self, text):
         due = max(self.now + self.delay, self.answers[-1][0] if self.answers else 0.0)
@@ -98,11 +98,8 @@ def a_client(server, timing=TIMING):
 
 
 @pytest.fixture
-def server(monkeypatch):
-    server = Server()
-    for module in (client_module, session_module):
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: server.now))
-    return server
+def server():
+    return Server()
 
 
 def used_to(server, delay):
@@ -214,9 +211,6 @@ class Stream(RuleBasedStateMachine):
     @initialize(window=st.sampled_from([0.1, 0.1, 0.05, 0.0]))
     def connect(self, window):
         self.server = Server()
-        self._modules = [(module, module.time) for module in (client_module, session_module)]
-        for module, _ in self._modules:
-            module.time = SimpleNamespace(monotonic=lambda: self.server.now)
         self.timing = KstTiming(**{**vars(TIMING), "servo_window": window})
         self.client = a_client(self.server, self.timing)
         self.session = self.client._session
@@ -330,15 +324,11 @@ class Stream(RuleBasedStateMachine):
     def teardown(self):
         if not hasattr(self, "session"):
             return
-        try:
-            self.server.stalled_until = 0.0
-            self.client.close()
-            with pytest.raises(ConnectionLost):
-                self.client._mode = KstMode.SERVO
-                self.client.stream(np.zeros(7))
-        finally:
-            for module, clock in self._modules:
-                module.time = clock
+        self.server.stalled_until = 0.0
+        self.client.close()
+        with pytest.raises(ConnectionLost):
+            self.client._mode = KstMode.SERVO
+            self.client.stream(np.zeros(7))
 
 
 Stream.TestCase.settings = settings(

@@ -350,7 +350,7 @@ def test_a_taker_of_frames_that_fails_starves_no_other(monkeypatch):
     order, errors, now = [], [], [100.0]
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
     monkeypatch.setattr(rospy, "logerr", lambda text, *words: errors.append(text % words))
-    monkeypatch.setattr(tracking.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(tracking.clock, "monotonic", lambda: now[0])
 
     def taker(name, fails):
         def take(*_):

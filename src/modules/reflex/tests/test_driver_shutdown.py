@@ -40,18 +40,18 @@ def test_the_time_between_callbacks_and_shutdown_is_no_fault(node, monkeypatch):
         monkeypatch.setattr(rospy.core, "_in_shutdown", True)
         for callback in node.callbacks:
             callback()
-        monkeypatch.setattr(driver.time, "sleep", unregistered)
+        monkeypatch.setattr(driver.clock, "sleep", unregistered)
 
     def unregistered(_):
         monkeypatch.setattr(driver.rospy, "is_shutdown", lambda: True)
 
     monkeypatch.setattr(driver.rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(driver.time, "sleep", shut_down)
+    monkeypatch.setattr(driver.clock, "sleep", shut_down)
     node.run()
 
 
 def test_a_receive_thread_that_ends_by_itself_is_a_defect(node, monkeypatch):
     monkeypatch.setattr(driver.rospy, "is_shutdown", lambda: False)
-    monkeypatch.setattr(driver.time, "sleep", lambda _: node._hand.disconnect())
+    monkeypatch.setattr(driver.clock, "sleep", lambda _: node._hand.disconnect())
     with pytest.raises(RuntimeError):
         node.run()

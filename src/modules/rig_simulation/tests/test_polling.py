@@ -35,8 +35,8 @@ def rig(monkeypatch):
 
     rig = Rig()
     rig.asked, rig.warned = [], []
-    monkeypatch.setattr(monitors.time, "monotonic", lambda: rig.now)
-    monkeypatch.setattr(monitors.time, "sleep", rig.sleep)
+    monkeypatch.setattr(monitors.clock, "monotonic", lambda: rig.now)
+    monkeypatch.setattr(monitors.clock, "sleep", rig.sleep)
     monkeypatch.setattr(monitors.rospy, "is_shutdown", lambda: rig.now - 100.0 > rig.end)
     monkeypatch.setattr(monitors.rospy, "logwarn_throttle", lambda _, text, error: rig.warned.append(text % error))
     return rig

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
-import threading
-import time
 from collections.abc import Callable
 from urllib.parse import urlparse
 
 import rosgraph
 import rospy
+
+from common import clock
 
 RETRY_S = 0.5
 LOOK_S = 0.5  # longest time until the end of this node is noticed [s]
@@ -35,7 +35,7 @@ class MasterWatch:
 
     def start(self) -> None:
         """Watches in a thread of its own until ROS shuts down."""
-        threading.Thread(target=self._run, name="master watch", daemon=True).start()
+        clock.Thread(target=self._run, name="master watch", daemon=True).start()
 
     def _run(self) -> None:
         uri, gone = rosgraph.get_master_uri(), False
@@ -64,7 +64,7 @@ class MasterWatch:
                 rospy.logerr(sentence)
                 for call in self.lost:
                     call(sentence)
-            time.sleep(RETRY_S)
+            clock.sleep(RETRY_S)
 
     def _connected(self, uri: str) -> socket.socket:
         address = urlparse(uri)

@@ -11,7 +11,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 
@@ -20,6 +19,7 @@ import rospy
 import rospy.topics
 from rospy.impl.paramserver import get_param_server_cache
 
+from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
 
@@ -106,9 +106,9 @@ def _close_watches_with_topics() -> None:
 class RepeatedExceptions(logging.Filter):
     """Passes an exception of a callback once in REPEAT_S; rospy logs its traceback with each message that raises it."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, now: Callable[[], float] | None = None) -> None:
         super().__init__()
-        self._clock = clock
+        self._now = now or clock.monotonic
         self._logged: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -116,7 +116,7 @@ class RepeatedExceptions(logging.Filter):
         text = str(record.msg)
         if not text.startswith("bad callback: "):
             return True
-        now, reason = self._clock(), text.splitlines()[-1]
+        now, reason = self._now(), text.splitlines()[-1]
         if now - self._logged.get(reason, -REPEAT_S) < REPEAT_S:
             return False
         self._logged[reason] = now
@@ -205,16 +205,16 @@ def _leave(code: int) -> None:
 
 def _wait_for_clock() -> None:
     """Waits until ROS time is known; raises a RigError if it is simulated and nobody publishes it."""
-    deadline = time.monotonic() + CLOCK_S
+    deadline = clock.monotonic() + CLOCK_S
     while not rospy.rostime.is_wallclock() and rospy.get_rostime().is_zero():
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shut down while waiting for /clock")
-        if time.monotonic() > deadline:
+        if clock.monotonic() > deadline:
             raise RigError(
                 f"The parameter use_sim_time is true, but nobody publishes /clock within {CLOCK_S:g} s: play a "
                 "recording with --clock, or rosparam set use_sim_time false."
             )
-        time.sleep(CLOCK_POLL_S)
+        clock.sleep(CLOCK_POLL_S)
 
 
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
@@ -238,13 +238,13 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
         with reader, writer:
             while (number := reader.recv(1)[0]) not in numbers:
                 pass
-            threading.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown").start()
-            threading.Event().wait()  # the socket stays open for the signals that follow
+            clock.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown").start()
+            clock.Event().wait()  # the socket stays open for the signals that follow
 
     signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
     for number in numbers:
         signal.signal(number, lambda *_: None)
-    threading.Thread(target=listen, name="signals", daemon=True).start()
+    clock.Thread(target=listen, name="signals", daemon=True).start()
 
 
 def run_together(*jobs: Callable[[], None]) -> None:
@@ -286,7 +286,7 @@ def repeat(job: Callable[[], None], period: float, name: str) -> None:
 
     rospy.Timer prints a traceback where it sleeps between the request to shut down and the end.
     """
-    stop = threading.Event()
+    stop = clock.Event()
     rospy.on_shutdown(stop.set)
 
     def loop() -> None:
@@ -294,4 +294,4 @@ def repeat(job: Callable[[], None], period: float, name: str) -> None:
             with while_running():
                 job()
 
-    threading.Thread(target=loop, name=name, daemon=True).start()
+    clock.Thread(target=loop, name=name, daemon=True).start()

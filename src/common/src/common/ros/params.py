@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Iterable
 from typing import Any
 
 import rospy
 
+from common import clock
 from common.config import Schema, parse, required
 from common.errors import ConfigError
 from common.frames import ArmFrames
@@ -49,10 +49,10 @@ def wait_for_param(name: str):
     while not rospy.has_param(name):
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException(f"shut down while waiting for {name}")
-        if time.monotonic() >= next_reminder:
+        if clock.monotonic() >= next_reminder:
             rospy.loginfo("Waiting for the parameter %s.", rospy.resolve_name(name))
-            next_reminder = time.monotonic() + REMIND_S
-        time.sleep(POLL_S)
+            next_reminder = clock.monotonic() + REMIND_S
+        clock.sleep(POLL_S)
     return rospy.get_param(name)
 
 
@@ -85,12 +85,12 @@ def wait_for_config(
 
 def _uploaded(namespace: str, names: Iterable[str], seconds: float):
     """Returns the value of `namespace` once it has all the names, at the latest after `seconds`."""
-    deadline = time.monotonic() + seconds
+    deadline = clock.monotonic() + seconds
     values = rospy.get_param(namespace)
-    while time.monotonic() < deadline and _missing(values, names):
+    while clock.monotonic() < deadline and _missing(values, names):
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException(f"shut down while waiting for parameters under {namespace}/")
-        time.sleep(POLL_S)
+        clock.sleep(POLL_S)
         values = rospy.get_param(namespace)
     return values
 

@@ -12,8 +12,6 @@ import contextlib
 import http.client
 import socket
 import struct
-import threading
-import time
 import xmlrpc.client
 from urllib.parse import urlparse
 
@@ -22,6 +20,7 @@ import rosgraph.network
 import rospy
 from rospy.impl.tcpros_base import TCPROSTransport
 
+from common import clock
 from common.errors import DeviceError, RigError
 
 MASTER_TIMEOUT_S = 2.0
@@ -74,10 +73,10 @@ class ServiceClient:
         """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
         that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time.
         """
-        start, before = time.monotonic(), self._unfinished
+        start, before = clock.monotonic(), self._unfinished
         if before is not None and not before.done.wait(wait + timeout):
             raise ServiceFailed(self.name, "still does not answer: nothing was requested", False)
-        wait = max(0.0, wait - (time.monotonic() - start)) if before is not None else wait
+        wait = max(0.0, wait - (clock.monotonic() - start)) if before is not None else wait
         attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
         try:
             return attempt.response(wait + timeout)
@@ -115,10 +114,10 @@ class _Attempt:
 
     def __init__(self, client: ServiceClient, proxy: rospy.ServiceProxy, request, wait: float) -> None:
         self._client, self._proxy, self._request, self._wait = client, proxy, request, wait
-        self._lock, self.done = threading.Lock(), threading.Event()
+        self._lock, self.done = clock.Lock(), clock.Event()
         self._given_up = self._sent = False
         self._response, self._failure = None, None
-        threading.Thread(target=self._run, name=client.name, daemon=True).start()
+        clock.Thread(target=self._run, name=client.name, daemon=True).start()
 
     def response(self, timeout: float):
         """Returns the response, or gives the call up after `timeout` [s]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +9,7 @@ import rospy
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from common import clock
 from common.camera_model import CameraModel
 from common.ros.images import camera_model_from_info, depth_from_image
 from grasping.pipeline.settings import InputConfig
@@ -31,7 +31,7 @@ class DepthStream:
 
     def __init__(self, config: InputConfig) -> None:
         self._config = config
-        self._new = threading.Condition()
+        self._new = clock.Condition()
         self._image: Image | None = None
         self._info: CameraInfo | None = None
         self._since, self._came = rospy.Time.now(), False

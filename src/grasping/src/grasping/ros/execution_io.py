@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import rospy
 import tf2_ros
@@ -12,6 +10,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
@@ -73,7 +72,7 @@ class ExecutionInputs:
         )
 
     def _fresh(self, heard):
-        return heard[0] if heard is not None and time.monotonic() - heard[1] <= self._silence else None
+        return heard[0] if heard is not None and clock.monotonic() - heard[1] <= self._silence else None
 
     def _tool(self) -> np.ndarray | None:
         try:
@@ -85,10 +84,10 @@ class ExecutionInputs:
         self.grasps = message
 
     def _on_controller(self, message: KukaStatus) -> None:
-        self._controller = message, time.monotonic()
+        self._controller = message, clock.monotonic()
 
     def _on_hand(self, message: Hand) -> None:
-        self._hand = message, time.monotonic()
+        self._hand = message, clock.monotonic()
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}

@@ -6,8 +6,6 @@ grasping/proposal_marker. In: see execution_io.py. Asks kuka/check_tool_pose and
 
 from __future__ import annotations
 
-import threading
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Pose, PoseStamped
 from std_srvs.srv import Trigger, TriggerResponse
 
+from common import clock
 from common.config import parse, required, vector
 from common.errors import DeviceError
 from common.frames import BASE
@@ -56,8 +55,8 @@ class ExecutionNode:
         self._config, self._tool = config, tool
         self._home = mounting_frame(arm.center_line, arm.mounting)
         self._execution = execution.Execution(config, watch, self._home.up)
-        self._lock = threading.Lock()
-        self._asking = threading.Lock()
+        self._lock = clock.Lock()
+        self._asking = clock.Lock()
         self._grasp, self._way = NO_GRASP, None
         self._counts = {"executed": 0, "refused": 0, "held": 0, "not_held": 0}
         self._inputs = ExecutionInputs(arm.T_flange_tool, config.silence)
@@ -71,10 +70,10 @@ class ExecutionNode:
         """Runs the execution until ROS shuts down."""
         while not rospy.is_shutdown():
             with while_running(), self._lock:
-                outcome = self._execution.step(self._inputs.observe(), time.monotonic())
+                outcome = self._execution.step(self._inputs.observe(), clock.monotonic())
                 self._publish(outcome)
             self._release(outcome)
-            time.sleep(PERIOD_S)
+            clock.sleep(PERIOD_S)
 
     def _on_execute(self, _) -> TriggerResponse:
         if not self._asking.acquire(blocking=False):
@@ -109,7 +108,7 @@ class ExecutionNode:
         with self._lock:
             self._grasp, self._way = next(g for g in message.grasps if g.id == chosen.id), way
             self._counts["executed"] += 1
-            self._execution.start(way.T_base_above, time.monotonic())
+            self._execution.start(way.T_base_above, clock.monotonic())
             self._display.show(self._execution, self._grasp, way)
         return None
 

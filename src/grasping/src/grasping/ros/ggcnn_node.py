@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-import time
+from time import perf_counter
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float32MultiArray, Header
 from visualization_msgs.msg import MarkerArray
 
+from common import clock
 from common.errors import RigError
 from common.frames import BASE, DEPTH, GRASP_TARGET, GRASP_VIEW
 from common.mounting import rotation_of_mounting
@@ -81,13 +82,13 @@ class RefinementKind:
     """The parameter refinement_kind, which may be changed while the node runs."""
 
     def __init__(self, kinds: dict[str, Preference], kind: str) -> None:
-        self._kinds, self._kind, self._looked = kinds, kind, time.monotonic()
+        self._kinds, self._kind, self._looked = kinds, kind, clock.monotonic()
 
     def changed(self) -> Preference | None:
         """Returns the preference of another kind than before, None otherwise; one that is not known is logged."""
-        if not self._kinds or time.monotonic() - self._looked < KIND_PERIOD_S:
+        if not self._kinds or clock.monotonic() - self._looked < KIND_PERIOD_S:
             return None
-        self._looked = time.monotonic()
+        self._looked = clock.monotonic()
         try:
             kind = ask_master("getParam", rospy.resolve_name("~refinement_kind"))
         except MasterLost:
@@ -138,8 +139,8 @@ class GgcnnNode:
                 self._take(image)
                 continue
             silence = self._stream.silence()
-            if silence and time.monotonic() - reported_silence >= SILENT_PERIOD_S:
-                reported_silence = time.monotonic()
+            if silence and clock.monotonic() - reported_silence >= SILENT_PERIOD_S:
+                reported_silence = clock.monotonic()
                 self._pipeline.reset()
                 self._publish(Header(stamp=rospy.Time.now()), [], silence)
 
@@ -150,7 +151,7 @@ class GgcnnNode:
         refinement = self._kind.changed()
         if refinement is not None:
             self._pipeline.refine(refinement)
-        started, header = time.perf_counter(), image.header
+        started, header = perf_counter(), image.header
         T_base_camera, unknown = self._camera_pose.in_base(header.frame_id, header.stamp)
         found = self._pipeline.step(image.depth, image.camera, T_base_camera, header.stamp.to_sec())
         proposals = self._reach.look_up(found.grasps)
@@ -161,12 +162,12 @@ class GgcnnNode:
         if best is not None:
             self._publish_best(image, best)
         self._times.done(header.stamp)
-        published = time.perf_counter()
+        published = perf_counter()
         self._draw(header, found, proposals, best)
         self._image_count += 1
         self._normals_missing += found.normals_missing
         latency = (rospy.Time.now() - header.stamp).to_sec()
-        stages = {**found.seconds, "draw": time.perf_counter() - published, "all": published - started}
+        stages = {**found.seconds, "draw": perf_counter() - published, "all": published - started}
         self._time({**stages, "latency": latency})
 
     def _publish(self, header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> None:
@@ -239,9 +240,9 @@ def _measured(pipeline: GraspPipeline) -> float:
     image = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
     seconds = []
     for _ in range(WARM_UP):
-        begin = time.perf_counter()
+        begin = perf_counter()
         infer(pipeline.network, image.input)
-        seconds.append(time.perf_counter() - begin)
+        seconds.append(perf_counter() - begin)
     return min(seconds)
 
 
@@ -274,7 +275,7 @@ def _run() -> None:
         up = rotation_of_mounting(rospy.get_param("kuka/mounting", (0.0, 0.0, 0.0)))[2]
     except (TypeError, ValueError) as error:
         raise RigError(f"The parameter kuka/mounting is not roll, pitch and yaw: {error}.") from None
-    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, time.perf_counter)
+    pipeline = GraspPipeline(settings.views(), loaded.network, settings.steps(up), refinement, perf_counter)
     file, name, sha256, milliseconds = (
         settings.network.weights,
         loaded.name,

@@ -8,8 +8,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import threading
-import time
 from pathlib import Path
 
 import cv2
@@ -18,6 +16,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image
 
+from common import clock
 from common.camera_model import CameraModel
 from common.errors import RigError
 from common.ros.conversions import pose_from_message
@@ -34,7 +33,7 @@ class NodeOutput:
     """The node's newest messages."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._depth: dict[rospy.Time, Image] = {}
         self._heat: dict[rospy.Time, Image] = {}
         self.lists: list[GraspList] = []
@@ -103,17 +102,17 @@ def _run() -> None:
     parser.add_argument("file", type=Path, help="image file that is written, such as grasp.png")
     parser.add_argument("--pictures", type=int, default=30, help="number of images to wait for, default 30")
     arguments = parser.parse_args(rospy.myargv()[1:])
-    collected, deadline = NodeOutput(), time.monotonic() + PATIENCE_S
+    collected, deadline = NodeOutput(), clock.monotonic() + PATIENCE_S
     info = None
     while True:
         info = info or _camera_info()
         newest = collected.newest()
         if info is not None and newest is not None and len(collected.lists) >= arguments.pictures:
             break
-        if rospy.is_shutdown() or time.monotonic() > deadline:
+        if rospy.is_shutdown() or clock.monotonic() > deadline:
             reasons = {found.reason for found in collected.lists[-5:]}
             raise RigError(f"No image with a grasp came within {PATIENCE_S:g} s: {'; '.join(reasons) or 'no answer'}.")
-        time.sleep(POLL_S)
+        clock.sleep(POLL_S)
     if not cv2.imwrite(str(arguments.file), composed(*newest, camera_model_from_info(info))):
         raise RigError(f"The image cannot be written to {arguments.file}.")
     sys.stdout.write("\n".join([*report(collected), f"{arguments.file} is written", ""]))

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-import time
-
 import numpy as np
 import rospy
 
+from common import clock
 from common.frames import BASE
 from common.mounting import mounting_frame
 from common.ros.conversions import stamped_pose
@@ -36,16 +33,16 @@ class ReachClient:
     def __init__(self, config: ReachConfig, tool: ToolPoseConfig) -> None:
         self._config, self._tool = config, tool
         self._book = ReachabilityCache(config)
-        self._lock = threading.Lock()
-        self._questions: queue.Queue[tuple[int, np.ndarray]] = queue.Queue(maxsize=config.best)
+        self._lock = clock.Lock()
+        self._questions: clock.Queue[tuple[int, np.ndarray]] = clock.Queue(maxsize=config.best)
         self._failed, self._busy_since = False, 0.0
         self.answers = 0
         if config.ask:
-            threading.Thread(target=self._loop, name="reach", daemon=True).start()
+            clock.Thread(target=self._loop, name="reach", daemon=True).start()
 
     def look_up(self, proposals: tuple[GraspProposal, ...]) -> list[tuple[GraspProposal, Reachability]]:
         """Returns the grasps with their reachability, refused ones last; asks about the best, others are unknown."""
-        now = time.monotonic()
+        now = clock.monotonic()
         with self._lock:
             self._book.keep_only({p.id for p in proposals})
             known = [(p, self._known(p, i, now)) for i, p in enumerate(proposals)]
@@ -62,7 +59,7 @@ class ReachClient:
             try:
                 self._questions.put_nowait((proposal.id, proposal.T_base_grasp))
                 self._book.asked(proposal.id, proposal.T_base_grasp, now)
-            except queue.Full:
+            except clock.Full:
                 pass  # the next image asks again
         silent = self._failed or (self._busy_since and now - self._busy_since > self._config.timeout)
         return self._book.known(proposal.id) or Reachability(False, SILENT if silent else ASKED)
@@ -71,9 +68,9 @@ class ReachClient:
         while not rospy.is_shutdown():
             try:
                 number, T_base_grasp = self._questions.get(timeout=POLL_S)
-            except queue.Empty:
+            except clock.Empty:
                 continue
-            self._busy_since = time.monotonic()
+            self._busy_since = clock.monotonic()
             answer = self._answer(T_base_grasp)
             self._busy_since, self._failed = 0.0, answer is None
             with self._lock:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import ArmFrames
 from common.ros import master, node
@@ -94,12 +94,12 @@ class RobotLink:
 
     def _first(self) -> KstArm:
         config, waiting = self._config, False
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = clock.monotonic() + PATIENCE_S
         while not rospy.is_shutdown():
             try:
                 return self._connected(TIMEOUT_S)
             except KstError as error:
-                if not isinstance(error, NoServer) or time.monotonic() > deadline:
+                if not isinstance(error, NoServer) or clock.monotonic() > deadline:
                     if ends_soon():
                         break
                     sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
@@ -107,7 +107,7 @@ class RobotLink:
                 if not waiting:
                     rospy.logwarn("%s. Trying for %g s.", error, PATIENCE_S)
                 waiting = True
-                time.sleep(RETRY_S)
+                clock.sleep(RETRY_S)
         raise rospy.ROSInterruptException("shut down while connecting")
 
     def _connected(self, timeout: float) -> KstArm:
@@ -122,11 +122,11 @@ class RobotLink:
 
 def ends_soon() -> bool:
     """Returns whether ROS shuts down: when all is ended at once, the robot's controller may be gone a moment before."""
-    deadline = time.monotonic() + SHUTDOWN_S
+    deadline = clock.monotonic() + SHUTDOWN_S
     while not rospy.core.is_shutdown_requested() and not rospy.is_shutdown():
-        if time.monotonic() > deadline:
+        if clock.monotonic() > deadline:
             return False
-        time.sleep(0.02)
+        clock.sleep(0.02)
     return True
 
 
@@ -245,20 +245,20 @@ class _Node:
     def _brake(self) -> None:
         """Brings the stream of goals to rest if ROS shuts down meanwhile: without goals the arm would stop abruptly."""
         off = replace(self._switches.now, control_on=False)
-        deadline = time.monotonic() + BRAKING_S
-        while self._controller.in_servo and time.monotonic() < deadline:
-            self._controller.cycle(Inputs(switches=off), time.monotonic())
-            time.sleep(self._servo_period)
+        deadline = clock.monotonic() + BRAKING_S
+        while self._controller.in_servo and clock.monotonic() < deadline:
+            self._controller.cycle(Inputs(switches=off), clock.monotonic())
+            clock.sleep(self._servo_period)
 
     def _run_loop(self) -> None:
         deadline = 0.0
         while not rospy.is_shutdown():
             desired = self._desired.wait(deadline)
-            started = time.monotonic()
+            started = clock.monotonic()
             if self._opening is not None:
                 self._loop.open_hand(self._opening.at(started))
             inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move)
-            step = self._controller.cycle(inputs, time.monotonic())
+            step = self._controller.cycle(inputs, clock.monotonic())
             if isinstance(step.command, Servo) and step.command.stamp is not None:
                 self._stages.done(self._desired.stamp)
             self._show(step)
@@ -284,12 +284,12 @@ class _Node:
             rospy.logerr(supervisor.reason)
             self._show(supervisor.waiting())
             try:
-                deadline = time.monotonic() + PROBE_S
-                while time.monotonic() < deadline and not (rospy.is_shutdown() or self._exit_asked(exits)):
+                deadline = clock.monotonic() + PROBE_S
+                while clock.monotonic() < deadline and not (rospy.is_shutdown() or self._exit_asked(exits)):
                     if self._controller.regained():
                         self._regained(supervisor)
                         return True
-                    time.sleep(RETRY_POLL_S)
+                    clock.sleep(RETRY_POLL_S)
             except KstError as failure:
                 error = failure
         self._services.hold("the robot is out of reach")
@@ -298,19 +298,19 @@ class _Node:
             return False
         if exits:
             raise DeviceError(f"The robot is out of reach: {error}. The arm is not at its zero position.") from error
-        self._say(supervisor.lost(error, time.monotonic()))
+        self._say(supervisor.lost(error, clock.monotonic()))
         self._show(supervisor.waiting())
         self._link.close()
         while not self._switches.now.exit_requested:
             if rospy.is_shutdown():
                 return False
-            if time.monotonic() < supervisor.next_try:
-                time.sleep(RETRY_POLL_S)
+            if clock.monotonic() < supervisor.next_try:
+                clock.sleep(RETRY_POLL_S)
                 continue
             try:
                 self._link.again()
             except KstError as failure:
-                self._say(supervisor.failed(failure, time.monotonic()))
+                self._say(supervisor.failed(failure, clock.monotonic()))
                 self._show(supervisor.waiting())
                 continue
             self._controller.restart(self._link.arm, supervisor)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import threading
-import time
 from collections import deque
 
 import numpy as np
@@ -13,6 +11,7 @@ import tf2_ros
 from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.frames import BASE, ONE_ARM, TOOL_DESIRED, ArmFrames
 from common.ros.conversions import pose_from_transform
 from kuka_control.model.clock_offset import ClockOffset
@@ -55,7 +54,7 @@ class DesiredTool:
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
         self._base, self._tool = frames(BASE), frames(TOOL_DESIRED)
         self.buffer = tf2_ros.Buffer(debug=False)
-        self._arrived = threading.Event()
+        self._arrived = clock.Event()
         self._newest: DesiredFrame | None = None
         self._sources = FrameSources()
         self._chain = ChainWatch()
@@ -68,8 +67,9 @@ class DesiredTool:
         self._looked_up: rospy.Time | None = None  # the same, of this machine's clock
         self.clock = ClockOffset()
         self._clocks: dict[str, ClockOffset] = {}  # of the nodes that published it
-        self._lock = threading.Lock()  # each publisher on /tf has a thread of its own
-        self._last_time, self._passed = rospy.Time.now(), time.monotonic()  # ROS time, and when it was seen to pass [s]
+        self._lock = clock.Lock()  # each publisher on /tf has a thread of its own
+        self._last_time = rospy.Time.now()
+        self._passed = clock.monotonic()  # when ROS time was seen to pass [s]
         self._parents: dict[str, str] = {}
         self._needed: set[str] = {self._tool, self._base}
         self._others: dict[str, deque[RawTransform]] = {}
@@ -78,7 +78,7 @@ class DesiredTool:
 
     def callback(self, data: RawTfMessage) -> None:
         """Receives tf messages."""
-        node, now = data._connection_header["callerid"], time.monotonic()
+        node, now = data._connection_header["callerid"], clock.monotonic()
         try:
             transforms = list(data.raw_transforms())
         except (struct.error, UnicodeDecodeError) as error:
@@ -136,7 +136,7 @@ class DesiredTool:
             if not rospy.rostime.is_wallclock():
                 self._went_back = f"ROS time went back by {(self._last_time - now).to_sec():.3g} s."
         if now != self._last_time:
-            self._last_time, self._passed = now, time.monotonic()
+            self._last_time, self._passed = now, clock.monotonic()
 
     def _stands_in(self, child: str, parent: str) -> None:
         """Notes in which frame another one stands; gives tf2 what it needs from now on."""
@@ -174,12 +174,12 @@ class DesiredTool:
             rospy.logwarn_throttle(REMIND_S, self._refused)
             return
         if transform.child == self._tool:
-            clock = rospy.get_time()
-            skewed = skew_fault(transform.time, clock)
-            if skewed is not None and transform.time > clock - MAX_OFFSET_S:  # an older one is refused by its stream
+            present = rospy.get_time()
+            skewed = skew_fault(transform.time, present)
+            if skewed is not None and transform.time > present - MAX_OFFSET_S:  # an older one is refused by its stream
                 self._refused = skewed
                 return
-            stands = time.monotonic() - self._passed
+            stands = clock.monotonic() - self._passed
             if stands > STANDS_S:
                 self._refused = (
                     f"The desired tool frame is refused: ROS time has stood still for {stands:.1f} s; use_sim_time is "
@@ -190,14 +190,14 @@ class DesiredTool:
 
     def wait(self, deadline: float) -> DesiredFrame | None:
         """Returns the newest desired tool frame as soon as a new one is there, or at the monotonic `deadline` [s]."""
-        while not self._look() and time.monotonic() < deadline:
-            self._arrived.wait(max(deadline - time.monotonic(), 0.0))
+        while not self._look() and clock.monotonic() < deadline:
+            self._arrived.wait(max(deadline - clock.monotonic(), 0.0))
             self._arrived.clear()
         return self._newest
 
     def _look(self) -> bool:
         """Looks the frame up; returns whether it is new."""
-        now = time.monotonic()
+        now = clock.monotonic()
         went_back, self._went_back = self._went_back, None
         if went_back is not None:
             return self._refuse(went_back)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from common import clock
 from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
 
 PROGRAM = "controller"  # part of the file name of every program that may be ended
@@ -81,7 +81,7 @@ def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str)
 
     `process` is the controller's if it runs on this machine and was verified; `host` is empty if it was never heard of.
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = clock.monotonic() + PATIENCE_S
     answer, failure = "", None
     try:
         answer = call_exit(timeout=PATIENCE_S).message
@@ -104,7 +104,7 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
         kill(process)
     except PermissionError:
         return False, f"Emergency Stop: process {process.pid} belongs to another user. {SMARTPAD}"
-    if _ended(process, time.monotonic() + KILL_S):
+    if _ended(process, clock.monotonic() + KILL_S):
         return True, f"Emergency Stop: the controller hung and its process was ended; {LEFT_BEHIND}."
     return False, f"Emergency Stop: process {process.pid} cannot be ended. {SMARTPAD}"
 
@@ -112,7 +112,7 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
 def _ended(process: ControllerProcess, deadline: float) -> bool:
     """Waits until the process has ended, at most until the deadline."""
     while runs(process):
-        if time.monotonic() >= deadline:
+        if clock.monotonic() >= deadline:
             return False
-        time.sleep(POLL_S)
+        clock.sleep(POLL_S)
     return True

@@ -6,8 +6,6 @@ green to red by the scale), distance, around (obstacles) and robot (the bodies t
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -16,6 +14,7 @@ from geometry_msgs.msg import Point, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import translation
 from common.ros.conversions import message_from_pose
@@ -65,7 +64,7 @@ class HandOpening:
         a, b, c = hand.finger
         distal = a.distal_approx, b.distal_approx, c.distal_approx
         opening = Opening((a.proximal, b.proximal, c.proximal), distal, hand.motor[3].joint_angle)
-        self._newest = (time.monotonic(), opening) if np.isfinite(_row(opening)).all() else None
+        self._newest = (clock.monotonic(), opening) if np.isfinite(_row(opening)).all() else None
 
 
 class GuardView:
@@ -86,7 +85,7 @@ class GuardView:
         self._guard = collision_guard(config, rig)
         self._margin, self._opening, self._observe = config.guard_margin, opening, observe
         self._count = 0
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._state = rospy.Publisher("kuka/guard", GuardState, queue_size=2)
         self._markers = rospy.Publisher("kuka/guard_markers", MarkerArray, queue_size=2)
         repeat(self._show, PERIOD_S, "guard view")
@@ -107,7 +106,7 @@ class GuardView:
 
     def _take_opening(self) -> None:
         if self._guard is not None and self._opening is not None:
-            self._guard.open(self._opening.at(time.monotonic()))
+            self._guard.open(self._opening.at(clock.monotonic()))
 
     def _show(self) -> None:
         with while_running(), self._lock:

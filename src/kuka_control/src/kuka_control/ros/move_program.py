@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 
 import numpy as np
 import rospy
 from tqdm import tqdm
 
+from common import clock
 from common.errors import DeviceError, RigError
 from common.frames import BASE
 from common.poses import pose
@@ -56,14 +56,14 @@ def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
     client = ActionClient("kuka/move", MoveAction)
     if not client.wait_for_server(rospy.Duration(SERVER_S)):
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")
-    heard = time.monotonic()
+    heard = clock.monotonic()
     with noted_interruptions() as noted, tqdm(
         total=100.0, bar_format="{percentage:3.0f} % |{bar}| {postfix[0]}", postfix=[""], disable=None, leave=False
     ) as bar:
 
         def show(feedback: MoveFeedback) -> None:
             nonlocal heard
-            heard = time.monotonic()
+            heard = clock.monotonic()
             unit = "m" if goal.straight else "rad"
             bar.postfix = [f"{feedback.left:.3f} {unit} left"]
             bar.update(100.0 * feedback.fraction - bar.n)
@@ -74,7 +74,7 @@ def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
             if noted and not cancelled:
                 cancelled = True
                 client.cancel_goal()
-            if time.monotonic() - heard > SILENCE_S:
+            if clock.monotonic() - heard > SILENCE_S:
                 raise DeviceError(f"kuka/move has reported nothing for {SILENCE_S:g} s; the controller may have ended.")
     return client.get_result(), cancelled
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +9,7 @@ import actionlib
 import numpy as np
 import rospy
 
+from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import pose_in
 from kuka_control.limits.line_plan import MoveRefused
@@ -44,7 +43,7 @@ class MoveServer:
         self.move: ProgramMotion | None = None
         self._base = frames(BASE)
         self._planner, self._read = planner, read
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._handle: actionlib.ServerGoalHandle | None = None
         self._number = 0
         self._due = self._asked = 0.0  # when the next feedback is due, and when the goal came [s]
@@ -53,7 +52,7 @@ class MoveServer:
 
     def show(self, step: Step, joints: np.ndarray) -> None:
         """Reports what has become of the motion; called by the control loop after each cycle."""
-        move, handle, progress, now = self.move, self._handle, step.move, time.monotonic()
+        move, handle, progress, now = self.move, self._handle, step.move, clock.monotonic()
         if move is None or handle is None:
             return
         if progress is None or progress.number != move.number:
@@ -100,7 +99,7 @@ class MoveServer:
             return
         handle.set_accepted()
         with self._lock:
-            self._asked, self._handle, self.move = time.monotonic(), handle, move
+            self._asked, self._handle, self.move = clock.monotonic(), handle, move
 
     def _cancel(self, handle: actionlib.ServerGoalHandle) -> None:
         with self._lock:

@@ -11,17 +11,16 @@ import os
 import signal
 import socket
 import sys
-import threading
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from queue import SimpleQueue
+from time import strftime
 
 import rosgraph
 import rospy
 from python_qt_binding.QtCore import QObject, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication
 
+from common import clock
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
 from common.ros.node import end_closed_servers, hide_closed_connections
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
@@ -56,7 +55,7 @@ class PanelLink(QObject):
         self._process: ControllerProcess | None = None
         self._master_lost = False
         self._services = {name: ServiceClient(self._of + name, kind) for name, kind in KINDS.items()}
-        self._answers: SimpleQueue[tuple[str, bool, str]] = SimpleQueue()
+        self._answers: clock.SimpleQueue[tuple[str, bool, str]] = clock.SimpleQueue()
         self._running: set[str] = set()
         self._next: dict[str, tuple] = {}
         self._asked_scaling: tuple[float, float] | None = None
@@ -67,9 +66,9 @@ class PanelLink(QObject):
         panel.emergency_requested.connect(self.ask_emergency)
         self._closed = self._subscribing = False
         self._subscribers: list[rospy.Subscriber] = []
-        self._view: tuple[tuple[Row, ...], float] = SILENT, time.monotonic()
-        self._wake = threading.Event()
-        threading.Thread(target=self._watch, name="watch", daemon=True).start()
+        self._view: tuple[tuple[Row, ...], float] = SILENT, clock.monotonic()
+        self._wake = clock.Event()
+        clock.Thread(target=self._watch, name="watch", daemon=True).start()
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._refresh)
         self._timer.start(REFRESH_MS)
@@ -88,15 +87,15 @@ class PanelLink(QObject):
         runs = None if self._process is None else emergency.runs(self._process)
         context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs)
         rows, at = self._view
-        self._panel.show_rows(rows if time.monotonic() - at <= OLD_ROWS_S else SILENT)
-        self._panel.show_state(self._with_asked_scaling(panel_state(status, time.monotonic(), context)))
+        self._panel.show_rows(rows if clock.monotonic() - at <= OLD_ROWS_S else SILENT)
+        self._panel.show_state(self._with_asked_scaling(panel_state(status, clock.monotonic(), context)))
 
     def _with_asked_scaling(self, state: PanelState) -> PanelState:
         """Shows the scaling factor that was asked for until the controller has taken or refused it."""
         if self._asked_scaling is None:
             return state
         factor, until = self._asked_scaling
-        if time.monotonic() > until or abs(state.scaling_factor - factor) < 1e-3 or not state.scaling_enabled:
+        if clock.monotonic() > until or abs(state.scaling_factor - factor) < 1e-3 or not state.scaling_enabled:
             self._asked_scaling = None
             return state
         return replace(state, scaling_factor=factor)
@@ -108,11 +107,11 @@ class PanelLink(QObject):
             return  # the answer to the newest request counts
         if name == SCALING and not accepted:
             self._asked_scaling = None
-        text = f"{time.strftime('%H:%M:%S')}  {sentence}"
+        text = f"{strftime('%H:%M:%S')}  {sentence}"
         self._panel.show_answer(text, Tone.NORMAL if accepted else Tone.WARNING)
 
     def _ask_scaling(self, factor: float) -> None:
-        self._asked_scaling = factor, time.monotonic() + CALL_TIMEOUT_S + SETTLE_S
+        self._asked_scaling = factor, clock.monotonic() + CALL_TIMEOUT_S + SETTLE_S
         self._ask(SCALING, factor)
 
     def _ask(self, name: str, *request) -> None:
@@ -121,7 +120,7 @@ class PanelLink(QObject):
             self._next[name] = request
             return
         self._running.add(name)
-        threading.Thread(target=self._call, args=(name, request), name=name, daemon=True).start()
+        clock.Thread(target=self._call, args=(name, request), name=name, daemon=True).start()
 
     def _call(self, name: str, request) -> None:
         try:
@@ -134,7 +133,7 @@ class PanelLink(QObject):
         """Stops the controller at once, beside Qt's thread; once while that runs."""
         if emergency.SERVICE not in self._running:
             self._running.add(emergency.SERVICE)
-            threading.Thread(target=self._stop, name="emergency", daemon=True).start()
+            clock.Thread(target=self._stop, name="emergency", daemon=True).start()
 
     def _stop(self) -> None:
         status = self._status
@@ -148,7 +147,7 @@ class PanelLink(QObject):
         while not (self._master_answers() and rospy.core.is_initialized()):
             if self._closed:
                 return
-            time.sleep(REFRESH_MS * 1e-3)
+            clock.sleep(REFRESH_MS * 1e-3)
         self._subscribe()
         while not self._closed:
             self._wake.clear()
@@ -181,7 +180,7 @@ class PanelLink(QObject):
 
     def _hears(self) -> bool:
         status = self._status
-        return status is not None and time.monotonic() - status.received < ABSENT_S
+        return status is not None and clock.monotonic() - status.received < ABSENT_S
 
     def _subscribe(self) -> None:
         """Subscribes anew in a thread of its own, as rospy waits for a master that hangs."""
@@ -197,10 +196,10 @@ class PanelLink(QObject):
             finally:
                 self._subscribing = False
 
-        threading.Thread(target=subscribe, name="subscribe", daemon=True).start()
+        clock.Thread(target=subscribe, name="subscribe", daemon=True).start()
 
     def _take_view(self, message: OperatorView) -> None:
-        self._view = rows_of(message.rows), time.monotonic()
+        self._view = rows_of(message.rows), clock.monotonic()
 
     def _take(self, message: KukaStatus) -> None:
         process = emergency.find(message.pid) if message.host == socket.gethostname() else None
@@ -210,7 +209,7 @@ class PanelLink(QObject):
         previous = self._status
         m = message
         self._status = ControllerStatus(
-            *(time.monotonic(), m.control_on, m.gripper_on, m.scaling_factor, m.mode, m.reason),
+            *(clock.monotonic(), m.control_on, m.gripper_on, m.scaling_factor, m.mode, m.reason),
             *(tuple(m.limited_by), m.host, m.pid),
         )
         if previous is None or (previous.host, previous.pid) != (message.host, message.pid):
@@ -258,11 +257,11 @@ def linked_panels(arms: Sequence[str]) -> tuple[ControlPanel | ArmsPanel, list[P
 
 def _show(on_top: bool, arms: Sequence[str]) -> int:
     application = QApplication(sys.argv[:1])
-    interrupted = threading.Event()  # Qt forgets quit() before exec_()
+    interrupted = clock.Event()  # Qt forgets quit() before exec_()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
     # Beside Qt, because it waits for the ROS master.
-    threading.Thread(target=_join_ros, name="join", daemon=True).start()
+    clock.Thread(target=_join_ros, name="join", daemon=True).start()
     panel, links = linked_panels(arms)
     panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
     panel.resize(560 * max(1, len(arms)), 780)
@@ -276,7 +275,7 @@ def _show(on_top: bool, arms: Sequence[str]) -> int:
     for link in links:
         link.close()
     # A master that hangs must not keep the program.
-    goodbye = threading.Thread(target=rospy.signal_shutdown, args=("the panel was closed",), daemon=True)
+    goodbye = clock.Thread(target=rospy.signal_shutdown, args=("the panel was closed",), daemon=True)
     goodbye.start()
     goodbye.join(SHUTDOWN_S)
     if goodbye.is_alive():

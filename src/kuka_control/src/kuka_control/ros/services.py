@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 
 import numpy as np
 import rospy
 
+from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
@@ -25,7 +25,7 @@ class Services:
     """Offers the services under kuka/ and turns requests into positions of the switches."""
 
     def __init__(self, switches: Switches) -> None:
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._switches = switches
         rospy.Service("kuka/exit_app_emergency", exitAppEmergency, self._end_at_once)
         rospy.Service("kuka/exit_app", exitApp, lambda _: self._ask(switches.request_exit))
@@ -56,7 +56,7 @@ class Services:
 
     def _end_at_once(self, request):
         """Needs neither the control loop nor the robot, so it also works when those hang."""
-        timer = threading.Timer(ANSWER_S, os._exit, [EMERGENCY_EXIT_CODE])
+        timer = clock.Timer(ANSWER_S, os._exit, [EMERGENCY_EXIT_CODE])
         timer.daemon = True
         timer.start()
         return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."

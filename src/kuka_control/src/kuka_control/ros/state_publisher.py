@@ -6,8 +6,6 @@ from __future__ import annotations
 
 import os
 import socket
-import threading
-import time
 from collections import deque
 from dataclasses import dataclass
 
@@ -20,6 +18,7 @@ from std_msgs.msg import Bool, ColorRGBA, Header, String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, ONE_ARM, TOOL_COMMANDED, TOOL_HOME, WORLD, ArmFrames
 from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
@@ -80,7 +79,7 @@ class StatePublisher:
         self._period = 1.0 / rate_joints
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
-        self._read = threading.Event()
+        self._read = clock.Event()
         self._published_joints: np.ndarray | None = None
         self._published = ArmState()
         self._target = None
@@ -101,8 +100,8 @@ class StatePublisher:
         self._moving_ptp = DirectPublisher("kuka/moving_ptp", Bool, queue_size=10, latch=True)
         self._modes = DirectPublisher("kuka/mode", String, queue_size=50, latch=True)
         self._status = DirectPublisher("kuka/status", KukaStatus, queue_size=10, latch=True)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="state", daemon=True)
+        self._stop = clock.Event()
+        self._thread = clock.Thread(target=self._loop, name="state", daemon=True)
 
     def start(self, T_world_base: np.ndarray | None = None) -> None:
         """Publishes the home frames once, and the base in world if it is given; starts the publishing thread."""
@@ -140,9 +139,9 @@ class StatePublisher:
     def _publish(self) -> None:
         due = next_state = 0.0
         while not self._stop.is_set():
-            self._read.wait(max(due - time.monotonic(), 0.0))
+            self._read.wait(max(due - clock.monotonic(), 0.0))
             self._read.clear()
-            snapshot, now = self._newest, time.monotonic()
+            snapshot, now = self._newest, clock.monotonic()
             if snapshot is not None:
                 self._publish_positions(snapshot.arm.joints)
                 if now >= due:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import threading
-import time
 
 import numpy as np
 import rospy
@@ -12,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Bool
 from std_srvs.srv import Empty
 
+from common import clock
 from common.errors import DeviceError
 from common.hand_tracking import LEFT
 from common.ros.diagnostics import Diagnostics, StageTimes
@@ -44,13 +43,13 @@ class HandTeleopNode:
         self._teleop, self._force_limit, self._of = teleop, force_limit, of
         self._wanted: np.ndarray | None = None
         self._limited = LimitedCommand(teleop.open_pose, {}, "")
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._result = GripperResult(GripperState.WAITING, "no tracking frames came yet", None)
         self._commands_sent = 0
         self._commands = DirectPublisher(f"{of}reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
         self._stage_times = StageTimes("leap_hand", of)
         Diagnostics("leap_hand", self._diagnostics, of)
-        self._state_received = threading.Event()
+        self._state_received = clock.Event()
         hand_state = f"{of}reflex_takktile/hand_state"
         rospy.Subscriber(hand_state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
@@ -63,8 +62,8 @@ class HandTeleopNode:
         subscribe(self._on_frame, ReceivedHuman)
         while not rospy.is_shutdown():
             with self._lock:
-                self._carry_out(self._teleop.silence(time.monotonic()))
-            time.sleep(WATCH_PERIOD_S)
+                self._carry_out(self._teleop.silence(clock.monotonic()))
+            clock.sleep(WATCH_PERIOD_S)
 
     def _on_gripper(self, message: Bool) -> None:
         with while_running(), self._lock:
@@ -73,18 +72,18 @@ class HandTeleopNode:
     def _on_stream(self, stream: DiagnosticStatus) -> None:
         with self._lock:
             values = {value.key: value.value for value in stream.values}
-            self._teleop.steered_by(owner(stream), time.monotonic(), values.get("keep_grip") == "true")
+            self._teleop.steered_by(owner(stream), clock.monotonic(), values.get("keep_grip") == "true")
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
-            result = self._teleop.step(frame, time.monotonic())
+            result = self._teleop.step(frame, clock.monotonic())
             self._carry_out(result)
             if result is not None and result.command is not None:
                 self._stage_times.done(stamp)
 
     def _on_hand_state(self, hand: Hand) -> None:
         with while_running(), self._lock:
-            stopped = self._force_limit.update(finger_feedback(hand), time.monotonic())
+            stopped = self._force_limit.update(finger_feedback(hand), clock.monotonic())
             if stopped and self._wanted is not None:
                 self._send(self._wanted)
             self._state_received.set()
@@ -103,7 +102,7 @@ class HandTeleopNode:
 
     def _send(self, wanted: np.ndarray) -> None:
         """Sends the part of a command that the force limit allows, and logs changes of the limit."""
-        before, allowed = self._limited, self._force_limit.clip(wanted, time.monotonic())
+        before, allowed = self._limited, self._force_limit.clip(wanted, clock.monotonic())
         self._commands.publish(RadianServoCommands(allowed.command.tolist()))
         self._commands_sent += 1
         self._wanted, self._limited = wanted, allowed
@@ -167,11 +166,11 @@ def calibrate(timeout: float, of: str = "") -> None:
     for name in services:
         call(name, Empty, timeout=ANSWER_TIMEOUT_S)
     rospy.loginfo("The hand calibrates; commands follow in %g s.", SETTLING_S)
-    end = time.monotonic() + SETTLING_S
-    while time.monotonic() < end:
+    end = clock.monotonic() + SETTLING_S
+    while clock.monotonic() < end:
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shut down during the calibration")
-        time.sleep(0.05)
+        clock.sleep(0.05)
 
 
 def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import queue
 import sys
-import time
 from pathlib import Path
 
 import rospkg
 import rospy
 import yaml
 
+from common import clock
 from common.config import parse
 from common.errors import RigError
 from common.ros.files import write_whole
@@ -68,7 +67,7 @@ def _run(options: argparse.Namespace) -> None:
 
 def _measure(wizard: HandWizard, timeout: float) -> None:
     """Leads the person until the wizard is done; raises WizardRefused."""
-    frames: queue.Queue[TrackingFrame] = queue.Queue(maxsize=100)
+    frames: clock.Queue[TrackingFrame] = clock.Queue(maxsize=100)
     statuses: list[KukaStatus] = []
 
     def put(frame: TrackingFrame, _) -> None:
@@ -77,20 +76,20 @@ def _measure(wizard: HandWizard, timeout: float) -> None:
 
     rospy.Subscriber("kuka/status", KukaStatus, lambda status: statuses.__setitem__(slice(None), [status]))
     subscribe(put)
-    terminal, deadline = _Terminal(), time.monotonic() + timeout
+    terminal, deadline = _Terminal(), clock.monotonic() + timeout
     while True:
         try:
-            step = wizard.step(frames.get(timeout=0.1), time.monotonic())
-        except queue.Empty:
-            step = wizard.look(time.monotonic())
+            step = wizard.step(frames.get(timeout=0.1), clock.monotonic())
+        except clock.Empty:
+            step = wizard.look(clock.monotonic())
         if statuses and statuses[0].control_on:
             raise WizardRefused("The arm would follow the hand: switch kuka/kuka_control off. Nothing was stored.")
-        terminal.say(step, time.monotonic())
+        terminal.say(step, clock.monotonic())
         if step.done:
             return
         if wizard.failed:
             raise WizardRefused(f"{wizard.failed} Nothing was stored.")
-        if time.monotonic() > deadline:
+        if clock.monotonic() > deadline:
             raise WizardRefused(f"Not finished after {timeout:g} s; nothing was stored. {step.hint}".strip())
 
 
@@ -99,7 +98,7 @@ class _Terminal:
 
     def __init__(self) -> None:
         self._progress, self._instruction = -1.0, ""
-        self._hint, self._said = "", time.monotonic()
+        self._hint, self._said = "", clock.monotonic()
 
     def say(self, step: WizardStep, now: float) -> None:
         if step.done or (step.instruction, step.progress) != (self._instruction, self._progress):

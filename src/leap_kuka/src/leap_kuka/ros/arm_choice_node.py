@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import rospy
 from std_msgs.msg import String
 
+from common import clock
 from common.config import names
 from common.errors import ConfigError
 from common.ros.node import run
@@ -36,7 +35,7 @@ class ArmChoiceNode:
 
     def __init__(self, choice: ArmChoice, subscribe: Subscribe) -> None:
         self._choice = choice
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._publisher = rospy.Publisher(CHOSEN_ARM, String, queue_size=10, latch=True, tcp_nodelay=True)
         self._publish()
         rospy.Service("leap_kuka/choose_arm", ChooseArm, self._on_request)
@@ -81,7 +80,7 @@ def start(choice: ArmChoice, subscribe: Subscribe = subscribe) -> None:
     """Chooses until ROS shuts down."""
     ArmChoiceNode(choice, subscribe)
     while not rospy.is_shutdown():
-        time.sleep(WATCH_PERIOD_S)
+        clock.sleep(WATCH_PERIOD_S)
 
 
 def _run() -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import struct
-import time
 from typing import ClassVar
 
 import numpy as np
 import rospy
 
+from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.hand_delay import DelayMeter
 
@@ -48,12 +48,12 @@ class DelayMonitor:
         meanwhile are then read at once, at a fraction of the cost. Where this process subscribes to tf for something
         else, too, it does not, since rospy calls both in this thread.
         """
-        publisher, now = message._connection_header["callerid"], time.monotonic()
+        publisher, now = message._connection_header["callerid"], clock.monotonic()
         callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks
         alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f, _ in callbacks)
         if alone and now - self._looked.get(publisher, 0.0) > READ_S:
-            time.sleep(REST_S)
-            self._looked[publisher] = time.monotonic()
+            clock.sleep(REST_S)
+            self._looked[publisher] = clock.monotonic()
         data = message._buff
         at = data.find(self._flange_in_base)
         if at >= STAMP.size:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
-
 import genpy
 import numpy as np
 import rospy
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.ros.conversions import pose_from_transform
 
@@ -30,8 +29,8 @@ class MeasuredTool:
         data, at, received = self._newest
         if not data:
             raise ValueError(f"nobody publishes {self._flange}")
-        if time.monotonic() - at > FRESH_S:
-            raise ValueError(f"the newest {self._flange} is {time.monotonic() - at:.1f} s old")
+        if clock.monotonic() - at > FRESH_S:
+            raise ValueError(f"the newest {self._flange} is {clock.monotonic() - at:.1f} s old")
         try:
             transforms = TFMessage().deserialize(data).transforms
         except genpy.DeserializationError as error:
@@ -46,4 +45,4 @@ class MeasuredTool:
 
     def _on_tf(self, message: rospy.AnyMsg) -> None:
         if self._looked_for in message._buff:
-            self._newest = message._buff, time.monotonic(), rospy.Time.now()
+            self._newest = message._buff, clock.monotonic(), rospy.Time.now()

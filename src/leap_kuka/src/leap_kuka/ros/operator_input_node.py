@@ -5,14 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 import select
-import threading
-import time
 
 import rospy
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Header
 from std_srvs.srv import SetBool, SetBoolRequest
 
+from common import clock
 from common.config import parse
 from common.ros.node import run, while_running
 from leap_kuka.config import OPERATOR_INPUT
@@ -33,7 +32,7 @@ class OperatorInputNode:
         self._file: int | None = None
         self._retry_at = 0.0
         self._failure = ""
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._sent: tuple[bool, bool, str] | None = None
         self._sent_at = 0.0
         self._publisher = rospy.Publisher(
@@ -52,10 +51,10 @@ class OperatorInputNode:
 
     def _read(self) -> None:
         """Reads what the device has to say within POLL_S."""
-        if self._file is None and self._path and time.monotonic() >= self._retry_at:
+        if self._file is None and self._path and clock.monotonic() >= self._retry_at:
             self._open()
         if self._file is None:
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
             return
         if not select.select([self._file], [], [], POLL_S)[0]:
             return
@@ -70,7 +69,7 @@ class OperatorInputNode:
             self._lost("it has ended")
             return
         with self._lock:
-            self._input.device.read(data, time.monotonic())
+            self._input.device.read(data, clock.monotonic())
 
     def _open(self) -> None:
         try:
@@ -86,8 +85,8 @@ class OperatorInputNode:
         if self._file is not None:
             self._close()
             with self._lock:
-                self._input.device.lost(time.monotonic())
-        self._retry_at = time.monotonic() + RETRY_S
+                self._input.device.lost(clock.monotonic())
+        self._retry_at = clock.monotonic() + RETRY_S
         if why != self._failure:
             rospy.logwarn(
                 "Input device %s cannot be read: %s; enabling by it is released, and its clutch is pressed until it is "
@@ -106,12 +105,12 @@ class OperatorInputNode:
     def _on_joy(self, message: Joy) -> None:
         with while_running():
             with self._lock:
-                self._input.gamepad.take(list(message.buttons), time.monotonic())
+                self._input.gamepad.take(list(message.buttons), clock.monotonic())
             self._publish()
 
     def _on_request(self, name: str, request: SetBoolRequest) -> tuple[bool, str]:
         with self._lock:
-            self._input.request(name, request.data, time.monotonic())
+            self._input.request(name, request.data, clock.monotonic())
         self._publish()
         what = {ENABLE: "Enabling", CLUTCH: "The clutch"}[name]
         return True, f"{what} is {'pressed' if request.data else 'released'} by the service."
@@ -119,7 +118,7 @@ class OperatorInputNode:
     def _publish(self) -> None:
         """Publishes a change, and the state every PERIOD_S."""
         with self._lock:
-            now = time.monotonic()
+            now = clock.monotonic()
             state = self._input.state(now)
             if state == self._sent and now - self._sent_at < PERIOD_S:
                 return

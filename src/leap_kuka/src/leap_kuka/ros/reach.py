@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import threading
-import time
-
 import numpy as np
 import rospy
 
+from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import pose
 from common.ros.conversions import stamped_pose
@@ -37,8 +35,8 @@ class ReachCheck:
         self._client = ServiceClient(f"{of}kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
         self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
-        self._asked, self._period = threading.Event(), PERIOD_S
-        threading.Thread(target=self._run, name="reach check", daemon=True).start()
+        self._asked, self._period = clock.Event(), PERIOD_S
+        clock.Thread(target=self._run, name="reach check", daemon=True).start()
 
     def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:
         """Asks about a pose, shape (4, 4) [m]; returns the newest answer: why the arm cannot come, or None.
@@ -53,7 +51,7 @@ class ReachCheck:
         near = (
             np.linalg.norm(T[:3, 3] - p) <= NEAR_M and rotation_angle(T[:3, :3].T @ T_base_desired[:3, :3]) <= NEAR_RAD
         )
-        return answer if time.monotonic() - at < FRESH_S and (near or not starts or answer == SILENT) else ASKING
+        return answer if clock.monotonic() - at < FRESH_S and (near or not starts or answer == SILENT) else ASKING
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
@@ -61,8 +59,8 @@ class ReachCheck:
                 continue
             self._asked.clear()
             question = self._question
-            self._answer = self._ask(question), question, time.monotonic()
-            time.sleep(self._period)
+            self._answer = self._ask(question), question, clock.monotonic()
+            clock.sleep(self._period)
 
     def _ask(self, T_base_tool: np.ndarray) -> str | None:
         try:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import abc
 import itertools
-import threading
-import time
 
 import numpy as np
 import rospy
@@ -14,6 +12,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop import StreamState, TeleopResult
@@ -34,7 +33,7 @@ class NewestResult(abc.ABC):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._newest: TeleopResult | None = None
         self._published: TeleopResult | None = None
         self._published_at = 0.0
@@ -53,11 +52,11 @@ class NewestResult(abc.ABC):
             result, published = self._newest, self._published
             if result is None or published is None:
                 return
-            if self._text(result) != self._text(published) or time.monotonic() - self._published_at >= self._period:
+            if self._text(result) != self._text(published) or clock.monotonic() - self._published_at >= self._period:
                 self._send(result)
 
     def _send(self, result: TeleopResult) -> None:
-        self._published, self._published_at = result, time.monotonic()
+        self._published, self._published_at = result, clock.monotonic()
         self._publish(result)
 
     @abc.abstractmethod

@@ -6,8 +6,6 @@ The service leap_kuka/hold_tool holds the tool for a hand.
 from __future__ import annotations
 
 import dataclasses
-import threading
-import time
 
 import numpy as np
 import rospy
@@ -15,6 +13,7 @@ from geometry_msgs.msg import Transform, TransformStamped
 from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.config import required
 from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.ros.conversions import pose_in, transform_message
@@ -60,7 +59,7 @@ class ArmTeleopNode:
         self._hand, self._filtered = frames(HAND), frames(HAND_FILTERED)
         self._tool, self._flange = frames(TOOL_DESIRED), frames(FLANGE_DESIRED)
         self._bad_input = ""
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka", of)
@@ -81,17 +80,17 @@ class ArmTeleopNode:
         """Watches the stream until ROS shuts down."""
         while not rospy.is_shutdown():
             with self._lock:
-                silent = self._teleop.silence(time.monotonic())
+                silent = self._teleop.silence(clock.monotonic())
                 if silent is not None:
                     self._status.update(silent)
                     self._state.update(silent)
             self._status.flush()
             self._state.flush()
-            time.sleep(WATCH_PERIOD_S)
+            clock.sleep(WATCH_PERIOD_S)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
-            result = self._teleop.step(frame, time.monotonic())
+            result = self._teleop.step(frame, clock.monotonic())
             if result.usable:
                 self._tf.publish(self._transforms(result, stamp))
                 self._stage_times.done(stamp)
@@ -106,13 +105,13 @@ class ArmTeleopNode:
         self._servo = status.mode == KukaStatus.SERVO
         with self._lock:
             self._reach.scale = status.scaling_factor
-            self._teleop.control(status.control_on, status.mode, status.scaling_factor, time.monotonic())
+            self._teleop.control(status.control_on, status.mode, status.scaling_factor, clock.monotonic())
 
     def _on_input(self, message: OperatorInput) -> None:
         age = (rospy.Time.now() - message.header.stamp).to_sec()
         with self._lock:
             device = self._teleop.switches.device
-            now, program = time.monotonic(), message._connection_header["callerid"]
+            now, program = clock.monotonic(), message._connection_header["callerid"]
             refused = device.take(message.enabled, message.clutch, message.source, age, now, program)
         if refused and not self._bad_input:
             rospy.logwarn("The operator input is refused: %s.", refused)
@@ -135,7 +134,7 @@ class ArmTeleopNode:
                 T_base_tool = pose_in(self._base, request.tool)
             except ValueError as error:
                 return HoldAnswer(False, f"The tool is not held: {error}.")
-            return self._teleop.hold(T_base_tool, request.duration, time.monotonic())
+            return self._teleop.hold(T_base_tool, request.duration, clock.monotonic())
 
     def _transforms(self, result: TeleopResult, stamp: rospy.Time) -> TFMessage:
         """Returns all tf frames of one tracking frame in one message, so that a listener gets all of them or none."""

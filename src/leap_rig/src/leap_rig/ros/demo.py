@@ -12,7 +12,6 @@ import os
 import shutil
 import signal
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -25,6 +24,7 @@ import rospy
 from roslaunch.pmon import ProcessListener
 from rospkg.environment import get_log_dir
 
+from common import clock
 from common.errors import RigError
 from common.ros.node import end_closed_servers
 from common.ros.service_calls import ServiceFailed, call
@@ -250,9 +250,9 @@ def end_in_order(deaths: Deaths, arms: Sequence[str] = ONE_ARM) -> None:
             deaths.sentences.append(f"{controller} did not accept the request to exit: {error}")
         else:
             waiting.append(controller)
-    deadline = time.monotonic() + EXIT_TIMEOUT_S
-    while not deaths.ended.issuperset(waiting) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    deadline = clock.monotonic() + EXIT_TIMEOUT_S
+    while not deaths.ended.issuperset(waiting) and clock.monotonic() < deadline:
+        clock.sleep(0.1)
     for controller in waiting:
         if controller not in deaths.ended:
             deaths.sentences.append(f"{controller} did not end within {EXIT_TIMEOUT_S:.0f} s after exit_app")
@@ -322,7 +322,7 @@ def run(arguments: argparse.Namespace) -> int:
         ended = wait_for_end(listeners, deaths, status, arguments.duration or limit, arguments.tutorial and screen)
         for listener in listeners.values():
             listener.stop()
-        summary_time = time.monotonic()
+        summary_time = clock.monotonic()
         if ended in ("duration", "scenario"):
             why = "The time is up" if ended == "duration" else "The scenario is over"
             what = "the arm goes" if len(arms) == 1 else "the arms go"
@@ -353,22 +353,22 @@ def wait_for_end(
 
     first = next(iter(listeners.values()))
     try:
-        deadline = time.monotonic() + READY_TIMEOUT_S
+        deadline = clock.monotonic() + READY_TIMEOUT_S
         while late := [arm for arm, listener in listeners.items() if listener.mode not in AT_HOME_OR_LATER]:
             if deaths.sentences:
                 return "death"
-            if time.monotonic() > deadline:
+            if clock.monotonic() > deadline:
                 which = f"The arm {' and '.join(late)}".rstrip()
                 raise RigError(f"{which} did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
             status.update(listeners, "starting")
-            time.sleep(0.1)
-        begin = time.monotonic()
+            clock.sleep(0.1)
+        begin = clock.monotonic()
         status.say(f"Ready after {begin - status.started:.1f} s.")
         for listener in listeners.values():
             listener.recorder.start(begin)
         processor = ProcessorLoad()
         while not deaths.sentences:
-            now = time.monotonic()
+            now = clock.monotonic()
             elapsed, load = now - begin, processor.sample(now)
             if load is not None:
                 for listener in listeners.values():
@@ -383,7 +383,7 @@ def wait_for_end(
             ):
                 return "scenario"
             status.update(listeners, f"{elapsed:.0f} s")
-            time.sleep(0.1)
+            clock.sleep(0.1)
         return "death"
     except KeyboardInterrupt:
         return "interrupt"

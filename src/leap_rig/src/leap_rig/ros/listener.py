@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import threading
-import time
 from collections import deque
 
 import numpy as np
@@ -14,6 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames
 from common.hand_tracking import LEFT, RIGHT
@@ -45,7 +44,7 @@ class RigListener:
         self.mode = ""
         self.sentences: deque[str] = deque()  # of the tutorial, not yet shown
         self._owner: tuple[str, str] | None = None  # number and side of the hand that steers
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
         self._frames: dict[str, bytes] = {}  # the newest tf message with each of the tool's frames
@@ -85,7 +84,7 @@ class RigListener:
 
         def run(message: rospy.AnyMsg) -> None:
             nonlocal due
-            now = time.monotonic()
+            now = clock.monotonic()
             if now >= due:
                 due = max(due + period, now)
                 with self._lock:
@@ -101,7 +100,7 @@ class RigListener:
     def _stream(self, message: DiagnosticStatus) -> None:
         values = _values(message)
         self._owner = values.get("hand_id", ""), values.get("hand_side", "")
-        self.recorder.stream(values.get("state") == "running", message.message, time.monotonic())
+        self.recorder.stream(values.get("state") == "running", message.message, clock.monotonic())
 
     def _palm(self, human: ReceivedPalms) -> None:
         for hand in human.hands:
@@ -126,7 +125,7 @@ class RigListener:
     def _objects(self, message: ObjectStates) -> None:
         for state in message.objects:
             T_world_object = pose_from_message(state.pose)
-            self.recorder.add_object(state.name, T_world_object, state.clearance, state.touches, time.monotonic())
+            self.recorder.add_object(state.name, T_world_object, state.clearance, state.touches, clock.monotonic())
 
     def _tutorial(self, message: DiagnosticStatus) -> None:
         self.recorder.set_scenario(_values(message))

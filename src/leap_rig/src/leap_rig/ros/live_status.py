@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+from common import clock
 
 if TYPE_CHECKING:
     from leap_rig.ros.listener import RigListener
@@ -26,11 +27,11 @@ class LiveStatus:
         self._period = 0.5 if self._terminal else 5.0
         self._next = 0.0
         self._frames = 0
-        self.started = self._time = time.monotonic()
+        self.started = self._time = clock.monotonic()
 
     def update(self, listeners: Mapping[str, RigListener], phase: str) -> None:
         """Prints the state of each arm by its name, at most once a period."""
-        now = time.monotonic()
+        now = clock.monotonic()
         recorder = next(iter(listeners.values())).recorder
         if now < self._next:
             return

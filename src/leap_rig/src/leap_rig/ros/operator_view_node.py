@@ -7,8 +7,6 @@ its period makes rospy skip those in between.
 from __future__ import annotations
 
 import math
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import fields
 
@@ -17,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
+from common import clock
 from common.config import parse
 from common.frames import VIRTUAL_LEAP
 from common.hand_tracking import ANY, LEFT, RIGHT
@@ -56,7 +55,7 @@ class OperatorViewNode:
 
     def __init__(self, config: OperatorViewConfig, touch: TouchConfig, hand: str = ANY) -> None:
         self._frames, self._hand = arm_frames(), hand
-        self._view, self._lock = OperatorView(touch.force_limit_pressure), threading.Lock()
+        self._view, self._lock = OperatorView(touch.force_limit_pressure), clock.Lock()
         self._sounds, self._speaker = Sounds(), Speaker() if config.sounds else None
         self._listen = OnDemand(self._input_subscribers)
         self._watch_hands = OnDemand(lambda: [subscribe(self._skeletons, ReceivedSkeletons)])
@@ -70,7 +69,7 @@ class OperatorViewNode:
         looks = any(publisher.get_num_connections() for publisher in (self._rows, self._markers))
         self._listen(looks or self._speaker is not None)
         self._watch_hands(self._hands.get_num_connections() > 0)
-        now = time.monotonic()
+        now = clock.monotonic()
         with self._lock:
             rows, cue, taxels = self._view.rows(now), self._view.cue(now), self._view.taxels(now)
         sound = self._sounds.step(cue, now)
@@ -99,7 +98,7 @@ class OperatorViewNode:
     def _subscribe(topic: str, kind: type, take: Callable) -> rospy.Subscriber:
         def callback(message) -> None:
             take(message)
-            time.sleep(PERIOD_S)
+            clock.sleep(PERIOD_S)
 
         return rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES)
 
@@ -109,7 +108,7 @@ class OperatorViewNode:
 
     def _take(self, record) -> None:
         with self._lock:
-            self._view.take(record, time.monotonic())
+            self._view.take(record, clock.monotonic())
 
     def _grip(self, message: Hand) -> None:
         angles = [motor.joint_angle for motor in message.motor[:3]]
@@ -130,7 +129,7 @@ class OperatorViewNode:
     def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
         hands = [hand for hand in frame.hands if self._hand in (ANY, LEFT if hand.is_left else RIGHT)]
         self._hands.publish(MarkerArray(hand_markers(hands, self._frames(VIRTUAL_LEAP), LIFETIME)))
-        time.sleep(SKELETON_PERIOD_S)
+        clock.sleep(SKELETON_PERIOD_S)
 
 
 def main() -> None:
@@ -141,4 +140,4 @@ def main() -> None:
     while not rospy.is_shutdown():
         with while_running():
             node.step()
-        time.sleep(PERIOD_S)
+        clock.sleep(PERIOD_S)

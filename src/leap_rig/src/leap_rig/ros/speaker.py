@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import subprocess
-import threading
 
 import rospy
 
+from common import clock
 from leap_rig.cues import Sound, wav
 
 LONGEST_S = 3.0
@@ -17,13 +17,13 @@ class Speaker:
 
     def __init__(self, program: str = "aplay") -> None:
         self._command = [program, "-q", "-"]
-        self._busy = threading.Lock()
+        self._busy = clock.Lock()
         self.silent = False  # after a failure
 
     def play(self, sound: Sound) -> None:
         """Starts the sound; leaves it out while the one before still plays, or after a failure."""
         if not self.silent and self._busy.acquire(blocking=False):
-            threading.Thread(target=self._run, args=(wav(sound),), name="sound", daemon=True).start()
+            clock.Thread(target=self._run, args=(wav(sound),), name="sound", daemon=True).start()
 
     def _run(self, file: bytes) -> None:
         try:

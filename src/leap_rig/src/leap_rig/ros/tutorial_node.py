@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import os
 import struct
-import threading
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +15,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.config import choice, flag
 from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform
@@ -55,7 +54,7 @@ class TutorialNode:
 
     def __init__(self, config: TutorialConfig, clutch: bool) -> None:
         self.texts = TEXTS[language_of(config.language, os.environ.get("LANG", ""))]
-        self._tutorial, self._lock = Tutorial(clutch), threading.Lock()
+        self._tutorial, self._lock = Tutorial(clutch), clock.Lock()
         self._flange_at = 0.0
         self._shown: TutorialView | None = None
         self._publisher = rospy.Publisher("leap_rig/tutorial", DiagnosticStatus, queue_size=10, latch=True)
@@ -70,7 +69,7 @@ class TutorialNode:
     def view(self) -> TutorialView:
         """Returns the present view, after publishing and logging what is new in it."""
         with self._lock:
-            view = self._tutorial.view(time.monotonic())
+            view = self._tutorial.view(clock.monotonic())
         before, self._shown = self._shown, view
         for name in view.steps[before.ticked if before else 0 : view.ticked]:
             self._tell(view, f"✔ {self.texts[f'name_{name}']}")
@@ -90,7 +89,7 @@ class TutorialNode:
 
     def _take(self, record: Record) -> None:
         with self._lock:
-            self._tutorial.take(record, time.monotonic())
+            self._tutorial.take(record, clock.monotonic())
 
     def _on_state(self, message: TeleopState) -> None:
         fulfilled = frozenset(name for name, met in zip(message.conditions, message.fulfilled) if met)
@@ -105,7 +104,7 @@ class TutorialNode:
 
     def _on_transforms(self, message: rospy.AnyMsg) -> None:
         """Reads ten poses of the flange a second, of the many transforms."""
-        now = time.monotonic()
+        now = clock.monotonic()
         if now - self._flange_at < PERIOD_S or ENCODED not in message._buff:
             return
         for transform in TFMessage().deserialize(message._buff).transforms:
@@ -122,7 +121,7 @@ def main() -> None:
         _show(node)
         return
     while not rospy.is_shutdown() and node.view().step != DONE:
-        time.sleep(PERIOD_S)
+        clock.sleep(PERIOD_S)
     rospy.spin()
 
 

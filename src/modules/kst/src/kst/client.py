@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import enum
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -65,12 +64,17 @@ class KstClient:
 
     def __init__(self, session: KstSession, tool: ToolTransform, limits: JointLimits) -> None:
         self._session = session
+        self.monotonic = session.monotonic  # the time of the link [s]
         self._tool = tool
         self._limits = limits
         self._mode = KstMode.IDLE
         self._goal = np.zeros(7)
         self._still_since: float | None = None  # since when a motion in doubt has stood still [s]
         self._at_goal_since: float | None = None  # since when a motion without its final word has been at its goal [s]
+
+    def pause(self, duration: float) -> None:
+        """Waits `duration` seconds; raises ConnectionLost if the link is aborted."""
+        self._session.transport.pause(duration)
 
     @property
     def mode(self) -> KstMode:
@@ -156,10 +160,10 @@ class KstClient:
         session = self._session
         if session.in_step and not session.open:
             return 0.0
-        deadline = time.monotonic() + wait
+        deadline = self.monotonic() + wait
         session.collect(deadline)
         if session.in_step:
-            return 0.0 if session.has_room else max(time.monotonic() - session.open[0].sent_at - session.usual, 1e-3)
+            return 0.0 if session.has_room else max(self.monotonic() - session.open[0].sent_at - session.usual, 1e-3)
         return 0.0 if session.settle(deadline) else session.silent
 
     def joints(self) -> np.ndarray:
@@ -170,7 +174,7 @@ class KstClient:
         if np.max(np.abs(joints - self._goal)) > ARRIVED_RAD:
             self._at_goal_since = None
         elif self._at_goal_since is None:
-            self._at_goal_since = time.monotonic()
+            self._at_goal_since = self.monotonic()
         return joints
 
     def external_torques(self) -> np.ndarray:
@@ -200,9 +204,9 @@ class KstClient:
             ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP.
         """
         self.start_ptp_joints(q, velocity)
-        deadline = time.monotonic() + timeout
+        deadline = self.monotonic() + timeout
         while not self.ptp_arrived():
-            if time.monotonic() >= deadline:
+            if self.monotonic() >= deadline:
                 left = np.abs(self.joints() - self._goal)
                 worst = int(np.argmax(left))
                 raise ReplyTimeout(
@@ -253,7 +257,7 @@ class KstClient:
         self._session.poll()
         final = self._session.final
         if final is None:
-            lost = self._at_goal_since is not None and time.monotonic() - self._at_goal_since > LATE_END_S
+            lost = self._at_goal_since is not None and self.monotonic() - self._at_goal_since > LATE_END_S
             return (lost or self._session.doubt) and self._arrived_by_joints()
         self._end_motion()
         if final is ReplyKind.NAK:
@@ -266,7 +270,7 @@ class KstClient:
         The final word may come somewhat after the arrival, and a motion may begin late, so an arm that stands still is
         watched as long as an answer is waited for.
         """
-        session, now = self._session, time.monotonic()
+        session, now = self._session, self.monotonic()
         at_goal = session.arm_is_at(self._goal)
         acknowledged = session.acknowledged
         if not at_goal and (acknowledged or session.arm_moves() or session.acknowledged):
@@ -363,7 +367,7 @@ class KstClient:
         Waits up to `wait` seconds until none is open. A value is what `servo` returns, or the error it would raise.
         """
         session = self._session
-        session.collect(time.monotonic() + wait, every=wait > 0.0)
+        session.collect(self.monotonic() + wait, every=wait > 0.0)
         found = [(_FEEDBACK[goal.command.word], self._value(goal.command, reply)) for goal, reply in session.arrived]
         session.arrived.clear()
         return found
@@ -385,7 +389,7 @@ class KstClient:
         if not session.open:
             return True
         newest, answer = _FEEDBACK[session.open[-1].command.word], feedback.value[1]
-        overdue = time.monotonic() - session.open[0].sent_at > 2.0 * session.usual + OVERDUE_S
+        overdue = self.monotonic() - session.open[0].sent_at > 2.0 * session.usual + OVERDUE_S
         return (newest is feedback or newest.value[1] is not answer) and not overdue
 
     def set_blue(self, on: bool) -> None:

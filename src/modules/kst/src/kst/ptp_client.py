@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -52,7 +51,7 @@ def run_ptp(
     limits = PtpLimits() if limits is None else limits
     joints = read_joints(client, limits.missed)
     client.start_ptp_joints(q, velocity)
-    supervisor = PtpSupervisor(joints, np.asarray(q, dtype=float), time.monotonic(), limits)
+    supervisor = PtpSupervisor(joints, np.asarray(q, dtype=float), client.monotonic(), limits)
     arrived = False
     while True:
         try:
@@ -60,18 +59,18 @@ def run_ptp(
             joints = client.joints()
         except ONE_READING:
             if interrupted():
-                return supervisor.observe(joints, time.monotonic(), interrupted=True)
+                return supervisor.observe(joints, client.monotonic(), interrupted=True)
             if supervisor.miss():
                 raise
-            time.sleep(limits.period)
+            client.pause(limits.period)
             continue
-        progress = supervisor.observe(joints, time.monotonic(), arrived, interrupted())
+        progress = supervisor.observe(joints, client.monotonic(), arrived, interrupted())
         report(progress, joints)
         if progress.state in (PtpState.ARRIVED, PtpState.INTERRUPTED):
             return progress
         if progress.state not in (PtpState.MOVING, PtpState.STALLED):
             raise PtpFailed(_failure(progress), progress=progress)
-        time.sleep(limits.period)
+        client.pause(limits.period)
 
 
 def _failure(progress: PtpProgress) -> str:

@@ -16,7 +16,6 @@ stalled link holds back reaches the arm in one go, and the arm jumps by as much.
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -81,6 +80,7 @@ class KstSession:
     """Pairs the lines of one connection. All that talks to the server raises ConnectionLost on a lost link.
 
     Attributes:
+        monotonic: the transport's time [s].
         counts: events so far.
         round_trip: time from the sending of the last answered command to its answer [s]; None before the first.
         open: the streamed goals whose answers have not come, the oldest first.
@@ -94,7 +94,7 @@ class KstSession:
     """
 
     def __init__(self, transport: KstTransport, timing: KstTiming) -> None:
-        self.transport = transport
+        self.transport, self.monotonic = transport, transport.monotonic
         self.timing = timing
         self.counts = LinkCounts()
         self.round_trip: float | None = None
@@ -123,7 +123,7 @@ class KstSession:
     @property
     def silent(self) -> float:
         """Time since the command was sent whose answer is missing [s]; 0 if none is."""
-        return 0.0 if self.in_step else time.monotonic() - self._asked_at
+        return 0.0 if self.in_step else self.monotonic() - self._asked_at
 
     def expect_final(self, expected: bool) -> None:
         """Sets whether a motion is about to start, whose final word will come unasked, or is over."""
@@ -139,7 +139,7 @@ class KstSession:
     def expect_second_word(self) -> None:
         """Ends a motion whose one `done` was its late acknowledgement or its final word: a second one is sorted out."""
         self.expect_final(False)
-        self._search(codec.START_PTP, time.monotonic())
+        self._search(codec.START_PTP, self.monotonic())
 
     @property
     def window(self) -> float:
@@ -151,7 +151,7 @@ class KstSession:
         """Whether another goal may be streamed."""
         if not self.open:
             return self.in_step
-        return len(self.open) < MAX_OPEN and time.monotonic() - self.open[0].sent_at < self.window
+        return len(self.open) < MAX_OPEN and self.monotonic() - self.open[0].sent_at < self.window
 
     def stream(self, command: KstCommand, wait: bool = True) -> None:
         """Sends a command of the reader thread; its answer will be in `arrived`. May `wait` while the window is full.
@@ -171,7 +171,7 @@ class KstSession:
     def collect(self, deadline: float, every: bool = False) -> None:
         """Takes the answers to streamed goals that have come.
 
-        Waits until `deadline`, in seconds of time.monotonic(), for room in the window, or for `every` answer.
+        Waits until `deadline`, in seconds of `monotonic`, for room in the window, or for `every` answer.
         """
         self.poll()
         while self.open and (every or not self.has_room):
@@ -179,9 +179,9 @@ class KstSession:
             reply = self.transport.receive(min(deadline, missing_at))
             if reply is not None:
                 self._take(reply)
-            elif time.monotonic() >= missing_at:
+            elif self.monotonic() >= missing_at:
                 self._lose_open()
-            elif time.monotonic() >= deadline:
+            elif self.monotonic() >= deadline:
                 return
 
     def post(self, command: KstCommand) -> None:
@@ -195,9 +195,9 @@ class KstSession:
             self._take(reply)
 
     def wait_for_word(self, deadline: float) -> None:
-        """Waits until `deadline`, in seconds of time.monotonic(), and for a short while at most, for the next line."""
+        """Waits until `deadline`, in seconds of `monotonic`, and for a short while at most, for the next line."""
         if self.final is None:
-            reply = self.transport.receive(min(deadline, time.monotonic() + self.timing.quiet))
+            reply = self.transport.receive(min(deadline, self.monotonic() + self.timing.quiet))
             if reply is not None:
                 self._sort(reply)
 
@@ -295,13 +295,13 @@ class KstSession:
             ReplyTimeout: the server answers nothing within `patience` seconds (None: `KstTiming.reply`).
             ConnectionLost: as in `settle`.
         """
-        if not self.settle(time.monotonic() + (self.timing.reply if patience is None else patience)):
+        if not self.settle(self.monotonic() + (self.timing.reply if patience is None else patience)):
             raise ReplyTimeout(f"the controller has answered nothing for {self.silent:.1f} s; nothing was sent")
         late, self._late = self._late, None
         return late
 
     def settle(self, deadline: float) -> bool:
-        """Looks for the missing answer until `deadline`, in seconds of time.monotonic(); returns whether all came.
+        """Looks for the missing answer until `deadline`, in seconds of `monotonic`; returns whether all came.
 
         Several calls may continue one search. It ends when every probe is answered. If one of them stays unanswered
         while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An answer
@@ -313,7 +313,7 @@ class KstSession:
         if self._unanswered is not None:
             self.poll()
         while self._unanswered is not None:
-            now, missing, quiet_at = time.monotonic(), self._unanswered, self._heard_at + self.timing.quiet
+            now, missing, quiet_at = self.monotonic(), self._unanswered, self._heard_at + self.timing.quiet
             if self._heard_at >= self._probed_at:
                 if self._probes == 0 and (missing.thread is ServerThread.READER or self._late or now >= quiet_at):
                     self._end_search()
@@ -342,8 +342,8 @@ class KstSession:
 
     def rest(self, longest: float) -> None:
         """Waits until the arm stands still, at most `longest` seconds; raises as `ask`."""
-        deadline = time.monotonic() + longest
-        while time.monotonic() < deadline and self.arm_moves(self.timing.servo_reply):
+        deadline = self.monotonic() + longest
+        while self.monotonic() < deadline and self.arm_moves(self.timing.servo_reply):
             pass
 
     def arm_moves(self, timeout: float | None = None) -> bool:
@@ -367,26 +367,26 @@ class KstSession:
         if stop_servo:
             self._send(codec.STOP_SERVO)
             if heard:
-                self.transport.receive(time.monotonic() + self.timing.farewell)
+                self.transport.receive(self.monotonic() + self.timing.farewell)
                 self.transport.pause(self.timing.servo_stop)
         self._send(codec.END)
         self.transport.end_writing()
-        deadline = time.monotonic() + self.timing.farewell
-        while self.transport.receive(deadline) is not None and time.monotonic() < deadline:
+        deadline = self.monotonic() + self.timing.farewell
+        while self.transport.receive(deadline) is not None and self.monotonic() < deadline:
             pass
 
     def _send(self, command: KstCommand) -> float:
-        sent_at = time.monotonic()
+        sent_at = self.monotonic()
         ready_at = self._main_answered_at + self.timing.main_pause
         if ready_at > sent_at:
             self.transport.pause(ready_at - sent_at)
-            sent_at = time.monotonic()
+            sent_at = self.monotonic()
         self.transport.send(command.line, self.timing.reply)
         self.counts.sent += 1
         return sent_at
 
     def _note_answer(self, command: KstCommand, sent_at: float | None = None) -> None:
-        now = time.monotonic()
+        now = self.monotonic()
         self.counts.answered += 1
         if sent_at is not None:
             self.round_trip = now - sent_at
@@ -445,7 +445,7 @@ class KstSession:
 
     def _sort(self, reply: KstReply) -> bool:
         """Handles a reply that is not the awaited answer; returns whether it belongs to a motion or refuses one."""
-        now, missing = time.monotonic(), self._unanswered
+        now, missing = self.monotonic(), self._unanswered
         if missing is not None and self._probes > 0 and reply.kind is self._probe.answer:
             self._probes -= 1
             self._before.clear()

@@ -23,7 +23,13 @@ _RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad an
 
 
 class KstTransport:
-    """One TCP connection; used from one thread, except `abort`. Every use of a lost link raises ConnectionLost."""
+    """One TCP connection; used from one thread, except `abort`. Every use of a lost link raises ConnectionLost.
+
+    Attributes:
+        monotonic: the time in which it waits [s]; another transport may bring its own.
+    """
+
+    monotonic = staticmethod(time.monotonic)
 
     def __init__(self, connected: socket.socket) -> None:
         self._socket = connected
@@ -71,7 +77,7 @@ class KstTransport:
             try:
                 data = data[self._socket.send(data) :]
             except BlockingIOError:
-                deadline = deadline or time.monotonic() + timeout
+                deadline = deadline or self.monotonic() + timeout
                 if not self._wait(self._writable, deadline):
                     self.give_up(f"the controller has taken no more bytes for {timeout:g} s")
             except OSError as error:
@@ -79,7 +85,7 @@ class KstTransport:
                 self.give_up(f"the link to the controller broke while writing ({error})")
 
     def receive(self, deadline: float) -> KstReply | None:
-        """Returns the next reply, or None if none comes until `deadline`, in seconds of time.monotonic()."""
+        """Returns the next reply, or None if none comes until `deadline`, in seconds of `monotonic`."""
         while not self._replies:
             self._check()
             if not self._wait(self._readable, deadline):
@@ -150,7 +156,7 @@ class KstTransport:
         self._replies.extend(map(parse_reply, self._splitter.feed(data)))
 
     def _wait(self, events: select.poll, deadline: float) -> bool:
-        return bool(events.poll(1000.0 * max(deadline - time.monotonic(), 0.0)))
+        return bool(events.poll(1000.0 * max(deadline - self.monotonic(), 0.0)))
 
     def _check(self) -> None:
         if self._aborted.is_set():

@@ -14,11 +14,10 @@ import io
 import ipaddress
 import json
 import socket
-import threading
-import time
 from collections.abc import Mapping
 from typing import Any, Callable
 
+from common import clock
 from common.errors import DeviceError, RigError
 
 MAX_LINE_BYTES = 65536
@@ -40,11 +39,11 @@ class ControlPort(contextlib.AbstractContextManager):
     def __init__(self, handlers: Mapping[str, Handler], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}
         self._closed = False
-        self._clients: dict[socket.socket, threading.Thread] = {}
-        self._lock = threading.Lock()
+        self._clients: dict[socket.socket, clock.Thread] = {}
+        self._lock = clock.Lock()
         self._listener = listen(host, port, "the control port")
         self.host, self.port = self._listener.getsockname()[:2]
-        self._acceptor = threading.Thread(target=self._accept, name="control port", daemon=True)
+        self._acceptor = clock.Thread(target=self._accept, name="control port", daemon=True)
         self._acceptor.start()
 
     def close(self) -> None:
@@ -58,9 +57,9 @@ class ControlPort(contextlib.AbstractContextManager):
         for connection in (self._listener, *clients):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        deadline = clock.monotonic() + CLOSE_TIMEOUT_S
         for thread in (self._acceptor, *clients.values()):
-            thread.join(max(0.0, deadline - time.monotonic()))
+            thread.join(max(0.0, deadline - clock.monotonic()))
         self._listener.close()
 
     def __exit__(self, *_: object) -> None:
@@ -74,7 +73,7 @@ class ControlPort(contextlib.AbstractContextManager):
                     if self._closed:
                         client.close()
                         return
-                    thread = threading.Thread(target=self._serve, args=(client,), name="control client", daemon=True)
+                    thread = clock.Thread(target=self._serve, args=(client,), name="control client", daemon=True)
                     self._clients[client] = thread
                     thread.start()  # under the lock: `close` may only join a started thread
 
@@ -136,7 +135,7 @@ class ControlClient(contextlib.AbstractContextManager):
         self._address, self._name = (host, port), f"{host}:{port}"
         self._timeout = timeout
         self._stream: io.BufferedRWPair | None = None
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:
         """Returns the fields of the answer to the request `do`, without "ok"; raises PortClosedError if nothing listens

@@ -9,9 +9,6 @@ the refinement needs, have no topic.
 
 from __future__ import annotations
 
-import threading
-import time
-
 import numpy as np
 import rospy
 import tf2_ros
@@ -19,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, SetBoolResponse
 
+from common import clock
 from common.errors import RigError
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_in
@@ -52,7 +50,7 @@ class GraspCollection:
         self._setup = setup
         self._T_flange_tool = setup.kuka.T_flange_tool
         self._poses = PoseLookup()
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._reader = FrameReader(setup, self._poses)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
@@ -83,8 +81,8 @@ class GraspCollection:
         Returns:
             Whether that happened in time. Before it, a recording's only message on /tf_static would be lost.
         """
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline and not rospy.is_shutdown():
+        deadline = clock.monotonic() + seconds
+        while clock.monotonic() < deadline and not rospy.is_shutdown():
             try:
                 published = {topic for topic, _ in rospy.get_published_topics()}
             except OSError:  # the master ends
@@ -92,7 +90,7 @@ class GraspCollection:
             needed = [*self._sensors, *(other for other in self._others if other.resolved_name in published)]
             if all(subscriber.get_num_connections() for subscriber in needed):
                 return True
-            time.sleep(0.05)
+            clock.sleep(0.05)
         return False
 
     def close(self) -> None:
@@ -103,7 +101,7 @@ class GraspCollection:
         self._files.close()
 
     def _on_depth(self, message: Image) -> None:
-        self._heard["depth images"] = time.monotonic()
+        self._heard["depth images"] = clock.monotonic()
         with while_running():
             try:
                 self._take_image(message)
@@ -147,7 +145,7 @@ class GraspCollection:
             return NOWHERE
 
     def _on_hand(self, message: Hand) -> None:
-        self._heard["the state of the hand"] = time.monotonic()
+        self._heard["the state of the hand"] = clock.monotonic()
         now = rospy.Time.now()
         with while_running():
             try:
@@ -232,7 +230,7 @@ class GraspCollection:
         }
         if self._files.fault:
             return DiagnosticStatus.ERROR, self._files.fault, values
-        silent = [what for what, when in self._heard.items() if time.monotonic() - when > SILENT_S]
+        silent = [what for what, when in self._heard.items() if clock.monotonic() - when > SILENT_S]
         if silent or self._waits_for:
             return DiagnosticStatus.WARN, f"waits for {' and '.join(silent)}" if silent else self._waits_for, values
         return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from time import gmtime, strftime
 from typing import Any
 from xml.etree import ElementTree
 
@@ -84,7 +84,7 @@ class CollectionSetup:
         return Metadata(
             version=self.version,
             revision=self.revision,
-            date=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(grasp.time)),
+            date=strftime("%Y-%m-%dT%H:%M:%SZ", gmtime(grasp.time)),
             operator=self.config.operator,
             object=thing,
             source=source,

@@ -6,14 +6,13 @@ An episode that the disk does not take stays in memory and is tried again, until
 from __future__ import annotations
 
 import contextlib
-import queue
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
 import rospy
 
+from common import clock
 from common.ros.files import write_whole
 from grasping.lab.dataset.collector import SAME_GRASP_S
 from grasping.lab.dataset.episode import Episode
@@ -37,17 +36,17 @@ class EpisodeFiles:
 
     def __init__(self, folder: Path, on_written: Callable[[Episode, Path, int], None]) -> None:
         self._folder, self._on_written = folder, on_written
-        self._queue: queue.Queue[Episode | None] = queue.Queue(maxsize=WAITING)
+        self._queue: clock.Queue[Episode | None] = clock.Queue(maxsize=WAITING)
         self._last: Path | None = None
         self._aside = False
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._packed: list[_Packed] = []
         self.lost = 0  # how many episodes will not be written
         self._loss = self._write_fault = ""
         for file in sorted(folder.glob(".*")):
             if unfinished(file.name):
                 rospy.logwarn("The episode in %s is lost: the process that wrote it died. Delete the file.", file)
-        self._thread = threading.Thread(target=self._loop, name="episodes", daemon=True)
+        self._thread = clock.Thread(target=self._loop, name="episodes", daemon=True)
         self._thread.start()
 
     @property
@@ -64,12 +63,12 @@ class EpisodeFiles:
         """Hands an episode over; it is lost if the disk is too slow for those before it."""
         try:
             self._queue.put_nowait(episode)
-        except queue.Full:
+        except clock.Full:
             self._lose(f"{WAITING} episodes before it are still being written.")
 
     def close(self) -> None:
         """Waits for what is still to be written, and says what the disk does not take even now."""
-        with contextlib.suppress(queue.Full):
+        with contextlib.suppress(clock.Full):
             self._queue.put(None, timeout=FLUSH_S)
             self._thread.join(FLUSH_S)
         if self._thread.is_alive():
@@ -94,7 +93,7 @@ class EpisodeFiles:
         while True:
             try:
                 episode = self._queue.get(timeout=RETRY_S if self._packed else None)
-            except queue.Empty:
+            except clock.Empty:
                 self._write()
                 continue
             if episode is not None:

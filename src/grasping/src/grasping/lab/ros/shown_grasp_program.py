@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
@@ -22,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 from tqdm import tqdm
 
+from common import clock
 from common.errors import RigError
 from common.ros.files import write_whole
 from common.ros.node import run_program, while_running
@@ -47,7 +46,7 @@ class ShownGraspRecorder:
         self._setup, self.session = setup, session
         self._poses = PoseLookup()
         self._reader = FrameReader(setup, self._poses)
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._mode: tuple[str, float] = "", -np.inf
         self._T_base_camera = NOWHERE
         self.waits_for = "no depth image has come"  # a clause, why nothing is taken; empty while something is
@@ -87,7 +86,7 @@ class ShownGraspRecorder:
         return True
 
     def _on_status(self, message: KukaStatus) -> None:
-        self._mode = message.mode, time.monotonic()
+        self._mode = message.mode, clock.monotonic()
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
         self.following = {value.key: value.value for value in message.values}.get("state") == "running"
@@ -116,7 +115,7 @@ class ShownGraspRecorder:
 
     def _check_at_home(self) -> None:
         mode, at = self._mode
-        if time.monotonic() - at > STALE_S:
+        if clock.monotonic() - at > STALE_S:
             raise ValueError("the arm's controller is silent")
         if mode != KukaStatus.HOME:
             raise ValueError(f"the arm is not at home: {mode}")
@@ -127,9 +126,9 @@ class Enters:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
-        self._pressed = threading.Event()
+        self._pressed = clock.Event()
         self.ended = False
-        threading.Thread(target=self._read, name="enter", daemon=True).start()
+        clock.Thread(target=self._read, name="enter", daemon=True).start()
 
     def pressed(self) -> bool:
         """Returns whether it was pressed since the last call."""
@@ -200,5 +199,5 @@ def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, st
             if recorder.session.phase is phase:
                 bar.update(recorder.session.taken - bar.n)
             bar.set_postfix_str(recorder.waits_for, refresh=False)
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
         bar.update(total - bar.n)

@@ -11,8 +11,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
-import time
 from collections import Counter
 from collections.abc import Mapping
 from datetime import datetime, timezone
@@ -23,6 +21,7 @@ import rospkg
 import rospy
 import yaml
 
+from common import clock
 from common.errors import RigError
 from common.number_arguments import real
 from common.ros.node import run_program
@@ -58,16 +57,16 @@ class Inbox:
 
     def __init__(self, limit: int = QUEUE_BYTES) -> None:
         self._limit, self._bytes = limit, 0
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._waiting: list[StoredMessage] = []
-        self._start, self._zero = time.time_ns(), time.monotonic_ns()
+        self._start, self._zero = clock.time_ns(), clock.monotonic_ns()
         self.received: Counter[str] = Counter()
         self.dropped: Counter[str] = Counter()
 
     @property
     def now(self) -> int:
         """The time [ns]; a step of the clock during a recording does not matter."""
-        return self._start + time.monotonic_ns() - self._zero
+        return self._start + clock.monotonic_ns() - self._zero
 
     def put(self, topic: str, kind: MessageKind, data: bytes) -> None:
         """Adds a message that came now."""
@@ -99,21 +98,21 @@ def record(options: argparse.Namespace) -> int:
     rospy.init_node("leap_rig_record", anonymous=True, disable_signals=True)
     parameters = rospy.get_param("/")
     inbox = Inbox()
-    interrupted = threading.Event()
+    interrupted = clock.Event()
     # An exception in the midst of a write would leave a file that differs from its hash.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: interrupted.set())
     writer = RecordingWriter(folder, _about(options, parameters), _files(parameters), inbox.now, options.reserve)
     for topic in dict.fromkeys((*recorded(options.camera), *options.topic)):
         _subscribe(topic, inbox)
-    live, ended_by, began = _LiveLine(inbox, writer), "", time.monotonic()
+    live, ended_by, began = _LiveLine(inbox, writer), "", clock.monotonic()
     try:
         while not ended_by:
             if interrupted.wait(FLUSH_S):
                 ended_by = "Ctrl-C"
             _store(inbox, writer)
-            live.update(time.monotonic() - began)
-            if not ended_by and options.seconds is not None and time.monotonic() - began >= options.seconds:
+            live.update(clock.monotonic() - began)
+            if not ended_by and options.seconds is not None and clock.monotonic() - began >= options.seconds:
                 ended_by = f"the end of {options.seconds:g} s"
     except OSError as error:
         return _end(writer, inbox, live, f"{error.strerror}, so the recording ends; the rig runs on", folder, 1)

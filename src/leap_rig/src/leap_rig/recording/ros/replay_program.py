@@ -6,8 +6,6 @@ import argparse
 import json
 import re
 import sys
-import threading
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -19,6 +17,7 @@ import rospy
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.errors import RigError
 from common.frames import BASE
 from common.number_arguments import real, whole
@@ -84,17 +83,17 @@ def view(folder: Path, options: argparse.Namespace) -> int:
     _describe(folder)
     player = _Player(options.rate)
     print(f"Plays {folder}; open RViz with: rviz -d $(rospack find leap_rig)/rviz/rig.rviz")
-    checked, shown = time.monotonic(), False
+    checked, shown = clock.monotonic(), False
     images = [topic for topics in CAMERA.values() for topic in topics]
     for message, due in _paced(between(folder, (*VIEW, *images), options.start, options.end), options.rate):
         while True:
-            now = time.monotonic()
+            now = clock.monotonic()
             if now - checked > CHECK_S:
                 checked = now
                 _refuse_movers(master)
             if due <= now:
                 break
-            time.sleep(min(due - now, CHECK_S))
+            clock.sleep(min(due - now, CHECK_S))
         player.publish(message)
         shown |= not message.kind.is_latched
     if not shown:
@@ -104,7 +103,7 @@ def view(folder: Path, options: argparse.Namespace) -> int:
 
 def _paced(messages: Iterable[StoredMessage], rate: float) -> Iterator[tuple[StoredMessage, float]]:
     """Yields messages with their times [s, monotonic]; what a latched topic said before the start comes first."""
-    began, first = time.monotonic(), None
+    began, first = clock.monotonic(), None
     for message in messages:
         if not message.kind.is_latched:
             first = message.received if first is None else first
@@ -210,18 +209,18 @@ def serve(folder: Path, options: argparse.Namespace) -> int:
         raise RecordingFault(f"{folder} has no tracker frames in this time.")
     version, serial = _service(folder)
     service = LeapService("127.0.0.1", options.port, "2.3" if version.startswith("2") else "gemini", version, serial)
-    thread = threading.Thread(target=service.run, name="service", daemon=True)
+    thread = clock.Thread(target=service.run, name="service", daemon=True)
     thread.start()
     try:
         print(f"Serves {len(run.frames)} frames on 127.0.0.1:{service.port}; the arm follows them if control is on.")
-        deadline = time.monotonic() + CLIENT_S
+        deadline = clock.monotonic() + CLIENT_S
         while not service.clients:
-            if time.monotonic() > deadline:
+            if clock.monotonic() > deadline:
                 raise RecordingFault(f"Nobody connected to port {service.port} within {CLIENT_S:g} s.")
-            time.sleep(POLL_S)
-        time.sleep(AFTER_S)
+            clock.sleep(POLL_S)
+        clock.sleep(AFTER_S)
         _send(run, service, options.rate)
-        time.sleep(AFTER_S)
+        clock.sleep(AFTER_S)
     finally:
         service.stop()
         thread.join(2.0)
@@ -230,10 +229,10 @@ def serve(folder: Path, options: argparse.Namespace) -> int:
 
 
 def _send(run: RecordedRun, service: LeapService, rate: float) -> None:
-    due = time.monotonic()
+    due = clock.monotonic()
     for text, step in zip(run.frames, np.diff(run.frame_times, prepend=run.frame_times[0])):
         due += min(max(float(step), 0.0), LONGEST_WAIT_S) / rate  # a clock that was set back makes no burst
-        time.sleep(max(due - time.monotonic(), 0.0))
+        clock.sleep(max(due - clock.monotonic(), 0.0))
         event = _event(text)
         if event is not None:
             service.plug(event.attached)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-
 import cv2
 import numpy as np
 import rospy
@@ -15,6 +13,7 @@ from std_srvs.srv import Empty, EmptyResponse
 from apriltag_ros.detector import DetectionResult, TagDetector, draw_tags
 from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array, read_parameters
+from common import clock
 from common.errors import ConfigError
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
@@ -32,7 +31,7 @@ class ContinuousNode:
     """Detects tags in every image once camera_info has arrived."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._read_parameters()
         self._info: CameraInfo | None = None
         self._images = self._detections = 0

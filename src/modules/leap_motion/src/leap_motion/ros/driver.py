@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
@@ -10,6 +9,7 @@ from datetime import datetime
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from common import clock
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config
@@ -53,7 +53,7 @@ class LinkReport:
 
     def update(self) -> None:
         """Logs the state if it is due."""
-        status, now = self._checked_status(), time.monotonic()
+        status, now = self._checked_status(), clock.monotonic()
         if status != self._status:
             self._status, self._changed_at = status, now
         streaming = status.link is LeapLink.STREAMING
@@ -114,7 +114,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
                 raw.publish(received, text)
 
     client = LeapClient(config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw)
-    report, clock = LinkReport(client, registration, config.registration), DeviceClock()
+    report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
     Diagnostics("leap_motion", report.diagnostics)
     try:
         while not rospy.is_shutdown():
@@ -122,7 +122,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
             received = client.next_frame(POLL_S)
             if received is None:
                 continue
-            waited = clock.waited(received.frame.timestamp_us, received.stamp.to_sec())
+            waited = device_clock.waited(received.frame.timestamp_us, received.stamp.to_sec())
             frame = report.frame(received.frame)
             if frame is not None:
                 stamp = received.stamp - rospy.Duration.from_sec(waited)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from common import clock
 from common.config import parse_part, vector
 from common.errors import ConfigError, RigError
 from common.ros.files import read_yaml
@@ -129,9 +129,9 @@ def _refuse_running_driver() -> None:
 
 
 def _wait_for_frames(client: LeapClient) -> None:
-    deadline = time.monotonic() + CONNECT_S
+    deadline = clock.monotonic() + CONNECT_S
     while client.next_frame(0.2) is None or client.status.link is not LeapLink.STREAMING:
-        if time.monotonic() > deadline:
+        if clock.monotonic() > deadline:
             raise RigError(client.status.sentence)
 
 
@@ -148,8 +148,8 @@ def _touch(client: LeapClient, instruction: str, ask: Callable[[str], str]) -> n
 def _frames(client: LeapClient) -> list[LeapFrame]:
     """Returns the frames of the next HOLD_S."""
     client.next_frame(0.0)  # one from before
-    frames, end = [], time.monotonic() + HOLD_S
-    while (left := end - time.monotonic()) > 0.0:
+    frames, end = [], clock.monotonic() + HOLD_S
+    while (left := end - clock.monotonic()) > 0.0:
         received = client.next_frame(left)
         if received is not None:
             frames.append(received.frame)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 import traceback
 import typing
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import rospy
 
+from common import clock
 from common.poses import read_only
 from common.ros.conversions import array
 from common.ros.node import while_running
@@ -147,8 +147,8 @@ class FramesHere:
                 with while_running():
                     on_frame(human.frame(rospy.Time.now()), human.stamp)
             except Exception:
-                if time.monotonic() - self._logged_at.get(on_frame, -math.inf) >= LOG_PERIOD_S:
-                    self._logged_at[on_frame] = time.monotonic()
+                if clock.monotonic() - self._logged_at.get(on_frame, -math.inf) >= LOG_PERIOD_S:
+                    self._logged_at[on_frame] = clock.monotonic()
                     reason = traceback.format_exc().splitlines()[-1]
                     rospy.logerr("%s failed with a tracking frame: %s", on_frame.__qualname__, reason)
 

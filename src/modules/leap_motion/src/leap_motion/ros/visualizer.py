@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 import rospy
 from visualization_msgs.msg import MarkerArray
 
+from common import clock
 from common.ros.node import run
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
@@ -32,7 +31,7 @@ class Visualizer:
     def run(self) -> None:
         """Listens while somebody looks, until ROS shuts down; says so where no frames come."""
         while not rospy.is_shutdown():
-            looks, now = self._markers.get_num_connections() > 0, time.monotonic()
+            looks, now = self._markers.get_num_connections() > 0, clock.monotonic()
             self._watch(looks)
             if not looks:
                 self._drawn_at = now
@@ -40,12 +39,12 @@ class Visualizer:
                 missing = f"Nothing comes on {rospy.resolve_name('leap_motion/leap_device')}"
                 start = "start the driver: roslaunch leap_motion leap_driver.launch"
                 rospy.logwarn_throttle(REMIND_S, f"{missing}; {start}.")
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
 
     def _draw(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
-        self._drawn_at = time.monotonic()
+        self._drawn_at = clock.monotonic()
         self._markers.publish(MarkerArray(hand_markers(frame.hands, self._frame, LIFETIME, details=True)))
-        time.sleep(PERIOD_S)  # rospy skips the frames that come meanwhile
+        clock.sleep(PERIOD_S)  # rospy skips the frames that come meanwhile
 
 
 def main() -> None:

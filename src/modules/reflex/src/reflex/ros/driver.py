@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Empty
 
+from common import clock
 from common.errors import ConfigError, DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.node import while_running
@@ -56,7 +56,7 @@ class HandDriver:
             while not rospy.is_shutdown():
                 if not self._hand.listening and not rospy.core.is_shutdown_requested():  # which ends the thread
                     raise RuntimeError("the receive thread of the hand ended; its traceback is above")
-                time.sleep(POLL_S)
+                clock.sleep(POLL_S)
         finally:
             self._hand.disconnect()
 

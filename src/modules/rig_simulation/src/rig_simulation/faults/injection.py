@@ -12,13 +12,12 @@ import argparse
 import functools
 import math
 import random
-import threading
-import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Generic, Optional, Tuple, TypeVar
 
+from common import clock
 from common.config import is_number
 from common.errors import ConfigError
 from rig_simulation.command_line import finite, positive
@@ -60,16 +59,16 @@ class _Active:
 
 
 class Faults:
-    """The faults of one device. Any thread may switch and ask. `clock`: monotonic [s]."""
+    """The faults of one device. Any thread may switch and ask. `now`: monotonic [s]."""
 
-    def __init__(self, known: Sequence[Fault], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, known: Sequence[Fault], now: Callable[[], float] | None = None) -> None:
         self._known = {fault.name: fault for fault in known}
-        self._clock = clock
+        self._now = now or clock.monotonic
         self._active: dict[str, _Active] = {}
         self._values: dict[str, float] = {}  # of the active faults; replaced, never changed
         self._next_end = math.inf  # of an active fault [s]
         self._reported: dict[str, float] = {}
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
 
     def switch(
         self, name: str, on: bool = True, value: float | None = None, duration: float | None = None
@@ -84,19 +83,19 @@ class Faults:
         number = _check_value(fault, value)
         if duration is not None and not (is_number(duration) and duration > 0.0):
             raise ValueError(f"The duration is {duration!r}, but must be a number of seconds above 0.")
-        ends = math.inf if duration is None else self._clock() + duration
+        ends = math.inf if duration is None else self._now() + duration
         with self._lock:
             self._active.pop(name, None)
             if on:
                 self._active[name] = _Active(number, ends)
-            self._update(self._clock())
+            self._update(self._now())
         return {"active": sorted(self.active())}
 
     def active(self) -> dict[str, float]:
         """Returns the faults that are on, each with its number, 1.0 for a fault without one; not to be changed."""
-        if self._next_end < math.inf and self._clock() >= self._next_end:
+        if self._next_end < math.inf and self._now() >= self._next_end:
             with self._lock:
-                self._update(self._clock())
+                self._update(self._now())
         return self._values
 
     def _update(self, now: float) -> None:
@@ -124,7 +123,7 @@ class Faults:
     def describe(self) -> dict[str, list[dict]]:
         """Returns all faults under "faults": name, doc, meaning of the value, whether on, value, time left [s]."""
         self.active()
-        now = self._clock()
+        now = self._now()
         with self._lock:
             pairs = [(fault, self._active.get(name)) for name, fault in self._known.items()]
         described = [

@@ -6,12 +6,12 @@ of a real hand, and its behaviour at entry and exit.
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common import clock
 from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
 from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
@@ -63,7 +63,7 @@ class GuidedOperator:
 
     def __init__(self, scripted: ScriptedOperator) -> None:
         self._scripted = scripted
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._state: np.ndarray | None = None
         self._path = (np.zeros(motion.STATE_SIZE), np.zeros(motion.STATE_SIZE), 0.0)
         self._elapsed, self._shown = 0.0, 0

@@ -8,8 +8,6 @@ table rises out of the object.
 from __future__ import annotations
 
 import argparse
-import threading
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from common import clock
 from common.errors import DeviceError
 from common.frames import BASE
 from common.poses import inverse, pose, read_only
@@ -165,22 +164,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--view", type=finite, nargs=3, default=(150.0, -20.0, 1.6), metavar=names, help=view)
 
 
-def stop_when_interrupted() -> threading.Event:
+def stop_when_interrupted() -> clock.Event:
     """Returns an event that Ctrl-C and SIGTERM set."""
-    stop = threading.Event()
+    stop = clock.Event()
     stop_on_signals(stop.set)
     return stop
 
 
-def wait_for_world(client: ControlClient, longest: float, stop: threading.Event) -> None:
+def wait_for_world(client: ControlClient, longest: float, stop: clock.Event) -> None:
     """Waits until the world answers or `stop` is set; raises DeviceError after `longest` seconds."""
-    deadline = time.monotonic() + longest
+    deadline = clock.monotonic() + longest
     while not stop.is_set():
         try:
             client.ask("state")
             return
         except DeviceError:
-            if time.monotonic() > deadline:
+            if clock.monotonic() > deadline:
                 raise
         stop.wait(RETRY_S)
 

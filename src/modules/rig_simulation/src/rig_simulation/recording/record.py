@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import argparse
 import os
-import threading
-import time
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from common import clock
 from common.errors import DeviceError, RigError
 from rig_simulation.command_line import failed, parse_options, positive
 from rig_simulation.control_port import ControlClient, PortClosedError
@@ -43,14 +42,14 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def record(
-    client: ControlClient, films: list[Mp4 | ContactSheet], options: argparse.Namespace, stop: threading.Event
+    client: ControlClient, films: list[Mp4 | ContactSheet], options: argparse.Namespace, stop: clock.Event
 ) -> int:
     """Films the world, closes the films; returns the number of images, or raises RigError if the film stops early."""
-    count, start, due = 0, None, time.monotonic()
+    count, start, due = 0, None, clock.monotonic()
     view = FilmView(client, tuple(options.size), tuple(options.view))
     try:
-        while not stop.wait(max(0.0, due - time.monotonic())):
-            due = max(due + 1.0 / options.rate, time.monotonic())
+        while not stop.wait(max(0.0, due - clock.monotonic())):
+            due = max(due + 1.0 / options.rate, clock.monotonic())
             if not _follow(view, stop):
                 break
             image = view.image()
@@ -67,9 +66,9 @@ def record(
     return count
 
 
-def _follow(view: FilmView, stop: threading.Event) -> bool:
+def _follow(view: FilmView, stop: clock.Event) -> bool:
     """Lets the view follow; returns False once the world stopped or `stop` is set, DeviceError if the world hangs."""
-    deadline = time.monotonic() + display.PATIENCE_S
+    deadline = clock.monotonic() + display.PATIENCE_S
     while not stop.is_set():
         try:
             view.follow()
@@ -77,7 +76,7 @@ def _follow(view: FilmView, stop: threading.Event) -> bool:
         except PortClosedError:
             return False
         except DeviceError as error:
-            if time.monotonic() > deadline:
+            if clock.monotonic() > deadline:
                 raise DeviceError(f"The film stops at {view.time:.1f} s of the world: {error}") from None
         stop.wait(display.RETRY_S)
     return False

@@ -8,10 +8,10 @@ from __future__ import annotations
 import argparse
 import os
 import threading
-import time
 import warnings
 from typing import Any
 
+from common import clock
 from common.errors import DeviceError
 from rig_simulation.command_line import failed, parse_options
 from rig_simulation.control_port import ControlClient, PortClosedError
@@ -53,9 +53,9 @@ def _check_screen() -> None:
         raise DeviceError(f"Cannot open the screen {screen} (DISPLAY). Allow access, or start without the viewer.")
 
 
-def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Event) -> None:
+def _show(client: ControlClient, options: argparse.Namespace, stop: clock.Event) -> None:
     """Shows the world in a window, a new one after a change of the scene, until it stops; DeviceError if it hangs."""
-    world, window, answered = WorldCopy(client), None, time.monotonic()
+    world, window, answered = WorldCopy(client), None, clock.monotonic()
     try:
         while not stop.wait(1.0 / options.rate) and (window is None or window.is_open):
             try:
@@ -65,10 +65,10 @@ def _show(client: ControlClient, options: argparse.Namespace, stop: threading.Ev
                 print(f"{NAME}: The world has stopped.", flush=True)
                 break
             except DeviceError:
-                if time.monotonic() - answered > display.PATIENCE_S:
+                if clock.monotonic() - answered > display.PATIENCE_S:
                     raise
                 continue
-            answered = time.monotonic()
+            answered = clock.monotonic()
             if is_new:
                 if window is not None:
                     window.close()

@@ -6,14 +6,15 @@ It takes only images with subscribers; all images of one moment have one stamp.
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Callable, Iterable
+from time import perf_counter
 
 import cv2
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 
+from common import clock
 from common.camera_model import from_calibration
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
@@ -53,19 +54,19 @@ class CameraNode:
 
     def run(self) -> None:
         """Publishes until ROS shuts down, while the world answers; raises DeviceError if this machine cannot render."""
-        due = look = time.monotonic()
+        due = look = clock.monotonic()
         while not rospy.is_shutdown():
             wanted = [self._topics is not None and self._topics.wanted(name) for name in RGBD_FRAMES]
             try:
                 new = False
-                if any(wanted) or time.monotonic() >= look:
+                if any(wanted) or clock.monotonic() >= look:
                     new = self._world.follow()
-                    look = time.monotonic() + IDLE_S
+                    look = clock.monotonic() + IDLE_S
             except DeviceError as error:
                 if self._trouble != str(error):
                     rospy.logwarn("No images: %s", error)
                 self._trouble = str(error)
-                due = time.monotonic() + RETRY_PERIOD_S
+                due = clock.monotonic() + RETRY_PERIOD_S
             else:
                 if self._trouble:
                     rospy.loginfo("The simulated world answers; images are published.")
@@ -74,10 +75,10 @@ class CameraNode:
                     self._camera.attach(self._world.model)
                 self._publish_next(wanted)
                 due += self._period
-                if due < time.monotonic():
+                if due < clock.monotonic():
                     self._overruns += 1
-                    due = time.monotonic()
-            time.sleep(max(0.0, due - time.monotonic()))
+                    due = clock.monotonic()
+            clock.sleep(max(0.0, due - clock.monotonic()))
 
     def _publish_next(self, wanted: Iterable[bool]) -> None:
         topics = self._present_topics()
@@ -87,18 +88,18 @@ class CameraNode:
         exposure = self._stream.next(
             lambda: Exposure(self._camera.take(self._world.data, *wanted), stamp),
             stamp,
-            time.monotonic(),
+            clock.monotonic(),
         )
         if exposure is None:
             return
-        started = time.perf_counter()
+        started = perf_counter()
         images = exposure.images
         for name, image in zip(RGBD_FRAMES, (images.colour, images.depth, images.registered)):
             if image is not None:
                 topics.publish(name, image, exposure.stamp)
             topics.publish_info(name, exposure.stamp)
         self._published += 1
-        for stage, seconds in {**images.seconds, "publish": time.perf_counter() - started}.items():
+        for stage, seconds in {**images.seconds, "publish": perf_counter() - started}.items():
             before = self._milliseconds.get(stage, 1000.0 * seconds)
             self._milliseconds[stage] = before + SMOOTHING * (1000.0 * seconds - before)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
 import rospy
 
+from common import clock
 from common.arms import arms_from
 from common.errors import RigError
 from common.poses import pose
@@ -56,10 +56,10 @@ class HandOverScenario:
         """Runs until the work is over or ROS shuts down, then takes the hands away; DeviceError if devices fail."""
         self._start()
         while not rospy.is_shutdown():
-            time.sleep(PERIOD_S)
+            clock.sleep(PERIOD_S)
             if any(arm.grip is None for arm in self._arms.values()):
                 continue
-            now = time.monotonic()
+            now = clock.monotonic()
             if self._operator.began:
                 self._come_in_again(now)
             result = HandOverStep("wait") if self._starts_over(now) else self._operator.step(*self._view())
@@ -83,7 +83,7 @@ class HandOverScenario:
         """Brings a hand into its interaction box; `curl`: of its fingers, 0 to 1."""
         self._leapd.ask("show", back=ENTRY_M, curl=curl, side=arm)
         self._leapd.ask("reach", seconds=ENTRY_S, curl=curl, side=arm)
-        self._visits[arm].enter(time.monotonic())
+        self._visits[arm].enter(clock.monotonic())
 
     def _come_in_again(self, now: float) -> None:
         """Takes each hand away and back whose stream has ended while its arm keeps the tool, as with relative
@@ -94,7 +94,7 @@ class HandOverScenario:
             if self._visits[name].over(arm.streams, now) and arm.following:
                 rospy.logwarn("%s: the tool is kept: the hand leaves the view and comes in again.", name)
                 self._leapd.ask("hide", side=name)
-                time.sleep(AWAY_S)
+                clock.sleep(AWAY_S)
                 self._show(name, self._operator.enters(who))
 
     def _starts_over(self, now: float) -> bool:
@@ -107,7 +107,7 @@ class HandOverScenario:
         rospy.logwarn("An arm does not follow: the hands leave the view, come in again, and start over.")
         for arm in self._arms:
             self._leapd.ask("hide", side=arm)
-        time.sleep(AWAY_S)
+        clock.sleep(AWAY_S)
         self._start()
         return True
 

@@ -15,7 +15,6 @@ All devices: the service `simulation/fault` switches their faults.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from functools import partial
 
@@ -27,6 +26,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from visualization_msgs.msg import MarkerArray
 
+from common import clock
 from common.errors import DeviceError
 from common.frames import BASE, CAMERA_LINK, WORLD
 from common.poses import inverse, pose
@@ -59,18 +59,18 @@ def poll(publish: Callable[[], None], period: float) -> None:
     """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
     RETRY_PERIOD_S while it raises DeviceError because the device does not answer.
     """
-    due = answered = time.monotonic()
+    due = answered = clock.monotonic()
     while not rospy.is_shutdown():
         try:
             publish()
         except DeviceError as error:
-            if time.monotonic() - answered > START_S:
+            if clock.monotonic() - answered > START_S:
                 rospy.logwarn_throttle(REMIND_S, "%s", error)
-            due = time.monotonic() + RETRY_PERIOD_S
+            due = clock.monotonic() + RETRY_PERIOD_S
         else:
-            answered = time.monotonic()
+            answered = clock.monotonic()
             due = max(due + period, answered)
-        time.sleep(max(0.0, due - time.monotonic()))
+        clock.sleep(max(0.0, due - clock.monotonic()))
 
 
 def trigger(client: ControlClient, request: str, done: str) -> Callable[[TriggerRequest], TriggerResponse]:
@@ -117,8 +117,8 @@ class ArmMonitor:
         message.pose = message_from_pose(flange)
         self._flange.publish(message)
         self._peak_speed = max(self._peak_speed, state["tcp_speed"])
-        if time.monotonic() >= self._next_status:
-            self._next_status = time.monotonic() + STATUS_PERIOD_S
+        if clock.monotonic() >= self._next_status:
+            self._next_status = clock.monotonic() + STATUS_PERIOD_S
             stop = state["safety_stop"]
             values = {**{name: state[name] for name in SHOWN}, "peak_tcp_speed": self._peak_speed}
             level = DiagnosticStatus.WARN if stop else DiagnosticStatus.OK
@@ -169,12 +169,12 @@ class WorldMonitor:
         self._objects.publish(message)
 
     def _take_state(self) -> None:
-        now = time.monotonic()
+        now = clock.monotonic()
         if now < self._next_state:
             return
         self._next_state = now + STATE_PERIOD_S
         state = self._client.ask("state")
-        now = time.monotonic()
+        now = clock.monotonic()
         self._pace.add(state["time"], now)
         self._state = {"world_s": state["time"], "wall_s": now, "speed": state["speed"], "contacts": state["contacts"]}
 
@@ -273,7 +273,7 @@ def show_world(config: SimulationConfig) -> None:
     while not any(topic.get_num_connections() for topic in topics):
         if rospy.is_shutdown():
             return
-        time.sleep(LISTENER_S)
+        clock.sleep(LISTENER_S)
     from rig_simulation.ros.world_view import WorldView
 
     poll(WorldView(ControlClient(config.host, config.world_port, TIMEOUT_S), *topics).publish, 1.0 / config.view_rate)

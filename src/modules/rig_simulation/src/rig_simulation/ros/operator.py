@@ -6,7 +6,6 @@ simulated Leap service. With a scenario it then steers the hand by its observati
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
@@ -14,6 +13,7 @@ from functools import partial
 import numpy as np
 import rospy
 
+from common import clock
 from common.errors import DeviceError, RigError
 from common.ros.params import private_config
 from common.ros.service_calls import ServiceClient, ServiceFailed
@@ -132,11 +132,11 @@ class Operator:
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
         """Waits for a condition; raises RigError after the time-out, and ROSInterruptException when ROS shuts down."""
-        start = time.monotonic()
+        start = clock.monotonic()
         remind = start + 1.0
         self._why = ""
         while not condition():
-            now = time.monotonic()
+            now = clock.monotonic()
             if rospy.is_shutdown():
                 raise rospy.ROSInterruptException(f"shut down while waiting until {what}")
             if now - start > self._config.time_out:
@@ -144,7 +144,7 @@ class Operator:
             if now > remind:
                 rospy.loginfo("Waiting until %s%s", what, self._why)
                 remind = now + REMIND_S
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
 
 
 def main() -> None:

@@ -7,13 +7,13 @@ assisted_grasp uses the topics and services of the nodes ggcnn and grasp_executi
 from __future__ import annotations
 
 import abc
-import time
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import SetBool, Trigger
 
+from common import clock
 from common.arms import arms_from
 from common.errors import RigError
 from common.poses import inverse
@@ -62,10 +62,10 @@ class Scenario(abc.ABC):
         """Runs until the scenario is over or ROS shuts down, then takes the hand away; DeviceError if devices fail."""
         self._start()
         while not rospy.is_shutdown():
-            time.sleep(PERIOD_S)
+            clock.sleep(PERIOD_S)
             if self._arm.grip is None:
                 continue
-            result = self._step(time.monotonic())
+            result = self._step(clock.monotonic())
             if result.move is not None:
                 self._leapd.ask("reach", **result.move.fields, **self._side)
             self._publish(result)
@@ -77,7 +77,7 @@ class Scenario(abc.ABC):
         """Brings the hand into the interaction box, from the operator's side of it."""
         self._leapd.ask(assisted.SHOW, back=ENTRY_M, **self._side)
         self._leapd.ask("reach", seconds=ENTRY_S, **self._side)
-        self._visits.enter(time.monotonic())
+        self._visits.enter(clock.monotonic())
 
     def _starts_over(self, now: float) -> bool:
         """Takes the hand away and starts over if the arm does not follow; returns whether that happened."""
@@ -85,7 +85,7 @@ class Scenario(abc.ABC):
             return False
         rospy.logwarn("The arm does not follow: the hand leaves the view, comes in again, and starts over.")
         self._leapd.ask(assisted.HIDE, **self._side)
-        time.sleep(AWAY_S)
+        clock.sleep(AWAY_S)
         self._start()
         return True
 
@@ -223,10 +223,10 @@ class AssistedScenario(Scenario):
 
     def _start(self) -> None:
         """Waits for the first list of grasps; without one, the operator reports why it gives up."""
-        deadline = time.monotonic() + NETWORK_START_S
-        while not rospy.is_shutdown() and self._grasps is None and time.monotonic() < deadline:
+        deadline = clock.monotonic() + NETWORK_START_S
+        while not rospy.is_shutdown() and self._grasps is None and clock.monotonic() < deadline:
             self._publish(PickStep("network starts"))
-            time.sleep(PERIOD_S)
+            clock.sleep(PERIOD_S)
 
     def _step(self, now: float) -> assisted.AssistedStep:
         result = self._operator.step(self._view(), now)
@@ -242,7 +242,7 @@ class AssistedScenario(Scenario):
                 success, message = False, str(error)
             rospy.loginfo("grasping/%s: %s", result.request, message)
             if result.request == assisted.EXECUTE:
-                self._operator.answer(success, message, time.monotonic())
+                self._operator.answer(success, message, clock.monotonic())
         return result
 
     def _publish(self, result: PickStep, **more: str) -> None:

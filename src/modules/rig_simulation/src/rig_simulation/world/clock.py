@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
+
+from common import clock
 
 
 class Clock:
@@ -13,11 +14,11 @@ class Clock:
 
     def __init__(self, speed: float | None) -> None:
         self.speed = speed
-        self._start = time.monotonic() if speed is not None else 0.0
+        self._start = clock.monotonic() if speed is not None else 0.0
 
     def __call__(self) -> float:
         """Returns the time."""
-        return self._start + (0.0 if self.speed is None else (time.monotonic() - self._start) * self.speed)
+        return self._start + (0.0 if self.speed is None else (clock.monotonic() - self._start) * self.speed)
 
     def move(self, seconds: float) -> None:
         """Advances the clock; raises ValueError if it runs by itself."""

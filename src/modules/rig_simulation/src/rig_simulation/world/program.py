@@ -13,14 +13,13 @@ import dataclasses
 import functools
 import math
 import sys
-import threading
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
+from common import clock
 from common.arms import arms_from
 from common.errors import ConfigError, RigError
 from common.ros.files import read_yaml
@@ -46,16 +45,16 @@ STEPS_AT_ONCE = 20  # fewer than the arm catches up in one go
 class WorldRequests:
     """The requests of the world's control port; `server`, of the arm, steps the world and holds its lock."""
 
-    def __init__(self, world: World, server: SunriseServer, clock: Clock) -> None:
-        self._world, self._server, self._clock = world, server, clock
-        self._started, self._steps_at_start = time.monotonic(), world.steps
+    def __init__(self, world: World, server: SunriseServer, pace: Clock) -> None:
+        self._world, self._server, self._clock = world, server, pace
+        self._started, self._steps_at_start = clock.monotonic(), world.steps
         names = ("state", "snapshot", "scene", "objects", "contacts", "set_scene", "step")
         requests = {"reset": world.reset, **{name: getattr(self, f"_{name}") for name in names}}
         self.handlers = {name: within(server.up_to_date, request) for name, request in requests.items()}
 
     def _state(self) -> dict[str, Any]:
         world = self._world
-        passed = time.monotonic() - self._started
+        passed = clock.monotonic() - self._started
         return {
             "time": world.time,
             "steps": world.steps,
@@ -138,16 +137,16 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     hands = {}
     for number, prefix in enumerate(description.placements):
         hands[prefix] = _Hand(world, _of_robot(options, description, prefix, number), prefix, resources)
-    clock = Clock(None if options.stepped else options.speed)
+    pace = Clock(None if options.stepped else options.speed)
     at_once = math.inf if options.stepped else AT_ONCE_S
-    lock = threading.RLock()
+    lock = clock.RLock()
     servers: dict[str, SunriseServer] = {}
     for number, prefix in enumerate(description.placements):
         own = _of_robot(options, description, prefix, number)
         name = named(prefix, sunrise.NAME)
         if not servers:
             driver = ArmJoints(world, not options.stepped, prefix)
-            server = sunrise.make_server(own, driver, clock, at_once, lock, name)
+            server = sunrise.make_server(own, driver, pace, at_once, lock, name)
         else:
             carried, steps = CarriedJoints(world, prefix), Clock(None)
             server = sunrise.make_server(own, carried, steps, at_once, lock, name)
@@ -158,9 +157,9 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
     first, *others = servers.values()
     for hand in hands.values():
         hand.open_control(lock, resources)
-    world_requests = WorldRequests(world, first, clock).handlers
+    world_requests = WorldRequests(world, first, pace).handlers
     control = resources.enter_context(ControlPort(world_requests, options.host, options.world_port))
-    threads = [threading.Thread(target=server.run, name="carried arm", daemon=True) for server in others]
+    threads = [clock.Thread(target=server.run, name="carried arm", daemon=True) for server in others]
 
     def stop() -> None:
         for server in servers.values():
@@ -181,9 +180,9 @@ def _run(options: argparse.Namespace, resources: contextlib.ExitStack) -> None:
             thread.join()
 
 
-def _carry(server: SunriseServer, clock: Clock, dt: float) -> None:
-    """Steps an arm that is carried along: its clock counts the steps of the arm that drives the time."""
-    clock.move(dt)
+def _carry(server: SunriseServer, steps: Clock, dt: float) -> None:
+    """Steps an arm that is carried along: its time counts the steps of the arm that drives the time."""
+    steps.move(dt)
     server.carry()
 
 
@@ -214,7 +213,7 @@ class _Hand:
         world.add(HandCycle(self._simulated, self._link))
         switch_all(self._link.faults, options.hand_fault)
 
-    def open_control(self, lock: threading.RLock, resources: contextlib.ExitStack) -> None:
+    def open_control(self, lock: clock.RLock, resources: contextlib.ExitStack) -> None:
         """Opens its control port, whose requests hold the lock of the world."""
         requests = reflex.handlers(self._simulated, self._link, lock)
         control = ControlPort(requests, self._options.host, self._options.hand_control_port)

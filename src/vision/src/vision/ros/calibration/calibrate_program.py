@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from contextlib import closing, suppress
 from itertools import chain
@@ -17,6 +16,7 @@ import numpy as np
 import rospy
 from std_srvs.srv import Trigger
 
+from common import clock
 from common.errors import DeviceError, RigError
 from common.mounting import rotation_of_mounting
 from common.number_arguments import real
@@ -154,7 +154,7 @@ def _views_by_arm(
         for i, leg in enumerate(legs, start=1):
             for q in leg:
                 arm.move_to(q)
-            time.sleep(SETTLE_S)
+            clock.sleep(SETTLE_S)
             detections, how = capture.capture()
             try:
                 views.append(view_from(detections, arm.flange(), views, setup.limits))
@@ -189,7 +189,7 @@ def _detected_guess(arm, setup, listener, planner: ViewPlanner, guess, start, rn
     for leg in legs:
         for q in leg:
             arm.move_to(q)
-        time.sleep(SETTLE_S)
+        clock.sleep(SETTLE_S)
         detections = listener.collect(setup.limits.pictures, VIEW_TIMEOUT_S)
         if detections:
             T_camera_board = mean_pose([detection.T_camera_board for _, detection in detections])

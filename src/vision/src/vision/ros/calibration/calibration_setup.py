@@ -5,9 +5,9 @@ The calibrations are a folder of dated yaml files, which never change once writt
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import strftime
 
 import numpy as np
 import rospkg
@@ -16,6 +16,7 @@ import tf2_ros
 import yaml
 
 from apriltag_ros.settings import TagTarget
+from common import clock
 from common.config import path, text
 from common.errors import ConfigError, DeviceError
 from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
@@ -103,7 +104,7 @@ class CalibrationSetup:
     @property
     def head(self) -> dict[str, str]:
         """The first entries of a calibration record: date, and the hardware that it belongs to."""
-        store, date = self.store_config, time.strftime("%Y-%m-%dT%H:%M:%S")
+        store, date = self.store_config, strftime("%Y-%m-%dT%H:%M:%S")
         hardware = {"robot": store.robot, "flange": store.flange, "camera": store.camera}
         return {"date": date, **hardware, "panel": self.board.frame}
 
@@ -114,9 +115,9 @@ def read_setup(detector: str) -> CalibrationSetup:
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")
     store = wait_for_config(StoreConfig, f"{NAMESPACE}/store")
     if not store.camera:
-        deadline = time.monotonic() + SERIAL_WAIT_S
-        while not rospy.has_param(SERIAL) and time.monotonic() < deadline and not rospy.is_shutdown():
-            time.sleep(POLL_S)
+        deadline = clock.monotonic() + SERIAL_WAIT_S
+        while not rospy.has_param(SERIAL) and clock.monotonic() < deadline and not rospy.is_shutdown():
+            clock.sleep(POLL_S)
         store = replace(store, camera=str(rospy.get_param(SERIAL, "")) or UNKNOWN)
         rospy.loginfo("The camera's serial number is %s.", store.camera)
     target = board_target(wait_for_param(detector), detector, board.frame)

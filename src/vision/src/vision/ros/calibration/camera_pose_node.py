@@ -7,8 +7,6 @@ auto is stored if there is a calibration, and live otherwise.
 from __future__ import annotations
 
 import copy
-import threading
-import time
 from collections import deque
 from typing import NamedTuple
 
@@ -19,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger, TriggerResponse
 
+from common import clock
 from common.errors import DeviceError
 from common.frames import FLANGE_SEEN
 from common.poses import inverse, read_only
@@ -56,7 +55,7 @@ class CameraPoseNode:
         self._poses = TfPoses()
         self._static = tf2_ros.StaticTransformBroadcaster()
         self._broadcaster = tf2_ros.TransformBroadcaster()
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._recent: deque[LiveDetection] = deque(maxlen=setup.limits.pictures)
         self._refused = 0
         self._last: tuple[float, str] | None = None  # time [s] of the last detection; why it gave no pose, or ""
@@ -116,12 +115,12 @@ class CameraPoseNode:
                 transform = self._poses.camera_link(T_base_camera, optical, stamp)
             except DeviceError as error:
                 self._refused += 1
-                self._last = (time.monotonic(), str(error))
+                self._last = (clock.monotonic(), str(error))
                 rospy.logwarn_throttle(THROTTLE_S, f"A detection of the marker board gave no camera pose: {error}")
                 return
             self._was_live = True
             self._broadcaster.sendTransform(transform)
-            self._last = (time.monotonic(), "")
+            self._last = (clock.monotonic(), "")
             with self._lock:
                 self._recent.append(LiveDetection(self._last[0], T_base_flange, detection, optical))
 
@@ -139,7 +138,7 @@ class CameraPoseNode:
             if self._record is not None:
                 why = "the camera pose is a stored one already; restart with mode:=live."
                 return TriggerResponse(False, f"Nothing was stored: {why}")
-            now = time.monotonic()
+            now = clock.monotonic()
             try:
                 file = self._setup.store.save(self._live_record([e for e in self._recent if now - e.time < RECENT_S]))
                 if self._mode != LIVE:
@@ -178,7 +177,7 @@ class CameraPoseNode:
             return DiagnosticStatus.OK, _summary(record), values
         if last is None:
             return DiagnosticStatus.WARN, "waits for the marker board", values
-        age, fault = time.monotonic() - last[0], last[1]
+        age, fault = clock.monotonic() - last[0], last[1]
         if age > RECENT_S:
             return DiagnosticStatus.WARN, f"the marker board was not detected for {age:.0f} s", values
         return (DiagnosticStatus.WARN, fault, values) if fault else (DiagnosticStatus.OK, "live", values)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import rospy
 from geometry_msgs.msg import Point, Vector3
@@ -11,6 +9,7 @@ from std_msgs.msg import ColorRGBA
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.frames import BASE
 from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
@@ -37,9 +36,9 @@ class RvizComparison:
         """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits until RViz is connected,
         if it has subscribed.
         """
-        deadline = time.monotonic() + VIEWER_WAIT_S
-        while self._markers.get_num_connections() < self._viewers() and time.monotonic() < deadline:
-            time.sleep(POLL_S)
+        deadline = clock.monotonic() + VIEWER_WAIT_S
+        while self._markers.get_num_connections() < self._viewers() and clock.monotonic() < deadline:
+            clock.sleep(POLL_S)
         poses = {"new": new} if old is None else {"old": old, "new": new}
         now = rospy.Time.now()
         frames = [stamped_transform(T, BASE, f"camera_calibration/{name}", now) for name, T in poses.items()]

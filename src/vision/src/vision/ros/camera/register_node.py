@@ -12,8 +12,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import time
 from pathlib import Path
+from time import perf_counter
 from xml.etree import ElementTree
 
 import cv2
@@ -22,6 +22,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
+from common import clock
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import camera_info_message, image_message
 from common.ros.node import run
@@ -55,13 +56,13 @@ class RegisterNode:
         """Subscribes to the camera while the node has subscribers, until ROS shuts down."""
         while not rospy.is_shutdown():
             self._pairs.subscribe(self._wanted())
-            time.sleep(LISTENERS_PERIOD_S)
+            clock.sleep(LISTENERS_PERIOD_S)
 
     def _wanted(self) -> bool:
         return any(publisher.get_num_connections() for publisher in self._outputs)
 
     def _on_pair(self, pair: RgbdPair) -> None:
-        started = time.perf_counter()
+        started = perf_counter()
         registration = self._for(pair)
         header, wants_cloud = pair.header, self._points.get_num_connections() > 0
         if self._info.get_num_connections():
@@ -79,7 +80,7 @@ class RegisterNode:
                 self._metric.publish(image_message(registered, "32FC1", header.frame_id, header.stamp))
             if wants_cloud:
                 self._points.publish(cloud_message(registration.cloud(registered, rectified), header))
-        self._milliseconds = 1e3 * (time.perf_counter() - started)
+        self._milliseconds = 1e3 * (perf_counter() - started)
 
     def _for(self, pair: RgbdPair) -> Registration:
         """Returns the registration of these cameras; a calibration may change while the node runs."""

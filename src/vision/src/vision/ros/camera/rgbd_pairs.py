@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +12,7 @@ import tf2_ros
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from common import clock
 from common.camera_model import CameraModel
 from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
@@ -70,7 +70,7 @@ class RgbdPairs:
         self._infos: dict[str, CameraInfo] = {}
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer)
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self.subscribe = OnDemand(self._subscribed)
         self.pairs = 0
         self.waits_for = "images"

@@ -5,8 +5,6 @@ subscribes to them, so that the watchdog alone does not keep the camera busy.
 
 from __future__ import annotations
 
-import threading
-import time
 import zlib
 
 import numpy as np
@@ -14,6 +12,7 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
+from common import clock
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import array_from_image
 from common.ros.params import private_config
@@ -31,7 +30,7 @@ class WatchedStream:
     def __init__(self, name: str, config: WatchConfig) -> None:
         self._name, self._checks_content = name, config.pictures
         self._watch = StreamWatch(STREAMS[name], config)
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._images: rospy.Subscriber | None = None
         self._reported = "waiting"
         self._size: tuple[int, int] | None = None
@@ -42,7 +41,7 @@ class WatchedStream:
     def report(self) -> tuple[StreamHealth, float, bool]:
         """Logs a change of state; returns the present state, the images per second [Hz], and whether it changed."""
         with self._lock:
-            now = time.monotonic()
+            now = clock.monotonic()
             health, rate = self._watch.health(now), self._watch.rate(now)
             changed = health.state != self._reported
             if changed:  # under the lock, so that nobody shows a state before it is logged
@@ -63,7 +62,7 @@ class WatchedStream:
     def _on_info(self, message: CameraInfo) -> None:
         with self._lock:
             self._size = message.height, message.width
-            self._watch.add_stamp(message.header.stamp.to_sec(), time.monotonic())
+            self._watch.add_stamp(message.header.stamp.to_sec(), clock.monotonic())
 
     def _on_image(self, message: Image) -> None:
         try:
@@ -73,13 +72,13 @@ class WatchedStream:
         except ValueError as error:
             with self._lock:
                 self.garbled += 1
-                self._watch.add_garbled(str(error), time.monotonic())
+                self._watch.add_garbled(str(error), clock.monotonic())
             return
         filled = np.count_nonzero(image) / image.size if self._name == "depth" else 1.0
         digest = zlib.crc32(message.data)
         with self._lock:
             if self._images is not None:
-                self._watch.add_content(digest, time.monotonic(), filled)
+                self._watch.add_content(digest, clock.monotonic(), filled)
 
 
 def main() -> None:
@@ -89,8 +88,8 @@ def main() -> None:
     diagnostics = Diagnostics("camera_watchdog", lambda: _diagnosis(streams))
     next_count = 0.0
     while not rospy.is_shutdown():
-        if time.monotonic() >= next_count:
-            next_count = time.monotonic() + LISTENERS_PERIOD_S
+        if clock.monotonic() >= next_count:
+            next_count = clock.monotonic() + LISTENERS_PERIOD_S
             try:
                 _, subscribers, _ = rospy.get_master().getSystemState()[2]
             except OSError:  # the master is gone
@@ -100,7 +99,7 @@ def main() -> None:
                 stream.subscribe(stream.topic in wanted)
         if any([stream.report()[2] for stream in streams.values()]):
             diagnostics.publish()
-        time.sleep(POLL_S)
+        clock.sleep(POLL_S)
 
 
 def _diagnosis(streams: dict[str, WatchedStream]) -> tuple[int, str, dict[str, object]]:

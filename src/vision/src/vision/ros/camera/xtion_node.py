@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from common import clock
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
@@ -61,13 +61,13 @@ class XtionNode:
         rospy.loginfo("The camera %s, serial number %s, sends images.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
-        last = time.monotonic()
+        last = clock.monotonic()
         while not rospy.is_shutdown():
             frame = self._camera.read(TIMEOUT_S)
             if frame is not None:
-                last = time.monotonic()
+                last = clock.monotonic()
                 self._publish(frame)
-            elif time.monotonic() - last > SILENCE_S:
+            elif clock.monotonic() - last > SILENCE_S:
                 raise DeviceError(f"The camera has sent nothing for {SILENCE_S:g} s; it is reopened.")
 
     def _reconnect(self, error: DeviceError) -> None:

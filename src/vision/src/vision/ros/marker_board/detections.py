@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable
 
 import cv2
@@ -14,6 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.settings import DEFAULT_FAMILY, TagTarget
+from common import clock
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
 from common.ros.conversions import array
@@ -43,7 +42,7 @@ class BoardListener:
     ) -> None:
         self._ids = tuple(tag.id for tag in target.tags)
         self._on_detection = on_detection
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._after = rospy.Time(0)
         self._detections: list[tuple[rospy.Time, BoardDetection]] = []
         self.frame = ""
@@ -54,12 +53,12 @@ class BoardListener:
         """Returns up to `count` detections in images from now on, with their stamps; fewer after `timeout` [s]."""
         with self._lock:
             self._after, self._detections = rospy.Time.now(), []
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline and not rospy.is_shutdown():
+        deadline = clock.monotonic() + timeout
+        while clock.monotonic() < deadline and not rospy.is_shutdown():
             with self._lock:
                 if len(self._detections) >= count:
                     return self._detections[:count]
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
         with self._lock:
             return list(self._detections)
 
@@ -96,7 +95,7 @@ class ViewCapture:
         except ValueError as error:
             raise DeviceError(f"The camera's camera_info cannot be used: {error}. Calibrate the camera.") from None
         self._listener, self._count = listener, setup.limits.pictures
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._images: dict[int, np.ndarray] = {}
         self._refiner = None
         if setup.limits.photometric:
@@ -131,12 +130,12 @@ class ViewCapture:
         return detections, f"{BY_CORNERS}: {reason}" if reason else "refined"
 
     def _wait_for(self, condition: Callable[[], object]) -> None:
-        deadline = time.monotonic() + LATE_S
-        while time.monotonic() < deadline:
+        deadline = clock.monotonic() + LATE_S
+        while clock.monotonic() < deadline:
             with self._lock:
                 if condition():
                     return
-            time.sleep(POLL_S)
+            clock.sleep(POLL_S)
 
     def _on_image(self, message: Image) -> None:
         try:

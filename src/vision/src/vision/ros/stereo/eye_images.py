@@ -5,15 +5,15 @@ rgb/image_raw, rgb/camera_info, and depth/image_raw in the colour camera's pixel
 
 from __future__ import annotations
 
-import threading
-import time
 from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image
 
+from common import clock
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from common.ros.on_demand import OnDemand
 from vision.ros.camera.rgbd_pairs import BUFFER_BYTES
@@ -37,7 +37,7 @@ class StereoImageSource:
 
     def __init__(self, config: StereoViewConfig) -> None:
         self._config = config
-        self._arrival = threading.Condition()
+        self._arrival = clock.Condition()
         self._age = ImageAge()
         self._colour: tuple[Image, float] | None = None
         self._depth: Image | None = None
@@ -72,7 +72,7 @@ class StereoImageSource:
                 rospy.logwarn_throttle(THROTTLE_S, f"Dropped an image: {error}.")
         if self._last is None:
             return None
-        age = self._age.age(time.monotonic())
+        age = self._age.age(clock.monotonic())
         eyes = self._last.eyes.aged(age) if age > self._config.age_after else self._last.eyes
         return replace(self._last, eyes=eyes, new=False)
 
@@ -86,7 +86,7 @@ class StereoImageSource:
             missing = "camera_info" if self._info is None else "image_raw"
             return DiagnosticStatus.WARN, f"Waits for {rospy.resolve_name(f'rgb/{missing}')}.", values
         values["deep"] = last.eyes.deep
-        age = self._age.age(time.monotonic())
+        age = self._age.age(clock.monotonic())
         if age > self._config.age_after:
             return DiagnosticStatus.WARN, f"The image on screen is {age_text(age)}: is the camera running?", values
         if self._config.depth and not last.eyes.deep:
@@ -101,7 +101,7 @@ class StereoImageSource:
 
     def _on_colour(self, message: Image) -> None:
         with self._arrival:
-            self._colour = message, time.monotonic()
+            self._colour = message, clock.monotonic()
             self._arrival.notify_all()
 
     def _on_depth(self, message: Image) -> None:
@@ -109,7 +109,7 @@ class StereoImageSource:
             self._depth = message
 
     def _make(self, colour: Image, depth: Image | None, info: CameraInfo) -> ShownView:
-        started = time.perf_counter()
+        started = perf_counter()
         image = np.ascontiguousarray(colour_from_image(colour))
         made_for = (info.K, info.D, info.R, info.P, info.width, info.height)
         if self._view is None or made_for != self._made_for:  # a calibration may change while the node runs
@@ -119,6 +119,6 @@ class StereoImageSource:
         fresh = depth is not None and abs((depth.header.stamp - stamp).to_sec()) <= self._config.depth_gap
         eyes = self._view.eyes(image, depth_from_image(depth) if fresh else None)
         self._drawn += 1
-        self._milliseconds = 1e3 * (time.perf_counter() - started)
+        self._milliseconds = 1e3 * (perf_counter() - started)
         self._delay = (rospy.Time.now() - stamp).to_sec()
         return ShownView(eyes, self._view, True, stamp)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import struct
-import threading
-import time
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.errors import DeviceError
 from common.frames import TOOL_DESIRED, VIRTUAL_LEAP
 from common.ros.on_demand import OnDemand
@@ -42,7 +41,7 @@ class RigScene:
 
     def __call__(self) -> Scene:
         tool, at = self._tool
-        drawn = {**self._box, "tool": tool} if time.monotonic() - at < FRESH_S else self._box
+        drawn = {**self._box, "tool": tool} if clock.monotonic() - at < FRESH_S else self._box
         return Scene(self._height, self._steers, drawn)
 
     def _take_box(self, message: MarkerArray) -> None:
@@ -60,7 +59,7 @@ class RigScene:
         """Takes a message of tf, as bytes: to read all of them costs more than all else here."""
         at = message._buff.find(DESIRED)
         if at >= 0:
-            self._tool = list(NUMBERS.unpack_from(message._buff, at + len(DESIRED))), time.monotonic()
+            self._tool = list(NUMBERS.unpack_from(message._buff, at + len(DESIRED))), clock.monotonic()
 
 
 class HeadsetHands:
@@ -79,7 +78,7 @@ class HeadsetHands:
         stream = HandStream(config.box_ahead, config.box_below)
         self._endpoint = HandsEndpoint(stream, self, self._scene, lambda text: rospy.logwarn("%s", text), _show)
         self.converse = self._endpoint.converse
-        self._thread = threading.Thread(target=self._service.run, name="leap service", daemon=True)
+        self._thread = clock.Thread(target=self._service.run, name="leap service", daemon=True)
         self._thread.start()
 
     def offer(self, frame: HandFrame) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -17,6 +16,7 @@ from python_qt_binding.QtGui import QColor, QImage, QPainter
 from python_qt_binding.QtWidgets import QApplication, QWidget
 from sensor_msgs.msg import Image
 
+from common import clock
 from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
@@ -123,7 +123,7 @@ def main() -> None:
     window.show_on(application, screen)
     images = StereoImageSource(config)
     images.subscribe(True)
-    stop = threading.Event()
+    stop = clock.Event()
     pool = ThreadPoolExecutor(1, "draw")
     drawing = pool.submit(_draw, images, window, stop)
     Diagnostics("stereo_view", images.diagnose)
@@ -138,7 +138,7 @@ def main() -> None:
     pool.shutdown()
 
 
-def _draw(images: StereoImageSource, window: StereoScreen, stop: threading.Event) -> None:
+def _draw(images: StereoImageSource, window: StereoScreen, stop: clock.Event) -> None:
     publisher = rospy.Publisher("stereo_view/image", Image, queue_size=1)
     while not stop.is_set():
         shown = images.wait(REFRESH_S)

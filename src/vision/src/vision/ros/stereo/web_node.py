@@ -15,8 +15,6 @@ import logging
 import pathlib
 import socket
 import ssl
-import threading
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
@@ -29,6 +27,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
+from common import clock
 from common.errors import DeviceError
 from common.operator_rows import OLD_ROWS_S, rows_of
 from common.ros.diagnostics import Diagnostics
@@ -71,7 +70,7 @@ class StereoWeb:
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         self._pages: set[ServerConnection] = set()
         self._others: set[ServerConnection] = set()
-        self._change = threading.Condition()
+        self._change = clock.Condition()
         self._local = config.host in LOOPBACK
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         try:
@@ -92,7 +91,7 @@ class StereoWeb:
         port = self._server.socket.getsockname()[1]
         self._scheme = "https" if tls else "http"
         self.address = f"{self._scheme}://{_reachable(config.host)}:{port}/"
-        threading.Thread(target=self._server.serve_forever, name="web", daemon=True).start()
+        clock.Thread(target=self._server.serve_forever, name="web", daemon=True).start()
 
     @property
     def watched(self) -> bool:
@@ -109,12 +108,12 @@ class StereoWeb:
     def put_view(self, message: OperatorView) -> None:
         """Sends the rows of the operator's view with the next answers."""
         rows = [{**asdict(row), "tone": row.tone.value} for row in rows_of(message.rows)]
-        self._view = rows, time.monotonic()
+        self._view = rows, clock.monotonic()
 
     def _more(self) -> dict[str, object]:
         rows, at = self._view
         more: dict[str, object] = {"hands": True} if self._hands else {}
-        return {**more, "rows": rows} if rows and time.monotonic() - at <= OLD_ROWS_S else more
+        return {**more, "rows": rows} if rows and clock.monotonic() - at <= OLD_ROWS_S else more
 
     def close(self) -> None:
         """Stops the server and closes the pages' connections."""

@@ -5,9 +5,9 @@ Depth has its own viewpoint; registered depth has the pixels of the colour image
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -132,7 +132,7 @@ class RgbdCamera:
         depth_config: DepthConfig,
         samples: int,
         seed: int,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Callable[[], float] = perf_counter,
     ) -> None:
         self._clock = clock
         self._lenses = CameraLens(rgb), CameraLens(depth)

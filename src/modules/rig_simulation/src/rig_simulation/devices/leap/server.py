@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 import socket
 import struct
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
+from common import clock
 from common.errors import DeviceError
 from leap_motion.service.server import LONGEST_SLEEP_S, LeapService
 from rig_simulation.control_port import ControlPort, Handler, listen
@@ -75,12 +75,12 @@ class SimulatedLeapService(LeapService):
             await self._loop.run_in_executor(None, self._control.close)
 
     async def _play_frames(self) -> None:
-        start = time.monotonic()
+        start = clock.monotonic()
         while not self._stopping and not self.faults.is_on("restarted"):
             self._follow_faults()
             played = self._playback.next()
             due = start + played.time
-            behind = time.monotonic() - due
+            behind = clock.monotonic() - due
             late = LATE_S < behind < LONGEST_LAG_S
             start += behind if behind >= LONGEST_LAG_S else 0.0
             await self._sleep_until(due)
@@ -119,12 +119,12 @@ class SimulatedLeapService(LeapService):
             await asyncio.sleep(POLL_S)
 
     async def _sleep_until(self, due: float) -> None:
-        left = due - time.monotonic()
+        left = due - clock.monotonic()
         if left <= 0.0:
             await asyncio.sleep(0)  # the clients have their turn also where frames are late
         while not self._stopping and left > 0.0:
             await asyncio.sleep(min(left, LONGEST_SLEEP_S))
-            left = due - time.monotonic()
+            left = due - clock.monotonic()
 
     def _state(self) -> dict[str, Any]:
         return {

@@ -9,11 +9,10 @@ import contextlib
 import fcntl
 import socket
 import struct
-import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
+from common import clock
 from common.errors import DeviceError, RigError
 from rig_simulation.command_line import failed, parse_options, port, stop_on_signals
 from rig_simulation.control_port import ControlPort, within
@@ -66,7 +65,7 @@ class HandLink:
 
     def send(self, data: bytes) -> None:
         """Sends a packet; a packet that the network refuses is lost, as on an unplugged cable."""
-        for packet in self.wire.outgoing(data, time.monotonic()):
+        for packet in self.wire.outgoing(data, clock.monotonic()):
             with contextlib.suppress(OSError):
                 self._outbox.sendto(packet, (GROUP, self.port))
 
@@ -87,7 +86,7 @@ class HandLink:
         self._outbox.close()
 
     def _refuse_second_hand(self) -> None:
-        time.sleep(OTHER_HAND_WAIT_S)
+        clock.sleep(OTHER_HAND_WAIT_S)
         if any(len(data) == STATE_BYTES for data in self.collect()):
             self.close()
             problem = f"Another hand already sends on port {self.port} of {self.interface}"
@@ -117,11 +116,11 @@ REQUESTS = (
 def main(arguments: list[str] | None = None) -> int:
     """Runs the simulated hand until it is interrupted; returns the exit code."""
     options = _options(arguments)
-    stop = threading.Event()
+    stop = clock.Event()
     stop_on_signals(stop.set)
     try:
         with contextlib.closing(HandLink(options.interface, options.port)) as link:
-            hand, lock = SimulatedHand(options.seed), threading.Lock()
+            hand, lock = SimulatedHand(options.seed), clock.Lock()
             switch_all(link.faults, options.fault)
             with ControlPort(handlers(hand, link, lock), port=options.control_port) as control:
                 print(ready_line(link, control), flush=True)
@@ -136,11 +135,11 @@ def ready_line(link: HandLink, control: ControlPort, name: str = NAME) -> str:
     return f"{name}: on {link.interface}, UDP port {link.port}, control port {control.host}:{control.port}"
 
 
-def run(hand: SimulatedHand, link: HandLink, lock: threading.Lock, stop: threading.Event) -> None:
+def run(hand: SimulatedHand, link: HandLink, lock: clock.Lock, stop: clock.Event) -> None:
     """Runs the hand's cycle: measure, send the state, then execute the commands received meanwhile."""
-    before = due = time.monotonic()
-    while not stop.wait(max(0.0, due - time.monotonic())):
-        now = time.monotonic()
+    before = due = clock.monotonic()
+    while not stop.wait(max(0.0, due - clock.monotonic())):
+        now = clock.monotonic()
         with lock:
             hand.step(min(now - before, LONGEST_STEP_S))
             exchange(hand, link)

@@ -6,10 +6,9 @@ import argparse
 import functools
 import math
 import sys
-import threading
-import time
 from collections.abc import Callable
 
+from common import clock
 from common.errors import DeviceError
 from rig_simulation.command_line import (
     CommandLine,
@@ -51,9 +50,9 @@ def main(arguments: list[str] | None = None) -> int:
 def make_server(
     options: argparse.Namespace,
     environment: ArmEnvironment | None = None,
-    clock: Callable[[], float] = time.monotonic,
+    now: Callable[[], float] | None = None,
     at_once: float = AT_ONCE_S,
-    lock: threading.RLock | None = None,
+    lock: clock.RLock | None = None,
     name: str = NAME,
 ) -> SunriseServer:
     """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer.
@@ -67,7 +66,7 @@ def make_server(
     settings = ServerSettings(options.wiped_window, *lost_client, options.toolbox_version)
     arm = SimulatedArm(Robot(read_urdf(options.robot, options.flange), options.mounting), arm_settings, environment)
     ports = options.host, options.port, options.control_port
-    return SunriseServer(arm, settings, *ports, functools.partial(_log, name), clock, at_once, lock)
+    return SunriseServer(arm, settings, *ports, functools.partial(_log, name), now, at_once, lock)
 
 
 def ready_line(server: SunriseServer, name: str = NAME) -> str:

@@ -11,14 +11,13 @@ import selectors
 import socket
 import struct
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
 
+from common import clock
 from common.config import is_number
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlPort, listen, within
@@ -68,19 +67,19 @@ class SunriseServer:
         port: int,
         control_port: int,
         log: Callable[[str], None] = lambda _: None,  # takes one sentence about each change of state
-        clock: Callable[[], float] = time.monotonic,  # the arm's time [s]; may run faster, slower or in steps
+        now: Callable[[], float] | None = None,  # the arm's time [s]; may run faster, slower or in steps
         at_once: float = AT_ONCE_S,  # longest lag made up in one go [s]; infinite for a clock that waits for the arm
-        lock: threading.RLock | None = None,  # of an environment that several arms share
+        lock: clock.RLock | None = None,  # of an environment that several arms share
     ) -> None:
         self._arm, self._settings, self._print = arm, settings, log
         self._events: collections.deque[tuple[float, str]] = collections.deque(maxlen=EVENTS)
-        self._clock, self._at_once = clock, at_once
+        self._now, self._at_once = now or clock.monotonic, at_once
         self._behind = False
         self._io = ControllerIO()
         self.faults = Faults(ARM_FAULTS)  # may be switched at any time
         self._answers, self._encoders = ArmAnswers(self.faults), Encoders(self.faults)
-        self.lock = lock or threading.RLock()  # held while the arm or its environment changes
-        self._stop = threading.Event()
+        self.lock = lock or clock.RLock()  # held while the arm or its environment changes
+        self._stop = clock.Event()
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
         self._planner = ThreadPoolExecutor(1, "planner")  # the reader answers while a motion is planned
@@ -159,7 +158,7 @@ class SunriseServer:
             self._arm, self._io, settings.wiped_window, read, settings.version, plan, self._ends_tacitly
         )
         self._selector.register(self._listener, selectors.EVENT_READ)
-        self._waiting_since = time.monotonic()
+        self._waiting_since = clock.monotonic()
 
     def _ends_tacitly(self) -> bool:
         return self.faults.is_on("unfinished")
@@ -177,7 +176,7 @@ class SunriseServer:
             self._stop.wait(tick)
             return
         with self.lock:
-            until_answer = max(0.0, self._answers.next_due() - time.monotonic())
+            until_answer = max(0.0, self._answers.next_due() - clock.monotonic())
         for key, _ in self._selector.select(0.0 if self._behind else min(tick, until_answer)):
             if key.fileobj is self._listener:
                 self._accept()
@@ -211,7 +210,7 @@ class SunriseServer:
             with self.lock:
                 if not line.startswith(GOALS_AND_QUESTIONS):
                     self._note(f"received {line}")
-                self._answers.put(self._application.receive(line, self._next_time(0.0)), time.monotonic())
+                self._answers.put(self._application.receive(line, self._next_time(0.0)), clock.monotonic())
                 self._send()
                 if self._application.ended:
                     self._log("the client ended the application")
@@ -221,7 +220,7 @@ class SunriseServer:
                 return
 
     def _send(self) -> None:
-        for piece in self._answers.take(time.monotonic()):
+        for piece in self._answers.take(clock.monotonic()):
             if self._client is None:
                 return
             try:
@@ -269,7 +268,7 @@ class SunriseServer:
         if window is None:
             self._missed = False
         elif not self._missed and self._listener is not None and self._listener in self._selector.get_map():
-            self._missed = time.monotonic() - self._waiting_since > window
+            self._missed = clock.monotonic() - self._waiting_since > window
             if self._missed:
                 self._log(f"no client within {window:g} s; the application ends")
         return self._missed
@@ -305,7 +304,7 @@ class SunriseServer:
         if self._client is not None or self._deaf or self._listener is None:
             return
         if self._listener in self._selector.get_map():
-            if time.monotonic() - self._waiting_since > self._settings.wait_for_client:
+            if clock.monotonic() - self._waiting_since > self._settings.wait_for_client:
                 self._log(f"no client connected within {self._settings.wait_for_client:g} s")
                 self._stop.set()
         elif self._application.ended and self._settings.end_exits:
@@ -319,7 +318,7 @@ class SunriseServer:
         assert arm.time is not None  # it has just advanced
         return {
             "time": arm.time,
-            "age": self._clock() - arm.time,
+            "age": self._now() - arm.time,
             "joints": arm.q.tolist(),
             "velocities": arm.v.tolist(),
             "flange": arm.robot.flange(arm.q).tolist(),
@@ -341,7 +340,7 @@ class SunriseServer:
         return {**self._state(), "steps": kept[::-1], "events": events}
 
     def _note(self, sentence: str) -> None:
-        self._events.append((self._clock(), sentence))
+        self._events.append((self._now(), sentence))
 
     def _log(self, sentence: str) -> None:
         self._note(sentence)
@@ -357,7 +356,7 @@ class SunriseServer:
 
     def _next_time(self, piece: float) -> float:
         """Returns the time to advance to: the clock's, or only `piece` [s] further where the arm lags more."""
-        now, arm = self._clock(), self._arm
+        now, arm = self._now(), self._arm
         if arm.time is None or arm.asleep or math.isinf(self._at_once):
             self._behind = False
             return now
@@ -366,7 +365,7 @@ class SunriseServer:
         return arm.time + piece if self._behind else now
 
     def _advance(self) -> None:
-        self._answers.put(self._application.advance(self._next_time(PIECE_S)), time.monotonic())
+        self._answers.put(self._application.advance(self._next_time(PIECE_S)), clock.monotonic())
 
 
 def _refuse() -> None:
