@@ -84,8 +84,16 @@ class Watch:
         sys.addaudithook(self._hear)
 
     def _hear(self, event: str, _) -> None:
-        if event in OUTSIDE:
+        if event in OUTSIDE and not _importing():
             self.seen.add(event)
+
+
+def _importing() -> bool:
+    """Whether a module is being imported: numpy.testing, say, asks a program what this processor can do."""
+    frame = sys._getframe()
+    while frame is not None and frame.f_globals.get("__name__") != "importlib._bootstrap":
+        frame = frame.f_back
+    return frame is not None
 
 
 def pytest_configure(config):

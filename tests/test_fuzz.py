@@ -52,15 +52,22 @@ FOUND = [
 """Targets and inputs that were findings once."""
 
 
-@pytest.mark.clock
-@pytest.mark.parametrize("name", NAMES)
+def marks_of(target: str) -> tuple:
+    """The marks of a target's tests: one of them opens sockets."""
+    return (pytest.mark.clock,) if target == "control_port" else ()
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=marks_of(name)) for name in NAMES])
 def test_nothing_is_found(name):
     target = TARGETS[name]
     found = run_batch(target, checked(target, {}), max(10, int(EXAMPLES / target.cost)), None, target.inputs())
     assert found is None, f"{found[1]}: {found[0]!r}; caused by {found[1].__cause__!r}"
 
 
-@pytest.mark.parametrize(("name", "given"), FOUND, ids=[f"{name}-{number}" for number, (name, _) in enumerate(FOUND)])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [pytest.param(*each, id=f"{each[0]}-{number}", marks=marks_of(each[0])) for number, each in enumerate(FOUND)],
+)
 def test_what_was_found_once_stays_mended(name, given):
     checked(TARGETS[name], {})(given)
 

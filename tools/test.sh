@@ -14,7 +14,7 @@ trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script wo
 how=idle
 chrt --idle 0 true 2> /dev/null || how=19
 options="${*@Q}"
-PYTEST_ADDOPTS="-o timeout=1200 -o cache_dir=$folder ${PYTEST_ADDOPTS:-} $options" \
+PYTEST_ADDOPTS="-o timeout=1200 ${PYTEST_ADDOPTS:-} $options" \
   setsid src/common/shell/behind.sh "$how" make --no-print-directory test-fast > "$folder/log" 2>&1 &
 pure=$!
 trap 'kill -- "-$pure" 2> /dev/null; rm -rf "$folder"' EXIT
@@ -33,7 +33,8 @@ mapfile -t with_alone < <(with_mark alone)
 
 code=0
 run() {  # run MARKERS [PYTEST'S OPTIONS AND FILES]...
-  python -m pytest -p tools.second_try --failures "$folder/failed" -m "$@" || code=$?
+  # with a `=`, as pytest takes its root folder from paths among its words
+  python -m pytest -p tools.second_try --failures="$folder/failed" -m "$@" || code=$?
 }
 run "full_rate and not alone" -n 2 --dist worksteal "$@" "${with_full_rate[@]}"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"
