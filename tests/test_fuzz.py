@@ -31,8 +31,14 @@ from reflex import codec as reflex_codec
 from rig_simulation.faults import injection
 
 EXAMPLES = 250  # of a target whose cost is 1
-ROS_MARK = {True: [pytest.mark.ros], False: []}
-NAMES = [pytest.param(name, marks=ROS_MARK[target.ros]) for name, target in TARGETS.items()]
+
+
+def marks_of(target: str) -> list:
+    """The marks of a target's tests: some need messages, one opens sockets."""
+    return [pytest.mark.ros] * TARGETS[target].ros + [pytest.mark.clock] * (target == "control_port")
+
+
+NAMES = [pytest.param(name, marks=marks_of(name)) for name in TARGETS]
 
 FOUND = [
     ("control_port", b'{"do": "fault", "name": {}, "on": true, "value": 0.3}'),
@@ -52,12 +58,7 @@ FOUND = [
 """Targets and inputs that were findings once."""
 
 
-def marks_of(target: str) -> tuple:
-    """The marks of a target's tests: one of them opens sockets."""
-    return (pytest.mark.clock,) if target == "control_port" else ()
-
-
-@pytest.mark.parametrize("name", [pytest.param(name, marks=marks_of(name)) for name in NAMES])
+@pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_found(name):
     target = TARGETS[name]
     found = run_batch(target, checked(target, {}), max(10, int(EXAMPLES / target.cost)), None, target.inputs())
@@ -121,9 +122,7 @@ PLANTED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "fault", [pytest.param(fault, marks=ROS_MARK[TARGETS[name].ros]) for fault, (name, *_) in PLANTED.items()]
-)
+@pytest.mark.parametrize("fault", [pytest.param(fault, marks=marks_of(name)) for fault, (name, *_) in PLANTED.items()])
 def test_a_planted_fault_is_found(monkeypatch, fault):
     name, place, attribute, wrong = PLANTED[fault]
     target = TARGETS[name]
