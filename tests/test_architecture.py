@@ -62,7 +62,7 @@ MODULES = {
 }
 
 
-BUILT = {name for name in ROS if name in LAYER}  # messages of this workspace
+BUILT = {f"{name}.{kind}" for name in LAYER for kind in ("msg", "srv")}  # messages of this workspace
 IMPORTED = {
     **{".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in PYTHON},
     **{path.stem: path for path in PYTHON if path.parent.name == "tests"},
@@ -143,42 +143,73 @@ def test_simulation_keeps_ros_in_its_ros_folder():
     assert pure and not {path: tops(path) & ROS for path in pure if tops(path) & (ROS - {"rospkg"})}
 
 
-def test_tests_are_collected_where_ros_is_not_built_or_not_installed():
-    """A mark comes too late: pytest imports the file to see it."""
-    wrong = {}
-    for file in PYTHON:
-        if file.name.startswith("test_") or file.name == "conftest.py":
-            needed = set().union(*(ros_of(name) for name in imports_at_top(file)))
-            tried = set().union(*(ros_of(name) for name in skips_without(file)))
-            if needed and not (tried & BUILT if needed & BUILT else tried):
-                wrong[str(file.relative_to(ROOT))] = needed
-    assert not wrong, "the file must begin with pytest.importorskip of one of these"
+def needed_at_import(code: str) -> set[str]:
+    """Returns the packages of ROS that a file of tests imports at its top without pytest.importorskip before, or
+    messages of this workspace for which it skips although not all its tests are marked `ros`: they would never run.
+    """
+    needed: set[str] = set()
+    skips: set[str] = set()
+    marked = False
+    for node in ast.parse(code).body:
+        names = {name for module in imported_by(node) for name in ros_of(module)}
+        needed |= set() if skips & BUILT else names & BUILT if skips else names
+        call = getattr(node, "value", None)
+        if isinstance(call, ast.Call) and dotted(call.func) == "pytest.importorskip":
+            skips |= ros_of(ast.literal_eval(call.args[0]))
+        if isinstance(node, ast.Assign) and dotted(node.targets[0]) == "pytestmark":
+            marked = "pytest.mark.ros" in {dotted(mark) for mark in ast.walk(node.value)}
+    return needed or (set() if marked else skips & BUILT)
 
 
-def skips_without(path: Path) -> set[str]:
-    calls = (node.value for node in ast.walk(tree_of(path)) if isinstance(node, (ast.Expr, ast.Assign)))
-    return {
-        call.args[0].value
-        for call in calls
-        if isinstance(call, ast.Call) and dotted(call.func) == "pytest.importorskip"
-    }
+class TestFilesOfTests:
+    """They are collected where ROS is not built or not installed; a mark comes too late, as pytest imports the file."""
+
+    def test_import_no_ros_that_may_be_absent(self):
+        files = (file for file in PYTHON if file.name.startswith("test_") or file.name == "conftest.py")
+        needed = {str(file.relative_to(ROOT)): needed_at_import(file.read_text()) for file in files}
+        assert not {file: names for file, names in needed.items() if names}
+
+    MARK = "import pytest\npytestmark = [pytest.mark.ros]\n"
+
+    @pytest.mark.parametrize(
+        ("code", "found"),
+        [
+            ("import rospy", {"rospy"}),
+            ("from leap_motion.msg import Human", {"leap_motion.msg"}),
+            ("import kuka_msgs.srv", {"kuka_msgs.srv"}),
+            (f"{MARK}from kuka_msgs.msg import Hand", {"kuka_msgs.msg"}),
+            ("from campaign import clocks", {"rospy", "rosgraph_msgs"}),
+            (f"{MARK}def test_a():\n    pytest.importorskip('rospy')\nimport rospy", {"rospy"}),
+            (f"{MARK}import rospy\npytest.importorskip('rospy')", {"rospy"}),
+            (f"{MARK}pytest.importorskip('rospy')\nfrom rig_msgs.srv import HoldTool", {"rig_msgs.srv"}),
+            ("pytest.importorskip('rig_msgs.srv')\nfrom rig_msgs.srv import HoldTool", {"rig_msgs.srv"}),
+            (f"{MARK}pytest.importorskip('rig_msgs.srv')\nfrom rig_msgs.srv import HoldTool\nimport rospy", set()),
+            ("rospy = pytest.importorskip('rospy')\nimport rospy", set()),
+            ("def test_a():\n    import rospy", set()),
+            ("import numpy", set()),
+        ],
+    )
+    def test_are_found(self, code, found):
+        assert needed_at_import(code) == found
 
 
 def imports_at_top(path: Path) -> set[str]:
-    names = set()
-    for node in tree_of(path).body:
-        if isinstance(node, ast.ImportFrom):
-            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-    return names
+    return {name for node in tree_of(path).body for name in imported_by(node)}
+
+
+def imported_by(node: ast.AST) -> set[str]:
+    if isinstance(node, ast.ImportFrom):
+        return {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return {alias.name for alias in node.names} if isinstance(node, ast.Import) else set()
 
 
 @functools.lru_cache(maxsize=None)
 def ros_of(module: str) -> frozenset[str]:
-    """Returns the packages of ROS and of this workspace's messages that the import of a module imports."""
+    """Returns the packages of ROS and the modules of this workspace's messages that the import of a module needs."""
+    if module in BUILT:
+        return frozenset({module})
     name = module.split(".")[0]
-    if name in ROS:
+    if name in ROS - LAYER.keys():
         return frozenset({name})
     path = IMPORTED.get(module)
     return frozenset().union(*(ros_of(name) for name in imports_at_top(path))) if path else frozenset()

@@ -10,6 +10,7 @@ pytest.importorskip("rig_msgs.srv")
 from campaign import rows
 from campaign.run import KeptRig, chosen
 
+pytestmark = [pytest.mark.ros, pytest.mark.rig]
 RIGS = 2
 DANGEROUS = sorted(chosen(rows.load(), "dangerous"), key=lambda entry: (entry.variant, entry.spoils, entry.number))
 EACH = math.ceil(len(DANGEROUS) / RIGS)
@@ -22,8 +23,6 @@ def rig():
     kept.close()
 
 
-@pytest.mark.ros
-@pytest.mark.rig
 @pytest.mark.parametrize(
     "entry",
     [

@@ -91,10 +91,15 @@ def test_a_file_that_does_not_show_such_a_test_is_refused(collected, text):
         ("import socket\ndef test_a():\n    socket.socket().bind(('127.0.0.1', 0))\n", "socket.bind"),
         ("import subprocess\ndef test_a():\n    subprocess.run(['true'])\n", "subprocess.Popen"),
         (
-            "import os, pytest\n@pytest.fixture\ndef made():\n    yield\n    os.system('true')\n"
-            "def test_a(made):\n    pass\n",
+            "import os, pytest\n@pytest.fixture\ndef made():\n    os.system('true')\ndef test_a(made):\n    pass\n",
             "os.system",
         ),
+        (
+            "import os, pytest\n@pytest.fixture\ndef made():\n    yield\n    os.system('true')\n"
+            f"def test_a(made):\n    pass\n{PURE}",
+            "os.system",
+        ),
+        ("import os\ndef test_a():\n    os.posix_spawn('/bin/true', ['true'], {})\n", "os.posix_spawn"),
     ],
 )
 def test_a_test_that_leaves_its_process_must_be_marked(ran, text, event):
@@ -103,6 +108,21 @@ def test_a_test_that_leaves_its_process_must_be_marked(ran, text, event):
     assert ran(f"{text}import pytest\npytestmark = pytest.mark.clock\n")[0] == pytest.ExitCode.OK
 
 
-def test_a_test_answers_for_itself_alone(ran):
-    code, said = ran("import os, pytest\n@pytest.mark.clock\ndef test_a():\n    os.system('true')\n" + PURE)
+def test_what_another_test_did_is_not_its_own(ran):
+    shared = "import os, pytest\n@pytest.fixture(scope='session')\ndef shared():\n    yield\n    os.system('true')\n"
+    code, said = ran(shared + "@pytest.mark.clock\ndef test_a(shared):\n    os.system('true')\n" + PURE)
     assert code == pytest.ExitCode.OK, said
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "import pytest\n@pytest.mark.rig\ndef test_a():\n    pass\n",
+        "import pytest\n@pytest.fixture\ndef ros_master():\n    pass\ndef test_a(ros_master):\n    pass\n",
+        "def test_a(processes):\n    pass\n",
+        "def test_a(wait_until):\n    pass\n",
+    ],
+    ids=["rig", "ros_master", "processes", "wait_until"],
+)
+def test_rigs_nodes_and_programs_go_by_the_clock(collected, text):
+    assert collected("-m", "clock", test_a=text)[1] == {"test_a"}

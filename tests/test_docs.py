@@ -14,7 +14,9 @@ from tools.reference.pages import PAGES
 from tools.reference.syntax import dotted
 
 
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.ros] * (name == "parameters.md")) for name in PAGES]
+)
 def test_generated_page_is_as_the_source(name):
     if name == "messages.md":
         pytest.importorskip("genmsg")
@@ -55,6 +57,7 @@ class TestPrivateParameters:
         missing = {sources.inside(f): private_schemas(f.read_text()) - names for f in self.SOURCES}
         assert not {file: names for file, names in missing.items() if names}, "write them into tools/reference/nodes.py"
 
+    @pytest.mark.ros
     def test_launch_files_set_those_of_the_page(self):
         sources.on_path()
         programs = {f"{sources.package(f)}/{f.name}": f for f in sources.ROOT.glob("src/**/scripts/*.py")}

@@ -31,8 +31,14 @@ from reflex import codec as reflex_codec
 from rig_simulation.faults import injection
 
 EXAMPLES = 250  # of a target whose cost is 1
-ROS_MARK = {True: [pytest.mark.ros], False: []}
-NAMES = [pytest.param(name, marks=ROS_MARK[target.ros]) for name, target in TARGETS.items()]
+
+
+def marks_of(target: str) -> list:
+    """The marks of a target's tests: some need messages, one opens sockets."""
+    return [pytest.mark.ros] * TARGETS[target].ros + [pytest.mark.clock] * (target == "control_port")
+
+
+NAMES = [pytest.param(name, marks=marks_of(name)) for name in TARGETS]
 
 FOUND = [
     ("control_port", b'{"do": "fault", "name": {}, "on": true, "value": 0.3}'),
@@ -52,7 +58,6 @@ FOUND = [
 """Targets and inputs that were findings once."""
 
 
-@pytest.mark.clock
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_found(name):
     target = TARGETS[name]
@@ -60,7 +65,10 @@ def test_nothing_is_found(name):
     assert found is None, f"{found[1]}: {found[0]!r}; caused by {found[1].__cause__!r}"
 
 
-@pytest.mark.parametrize(("name", "given"), FOUND, ids=[f"{name}-{number}" for number, (name, _) in enumerate(FOUND)])
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [pytest.param(*each, id=f"{each[0]}-{number}", marks=marks_of(each[0])) for number, each in enumerate(FOUND)],
+)
 def test_what_was_found_once_stays_mended(name, given):
     checked(TARGETS[name], {})(given)
 
@@ -114,9 +122,7 @@ PLANTED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "fault", [pytest.param(fault, marks=ROS_MARK[TARGETS[name].ros]) for fault, (name, *_) in PLANTED.items()]
-)
+@pytest.mark.parametrize("fault", [pytest.param(fault, marks=marks_of(name)) for fault, (name, *_) in PLANTED.items()])
 def test_a_planted_fault_is_found(monkeypatch, fault):
     name, place, attribute, wrong = PLANTED[fault]
     target = TARGETS[name]

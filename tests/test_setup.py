@@ -4,7 +4,9 @@ nothing is installed, built or tested.
 
 from __future__ import annotations
 
+import itertools
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -123,49 +125,103 @@ def test_a_workspace_that_was_moved_is_built_anew(project, moved):
         assert (project / path).exists() is not moved, path
 
 
-PYTEST = f"""#!{sys.executable}
-import signal, sys, time
-open(sys.argv[0] + ".calls", "a").write(" ".join(sys.argv[1:]) + "\\n")
-try:
-    time.sleep(60.0)
-except KeyboardInterrupt:  # as pytest does, which prints its report first
-    sys.exit(2)
+PROGRAM = f"""#!{sys.executable}
+import os, sys, time
+words = " ".join(sys.argv[1:])
+open(sys.argv[0] + ".calls", "a").write(words + "\\n")
+if os.environ.get("SLOW"):
+    try:
+        time.sleep(60.0)
+    except KeyboardInterrupt:  # as pytest does, which prints its report first
+        sys.exit(2)
+sys.exit(3 if os.environ.get("FAILS", "none") in os.path.basename(sys.argv[0]) + " " + words else 0)
 """
+PARTS = (
+    "make --no-print-directory test-fast",
+    "full_rate and not alone",
+    "rig and not full_rate and not alone",
+    "clock and not rig",
+    "ros and not clock and not rig",
+    "-m alone",
+    "-m tools.second_try",
+)
 
 
-def test_ctrl_c_ends_all_tests_also_those_behind_and_those_to_come(tmp_path):
-    programs = [tmp_path / "bin" / "python", tmp_path / "bin" / "make"]
+@pytest.fixture
+def all_tests(tmp_path):
+    """A project whose python and make write down how they were called; starts tools/test.sh in it."""
     for name in ("tools/test.sh", "src/common/shell/behind.sh"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     for folder in ("bin", "devel", "tests"):
         (tmp_path / folder).mkdir()
-    for program in programs:
-        program.write_text(PYTEST)
-        program.chmod(0o755)
+    for name in ("python", "make"):
+        (tmp_path / "bin" / name).write_text(PROGRAM)
+        (tmp_path / "bin" / name).chmod(0o755)
     (tmp_path / "devel" / "setup.bash").touch()
-    (tmp_path / "tests" / "test_rig.py").write_text("pytestmark = pytest.mark.rig\n")
-    calls = [Path(f"{program}.calls") for program in programs]
+    for mark in ("ros", "rig", "full_rate", "alone"):
+        (tmp_path / "tests" / f"test_{mark}.py").write_text(f"pytestmark = pytest.mark.{mark}\n")
 
-    def called():
-        for _ in range(1200):
-            if all(path.exists() and path.read_text() for path in calls):
-                return
-            time.sleep(0.05)
-        pytest.fail("not both parts began")
+    def start(*options, **variables):
+        environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.defpath}", "TMPDIR": str(tmp_path), **variables}
+        script = [tmp_path / "tools" / "test.sh", *options]
+        return subprocess.Popen(script, env=environment, start_new_session=True, stdout=subprocess.DEVNULL)
 
-    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.defpath}", "TMPDIR": str(tmp_path)}
-    script = subprocess.Popen([tmp_path / "tools" / "test.sh"], env=environment, start_new_session=True)
+    return start
+
+
+def calls(folder: Path) -> list[str]:
+    """How python and make were called, in this order."""
+    files = [folder / "bin" / f"{name}.calls" for name in ("python", "make")]
+    return [line for file in files if file.exists() for line in file.read_text().splitlines()]
+
+
+@pytest.mark.parametrize("fails", ["none", *PARTS])
+def test_each_part_of_the_tests_runs_and_may_fail(all_tests, tmp_path, fails):
+    assert all_tests("-k", "a b", FAILS=fails).wait(60.0) == (0 if fails == "none" else 3)
+    *of_python, of_make = calls(tmp_path)
+    assert f"make {of_make}" == PARTS[0]
+    assert len(of_python) == len(PARTS) - 1
+    assert all(part in call and call.endswith((".py", "-k a b")) for part, call in zip(PARTS[1:], of_python))
+
+
+def test_without_a_build_nothing_is_tested(all_tests, tmp_path):
+    (tmp_path / "devel" / "setup.bash").unlink()
+    assert all_tests().wait(60.0) != 0
+    assert not any("pytest" in call for call in calls(tmp_path))
+
+
+def test_each_test_belongs_to_one_part():
+    from _pytest.mark.expression import Expression
+
+    of_make = re.search(r"test-fast:.*\n.*-m \"(.*)\"", (ROOT / "Makefile").read_text())[1]
+    parts = [Expression.compile(text.replace("-m ", "")) for text in (of_make, *PARTS[1:-1])]
+    for marks in itertools.product((False, True), repeat=5):
+        of = dict(zip(("ros", "clock", "rig", "full_rate", "alone"), marks))
+        if of["rig"] <= of["clock"] and (of["full_rate"] or of["alone"]) <= of["rig"]:
+            assert sum(part.evaluate(of.__getitem__) for part in parts) == 1, of
+
+
+def test_ctrl_c_ends_all_tests_also_those_behind_and_those_to_come(all_tests, tmp_path):
+    script = all_tests(SLOW="1")
     try:
-        called()
+        wait_for(lambda: len(calls(tmp_path)) == 2, "the calls of make and of pytest")
         os.killpg(script.pid, signal.SIGINT)  # as a terminal does
         assert script.wait(20.0) == 130
     finally:
         if script.poll() is None:
             os.killpg(script.pid, signal.SIGKILL)
-    assert [len(path.read_text().splitlines()) for path in calls] == [1, 1], "no other tests begin"
-    left = [entry for entry in Path("/proc").glob("[0-9]*/cmdline") if str(tmp_path / "bin").encode() in _bytes(entry)]
-    assert not left
+    assert len(calls(tmp_path)) == 2, "no other tests begin"
+    own = str(tmp_path / "bin").encode()
+    wait_for(lambda: not any(own in _bytes(file) for file in Path("/proc").glob("[0-9]*/cmdline")), "the end of both")
+
+
+def wait_for(condition, what: str) -> None:
+    for _ in range(1200):
+        if condition():
+            return
+        time.sleep(0.05)
+    pytest.fail(f"waited in vain for {what}")
 
 
 def _bytes(path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""Runs once more what failed beside other tests, alone, if it goes by the clock; counts it and prints its name.
+"""Runs once more, at the end, what failed and goes by the clock; counts it and prints its name.
 
 A plugin of pytest notes the failures: `-p tools.second_try --failures FILE`; `python -m tools.second_try FILE` is the
 second try. Other tests have none.
@@ -6,9 +6,8 @@ second try. Other tests have none.
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 
 import pytest
@@ -30,6 +29,14 @@ def pytest_configure(config: pytest.Config) -> None:
         config.pluginmanager.register(Failures(config.getoption("--failures")))
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Says in each report whether the test goes by the clock."""
+    report = yield
+    report.timed = any(item.get_closest_marker(mark) for mark in TIMED)  # type: ignore[attr-defined]
+    return report
+
+
 class Failures:
     """Which tests failed; the run succeeds if each of them gets a second try."""
 
@@ -38,9 +45,9 @@ class Failures:
         self._failed: dict[str, bool] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Notes a failure; a crashed worker's has no marks."""
+        """Notes a failure; a crashed worker says nothing of marks."""
         if report.failed:
-            self._failed[report.nodeid] = bool(TIMED & report.keywords.keys())
+            self._failed[report.nodeid] = getattr(report, "timed", False)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """A file that cannot be imported has no second try."""
@@ -52,8 +59,21 @@ class Failures:
         """Writes the names."""
         with open(self._path, "a") as file:
             file.writelines(f"{name}\n" for name, timed in self._failed.items() if timed)
-        if session.exitstatus == pytest.ExitCode.TESTS_FAILED and all(self._failed.values()):
+        whole = not (session.shouldfail or session.shouldstop)
+        if session.exitstatus == pytest.ExitCode.TESTS_FAILED and whole and all(self._failed.values()):
             session.exitstatus = pytest.ExitCode.OK
+
+
+class Passes:
+    """The names of the tests that pass."""
+
+    def __init__(self) -> None:
+        self.names: set[str] = set()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Notes a test that has run and passed."""
+        if report.when == "call" and report.passed:
+            self.names.add(report.nodeid)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -62,14 +82,16 @@ def main(arguments: Sequence[str]) -> int:
     names = list(dict.fromkeys(Path(path).read_text().splitlines()))
     if not names:
         return 0
-    print(f"\nFailed beside other tests: {len(names)}, in all of which time passes.", *names, sep="\n  ")
+    print(f"\nTests that go by the clock and failed: {len(names)}", *names, sep="\n  ")
     if len(names) > MOST:
         print(f"They are too many for a second try; at most {MOST} get one.")
         return 1
-    print("Their second try, alone:", flush=True)
-    code = subprocess.run([sys.executable, "-m", "pytest", *options, *names]).returncode
-    print("All of them pass alone." if code == 0 else "They fail alone, too.", flush=True)
-    return code
+    print("Their second try, with no other tests beside them:", flush=True)
+    passes = Passes()
+    code = int(pytest.main([*options, *names], plugins=[passes]))
+    left = [name for name in names if name not in passes.names]
+    print(f"Second try: {len(names) - len(left)} passed, {len(left)} did not.", flush=True)
+    return code or int(bool(left))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # All tests. Those that go by the clock, one part after another: demos at the rates of the real rig, which take most of
 # a processor; those of the whole rig, which waits for faults and takes half of one; those of single nodes, sockets and
-# threads, which mostly wait, many side by side; and those that want the processors for themselves. The others, which
-# only compute, run behind all but the last, where a processor is idle. What failed of the first is run once more alone.
+# threads, which mostly wait, many side by side; and those that want the processors for themselves. `make test-fast`,
+# whose tests only compute, runs behind the first three, where a processor is idle; then what computes with messages.
+# At the end, what failed and goes by the clock is run once more.
 # Options of pytest may follow.
 set -uo pipefail
 cd "$(dirname "$0")/.." || exit
@@ -14,7 +15,7 @@ trap 'exit 130' INT  # pytest takes Ctrl-C and exits, after which this script wo
 how=idle
 chrt --idle 0 true 2> /dev/null || how=19
 options="${*@Q}"
-PYTEST_ADDOPTS="-o timeout=1200 -o cache_dir=$folder ${PYTEST_ADDOPTS:-} $options" \
+PYTEST_ADDOPTS="-o timeout=1200 ${PYTEST_ADDOPTS:-} $options" \
   setsid src/common/shell/behind.sh "$how" make --no-print-directory test-fast > "$folder/log" 2>&1 &
 pure=$!
 trap 'kill -- "-$pure" 2> /dev/null; rm -rf "$folder"' EXIT
@@ -22,7 +23,7 @@ trap 'kill -- "-$pure" 2> /dev/null; rm -rf "$folder"' EXIT
 
 set +u
 # shellcheck source=/dev/null
-source devel/setup.bash
+source devel/setup.bash || exit
 set -u
 # To import the other files takes each process of pytest seconds. The files with long tests happen to be the last ones.
 with_mark() { grep -rlE "mark\.($1)\b" --include='test_*.py' src tests | sort -r; }
@@ -33,7 +34,8 @@ mapfile -t with_alone < <(with_mark alone)
 
 code=0
 run() {  # run MARKERS [PYTEST'S OPTIONS AND FILES]...
-  python -m pytest -p tools.second_try --failures "$folder/failed" -m "$@" || code=$?
+  # with a `=`, as pytest takes its root folder from paths among its words
+  python -m pytest -p tools.second_try --failures="$folder/failed" -m "$@" || code=$?
 }
 run "full_rate and not alone" -n 2 --dist worksteal "$@" "${with_full_rate[@]}"
 run "rig and not full_rate and not alone" -n 3 --dist loadgroup "$@" "${with_rig[@]}"

@@ -79,7 +79,6 @@ def test_another_rig_is_named_with_what_differs(info, folder):
     assert line.split()[1:] == ["1", "robot"]
 
 
-@pytest.mark.clock
 def test_the_image_is_drawn(info, folder):
     code, text = info("--plot", str(folder / "image.png"))
     assert code == 0, text

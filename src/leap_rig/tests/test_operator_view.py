@@ -140,8 +140,8 @@ def test_as_plain_text_every_line_fits():
     assert max(map(len, lines)) <= 40 and lines[-1] == "    ||||.... index"
 
 
+@pytest.mark.ros
 def test_a_marker_outlives_the_pause_between_two_messages():
-    pytest.importorskip("rospy")
     from leap_rig.ros.operator_markers import LIFETIME
     from leap_rig.ros.operator_view_node import HEARTBEAT_S, PERIOD_S
 
