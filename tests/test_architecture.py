@@ -31,12 +31,22 @@ ROS = {"rospy", "actionlib", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "ro
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "session", "client", "ptp_client", "calibration_files", "recording_files", "ports", "server",
+EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "ports", "server",
          "hand_detector", "video_source", "webcam_program"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
 # Their extras: folders whose users install more.
 EXTRAS = {"leap_motion/webcam": {"cv2", "mediapipe", "python_qt_binding", "yaml"}}
+# Time and threads, and what of them only measures a duration or names a date.
+CLOCKED = {"time", "threading", "queue", "sched"}
+MEASURES = {"perf_counter", "strftime", "gmtime"}
+# Where they come from; transports that wait for a socket or a camera; and what counts the threads of others.
+TIMED_EDGES = {
+    "common/clock.py", "leap_motion/runtime.py", "reflex/runtime.py",
+    "kst/transport.py", "leap_motion/transport.py", "headset/transport.py", "webcam/video_source.py",
+    "webcam/webcam_program.py",
+    "common/ros/node.py", "recording/viewer.py",
+}  # fmt: skip
 EFFECTS = {"open", "print", "input"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
 STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
@@ -126,6 +136,47 @@ def test_pure_files_are_pure():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in EFFECTS:
                 wrong.append(f"{path}:{node.lineno} calls {node.func.id}")
     assert not wrong
+
+
+def own_times(code: str) -> set[str]:
+    """Returns the modules of time and threads of which a file takes more than what measures and names times."""
+    found = set()
+    for node in ast.walk(ast.parse(code)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not {alias.name for alias in node.names} <= MEASURES:
+            found.add(str(node.module))
+    return found & CLOCKED
+
+
+class TestTime:
+    """Time and threads come from common.clock, so that a simulation can put its own in place of them."""
+
+    def test_comes_from_the_clock(self):
+        files = {"/".join(path.parts[-3:]): path for path in FILES}
+        assert all(any(file.endswith(edge) for file in files) for edge in TIMED_EDGES)
+        others = {name: path for name, path in files.items() if not name.endswith(tuple(TIMED_EDGES))}
+        own = {name: own_times(path.read_text()) for name, path in others.items()}
+        assert not {name: modules for name, modules in own.items() if modules}
+
+    def test_is_looked_up_when_it_is_used(self):
+        names = [name for path in FILES for name in imports(path) if name.startswith("common.clock.")]
+        assert not names, "a name that is imported from common.clock stays the standard library's"
+
+    @pytest.mark.parametrize(
+        ("code", "found"),
+        [
+            ("import time", {"time"}),
+            ("import queue, threading", {"queue", "threading"}),
+            ("from time import monotonic", {"time"}),
+            ("from time import perf_counter, sleep", {"time"}),
+            ("def f():\n    from threading import Thread", {"threading"}),
+            ("from time import perf_counter, strftime", set()),
+            ("from common import clock", set()),
+        ],
+    )
+    def test_is_found(self, code, found):
+        assert own_times(code) == found
 
 
 def test_libraries_stand_alone():

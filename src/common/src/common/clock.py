@@ -4,10 +4,10 @@ Used as a module, `clock.monotonic()`: a name that is imported from here would s
 """
 
 from queue import Empty, Full, Queue, SimpleQueue
-from threading import Condition, Event, Lock, RLock, Thread, Timer
+from threading import Condition, Event, Lock, RLock, Thread, Timer, current_thread
 from time import monotonic, monotonic_ns, sleep, time, time_ns
 
 __all__ = [
     "Condition", "Empty", "Event", "Full", "Lock", "Queue", "RLock", "SimpleQueue", "Thread", "Timer",
-    "monotonic", "monotonic_ns", "sleep", "time", "time_ns",
+    "current_thread", "monotonic", "monotonic_ns", "sleep", "time", "time_ns",
 ]  # fmt: skip

@@ -58,7 +58,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     if disposable:
         rospy.signal_shutdown("main has ended")
         for thread in threading.enumerate():  # one of them may shut ROS down
-            if thread is not threading.current_thread() and not thread.daemon:
+            if thread is not clock.current_thread() and not thread.daemon:
                 thread.join()
         _leave(code)
     if code:

@@ -8,17 +8,17 @@ Nothing persists over a reconnect: the client sends the policy messages again.
 from __future__ import annotations
 
 import copy
-import threading
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
 from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
+from leap_motion.runtime import LeapRuntime
 from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket
 
 SILENCE_S = 0.1
@@ -85,20 +85,23 @@ class LeapClient:
         self,
         host: str = "127.0.0.1",
         port: int = 6437,
-        clock: Callable[[], object] = time.time,
+        clock: Callable[[], object] = LeapRuntime.time,
         code: str = "",
         tap: Callable[[str, object], None] | None = None,
+        connect: Callable[[str, int, str], LeapSocket] = LeapSocket,
+        runtime: Any = LeapRuntime,  # time and threads
     ) -> None:
+        self._connect, self._runtime, self._monotonic = connect, runtime, runtime.monotonic
         self._host, self._port, self._address, self._code = host, port, f"{host}:{port}", code
         self._clock, self._tap = clock, tap
-        self._closing = threading.Event()
-        self._changed = threading.Condition()
+        self._closing = runtime.Event()
+        self._changed = runtime.Condition()
         self._newest: tuple[str | bytes, object] | None = None
         self._last: tuple[int, int] | None = None
         self._unusable: tuple[float, str] | None = None  # since when no frame was usable [s], and the first reason
         self._counts = LeapCounts()
         self._status = LeapStatus(LeapLink.CONNECTING, f"Connecting to the Leap service on {self._address}.")
-        self._thread = threading.Thread(target=self._run, name="leap client", daemon=True)
+        self._thread = runtime.Thread(target=self._run, name="leap client", daemon=True)
         self._thread.start()
 
     @property
@@ -106,7 +109,7 @@ class LeapClient:
         """The present state of the link."""
         with self._changed:
             status, unusable = self._status, self._unusable
-        if status.link is not LeapLink.STREAMING or unusable is None or time.monotonic() - unusable[0] <= UNUSABLE_S:
+        if status.link is not LeapLink.STREAMING or unusable is None or self._monotonic() - unusable[0] <= UNUSABLE_S:
             return status
         sentence = f"No frame of the Leap service on {self._address} was usable for {UNUSABLE_S:g} s: {unusable[1]}"
         return replace(status, link=LeapLink.UNUSABLE, sentence=sentence)
@@ -122,11 +125,11 @@ class LeapClient:
 
         Unusable frames are counted by their reason, and the wait continues.
         """
-        deadline = time.monotonic() + timeout
+        deadline = self._monotonic() + timeout
         while True:
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._newest is not None or self._closing.is_set(), deadline - time.monotonic()
+                    lambda: self._newest is not None or self._closing.is_set(), deadline - self._monotonic()
                 )
                 newest, self._newest = self._newest, None
             if newest is None:
@@ -153,7 +156,7 @@ class LeapClient:
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
-        if threading.current_thread() is not self._thread:
+        if self._runtime.current_thread() is not self._thread:
             self._thread.join(OPEN_TIMEOUT_S + HEADER_TIMEOUT_S + CLOSE_TIMEOUT_S)
 
     def _run(self) -> None:
@@ -176,7 +179,7 @@ class LeapClient:
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
         try:
-            connection = LeapSocket(self._host, self._port, self._code)
+            connection = self._connect(self._host, self._port, self._code)
         except InvalidStatus as error:
             answer = f"The program on {self._address} refuses the connection (HTTP {error.response.status_code})."
             advice = "A Leap service serves other machines only with the code that it shows: set `code` to it."
@@ -214,21 +217,21 @@ class LeapClient:
         self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version)
 
     def _read(self, connection: LeapSocket) -> None:
-        next_ping, pinged = time.monotonic() + PING_S, False
+        next_ping, pinged = self._monotonic() + PING_S, False
         cause = UNKNOWN_CAUSE
         while not self._closing.is_set():
             try:
                 text = connection.recv(SILENCE_S)
             except TimeoutError:
                 self._set_status(LeapLink.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
-                if time.monotonic() >= next_ping:
+                if self._monotonic() >= next_ping:
                     if pinged and not connection.ponged:
                         raise OSError(f"no answer to a ping for {PING_S:g} s") from None
-                    next_ping, pinged = time.monotonic() + PING_S, True
+                    next_ping, pinged = self._monotonic() + PING_S, True
                     connection.ping()
                 continue
             stamp = self._clock()
-            next_ping, pinged = time.monotonic() + PING_S, False
+            next_ping, pinged = self._monotonic() + PING_S, False
             if isinstance(text, str) and '"event"' in text:
                 cause = self._take_event(text)
             else:
@@ -272,7 +275,7 @@ class LeapClient:
     def _judge(self, reason: str | None) -> None:
         """Notes whether a frame was usable: `reason` says why not."""
         with self._changed:
-            self._unusable = None if reason is None else self._unusable or (time.monotonic(), reason)
+            self._unusable = None if reason is None else self._unusable or (self._monotonic(), reason)
 
     def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:
         with self._changed:

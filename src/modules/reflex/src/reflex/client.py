@@ -7,15 +7,15 @@ with ReflexHand(interface="eth0") as hand:
 
 from __future__ import annotations
 
-import threading
-import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 from reflex.calibration_files import CalibrationFiles
 from reflex.errors import CalibrationFileError, CommandRefused, HandSilent, WireFault
 from reflex.hand import HandLogic, HandStatus, HandUpdate
 from reflex.motion import HandNote
 from reflex.reading import HandReading
+from reflex.runtime import HandRuntime
 from reflex.settings import HandSettings
 from reflex.status import status
 from reflex.transport import HandTransport
@@ -51,10 +51,13 @@ class ReflexHand:
         on_reading: Callable[[HandReading], None] = lambda reading: None,
         on_note: Callable[[HandNote], None] = lambda note: None,
         hold_at_exit: bool = False,  # keep torque and goals at the end, instead of letting the fingers go
+        connect: Callable[[str, int], HandTransport] = HandTransport,
+        runtime: Any = HandRuntime,  # time and threads
     ) -> None:
+        self._connect, self._runtime, self._monotonic = connect, runtime, runtime.monotonic
         self._interface, self._port = interface, port
         self._settings = HandSettings() if settings is None else settings
-        self._transport = HandTransport(interface, port)
+        self._transport = connect(interface, port)
         self._files = CalibrationFiles(f"~/.ros/reflex/{interface}") if files is None else files
         self._on_reading, self._on_note, self._hold_at_exit = on_reading, on_note, hold_at_exit
         try:
@@ -62,14 +65,14 @@ class ReflexHand:
         except BaseException:
             self._transport.close()
             raise
-        self._lock = threading.RLock()
-        self._news = threading.Condition()
+        self._lock = runtime.RLock()
+        self._news = runtime.Condition()
         self._packets = 0
-        self._stopped = threading.Event()
+        self._stopped = runtime.Event()
         self._wire_fault = ""
-        self._made_at = time.monotonic()
+        self._made_at = self._monotonic()
         self._reopen_at, self._reminded_at = self._made_at + REOPEN_S, -REMIND_S
-        self._thread = threading.Thread(target=self._run, name="reflex hand", daemon=True)
+        self._thread = runtime.Thread(target=self._run, name="reflex hand", daemon=True)
 
     def __enter__(self) -> ReflexHand:
         self.connect()
@@ -91,7 +94,7 @@ class ReflexHand:
     def disconnect(self) -> None:
         """Ends the thread and the connection; the fingers let go or hold. Any thread may call it, also twice."""
         self._let_go()
-        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+        if self._thread.is_alive() and self._runtime.current_thread() is not self._thread:
             self._thread.join()
         self._transport.close()
 
@@ -99,7 +102,7 @@ class ReflexHand:
     def state(self) -> HandReading:
         """The newest reading; raises HandSilent if no packet came for the silence time."""
         with self._lock:
-            now, reading = time.monotonic(), self._logic.reading
+            now, reading = self._monotonic(), self._logic.reading
             if reading is None or not self._logic.link.alive(now):
                 raise HandSilent(self._interface, min(self._logic.link.age(now), now - self._made_at))
             return reading
@@ -108,7 +111,7 @@ class ReflexHand:
     def status(self) -> HandStatus:
         """What the hand does now."""
         with self._lock:
-            return self._logic.state(time.monotonic())
+            return self._logic.state(self._monotonic())
 
     @property
     def listening(self) -> bool:
@@ -124,7 +127,7 @@ class ReflexHand:
     def diagnosis(self) -> tuple[str, str, dict[str, object]]:
         """Returns level ("ok", "warning", "error"), one sentence and the values behind it."""
         with self._lock:
-            level, sentence, values = status(self._logic, self._wire_fault, time.monotonic())
+            level, sentence, values = status(self._logic, self._wire_fault, self._monotonic())
         return level, sentence, {**values, "interface": self._interface}
 
     def open(self, timeout: float = 5.0) -> None:
@@ -141,8 +144,8 @@ class ReflexHand:
         """
         self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
         self.command(angles)
-        last, still, deadline = self.state.joint_angles, 0, time.monotonic() + timeout
-        while still < STILL_PACKETS and time.monotonic() < deadline:
+        last, still, deadline = self.state.joint_angles, 0, self._monotonic() + timeout
+        while still < STILL_PACKETS and self._monotonic() < deadline:
             self.wait_for_packet()
             present = self.state.joint_angles
             still = still + 1 if max(abs(a - b) for a, b in zip(present, last)) < STILL_RAD else 0
@@ -210,9 +213,9 @@ class ReflexHand:
 
     def _wait_while(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Returns whether the condition ended within `timeout` seconds."""
-        deadline = time.monotonic() + timeout
+        deadline = self._monotonic() + timeout
         while condition():
-            if time.monotonic() > deadline or self._stopped.is_set():
+            if self._monotonic() > deadline or self._stopped.is_set():
                 return False
             with self._news:
                 self._news.wait(RECEIVE_TIMEOUT_S)
@@ -264,7 +267,7 @@ class ReflexHand:
     def _act(self, step: Callable[[float], HandUpdate]) -> HandUpdate:
         """Lets the state machine do a step and sends its packets in order, whichever thread asks."""
         with self._lock:
-            update = step(time.monotonic())
+            update = step(self._monotonic())
             if self._stopped.is_set():
                 return update
             notes = self._send(update)
@@ -295,7 +298,7 @@ class ReflexHand:
 
     def _watch_silence(self) -> None:
         """Opens the sockets again while the hand is silent: a cable or an address may have come after the start."""
-        now = time.monotonic()
+        now = self._monotonic()
         if self._logic.link.age(now) < REOPEN_S or now < self._reopen_at or self._stopped.is_set():
             return
         self._reopen_at = now + REOPEN_S
@@ -304,7 +307,7 @@ class ReflexHand:
             silent = f"No packet from the hand on {self._interface}: is it on and its cable in?"
             self._on_note(HandNote("warning", silent))
         try:
-            fresh = HandTransport(self._interface, self._port)
+            fresh = self._connect(self._interface, self._port)
         except WireFault as error:
             self._report(self._wire_failed(error))
             return

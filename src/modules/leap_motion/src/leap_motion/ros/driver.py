@@ -113,7 +113,9 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
             with while_running():
                 raw.publish(received, text)
 
-    client = LeapClient(config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw)
+    client = LeapClient(
+        config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw, runtime=clock
+    )
     report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
     Diagnostics("leap_motion", report.diagnostics)
     try:

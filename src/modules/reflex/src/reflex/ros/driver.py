@@ -42,7 +42,9 @@ class HandDriver:
         files = CalibrationFiles(config.calibration_folder, shipped)
         interface, port = config.network_interface, config.port
         hooks = (self._publish, self._say)
-        self._hand = ReflexHand(interface, port, config.settings(), files, *hooks, hold_at_exit=config.hold_at_exit)
+        self._hand = ReflexHand(
+            interface, port, config.settings(), files, *hooks, hold_at_exit=config.hold_at_exit, runtime=clock
+        )
         rospy.loginfo("Calibrations are kept in %s.", files.folder)
         rospy.loginfo("Listening for the hand on %s, port %d.", interface, port)
         Diagnostics("reflex", self._diagnosis)
