@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from itertools import count
 from types import TracebackType
 from typing import Any
@@ -64,6 +64,7 @@ class Scheduler:
     Attributes:
         now: virtual time [s].
         suspended: groups whose threads stand still.
+        on_turn: called with the group of each thread that gets its turn.
         crashed: name and exception of each thread that an exception has ended.
         trace: time and thread of each turn, if it was asked for.
     """
@@ -72,6 +73,7 @@ class Scheduler:
         self._in_place = in_place or {}
         self.now = START_S
         self.suspended: set[str] = set()
+        self.on_turn: Callable[[str], None] = lambda group: None
         self.crashed: list[tuple[str, BaseException]] = []
         self.trace: list[tuple[float, str]] | None = [] if trace else None
         self._random = random.Random(seed)
@@ -222,6 +224,10 @@ class Scheduler:
         while any(task.group == group and task.killed and not task.ended for task in self._tasks):
             self.sleep(0.0)
 
+    def drawn(self, most: float) -> float:
+        """A time from 0 to `most` [s], drawn from the seed."""
+        return self._random.uniform(0.0, most)
+
     # Turns.
 
     @property
@@ -306,6 +312,7 @@ class Scheduler:
 
     def _note(self, task: Task) -> None:
         self._running = task
+        self.on_turn(task.group)
         if self.trace is not None:
             self.trace.append((self.now, task.name))
 

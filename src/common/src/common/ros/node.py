@@ -39,6 +39,23 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
     main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
     """
+    prepare_process(disposable)
+    try:
+        rospy.init_node(name, disable_signals=True)
+    except rospy.exceptions.ROSInitException:
+        sys.exit(1)  # interrupted before it began
+    prepare_log()
+    master.watch.start()
+    code = _code_of(main) or int(master.watch.fault is not None)
+    if disposable:
+        rospy.signal_shutdown("main has ended")
+        leave_after_all_threads(code)
+    if code:
+        sys.exit(code)
+
+
+def prepare_process(disposable: bool) -> None:
+    """Changes what a process has one of: heap, signals, the reports of threads; for a node that is `disposable`."""
     _close_watches_with_topics()
     # Each connection has threads, and each thread would keep a heap of its own, of images too: 20 visits of a listener
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
@@ -46,23 +63,21 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     _shut_down_beside_the_main_thread(disposable)
     end_closed_servers()
     hide_closed_connections()
-    try:
-        rospy.init_node(name, disable_signals=True)
-    except rospy.exceptions.ROSInitException:
-        sys.exit(1)  # interrupted before it began
+
+
+def prepare_log() -> None:
+    """Lets a log not wait for the master, not repeat itself, and not end what logs."""
     _log_without_the_master()
     logging.getLogger("rosout").addFilter(RepeatedExceptions())
     _log_as_far_as_possible()
-    master.watch.start()
-    code = _code_of(main) or int(master.watch.fault is not None)
-    if disposable:
-        rospy.signal_shutdown("main has ended")
-        for thread in threading.enumerate():  # one of them may shut ROS down
-            if thread is not clock.current_thread() and not thread.daemon:
-                thread.join()
-        _leave(code)
-    if code:
-        sys.exit(code)
+
+
+def leave_after_all_threads(code: int) -> None:
+    """Exits without destroying objects, once all threads but the daemons have ended."""
+    for thread in threading.enumerate():  # one of them may shut ROS down
+        if thread is not clock.current_thread() and not thread.daemon:
+            thread.join()
+    _leave(code)
 
 
 def run_program(
