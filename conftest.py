@@ -298,6 +298,15 @@ def ros(ros_master, processes, monkeypatch):
                 rospy.delete_param(f"/{name}")
 
 
+@pytest.fixture
+def virtual_graph():
+    """A ROS graph in this process and in virtual time, see simulated/graph.py."""
+    from simulated.graph import Graph
+
+    with Graph() as graph:
+        yield graph
+
+
 class Graph:
     """Starts nodes and launch files, and listens to what they publish."""
 

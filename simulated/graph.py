@@ -20,6 +20,7 @@ import itertools
 import logging
 import re
 import runpy
+import shlex
 import signal
 import sys
 import traceback
@@ -37,6 +38,7 @@ import yaml
 from common import clock
 from common.ros import master, node, publishing, service_calls
 from simulated.clock import virtual_time
+from tools import launched
 
 ROOT = Path(__file__).parents[1]
 DELAY_S, CONNECT_S = 0.002, 0.01
@@ -61,7 +63,7 @@ class Node:
         self.namespace = rosgraph.names.make_global_ns(self.mappings.get("__ns", "/"))
         self.remaps: dict[str, str] = {}
         self.log = ""
-        self.log_path = _Log(self)
+        self.log_path, self.output = _Log(self), _Output(self)
         self.returncode: int | None = None
         self.initialized = self.shutting = self.shut = False
         self.hooks: list[Callable[[], None]] = []
@@ -465,6 +467,21 @@ class Graph:
         (script,) = ROOT.glob(f"src/**/{package}/scripts/{executable}")
         return self.start(executable, lambda: runpy.run_path(str(script), run_name="__main__"), str(script), *args)
 
+    def launch(self, package: str, file: str, **args: Any) -> Launch:
+        """Sets the parameters of a launch file, and starts its nodes."""
+        loaded = launched.config(package, file, tuple(f"{key}:={value}" for key, value in args.items()))
+        for name in loaded.clear_params:
+            with contextlib.suppress(KeyError):
+                self.parameters.delete(name)
+        for name, parameter in loaded.params.items():
+            self.parameters.set(name, parameter.value)
+        nodes = []
+        for each in loaded.nodes:
+            remaps = [f"{a}:={b}" for a, b in each.remap_args]
+            words = [f"__name:={each.name}", f"__ns:={each.namespace}", *shlex.split(each.args), *remaps]
+            nodes.append(self.run(each.package, each.type, *words))
+        return Launch(nodes)
+
     def start(self, name: str, main: Callable[[], object], *argv: str) -> Node:
         """Runs a function as the main thread of a node."""
         group = f"{name} {next(self.numbers)}"
@@ -517,6 +534,26 @@ class Graph:
             clock.sleep(poll)
 
 
+class Launch:
+    """The nodes of a launch file; looks to a test as the process of roslaunch does."""
+
+    def __init__(self, nodes: list[Node]) -> None:
+        self.nodes, self.log_path = nodes, self
+
+    def read_text(self, encoding: str = "utf-8", errors: str = "strict") -> str:
+        """What the nodes have said."""
+        return "".join(each.log for each in self.nodes)
+
+    def poll(self) -> int | None:
+        """None while a node runs, then 0."""
+        return None if any(each.poll() is None for each in self.nodes) else 0
+
+    def send_signal(self, number: int) -> None:
+        """Sends it to each node."""
+        for each in self.nodes:
+            each.send_signal(number)
+
+
 class Recording(list):
     """Messages in the order of their arrival."""
 
@@ -542,17 +579,15 @@ class _LogHandler(logging.Handler):
 
 
 class _Output(io.TextIOBase):
-    """Where print() writes: what a node prints is in its log."""
+    """Where a node prints: its log."""
 
-    def __init__(self, graph: Graph, real: Any) -> None:
-        self._graph, self._real = graph, real
+    def __init__(self, node: Node) -> None:
+        self._node = node
 
     def write(self, text: str) -> int:
-        node = self._graph.here
-        if node.group:
-            node.log += text
-            return len(text)
-        return self._real.write(text)
+        """Adds to the log."""
+        self._node.log += text
+        return len(text)
 
     def reconfigure(self, **_: Any) -> None:
         """Takes what a program asks of its output."""
@@ -562,13 +597,17 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     """Lets rospy work on the graph."""
     scheduler = graph.scheduler
 
-    def turned(group: str) -> None:
-        sys.argv = graph._by_group[group].argv
+    real = sys.argv, sys.stdout, sys.stderr
 
-    patch.setattr(sys, "argv", sys.argv)
+    def turned(group: str) -> None:
+        """Gives the thread what its process would have of its own."""
+        nonlocal real
+        if not isinstance(sys.stdout, _Output):
+            real = sys.argv, sys.stdout, sys.stderr
+        node = graph._by_group[group]
+        sys.argv, sys.stdout, sys.stderr = (node.argv, node.output, node.output) if group else real
+
     scheduler.on_turn = turned
-    patch.setattr(sys, "stdout", _Output(graph, sys.stdout))
-    patch.setattr(sys, "stderr", _Output(graph, sys.stderr))
     log = logging.getLogger("rosout")
     handler = _LogHandler(graph)
     patch.setattr(log, "handlers", [handler])
