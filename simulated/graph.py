@@ -24,15 +24,18 @@ import shlex
 import signal
 import sys
 import traceback
+import xmlrpc.client
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import message_filters
 import pytest
 import rosgraph
 import rospy
+import tf2_ros
 import yaml
 
 from common import clock
@@ -423,15 +426,75 @@ def _as_received(message: Any, kind: type) -> Any:
     return kind().deserialize(buffer.getvalue())
 
 
+class _Master:
+    """What the ROS master answers about the graph, as rosgraph.Master returns or raises it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+
+    def getSystemState(self) -> list[list[list[Any]]]:
+        """Topics with their publishers, topics with their subscribers, services with their nodes."""
+        offered = self._graph.publishers, self._graph.subscribers, self._graph.services.values()
+        return [
+            [[name, sorted({each.node.name for each in kind if each.name == name})] for name in {e.name for e in kind}]
+            for kind in map(list, offered)
+        ]
+
+    def lookupNode(self, name: str) -> str:
+        """An address of the node; raises rosgraph.MasterError if there is none of that name."""
+        resolved = self._graph.here.resolve(name)
+        if not any(node.name == resolved and node.initialized and not node.shut for node in self._graph.nodes):
+            raise rosgraph.MasterError(f"unknown node [{resolved}]")
+        return f"http://localhost{resolved}"
+
+    def lookupService(self, name: str) -> str:
+        """An address of the service; raises rosgraph.MasterError if nobody offers it."""
+        resolved = self._graph.here.resolve(name)
+        if resolved not in self._graph.services:
+            raise rosgraph.MasterError(f"no provider of [{resolved}]")
+        return f"rosrpc://localhost{resolved}"
+
+    def getParam(self, name: str) -> Any:
+        """A parameter; raises rosgraph.MasterError if there is none of that name."""
+        try:
+            return self._graph.parameters.get(self._graph.here.resolve(name))
+        except KeyError as error:
+            raise rosgraph.MasterError(f"Parameter [{name}] is not set") from error
+
+    def getPid(self) -> int:
+        """The number of its process."""
+        return 1
+
+
+class _MasterProxy:
+    """The same as rospy.get_master() has it: code, text and value of each answer; with `caller`, as xmlrpc has it."""
+
+    def __init__(self, graph: Graph, caller: bool = False) -> None:
+        self._graph, self._master, self._caller = graph, _Master(graph), caller
+
+    def __getattr__(self, name: str) -> Callable[..., tuple[int, str, Any]]:
+        def ask(*args: Any) -> tuple[int, str, Any]:
+            if not self._graph.master_answers:
+                raise ConnectionRefusedError("no master")
+            try:
+                return 1, "", getattr(self._master, name)(*args[self._caller :])
+            except rosgraph.MasterError as error:
+                return -1, str(error), 0
+
+        return ask
+
+
 class Graph:
     """The graph; a context, in which rospy works on it.
 
     Attributes:
         scheduler: its virtual time.
         nodes: all that were started.
+        master_answers: whether a node that asks the master learns something; topics and services go on without.
     """
 
     def __init__(self, seed: int = 0, trace: bool = False) -> None:
+        self.master_answers = True
         self.scheduler = virtual_time(seed, trace)
         self.parameters = Parameters()
         self.publishers: list[_Publisher] = []
@@ -694,10 +757,15 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         wait_for_message=wait_for_message,
         get_published_topics=lambda _="/": [[p.name, p.kind._type] for p in graph.publishers],
     )
+    names["get_master"] = lambda *_: _MasterProxy(graph)
     for module in (rospy, rospy.core, rospy.names, rospy.client, rospy.impl.tcpros_service):
         for name, function in names.items():
             if hasattr(module, name):
                 patch.setattr(module, name, function)
+    for module in (rosgraph, rosgraph.masterapi):
+        patch.setattr(module, "Master", lambda *_: _Master(graph))
+    for module in (message_filters, tf2_ros.transform_listener):  # they call back while they hold their locks
+        patch.setattr(module, "threading", clock)
     _topics(graph, patch)
     _services(graph, patch)
     _process(graph, patch)
@@ -777,6 +845,7 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
                 raise service_calls.ServiceFailed(self.name, text, sent=False)
         return SimpleNamespace(close=lambda: None)
 
+    patch.setattr(xmlrpc.client, "ServerProxy", lambda *_, **__: _MasterProxy(graph, caller=True))
     patch.setattr(rospy.Service, "__init__", service)
     patch.setattr(rospy.Service, "shutdown", lambda self, reason="": self.impl.close())
     patch.setattr(rospy.Service, "spin", lambda self: rospy.spin())
