@@ -18,6 +18,7 @@ import copy
 import io
 import itertools
 import logging
+import os
 import re
 import runpy
 import shlex
@@ -70,6 +71,7 @@ class Node:
         self.returncode: int | None = None
         self.initialized = self.shutting = self.shut = False
         self.hooks: list[Callable[[], None]] = []
+        self.handlers: dict[int, Any] = {}
         self.topics: list[_Publisher | _Subscriber] = []
         self.services: list[_Service] = []
         self.ended, self.spun = clock.Event(), clock.Event()
@@ -137,6 +139,9 @@ class Node:
         elif number == signal.SIGKILL:
             self.close()
             self.end(-number)
+        elif number in self.handlers and number not in (signal.SIGINT, signal.SIGTERM):
+            with self.graph.scheduler.in_group(self.group):
+                clock.Thread(target=self.handlers[number], args=(number, None), name="signal", daemon=True).start()
         else:
             self.interrupt()
 
@@ -865,7 +870,12 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     def leave(code: int) -> None:
         raise SystemExit(code)
 
-    patch.setattr(signal, "signal", lambda number, handler: None)  # only a main thread may
+    def exit_at_once(code: int) -> None:
+        graph.here.end(code)
+        raise SystemExit(code)
+
+    patch.setattr(os, "_exit", exit_at_once)
+    patch.setattr(signal, "signal", lambda number, handler: graph.here.handlers.update({number: handler}))
     for name in ("prepare_process", "prepare_log"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
