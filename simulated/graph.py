@@ -348,6 +348,12 @@ class _Subscriber:
         node.topics.append(self)
         graph.subscribers.append(self)
 
+    @property
+    def callbacks(self) -> list[tuple[Any, Any]]:
+        """Those of all subscribers of the node to this topic, as rospy keeps them."""
+        others = (each for each in self.node.topics if isinstance(each, _Subscriber) and not each.closed)
+        return [(each.callback, each.callback_args) for each in others if each.name == self.name]
+
     def connect(self) -> None:
         for publisher in list(self.graph.publishers):
             publisher.connect(self)
@@ -505,6 +511,7 @@ class Graph:
         self.publishers: list[_Publisher] = []
         self.subscribers: list[_Subscriber] = []
         self.services: dict[str, _Service] = {}
+        self.handles: list[Any] = []  # rospy's objects of the topics
         self.nodes: list[Node] = []
         self.numbers = itertools.count(1)
         self._by_group: dict[str, Node] = {}
@@ -524,6 +531,8 @@ class Graph:
             self.scheduler.__exit__(*error)
         finally:
             self._patch.undo()
+            for handle in self.handles:
+                handle.impl = None  # whose owner may unregister it when it is destroyed
 
     @property
     def here(self) -> Node:
@@ -782,6 +791,7 @@ def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         self.name = self.resolved_name = graph.here.resolve(name)
         self.data_class, self.type, self.md5sum = data_class, data_class._type, data_class._md5sum
         self.impl = _Publisher(graph, graph.here, self.resolved_name, data_class, latch)
+        graph.handles.append(self)
 
     def publish(self, *args, **kwds):
         if self.impl is None:
@@ -796,6 +806,7 @@ def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         self.impl = _Subscriber(graph, graph.here, self.resolved_name, data_class, queue_size)
         self.impl.callback, self.impl.callback_args = callback, callback_args
         self.impl.connect()
+        graph.handles.append(self)
 
     def unregister(self):
         if self.impl is not None:
@@ -822,6 +833,8 @@ def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
 
 
 def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
+    scheduler = graph.scheduler
+
     def service(self, name, service_class, handler, buff_size=65536, error_handler=None):
         self.resolved_name, self.service_class, self.handler = graph.here.resolve(name), service_class, handler
         self.request_class, self.response_class = service_class._request_class, service_class._response_class
@@ -843,11 +856,12 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         offered = graph.services.get(proxy.resolved_name)
         if offered is None:
             raise service_calls.ServiceAbsent(self.name, "nobody offers it")
-        if offered.node.group in graph.scheduler.suspended:
-            clock.sleep(HANDSHAKE_S)
-            if offered.node.group in graph.scheduler.suspended:
+        begun = scheduler.now
+        while offered.node.group in scheduler.suspended:
+            if scheduler.now - begun >= HANDSHAKE_S:
                 text = f"did not answer the handshake within {HANDSHAKE_S:g} s"
                 raise service_calls.ServiceFailed(self.name, text, sent=False)
+            clock.sleep(DELAY_S)
         return SimpleNamespace(close=lambda: None)
 
     patch.setattr(xmlrpc.client, "ServerProxy", lambda *_, **__: _MasterProxy(graph, caller=True))

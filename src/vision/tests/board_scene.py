@@ -6,13 +6,13 @@ The flange's pose comes from the test; the camera stands at a known place.
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import yaml
 
+from common import clock
 from common.config import parse
 from common.poses import inverse, pose
 from vision.marker_board.board import MarkerBoardConfig
@@ -68,8 +68,8 @@ class BoardScene:
         self._broadcaster = tf2_ros.TransformBroadcaster()
         self._static = tf2_ros.StaticTransformBroadcaster()
         self._static.sendTransform(stamped_transform(T_LINK_OPTICAL, "camera_link", OPTICAL, rospy.Time.now()))
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._ended = clock.Event()
+        self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
 
     def close(self):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import strftime
+from time import localtime, strftime
 
 import numpy as np
 import rospkg
@@ -104,7 +104,7 @@ class CalibrationSetup:
     @property
     def head(self) -> dict[str, str]:
         """The first entries of a calibration record: date, and the hardware that it belongs to."""
-        store, date = self.store_config, strftime("%Y-%m-%dT%H:%M:%S")
+        store, date = self.store_config, strftime("%Y-%m-%dT%H:%M:%S", localtime(clock.time()))
         hardware = {"robot": store.robot, "flange": store.flange, "camera": store.camera}
         return {"date": date, **hardware, "panel": self.board.frame}
 
