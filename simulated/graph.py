@@ -42,6 +42,7 @@ import yaml
 from common import clock
 from common.ros import master, node, publishing, service_calls
 from simulated.clock import virtual_time
+from simulated.wires import Wires
 from tools import launched
 
 ROOT = Path(__file__).parents[1]
@@ -139,7 +140,9 @@ class Node:
         elif number == signal.SIGKILL:
             self.close()
             self.end(-number)
-        elif number in self.handlers and number not in (signal.SIGINT, signal.SIGTERM):
+        elif self.handlers.get(number, signal.default_int_handler) not in (
+            signal.SIG_DFL, signal.SIG_IGN, signal.default_int_handler,
+        ):  # fmt: skip
             with self.graph.scheduler.in_group(self.group):
                 clock.Thread(target=self.handlers[number], args=(number, None), name="signal", daemon=True).start()
         else:
@@ -152,6 +155,7 @@ class Node:
             self.close()
             self.ended.set()
             self.graph.scheduler.kill(self.group)
+            self.graph.wires.end(self.group)
 
     def poll(self) -> int | None:
         """The exit code, None while it runs."""
@@ -507,6 +511,7 @@ class Graph:
     def __init__(self, seed: int = 0, trace: bool = False) -> None:
         self.master_answers = True
         self.scheduler = virtual_time(seed, trace)
+        self.wires = Wires(self.scheduler)
         self.parameters = Parameters()
         self.publishers: list[_Publisher] = []
         self.subscribers: list[_Subscriber] = []
@@ -888,8 +893,15 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         graph.here.end(code)
         raise SystemExit(code)
 
+    def handle(number: int, handler: Any) -> Any:
+        before = graph.here.handlers.get(number, signal.SIG_DFL)
+        graph.here.handlers[number] = handler
+        return before
+
     patch.setattr(os, "_exit", exit_at_once)
-    patch.setattr(signal, "signal", lambda number, handler: graph.here.handlers.update({number: handler}))
+    patch.setattr(signal, "signal", handle)
+    patch.setattr(sys, "setswitchinterval", lambda seconds: None)  # it is that of all nodes
+    graph.wires.stand_in(patch)
     for name in ("prepare_process", "prepare_log"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
