@@ -9,10 +9,10 @@ import argparse
 import os
 import signal
 import socket
-import time
 
 import rospy
 
+from common import clock
 from kuka_control.model.switches import Switches
 from kuka_control.ros.services import Services
 from rig_msgs.msg import KukaStatus
@@ -28,7 +28,7 @@ class SlowSwitches(Switches):
         self._delay = delay
 
     def set_scale(self, factor):
-        time.sleep(self._delay)
+        clock.sleep(self._delay)
         return super().set_scale(factor)
 
 
@@ -53,7 +53,7 @@ def main() -> None:
         )  # fmt: skip
         if not silent[0]:
             publisher.publish(status)
-        time.sleep(PERIOD_S)
+        clock.sleep(PERIOD_S)
     del services
 
 

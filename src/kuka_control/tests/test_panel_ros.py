@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import threading
-import time
-from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+from common import clock
 
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 pytestmark = pytest.mark.ros
 
-FAKE = str(Path(__file__).with_name("fake_controller.py"))
-LONG_S = 20.0
-"""Longest wait; the machine may be busy."""
+PERIOD_S = 0.05
+"""Of a controller's status, and of what the panel shows."""
+LATE_S = 0.01
+"""What connections and messages may take."""
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 @pytest.fixture
@@ -30,7 +38,29 @@ def failures(monkeypatch):
 
 
 @pytest.fixture
-def panel(ros, application, failures):
+def timers(monkeypatch):
+    """The timers of the links that run, in virtual time: all are due whenever somebody looks."""
+    from kuka_control.ros import panel_link
+
+    running = []
+
+    class Timer:
+        def __init__(self, _parent):
+            self.timeout = SimpleNamespace(connect=lambda slot: setattr(self, "slot", slot))
+
+        def start(self, period_ms):
+            assert period_ms == 1000.0 * PERIOD_S
+            running.append(self)
+
+        def stop(self):
+            running.remove(self)
+
+    monkeypatch.setattr(panel_link, "QTimer", Timer)
+    return running
+
+
+@pytest.fixture
+def panel(ros, application, failures, timers):
     from kuka_control.gui.panel import ControlPanel
     from kuka_control.ros.panel_link import PanelLink
 
@@ -38,37 +68,46 @@ def panel(ros, application, failures):
     widget.link = PanelLink(widget)
     widget.show()
     yield widget
-    close(widget.link)
+    widget.link.close()
     widget.close()
 
 
-def close(*links):
-    """Closes the links; their threads unsubscribe at their end, which must not be later than that of the graph."""
-    for link in links:
-        link.close()
-    for thread in threading.enumerate():
-        if thread.name == "watch":
-            thread.join(LONG_S)
-
-
 @pytest.fixture
-def see(application, wait_until):
-    """Waits until something is seen, while Qt works."""
+def see(ros, application, timers):
+    """Waits until something is seen, while Qt works; returns how long that took [s]."""
 
-    def wait(condition, what):
+    def wait(condition, what, seconds=5.0):
         def look():
+            for timer in list(timers):
+                timer.slot()
             application.processEvents()
             return condition()
 
-        return wait_until(look, LONG_S, what)
+        begun = clock.monotonic()
+        ros.wait_until(look, seconds, what, poll=PERIOD_S)
+        return clock.monotonic() - begun
 
     return wait
 
 
 @pytest.fixture
-def start(processes):
-    """Starts the fake controller."""
-    return lambda *args: processes.start(sys.executable, FAKE, *args)
+def start(ros, monkeypatch):
+    """Starts the fake controller; what the panel learns of processes and does to them is done to these."""
+    import fake_controller
+
+    from kuka_control.ros import emergency
+
+    started = {}
+    monkeypatch.setattr(emergency, "_is_controller", lambda pid: pid in started)
+    monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if started[pid].poll() is None else None)
+    monkeypatch.setattr(os, "kill", lambda pid, number: started[pid].send_signal(number))
+
+    def run(*args):
+        pid = 10**7 + len(started)
+        started[pid] = ros.start("fake_controller.py", fake_controller.main, "", "--pid", str(pid), *args)
+        return started[pid]
+
+    return run
 
 
 @pytest.fixture
@@ -78,12 +117,9 @@ def controller(start, panel, see):
     return process
 
 
-@pytest.fixture
-def patience(monkeypatch):
-    """Gives a controller that does not hang more than half a second to exit, which a busy machine may take."""
-    from kuka_control.ros import emergency
-
-    return lambda: monkeypatch.setattr(emergency, "PATIENCE_S", LONG_S)
+def is_after(constant, elapsed):
+    """Whether something came when it should, as far as the panel's period lets a test see."""
+    return constant - LATE_S <= elapsed <= constant + 2 * PERIOD_S + LATE_S
 
 
 def click(button):
@@ -98,7 +134,7 @@ def call(name, kind, *values):
 
     import kuka_msgs.srv
 
-    rospy.wait_for_service(f"kuka/{name}", LONG_S)
+    rospy.wait_for_service(f"kuka/{name}", 5.0)
     return rospy.ServiceProxy(f"kuka/{name}", getattr(kuka_msgs.srv, kind))(*values)
 
 
@@ -107,14 +143,15 @@ def now_scale():
 
     from rig_msgs.msg import KukaStatus
 
-    return rospy.wait_for_message("kuka/status", KukaStatus, LONG_S).scaling_factor
+    return rospy.wait_for_message("kuka/status", KukaStatus, 5.0).scaling_factor
 
 
 @pytest.mark.parametrize("name", ["control", "gripper"])
 def test_a_toggle_is_green_when_the_controller_says_so(panel, controller, see, name):
     button = getattr(panel, name)
     controller.send_signal(signal.SIGUSR1)
-    see(lambda: not button.isEnabled(), "the silence of the controller")
+    silence = see(lambda: not button.isEnabled(), "the silence of the controller")
+    assert is_after(1.5, silence + PERIOD_S)  # since the last status
     controller.send_signal(signal.SIGUSR1)
     see(button.isEnabled, "the controller again")
 
@@ -196,7 +233,7 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
     see(panel.control.isEnabled, "the controller")
     click(panel.control)
     see(panel.control.isChecked, "green")
-    first.kill()
+    first.send_signal(signal.SIGKILL)
     see(lambda: "has exited" in panel.status.full, "the sentence")
     assert not panel.control.isChecked() and not panel.control.isEnabled() and panel.emergency.isEnabled()
     start()
@@ -207,28 +244,35 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
     assert "is on" in panel.answer.full
 
 
-def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, failures, see, monkeypatch, free_port):
-    import rospy
+def test_without_a_master_it_says_so_until_one_answers(ros, application, timers, failures, see, start):
+    import rosgraph
 
     from kuka_control.gui.panel import ControlPanel
     from kuka_control.ros.panel_link import PanelLink
 
-    uri = f"http://localhost:{free_port()}"
-    panel = ControlPanel()
-    with monkeypatch.context() as elsewhere:
-        elsewhere.setenv("ROS_MASTER_URI", uri)
-        with rospy.topics.get_topic_manager().lock:  # as rospy's first topic does
-            link = PanelLink(panel)
-            see(lambda: panel.status.full == f"Waiting for the ROS master at {uri}.", "the sentence")
-        close(link)
+    start()
+    ros.master_answers, panel = False, ControlPanel()
+    link = PanelLink(panel)
+    said = see(lambda: panel.status.full == f"Waiting for the ROS master at {rosgraph.get_master_uri()}.", "it")
+    assert said <= PERIOD_S
+    clock.sleep(5.0)
+    assert not link._subscribers
+    ros.master_answers = True
+    assert see(panel.control.isEnabled, "the controller") <= 2 * PERIOD_S + LATE_S
+    ros.master_answers = False
+    assert see(lambda: "does not answer; this controller still does" in panel.status.full, "it") <= 1.0 + PERIOD_S
+    assert panel.control.isEnabled()
+    link.close()
 
 
-def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see, suspend):
-    suspend(controller.pid)
+def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see):
+    controller.send_signal(signal.SIGSTOP)
     click(panel.control)
-    see(lambda: "it hangs" in panel.status.full, "the sentence")
+    silence = see(lambda: "it hangs" in panel.status.full, "the sentence")
+    assert is_after(1.5, silence + PERIOD_S)  # since the last status
     assert not panel.control.isEnabled() and panel.status.property("tone") == "fault"
-    see(lambda: "nothing was requested" in panel.answer.full, "the end of the request")
+    given_up = see(lambda: "nothing was requested" in panel.answer.full, "the end of the request")
+    assert is_after(3.0, silence + given_up)
     controller.send_signal(signal.SIGCONT)
     see(panel.control.isEnabled, "the controller again")
     assert call("gripper_control", "setGripperControl", True).success
@@ -236,21 +280,20 @@ def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controll
     assert not panel.control.isChecked()
 
 
-def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see, suspend):
-    suspend(controller.pid)
+def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see):
+    controller.send_signal(signal.SIGSTOP)
     click(panel.emergency)
-    see(lambda: controller.poll() is not None, "the end of the process")
+    assert is_after(0.5, see(lambda: controller.poll() is not None, "the end of the process"))
     assert controller.returncode == -signal.SIGKILL
     see(lambda: "hung and its process was ended" in panel.answer.full, "the sentence")
     see(lambda: "has exited" in panel.status.full and not panel.control.isEnabled(), "the end")
 
 
-def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, see, patience):
-    patience()
+def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, see):
     controller.send_signal(signal.SIGUSR1)
     see(lambda: "silent" in panel.status.full, "the silence")
     click(panel.emergency)
-    see(lambda: controller.poll() is not None, "the end of the process")
+    assert is_after(0.05, see(lambda: controller.poll() is not None, "the end of the process"))
     assert controller.returncode == 2
     see(lambda: "the controller has exited" in panel.answer.full, "the sentence")
 
@@ -265,30 +308,19 @@ def test_emergency_stop_again_and_again(panel, controller, see):
     assert "Emergency Stop" in panel.answer.full
 
 
-def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see, suspend, patience):
+def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see, suspend):
     process = start("--host", "far-away")
     see(panel.control.isEnabled, "the controller")
-    suspend(process.pid)
+    process.send_signal(signal.SIGSTOP)
     click(panel.emergency)
-    see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence")
+    assert is_after(0.5, see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence"))
     assert process.poll() is None and "smartPad" in panel.answer.full
     process.send_signal(signal.SIGCONT)
     see(panel.control.isEnabled, "the controller again")
-    patience()
     click(panel.emergency)
     see(lambda: process.poll() is not None, "the end of the process")
     assert process.returncode == 2
     see(lambda: "at once" in panel.answer.full, "the sentence")
-
-
-def test_emergency_stop_never_ends_a_process_that_is_no_controller(panel, processes, start, see, suspend):
-    other = processes.start("sleep", "60")
-    process = start("--pid", str(other.pid))
-    see(panel.control.isEnabled, "the controller")
-    suspend(process.pid)
-    click(panel.emergency)
-    see(lambda: "did not confirm it" in panel.answer.full, "the sentence")
-    assert other.poll() is None and process.poll() is None
 
 
 def test_emergency_stop_without_a_controller_says_so(panel, see):
@@ -306,7 +338,7 @@ def test_qt_never_waits_for_a_service(panel, start, see, application):
     see(lambda: "scaling factor is 1" in panel.answer.full, "the answer")
 
 
-def test_a_panel_may_go_while_a_call_runs(ros, application, failures, start, see):
+def test_a_panel_may_go_while_a_call_runs(ros, application, failures, timers, start, see):
     from kuka_control.gui.panel import ControlPanel
     from kuka_control.ros.panel_link import PanelLink
 
@@ -316,13 +348,14 @@ def test_a_panel_may_go_while_a_call_runs(ros, application, failures, start, see
     see(panel.scaling.isEnabled, "the controller")
     click(panel.reset)
     names = {"kuka/scaling_factor", "watch"}
-    mine = [thread for thread in threading.enumerate() if thread.name in names]
+    mine = [t for t in threading.enumerate() if isinstance(t, clock.Thread) and t.name in names]
+    assert {thread.name for thread in mine} == names
     link.close()
     panel.deleteLater()
     del panel, link
     gc.collect()
     see(lambda: not any(thread.is_alive() for thread in mine), "the end of the threads")
-    time.sleep(0.1)
+    assert not timers
 
 
 def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more(panel, see):
@@ -334,18 +367,19 @@ def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more
     publisher = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
     said = panel.operator.accessibleDescription
     see(lambda: publisher.publish(rows) or "flat yes" in said(), "the rows")
-    see(lambda: "no news" in said(), "the silence")
+    assert is_after(1.5, see(lambda: "no news" in said(), "the silence") + PERIOD_S)
 
 
 @pytest.fixture
-def window(ros, application, failures):
+def window(ros, application, failures, timers):
     """The window of two arms, with its links."""
     from kuka_control.ros.panel_link import linked_panels
 
     widget, links = linked_panels(["left", "right"])
     widget.show()
     yield widget
-    close(*links)
+    for link in links:
+        link.close()
     widget.close()
 
 
@@ -387,10 +421,10 @@ def press_escape_in(number):
     "press", [press_emergency, press_escape_in(None), press_escape_in(0), press_escape_in(1)],
     ids=["button", "Esc", "Esc in the left panel", "Esc in the right panel"],
 )  # fmt: skip
-def test_one_emergency_stop_ends_both_controllers_even_one_that_hangs(window, both, see, press, suspend):
+def test_one_emergency_stop_ends_both_controllers_even_one_that_hangs(window, both, see, press):
     window.activateWindow()
-    suspend(both["left"].pid)
+    both["left"].send_signal(signal.SIGSTOP)
     press(window)
-    see(lambda: all(process.poll() is not None for process in both.values()), "the end of both controllers")
+    assert is_after(0.5, see(lambda: not any(p.poll() is None for p in both.values()), "the end of both controllers"))
     see(lambda: all("Emergency Stop" in panel.answer.full for panel in window.panels.values()), "both answers")
     assert not any(panel.emergency.isVisible() for panel in window.panels.values()) and window.emergency.isVisible()

@@ -1,0 +1,69 @@
+"""The control panel and processes as they are: which of them Emergency Stop ends, and a master that nobody hears."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
+pytestmark = pytest.mark.ros
+
+FAKE = str(Path(__file__).with_name("fake_controller.py"))
+
+
+@pytest.fixture
+def link(ros, application):
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros.panel_link import PanelLink
+
+    panel = ControlPanel()
+    made = PanelLink(panel)
+    made.panel = panel
+    yield made
+    made.close()
+    panel.close()
+
+
+@pytest.fixture
+def see(application, wait_until):
+    """Waits until something is seen, while Qt works."""
+    return lambda condition, what: wait_until(lambda: (application.processEvents(), condition())[1], 20.0, what)
+
+
+def test_emergency_stop_ends_a_controller_that_hangs(link, processes, see, suspend):
+    controller = processes.start(sys.executable, FAKE)
+    see(link.panel.control.isEnabled, "the controller")
+    suspend(controller.pid)
+    link.panel.emergency.click()
+    see(lambda: controller.poll() is not None, "the end of the process")
+    assert controller.returncode == -signal.SIGKILL
+    see(lambda: "hung and its process was ended" in link.panel.answer.full, "the sentence")
+
+
+def test_emergency_stop_never_ends_a_process_that_is_no_controller(link, processes, see, suspend):
+    other = processes.start("sleep", "600")
+    process = processes.start(sys.executable, FAKE, "--pid", str(other.pid))
+    see(link.panel.control.isEnabled, "the controller")
+    suspend(process.pid)
+    link.panel.emergency.click()
+    see(lambda: "did not confirm it" in link.panel.answer.full, "the sentence")
+    assert other.poll() is None and process.poll() is None
+
+
+def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, see, monkeypatch, free_port):
+    import rospy
+
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros.panel_link import PanelLink
+
+    uri = f"http://localhost:{free_port()}"
+    panel = ControlPanel()
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setenv("ROS_MASTER_URI", uri)
+        with rospy.topics.get_topic_manager().lock:  # as rospy's first topic does
+            link = PanelLink(panel)
+            see(lambda: panel.status.full == f"Waiting for the ROS master at {uri}.", "the sentence")
+        link.close()
