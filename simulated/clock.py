@@ -46,6 +46,8 @@ class Thread(threading.Thread):
         """Waits until it has ended."""
         if self.task is None:
             raise RuntimeError("cannot join thread before it is started")
+        if threading.current_thread() is self:
+            raise RuntimeError("cannot join current thread")
         if not self.task.ended:
             active().wait(self.task.joiners, timeout, f"the end of {self.task.name}")
 
@@ -90,6 +92,7 @@ class Lock:
 
     def __init__(self) -> None:
         self._owner: Task | None = None
+        self._count = 0  # of an RLock
         self._waiters: list[Task] = []
         self._site = _site()
 
@@ -109,6 +112,10 @@ class Lock:
             return  # it lost it where it waited
         if self._owner is None:
             raise RuntimeError("release unlocked lock")
+        self._free(scheduler)
+        scheduler.maybe_give_way()
+
+    def _free(self, scheduler: Scheduler) -> None:
         self._owner = None
         scheduler.notify(self._waiters, 1)
 
@@ -138,7 +145,7 @@ class RLock(Lock):
 
     def __init__(self) -> None:
         super().__init__()
-        self._site, self._count = _site(), 0
+        self._site = _site()
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
         """Takes it once more, or for the first time; returns whether it could."""
@@ -181,14 +188,15 @@ class Condition:
         scheduler = active()
         if self._lock._owner is not scheduler.current:
             raise RuntimeError("cannot wait on un-acquired lock")
-        count = getattr(self._lock, "_count", 1)
-        if count > 1:
-            self._lock._count = 1
-        self._lock.release()
+        count = self._lock._count
+        self._lock._free(scheduler)
         notified = scheduler.wait(self._waiters, timeout, f"the condition of {self._site}")
-        self._lock.acquire()
-        if count > 1:
-            self._lock._count = count
+        try:
+            self._lock.acquire()
+        except BaseException:
+            scheduler.notify(self._waiters, int(notified))  # as it no longer comes to see why
+            raise
+        self._lock._count = count
         return notified
 
     def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
@@ -202,7 +210,7 @@ class Condition:
             self.wait(left)
         return result
 
-    def notify(self, n: int = 1) -> None:
+    def notify(self, n: int | None = 1) -> None:
         """Wakes up to `n` of those that wait."""
         scheduler = active()
         if self._lock._owner is not scheduler.current:
@@ -211,7 +219,7 @@ class Condition:
 
     def notify_all(self) -> None:
         """Wakes all that wait."""
-        self.notify(len(self._waiters))
+        self.notify(None)
 
 
 class Event:
@@ -231,6 +239,7 @@ class Event:
         self._set = True
         if self._waiters and not is_over():
             active().notify(self._waiters)
+            active().maybe_give_way()
 
     def clear(self) -> None:
         """Is no longer set."""

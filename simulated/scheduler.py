@@ -9,27 +9,31 @@ from __future__ import annotations
 import contextlib
 import heapq
 import random
+import re
+import signal
 import sys
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from itertools import count
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from common import clock
+
+_set_handler = signal.signal  # a graph puts its own in place
 
 START_S, WALL_S = 1000.0, 1.7e9
 """Virtual time at the beginning [s]: of monotonic(), and what time() is ahead of it."""
 GIVES_WAY = 0.1
 """How often a thread gives way where it need not, such as between two locks."""
 SPINS = 100_000
-"""A thread that asks so often for the time, and never waits, waits for a time that cannot come."""
-POLL_S, POLLS = 1.0, 60
-"""A thread that has taken no processor time for so many looks in a row waits outside of this module [s]."""
-UNWIND_S = 10.0
-"""At the end, threads get so long to end [s, real]."""
+"""A thread that asks so often for the time without waiting, or so many turns without time passing, go on for ever."""
+POLL_S, POLLS, LAST_POLLS = 1.0, 60, 10
+"""A thread that sleeps at so many looks in a row waits outside of this module; fewer of them at the end [s, real]."""
+SIGNAL = signal.SIGUSR2
+"""Wakes the main thread where it waits outside."""
 
 
 class Stuck(AssertionError):
@@ -51,8 +55,12 @@ class Task:
     def __init__(self, name: str, group: str) -> None:
         self.name, self.group = name, group
         self.waits_for: str | None = None
-        self.turn = threading.Semaphore(0)  # released by whoever gives this thread its turn
-        self.waits, self.notified, self.killed, self.ended = 0, False, False, False
+        self.turn = threading.Lock()  # released by whoever gives this thread its turn
+        self.turn.acquire()
+        self.waits = 0  # so many times it has begun or ended to wait
+        self.notified = self.alone = False  # and nobody else was
+        self.torn = False  # out of its last wait, by an exception
+        self.killed = self.ended = False
         self.joiners: list[Task] = []
         self.thread: threading.Thread | None = None
         self.asked = 0  # for the time, since it waited
@@ -83,14 +91,16 @@ class Scheduler:
         self._tasks: list[Task] = []
         self._main = self._running = Task("main", "")
         self._fault: Stuck | None = None
+        self._turns = 0  # since time has passed
         self._of_thread = threading.local()
         self._over = threading.Event()
         self._unwinding = False
         self._real: dict[str, Any] = {}
+        self._handler: Any = None
 
     def __enter__(self) -> Scheduler:
-        if _Active.scheduler is not None:
-            raise RuntimeError("a scheduler runs already")
+        if _Active.scheduler is not None or self._over.is_set():
+            raise RuntimeError("a scheduler runs already, or this one has run")
         _Active.scheduler = self
         self._main.thread = threading.current_thread()
         self._tasks = [self._main]
@@ -100,6 +110,8 @@ class Scheduler:
             setattr(clock, name, own)
         for name in ("monotonic", "monotonic_ns", "time", "time_ns", "sleep"):
             setattr(clock, name, getattr(self, name))
+        if self._main.thread is threading.main_thread():
+            self._handler = _set_handler(SIGNAL, lambda *_: self._raise_faults(self._running))
         threading.Thread(target=self._watch, name="watch", daemon=True).start()
         return self
 
@@ -108,11 +120,13 @@ class Scheduler:
             left = self._unwind()
         finally:
             self._over.set()
+            if self._main.thread is threading.main_thread():
+                _set_handler(SIGNAL, self._handler or signal.SIG_DFL)
             for name, real in self._real.items():
                 setattr(clock, name, real)
             _Active.scheduler = None
         if left and error is None:
-            raise Stuck(f"still there {UNWIND_S:g} s after the end: {'; '.join(map(self._described, left))}")
+            raise Stuck(f"still there after the end: {'; '.join(map(self._described, left))}")
 
     # What common.clock offers.
 
@@ -122,7 +136,11 @@ class Scheduler:
         task.asked += 1
         if task.asked > SPINS:
             task.asked = 0
-            raise Stuck(f"{task.name} has asked {SPINS} times for the time without waiting")
+            fault = Stuck(f"has asked {SPINS} times for the time without waiting: {self._described(task)}")
+            if task is self._main:
+                raise fault
+            self._fail(fault)
+            self._take_turn(task)
         return self.now
 
     def monotonic_ns(self) -> int:
@@ -152,7 +170,7 @@ class Scheduler:
         """
         task = self._current()
         task.waits += 1
-        task.waits_for, task.notified, task.asked = what, False, 0
+        task.waits_for, task.notified, task.torn, task.asked = what, False, False, 0
         waiters.append(task)
         if timeout is not None:
             heapq.heappush(self._deadlines, (self.now + max(timeout, 0.0), next(self._order), task, task.waits))
@@ -161,26 +179,31 @@ class Scheduler:
         finally:
             if not task.notified and task in waiters:
                 waiters.remove(task)
+            if task.torn and task.notified and task.alone:
+                self.notify(waiters, 1)
         return task.notified
 
     def notify(self, waiters: list[Task], number: int | None = None) -> None:
-        """Makes `number` of the waiters ready, or all of them; which ones, is drawn."""
-        number = len(waiters) if number is None else min(number, len(waiters))
-        for _ in range(number):
-            task = waiters.pop(self._random.randrange(len(waiters)))
-            task.notified = True
+        """Makes `number` of the waiters ready, or all of them; which ones, is drawn, suspended ones last."""
+        for _ in range(len(waiters) if number is None else min(number, len(waiters))):
+            task = self._drawn_of([each for each in waiters if each.group not in self.suspended] or waiters)
+            waiters.remove(task)
+            task.notified, task.alone = True, number is not None
             self._make_ready(task)
 
     def maybe_give_way(self) -> None:
-        """Lets others run first, now and then."""
-        task = self._current()
+        """Lets others run first, now and then; a thread that unwinds goes on."""
+        task = self.current
+        if task.killed or task.torn:
+            return
         if self._ready and self._random.random() < GIVES_WAY:
             self._make_ready(task)
             self._give_turn(task)
 
     def start(self, thread: threading.Thread) -> Task:
         """Takes a new thread in, which becomes ready."""
-        task = Task(f"{thread.name} ({next(self._names)})", self._current().group)
+        name = re.sub(r"^Thread-\d+", "thread", thread.name)  # Python goes on counting in the next run
+        task = Task(f"{name} ({next(self._names)})", self._current().group)
         task.thread = thread
         self._tasks.append(task)
         self._make_ready(task)
@@ -210,10 +233,12 @@ class Scheduler:
         """Context in which this thread, and those that it makes, belong to the group."""
         task = self._current()
         before, task.group = task.group, group
+        self.on_turn(group)
         try:
             yield
         finally:
             task.group = before
+            self.on_turn(before)
 
     def kill(self, group: str) -> None:
         """Unwinds all threads of a group, also suspended ones, at once but for the one that asks."""
@@ -233,17 +258,18 @@ class Scheduler:
     @property
     def current(self) -> Task:
         """The thread that asks; one that ends, too."""
-        return self._of_thread.task
-
-    @property
-    def is_unwinding(self) -> bool:
-        """Whether the thread that asks was killed."""
-        return self._of_thread.task.killed
-
-    def _current(self) -> Task:
         task = getattr(self._of_thread, "task", None)
         if task is None:
             raise RuntimeError(f"{threading.current_thread().name} was not made by common.clock: it has no turns")
+        return task
+
+    @property
+    def is_unwinding(self) -> bool:
+        """Whether the thread that asks was killed, or an exception took it out of its last wait."""
+        return self.current.killed or self.current.torn
+
+    def _current(self) -> Task:
+        task = self.current
         if task.killed:
             raise Killed
         return task
@@ -254,56 +280,62 @@ class Scheduler:
         task.waits_for = None
         task.waits += 1  # its deadline no longer counts
 
+    def _drawn_of(self, tasks: list[Task]) -> Task:
+        return tasks[self._random.randrange(len(tasks))] if len(tasks) > 1 else tasks[0]
+
     def _next(self) -> Task | None:
         """Takes the thread whose turn it is; None if there is none, which is a fault of the main thread."""
+        self._turns += 1
         while True:
             ready = [task for task in self._ready if task.group not in self.suspended or task.killed]
-            if ready:
-                task = ready[self._random.randrange(len(ready))] if len(ready) > 1 else ready[0]
+            if ready and self._turns <= SPINS:
+                task = self._drawn_of(ready)
                 self._ready.remove(task)
                 return task
-            if not self._pass_time():
-                self._fail(Stuck(f"all wait for ever: {'; '.join(map(self._described, self._tasks))}"))
+            if ready or not self._pass_time():
+                why = f"time has not passed for {SPINS} turns" if ready else "all wait for ever"
+                failed = [f"\n{name} has ended by {error!r}" for name, error in self.crashed]
+                self._fail(Stuck(f"{why}: {'; '.join(map(self._described, self._tasks))}{''.join(failed)}"))
                 return None
 
     def _pass_time(self) -> bool:
         """Jumps to the earliest deadline of a thread that may run; returns whether there was one."""
-        held = []
-        found = False
-        while self._deadlines and not found:
+        held, found = [], False
+        while self._deadlines and (not found or self._deadlines[0][0] <= self.now):
             entry = heapq.heappop(self._deadlines)
             at, _, task, number = entry
             if task.ended or task.waits != number:
                 continue
-            if task.group in self.suspended and not task.killed:
+            if task.group in self.suspended:
                 held.append(entry)
                 continue
-            self.now, found = max(self.now, at), True
+            self.now, found, self._turns = max(self.now, at), True, 0 if at > self.now else self._turns
             self._make_ready(task)
-        while found and self._deadlines and self._deadlines[0][0] <= self.now:
-            entry = heapq.heappop(self._deadlines)
-            if entry[2].group in self.suspended:
-                held.append(entry)
-            elif not entry[2].ended and entry[2].waits == entry[3]:
-                self._make_ready(entry[2])
         for entry in held:
             heapq.heappush(self._deadlines, entry)
         return found
 
     def _give_turn(self, task: Task) -> None:
         """Lets the next thread run, and returns when it is this one's turn again."""
-        following = self._next()
-        if following is task:
-            self._note(task)
-        else:
+        try:
+            following = self._next()
+            if following is task:
+                self._note(task)
+                return
             if following is not None:
                 self._hand_over(following)
             self._take_turn(task)
-        self._raise_faults(task)
+        except BaseException as error:
+            task.torn = True
+            if task is self._main and not isinstance(error, Stuck):  # Ctrl-C, or pytest's time is up: others may run
+                self._note(task)
+                self._unwind()
+            raise
 
     def _hand_over(self, task: Task) -> None:
         self._running = task
-        task.turn.release()
+        with contextlib.suppress(RuntimeError):  # it has been woken twice, as after a fault
+            task.turn.release()
 
     def _take_turn(self, task: Task) -> None:
         task.turn.acquire()
@@ -325,7 +357,9 @@ class Scheduler:
 
     def _fail(self, fault: Stuck) -> None:
         """Gives the main thread its turn, which raises the fault."""
-        self._fault = fault
+        self._fault, self._turns = fault, 0
+        if self._main in self._ready:
+            self._ready.remove(self._main)
         self._hand_over(self._main)
 
     def _described(self, task: Task) -> str:
@@ -334,28 +368,64 @@ class Scheduler:
         return f"{task.name} {waits}{standing}\n{_stack(task.thread)}"
 
     def _watch(self) -> None:
-        """Names a thread that waits outside of virtual time; in real time, by looks, as this machine may pause."""
-        idle, last = 0, (0.0, None)
+        """Names a thread that waits outside of virtual time."""
+        looks = _Looks()
         while not self._over.wait(POLL_S):
             task = self._running
-            spent = (_processor_time(task.thread), task)
-            idle = idle + 1 if spent == last else 0
-            last = spent
-            if idle >= POLLS and task is not self._main:
-                self._fail(Stuck(f"waits outside of virtual time: {self._described(task)}"))
-                return
+            if looks.at(task.thread) >= POLLS:
+                looks = _Looks()
+                fault = Stuck(f"waits outside of virtual time: {self._described(task)}")
+                if task is not self._main:
+                    self._fail(fault)
+                elif self._main.thread is threading.main_thread():
+                    self._fault = fault
+                    signal.pthread_kill(self._main.thread.ident, SIGNAL)
 
     def _unwind(self) -> list[Task]:
         """Ends all other threads, one after the other; returns those that do not end."""
         self._unwinding = True
-        others = [task for task in self._tasks if task is not self._main]
+        others = sorted((task for task in self._tasks if task is not self._main), key=lambda t: t is not self._running)
         for task in others:
             task.killed = True
-        end = time.monotonic() + UNWIND_S
         for task in others:
-            task.turn.release()
-            threading.Thread.join(task.thread, max(end - time.monotonic(), 0.0))
-        return [task for task in others if threading.Thread.is_alive(task.thread)]
+            looks, running = _Looks(), self._running
+            self._hand_over(task)
+            while looks.at(task.thread) < LAST_POLLS and threading.Thread.is_alive(task.thread):
+                threading.Thread.join(task.thread, POLL_S)
+            self._running = running
+        left = [task for task in others if threading.Thread.is_alive(task.thread)]
+        self._unwinding = bool(left)
+        self._ready.clear()
+        self._main.turn.acquire(blocking=False)  # another may have given it one more turn
+        return left
+
+
+class _Looks:
+    """Counts the looks in a row at which a thread slept, and had not woken since the one before.
+
+    It is no clock that counts: this process may be stopped, and starved, for any time.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[threading.Thread | None, int] | None = None
+        self._idle = 0
+
+    def at(self, thread: threading.Thread | None) -> int:
+        """Takes one more look; returns how many."""
+        state, slept = _state(thread)
+        self._idle = self._idle + 1 if (thread, slept) == self._last and state == "S" else 0
+        self._last = thread, slept
+        return self._idle
+
+
+def _state(thread: threading.Thread | None) -> tuple[str, int]:
+    """Whether a thread sleeps, "S", and how often it has slept (proc(5)); of one that is gone, "S" and -1."""
+    try:
+        status = Path(f"/proc/self/task/{thread.native_id}/status").read_text()
+    except (AttributeError, OSError):
+        return "S", -1
+    fields = dict(line.split(":", 1) for line in status.splitlines())
+    return fields["State"].split()[0], int(fields["voluntary_ctxt_switches"])
 
 
 class _Active:
@@ -376,14 +446,6 @@ def active() -> Scheduler:
 def _stack(thread: threading.Thread | None) -> str:
     frame = sys._current_frames().get(thread.ident) if thread is not None else None
     return "" if frame is None else "".join(traceback.format_stack(frame))
-
-
-def _processor_time(thread: threading.Thread | None) -> float:
-    """What a thread has taken of a processor [s]; -1 if it is gone."""
-    try:
-        return time.clock_gettime(time.pthread_getcpuclockid(thread.ident))
-    except (AttributeError, TypeError, OSError):
-        return -1.0
 
 
 def is_over() -> bool:

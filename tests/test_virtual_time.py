@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import signal
 import threading
 import time
 
@@ -115,6 +116,39 @@ def test_no_wake_up_and_no_item_is_lost(seed):
 def test_a_seed_makes_one_run_and_others_make_others():
     assert traffic(3) == traffic(3)
     assert len({tuple(traffic(seed)[1]) for seed in SEEDS}) == len(SEEDS)
+
+
+def test_threads_without_names_have_the_same_in_each_run():
+    def traced():
+        with virtual_time(trace=True) as scheduler:
+            for seconds in (0.1, 0.2):
+                clock.Thread(target=clock.sleep, args=[seconds]).start()
+            clock.sleep(1.0)
+        return scheduler.trace
+
+    assert traced() == traced()
+
+
+@pytest.mark.parametrize("what", ["event", "lock"])
+def test_who_wakes_another_may_have_to_wait_for_it(what):
+    """A thread that sets, or releases, before it has done all that the other needs is found by some seed."""
+
+    def outcome(seed):
+        with virtual_time(seed):
+            event, lock, done, seen = clock.Event(), clock.Lock(), [], []
+            lock.acquire()
+            (thread,) = started(
+                lambda: seen.append((event.wait() if what == "event" else lock.acquire()) and len(done))
+            )
+            clock.sleep(1.0)
+            event.set()
+            if what == "lock":
+                lock.release()
+            done.append(1)
+            thread.join()
+            return seen[0]
+
+    assert {outcome(seed) for seed in range(40)} == {0, 1}
 
 
 def test_a_race_is_found_by_some_seed_and_a_lock_ends_it():
@@ -274,38 +308,114 @@ class TestStuck:
         assert "all wait for ever" in text and "test_virtual_time.py" in text and "in take" in text
         assert "which job 0 (1) has" in text and "which job 1 (2) has" in text and "the end of job 0" in text
 
-    def test_a_thread_that_waits_outside_is_named_with_its_stack(self, monkeypatch):
+    def test_of_a_thread_that_failed_it_says_so(self, monkeypatch):
+        monkeypatch.setattr(threading, "excepthook", lambda _: None)
+        with pytest.raises(Stuck, match=r"(?s)waits for the event of .*\njob 0 \(1\) has ended by ZeroDivisionError"):
+            with virtual_time():
+                started(lambda: 1 // 0)
+                clock.Event().wait()
+
+    @pytest.fixture
+    def impatient(self, monkeypatch):
         monkeypatch.setattr(scheduling, "POLL_S", 0.02)
         monkeypatch.setattr(scheduling, "POLLS", 5)
+
+    @pytest.mark.parametrize("who", ["main", "job 0"])
+    def test_a_thread_that_waits_outside_is_named_with_its_stack(self, impatient, who):
         outside = threading.Event()
-        with pytest.raises(Stuck) as stuck, virtual_time():
+        with virtual_time():
+            for _ in range(2):
+                with pytest.raises(Stuck) as stuck:
+                    run(outside.wait) if who == "job 0" else outside.wait()
+                assert f"waits outside of virtual time: {who}" in str(stuck.value)
+                assert "self._cond.wait" in str(stuck.value)
+            outside.set()
+
+    def test_one_that_does_not_end_is_named(self, impatient, monkeypatch):
+        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
+        outside = threading.Event()
+
+        def job():
             try:
-                run(lambda: outside.wait())
+                clock.sleep(9.0)
             finally:
-                outside.set()
-        assert "waits outside of virtual time: job 0" in str(stuck.value) and "outside.wait" in str(stuck.value)
+                outside.wait()
 
-    def test_a_thread_that_computes_is_not(self, monkeypatch):
-        monkeypatch.setattr(scheduling, "POLL_S", 0.01)
-        monkeypatch.setattr(scheduling, "POLLS", 5)
+        try:
+            with pytest.raises(
+                Stuck, match=r"still there after the end: job 0 \(1\) waits for sleep\(9\)(?s:.*)outside.wait"
+            ):
+                with virtual_time():
+                    started(job, lambda: clock.sleep(1.0))
+                    clock.sleep(2.0)
+        finally:
+            outside.set()
 
+    @pytest.mark.parametrize("who", ["main", "job 0"])
+    def test_a_thread_that_computes_is_not(self, impatient, who):
         def compute():
-            while time.thread_time() < 0.3:
+            begun = time.thread_time()
+            while time.thread_time() < begun + 0.3:
                 pass
 
         with virtual_time():
-            run(compute)
+            run(compute) if who == "job 0" else compute()
 
-    def test_a_loop_that_asks_for_the_time_and_never_waits_is_named(self):
+    def test_only_looks_in_a_row_count_at_a_thread_that_sleeps_and_has_not_woken(self, monkeypatch):
+        seen = iter([("S", 1), ("S", 1), ("S", 1), ("R", 1), ("S", 1), ("S", 2), ("S", 2), ("T", 2), ("D", 2)])
+        monkeypatch.setattr(scheduling, "_state", lambda thread: next(seen))
+        looks = scheduling._Looks()
+        assert [looks.at(None) for _ in range(9)] == [0, 1, 2, 0, 1, 0, 1, 0, 0]
+        assert looks._last[0] is None
+
+    @pytest.mark.parametrize("who", ["main", "job 0"])
+    def test_a_loop_that_asks_for_the_time_and_never_waits_is_named(self, who):
         def spin():
             while clock.monotonic() < START_S + 1.0:
                 pass
 
-        with virtual_time() as scheduler, pytest.MonkeyPatch.context() as patch:
-            patch.setattr(threading, "excepthook", lambda _: None)
-            run(spin)
-        ((name, error),) = scheduler.crashed
-        assert name.startswith("job 0") and "without waiting" in str(error)
+        with pytest.raises(Stuck, match=rf"has asked 100000 times for the time without waiting: {who}(?s:.*)in spin"):
+            with virtual_time():
+                run(spin) if who == "job 0" else spin()
+
+    def test_where_it_waits_now_and_then_it_is_not(self, monkeypatch):
+        monkeypatch.setattr(scheduling, "SPINS", 10)
+
+        def ask():
+            for _ in range(30):
+                clock.sleep(0.1)
+                for _ in range(9):
+                    clock.monotonic()
+
+        with virtual_time():
+            run(ask, ask)
+
+    def test_threads_that_only_give_way_are_named(self):
+        def give_way():
+            while True:
+                clock.sleep(0.0)
+
+        with pytest.raises(
+            Stuck, match=r"time has not passed for 100000 turns: main waits for sleep\(1\)(?s:.*)in give_way"
+        ):
+            with virtual_time():
+                started(give_way)
+                clock.sleep(1.0)
+
+    def test_it_comes_out_of_each_kind_of_wait(self):
+        with virtual_time():
+            lock = clock.Lock()
+            run(lock.acquire)
+            with pytest.raises(Stuck, match="which job 0"), lock:
+                pass
+            for condition in (clock.Condition(), clock.Condition(clock.Lock())):
+                with pytest.raises(Stuck, match="the condition of test_virtual_time.py"), condition:
+                    condition.wait()
+                with condition:
+                    assert not condition.wait(1.0), "it was notified of nothing"
+            with pytest.raises(Stuck):
+                clock.Queue().get()
+            clock.sleep(1.0)
 
     def test_a_thread_of_somebody_else_has_no_turns(self):
         failed = []
@@ -322,8 +432,10 @@ class TestStuck:
             stranger.join()
         assert "stranger was not made by common.clock" in failed[0]
 
-    def test_only_one_runs_at_a_time(self):
-        with virtual_time(), pytest.raises(RuntimeError), virtual_time():
+    def test_only_one_runs_at_a_time_and_only_once(self):
+        with virtual_time() as scheduler, pytest.raises(RuntimeError), virtual_time():
+            pass
+        with pytest.raises(RuntimeError), scheduler:
             pass
 
 
@@ -343,6 +455,44 @@ class TestEnds:
             threads = started(job, job)
             clock.sleep(1.0)
         assert len(ended) == 2 and not any(threading.Thread.is_alive(thread) for thread in threads)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_a_signal_ends_all_other_threads_and_the_test_goes_on_alone(self, seed):
+        """As at Ctrl-C, or where pytest's time is up: fixtures then end in virtual time."""
+
+        def interrupt(*_):
+            raise ZeroDivisionError
+
+        def job():
+            clock.sleep(1.0)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+            while True:
+                clock.sleep(0.01)
+
+        before = signal.signal(signal.SIGALRM, interrupt)
+        try:
+            with virtual_time(seed):
+                condition = clock.Condition()
+                threads = started(job, lambda: clock.Event().wait())
+                with pytest.raises(ZeroDivisionError), condition:
+                    condition.wait()
+                assert not any(threading.Thread.is_alive(thread) for thread in threads)
+                for thread in threads:
+                    thread.join()
+                begun = clock.monotonic()
+                run(lambda: clock.sleep(1.0), lambda: clock.sleep(2.0))
+                assert clock.monotonic() == begun + 2.0
+        finally:
+            signal.signal(signal.SIGALRM, before)
+
+    def test_objects_of_another_virtual_time_say_that_it_is_over(self):
+        with virtual_time():
+            event, lock, thread = clock.Event(), clock.Lock(), clock.Thread(target=lambda: None)
+        event.set()
+        assert event.is_set() and not lock.locked() and not thread.is_alive()
+        for what in (lock.acquire, thread.start, event.wait):
+            with pytest.raises(RuntimeError, match="virtual time is over"):
+                what()
 
     def test_a_failure_in_the_test_comes_through(self):
         with pytest.raises(ZeroDivisionError), virtual_time():
@@ -401,3 +551,120 @@ class TestGroups:
         self.scheduler.suspended.add("node")
         with pytest.raises(Stuck, match="suspended"):
             clock.Event().wait()
+
+
+class TestWhoGoesLeavesNobodyWaiting:
+    """Two wait; the one that is woken is killed, or suspended, before it comes to take what it was woken for."""
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    @pytest.mark.parametrize("what", ["lock", "condition", "queue", "kept queue"])
+    @pytest.mark.parametrize("how", ["killed", "suspended"])
+    def test_the_other_gets_it(self, what, how, seed):
+        with virtual_time(seed) as scheduler:
+            lock, condition, items, came = clock.Lock(), clock.Condition(), clock.Queue(), []
+
+            def take(name):
+                if what == "lock":
+                    lock.acquire()
+                elif what == "condition":
+                    with condition:
+                        condition.wait()
+                else:
+                    items.get()
+                came.append(name)
+
+            lock.acquire()
+            for group in ("one", "other"):
+                with scheduler.in_group(group):
+                    started(lambda group=group: take(group))
+            clock.sleep(1.0)
+            if how == "suspended":
+                scheduler.suspended.add("one")
+            if what == "lock":
+                lock.release()
+            elif what == "condition":
+                with condition:
+                    condition.notify()
+            elif what == "queue":
+                items.put(1)
+            else:
+                with items.mutex:  # both are woken, and wait for it
+                    items._put(1)
+                    items.not_empty.notify()
+                    clock.sleep(1.0)
+                    scheduler.kill("one") if how == "killed" else None
+            if how == "killed":
+                scheduler.kill("one")
+            clock.sleep(1.0)
+            assert came in (["other"], ["one"] if how == "killed" and "one" in came else ["other"])
+            assert scheduler.crashed == []
+
+    def test_a_lock_that_a_suspended_thread_has_is_waited_for(self):
+        with virtual_time() as scheduler:
+            lock = clock.Lock()
+
+            def hold():
+                with lock:
+                    clock.sleep(1.0)
+
+            with scheduler.in_group("node"):
+                started(hold)
+            clock.sleep(0.5)
+            scheduler.suspended.add("node")
+            assert not lock.acquire(timeout=5.0)
+            with pytest.raises(Stuck, match=r"which job 0 \(1\) has(?s:.*)sleep\(1\), suspended"):
+                lock.acquire()
+            scheduler.suspended.clear()
+            assert lock.acquire(timeout=0.0) is False
+            assert lock.acquire(timeout=0.1)
+
+    def test_a_killed_thread_gives_back_what_it_has_and_leaves_alone_what_it_lost(self):
+        with virtual_time() as scheduler:
+            condition, again = clock.Condition(), clock.RLock()
+
+            def job():
+                with again, again, condition:
+                    condition.wait()
+
+            with scheduler.in_group("node"):
+                started(job)
+            clock.sleep(1.0)
+            with condition:
+                scheduler.kill("node")
+                assert again.acquire(blocking=False)
+                condition.notify()
+            assert scheduler.crashed == []
+
+    def test_a_group_ends_itself_but_for_the_thread_that_asks(self):
+        with virtual_time() as scheduler:
+            ended = []
+
+            def job():
+                started(lambda: clock.Event().wait(), lambda: clock.sleep(9.0))
+                clock.sleep(1.0)
+                scheduler.kill("node")
+                clock.sleep(1.0)
+                ended.append(clock.monotonic())
+
+            with scheduler.in_group("node"):
+                started(job)
+            clock.sleep(3.0)
+            assert ended == [START_S + 2.0] and [task.name for task in scheduler._tasks] == ["main"]
+
+    def test_each_thread_is_given_what_belongs_to_its_group(self):
+        with virtual_time() as scheduler:
+            groups, seen = [""], []
+            scheduler.on_turn = lambda group: groups.append(group)
+
+            def job():
+                for _ in range(3):
+                    seen.append(groups[-1])
+                    clock.sleep(0.1)
+
+            with scheduler.in_group("node"):
+                seen.append(groups[-1])
+                started(job)
+                seen.append(groups[-1])
+            assert groups[-1] == ""
+            clock.sleep(1.0)
+            assert seen == ["node"] * 5 and groups[-1] == ""
