@@ -1,0 +1,208 @@
+"""A Leap service in this process and in virtual time, which LeapClient reaches by its address.
+
+    with LeapWire() as wire:
+        service = wire.play(Playback(GuidedOperator(ScriptedOperator(Script()))))
+        node = graph.run("leap_motion", "leap_driver.py", f"_port:={service.port}")
+
+The client's own socket, leap_motion.transport.LeapSocket, runs on simulated.tcp.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import socket
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
+from websockets.http11 import Request
+from websockets.protocol import State
+from websockets.server import ServerProtocol
+
+from common import clock
+from leap_motion import transport
+from leap_motion.service import wire
+from rig_simulation.operator.sources import Playback
+from simulated.tcp import Network, Socket
+
+VERSION, SERIAL = "2.3.1+simulated", "LP00000000001"
+READ_BYTES = 65536
+
+
+class LeapWire(Network):
+    """The addresses of Leap services; `modules`: further ones that get stand-ins of their sockets."""
+
+    def __init__(self, *modules: ModuleType) -> None:
+        super().__init__(transport, *modules)
+        self._services: list[LeapService] = []
+
+    def serve(self, *conversations: Conversation, port: int = 0) -> LeapService:
+        """Starts a service; each connection has one of the conversations, later ones the last one again."""
+        service = LeapService(self, conversations, port)
+        self._services.append(service)
+        return service
+
+    def play(self, playback: Playback, port: int = 0) -> LeapService:
+        """Starts a service with the frames of a playback, for one client at a time."""
+        return self.serve(lambda service, connection: _play(playback, connection), port=port)
+
+    def __exit__(self, *error: object) -> None:
+        for service in self._services:
+            service.close()
+        super().__exit__(*error)
+
+
+class LeapService:
+    """A service.
+
+    Attributes:
+        heard: what clients have sent and a conversation has received.
+        paths: those of the requests.
+        ended: set at its end.
+    """
+
+    def __init__(self, network: Network, conversations: tuple[Conversation, ...], port: int) -> None:
+        self.heard: list[str] = []
+        self.paths: list[str] = []
+        self.ended = clock.Event()
+        self._conversations = list(conversations)
+        self._connections: list[Connection] = []
+        self._listener = network.sockets.create_server(("127.0.0.1", port))
+        self.port = self._listener.getsockname()[1]
+        clock.Thread(target=self._accept, name="leap service", daemon=True).start()
+
+    def listen(self, connection: Connection, count: int = 3) -> None:
+        """Receives the client's policy messages."""
+        self.heard += [connection.recv() for _ in range(count)]
+
+    def stay(self, _connection: Connection) -> None:
+        """Says nothing until the service ends."""
+        self.ended.wait()
+
+    def close(self) -> None:
+        """Ends the service and its connections."""
+        self.ended.set()
+        self._listener.close()
+        for connection in self._connections:
+            connection.close(1001)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # it was closed
+            while True:
+                client, _ = self._listener.accept()
+                clock.Thread(target=self._converse, args=(client,), name="leap conversation", daemon=True).start()
+
+    def _converse(self, client: Socket) -> None:
+        connection = Connection(client)
+        self._connections.append(connection)
+        talk = self._conversations.pop(0) if len(self._conversations) > 1 else self._conversations[0]
+        with contextlib.suppress(ConnectionClosed, EOFError):
+            self.paths.append(connection.accept())
+            talk(self, connection)
+        connection.close(1000)
+
+
+Conversation = Callable[[LeapService, "Connection"], Any]
+
+
+class Connection:
+    """The service's side of a WebSocket.
+
+    Attributes:
+        hangs: while it is set, nothing that the client sends is read: pings stay without answer.
+    """
+
+    def __init__(self, client: Socket) -> None:
+        self._socket, self._protocol = client, ServerProtocol()
+        self._messages: clock.Queue[Any] = clock.Queue()
+        self.hangs = False
+
+    def accept(self) -> str:
+        """Takes the client's request; returns its path."""
+        while True:
+            self._read()
+            for request in self._protocol.events_received():
+                assert isinstance(request, Request)
+                self._protocol.send_response(self._protocol.accept(request))
+                self._flush()
+                clock.Thread(target=self._listen, name="reads a leap client", daemon=True).start()
+                return request.path
+
+    def send(self, message: str | bytes) -> None:
+        """Sends a message; raises ConnectionClosed once one side has ended the connection."""
+        self._require_open()
+        if isinstance(message, str):
+            self._protocol.send_text(message.encode())
+        else:
+            self._protocol.send_binary(message)
+        self._flush()
+
+    def send_raw(self, data: bytes) -> None:
+        """Sends bytes that may be no WebSocket frame."""
+        self._socket.sendall(data)
+
+    def recv(self, timeout: float | None = None) -> Any:
+        """Returns the client's next message; raises ConnectionClosed at the end, clock.Empty after `timeout` [s]."""
+        message = self._messages.get(timeout=timeout)
+        if message is None:
+            self._require_open()
+        return message
+
+    def close(self, code: int) -> None:
+        """Ends the connection with a code."""
+        with contextlib.suppress(OSError):
+            if self._protocol.state is State.OPEN:
+                self._protocol.send_close(code)
+            self._flush()
+
+    def drop(self) -> None:
+        """Ends the connection without a word, as a service that crashes."""
+        self._socket.close()
+
+    def _listen(self) -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                self._read()
+                for event in self._protocol.events_received():
+                    if isinstance(event, Frame) and event.opcode in (Opcode.TEXT, Opcode.BINARY):
+                        self._messages.put(event.data.decode())
+                self._flush()
+        self._messages.put(None)
+
+    def _read(self) -> None:
+        data = self._socket.recv(READ_BYTES)
+        while self.hangs:
+            clock.sleep(0.01)
+        if not data:
+            self._protocol.receive_eof()
+            self._flush()
+            raise EOFError
+        self._protocol.receive_data(data)
+
+    def _flush(self) -> None:
+        for data in self._protocol.data_to_send():
+            if data:
+                self._socket.sendall(data)
+            else:
+                self._socket.shutdown(socket.SHUT_WR)
+
+    def _require_open(self) -> None:
+        protocol = self._protocol
+        if protocol.state is not State.OPEN:
+            raise ConnectionClosed(protocol.close_rcvd, protocol.close_sent, protocol.close_rcvd_then_sent)
+
+
+def _play(playback: Playback, connection: Connection) -> None:
+    connection.send(wire.text(wire.header(6, "2.3", VERSION)))
+    connection.send(wire.text(wire.device_event(6, "2.3", SERIAL, True) or {}))
+    while not wire.policies(connection.recv(), "2.3").get("background"):
+        pass
+    start = -math.inf
+    while True:
+        played = playback.next()
+        start = max(start, clock.monotonic() - played.time)
+        clock.sleep(max(0.0, start + played.time - clock.monotonic()))
+        connection.send(played.text)
