@@ -33,7 +33,7 @@ class HandWire(contextlib.AbstractContextManager):
     Attributes:
         hand: the simulated hand.
         faults: those of HAND_FAULTS, in both directions.
-        broken: what each packet that the host sends or receives fails with, "" for an interface that is up.
+        broken: why the interface is down, "" while it is up: what the host sends fails, and nothing comes.
     """
 
     def __init__(self, seed: int = 0, interface: str = "lo", port: int = 11333) -> None:
@@ -70,7 +70,7 @@ class HandWire(contextlib.AbstractContextManager):
     def send(self, packet: bytes) -> None:
         """A packet of the hand."""
         for each in self.wire.outgoing(packet, clock.monotonic()):
-            for host in self.hosts:
+            for host in [] if self.broken else self.hosts:
                 host.packets.put(each)
 
     def take(self, command: bytes) -> None:
@@ -97,7 +97,6 @@ class Transport:
 
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
         """The next packet of the hand, and its sender; None after `timeout` [s]."""
-        self._require_up("receive from")
         try:
             return self.packets.get(timeout), SOURCE
         except TimeoutError:
@@ -105,7 +104,8 @@ class Transport:
 
     def send(self, data: bytes) -> None:
         """A packet to the hand."""
-        self._require_up("send to")
+        if self._wire.broken:
+            raise WireFault(f"Cannot send to {self._wire.interface}: {self._wire.broken}.")
         if self._hears:
             self._wire.take(data)
 
@@ -114,7 +114,3 @@ class Transport:
         self._hears = False
         if self in self._wire.hosts:
             self._wire.hosts.remove(self)
-
-    def _require_up(self, what: str) -> None:
-        if self._wire.broken:
-            raise WireFault(f"Cannot {what} the hand on {self._wire.interface}: {self._wire.broken}.")

@@ -4,8 +4,8 @@
         listener = network.sockets.create_server(("127.0.0.1", 0))
         ...
 
-The modules run unchanged: their name `socket` is a stand-in meanwhile, and so is their name `time`. As with the kernel's
-sockets, data comes in order and up to DELAY_S later, and a port takes connections also while its program stands still.
+The modules run unchanged: their names `socket` and `time` are stand-ins meanwhile. As with the kernel's sockets, data
+comes in order and up to DELAY_S later, and a port takes connections also while its program stands still.
 """
 
 from __future__ import annotations
