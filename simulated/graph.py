@@ -23,6 +23,7 @@ import re
 import runpy
 import shlex
 import signal
+import socket
 import sys
 import traceback
 import xmlrpc.client
@@ -458,9 +459,10 @@ class _Master:
     def lookupNode(self, name: str) -> str:
         """An address of the node; raises rosgraph.MasterError if there is none of that name."""
         resolved = self._graph.here.resolve(name)
-        if not any(node.name == resolved and node.initialized and not node.shut for node in self._graph.nodes):
-            raise rosgraph.MasterError(f"unknown node [{resolved}]")
-        return f"http://localhost{resolved}"
+        for number, each in reversed(list(enumerate(self._graph.nodes, 1))):
+            if each.name == resolved and each.initialized and not each.shut:
+                return f"http://localhost:{number}/"
+        raise rosgraph.MasterError(f"unknown node [{resolved}]")
 
     def lookupService(self, name: str) -> str:
         """An address of the service; raises rosgraph.MasterError if nobody offers it."""
@@ -660,6 +662,22 @@ class _LogHandler(logging.Handler):
         self._graph.here.say(dict(self.LEVELS).get(record.levelname, record.levelname), record.getMessage())
 
 
+class _OfEachNode:
+    """One object of a class of rospy's for each node; called in place of it, with what stands in its class anew."""
+
+    def __init__(self, graph: Graph, kind: type) -> None:
+        self._graph, self._kind = graph, kind
+        self._objects: dict[Node, Any] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        if self._graph.here not in self._objects:
+            made = self._objects[self._graph.here] = self._kind()
+            for name, value in vars(self._kind).items():
+                if isinstance(value, (dict, set)):
+                    setattr(made, name, type(value)())
+        return self._objects[self._graph.here](*args)
+
+
 class _Output(io.TextIOBase):
     """Where a node prints: its log."""
 
@@ -696,6 +714,9 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(log, "propagate", False)
     patch.setattr(log, "level", logging.INFO)
     patch.setattr(log, "filters", [])
+    for name in ("throttle", "identical", "once"):  # each node remembers what it has logged, and forgets it
+        kind = type(getattr(rospy.core, f"_logging_{name}"))
+        patch.setattr(rospy.core, f"_logging_{name}", _OfEachNode(graph, kind))
     log.manager._clear_cache()
     # Time.
     patch.setattr(rospy.rostime, "time", SimpleNamespace(time=lambda: clock.time(), sleep=lambda s: clock.sleep(s)))
@@ -869,6 +890,14 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
             clock.sleep(DELAY_S)
         return SimpleNamespace(close=lambda: None)
 
+    def connect(address: tuple[str, int], *_: Any) -> contextlib.AbstractContextManager:
+        _, port = address
+        listens = graph.nodes[port - 1].returncode is None if port <= len(graph.nodes) else graph.master_answers
+        if not listens:
+            raise ConnectionRefusedError("nobody listens")
+        return contextlib.nullcontext()
+
+    patch.setattr(service_calls, "socket", SimpleNamespace(**{**vars(socket), "create_connection": connect}))
     patch.setattr(xmlrpc.client, "ServerProxy", lambda *_, **__: _MasterProxy(graph, caller=True))
     patch.setattr(rospy.Service, "__init__", service)
     patch.setattr(rospy.Service, "shutdown", lambda self, reason="": self.impl.close())

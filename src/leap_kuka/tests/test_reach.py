@@ -2,94 +2,114 @@
 
 from __future__ import annotations
 
-import threading
-import time
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 pytest.importorskip("rig_msgs.srv")
+from common import clock
 from common.poses import pose
-from common.ros.service_calls import ServiceAbsent, ServiceFailed
 from common.rotations import rotation_about
 from leap_kuka.ros import reach
 
 pytestmark = pytest.mark.ros
 
 HERE = np.eye(4)
+FRAME_S = 0.02
+DELAY_S = 0.01  # of a call
 
 
 @pytest.fixture
-def check(monkeypatch):
-    """Makes a ReachCheck whose service does what `answer` says at that time; it ends with the test."""
-    ended = threading.Event()
-    answer = {"": lambda: ""}
-
-    class Client:
-        def __init__(self, name, kind):
-            pass
-
-        def __call__(self, tool, timeout):
-            return SimpleNamespace(obstacle=answer[""]())
-
-    monkeypatch.setattr(reach, "ServiceClient", Client)
-    monkeypatch.setattr(reach, "stamped_pose", lambda *_: None)
-    monkeypatch.setattr(reach.rospy.Time, "now", lambda: None)
-    monkeypatch.setattr(reach.rospy, "is_shutdown", ended.is_set)
-    made = reach.ReachCheck(np.zeros(3))
-
-    def ask(what, T=HERE, starts=True):
-        answer[""] = what
-        return made(T, starts)
-
-    yield ask
-    ended.set()
+def ros(virtual_graph):
+    return virtual_graph
 
 
-def fails(error):
-    def what():
-        raise error
-
-    return what
+@pytest.fixture
+def check(ros):
+    return reach.ReachCheck(np.zeros(3))
 
 
-def settles(ask, what, said, **how):
-    """Whether the answer becomes `said`."""
-    end = time.monotonic() + 20.0
-    while time.monotonic() < end:
-        if ask(what, **how) == said:
-            return True
-        time.sleep(0.01)
-    return False
+@pytest.fixture
+def controller(ros):
+    """Offers the service, which does what `answer` says at that time."""
+    import rospy
+
+    from rig_msgs.srv import CheckToolPose
+
+    class Controller:
+        answer = staticmethod(lambda: "")
+        calls = 0
+
+        def __init__(self):
+            self.service = rospy.Service("kuka/check_tool_pose", CheckToolPose, self._take)
+
+        def _take(self, _request):
+            self.calls += 1
+            return {"obstacle": self.answer()}
+
+    return Controller()
 
 
-def test_only_an_absent_service_is_no_condition(check):
+def ask(check, seconds, T=HERE, starts=True):
+    """Asks in each frame; returns the answers."""
+    answers = []
+    for _ in range(round(seconds / FRAME_S)):
+        answers.append(check(T, starts))
+        clock.sleep(FRAME_S)
+    return answers
+
+
+def becomes(check, said, within, **how):
+    """Whether the answer becomes `said` within a time [s] and stays so."""
+    return set(ask(check, within + FRAME_S, **how)[-1:] + ask(check, 5.0, **how)) == {said}
+
+
+def fails():
+    raise ValueError("no arm")
+
+
+def test_only_an_absent_service_is_no_condition(check, controller):
     """One that hangs or fails is: the arm may be out of reach."""
-    assert check(lambda: "") == reach.ASKING
-    assert settles(check, lambda: "", None)
-    assert settles(check, lambda: "joint 4 would pass its limit", "joint 4 would pass its limit")
-    assert settles(check, fails(ServiceFailed("check", "did not answer", True)), reach.SILENT)
-    assert settles(check, fails(ServiceAbsent("check", "nobody")), None)
+    soon = reach.PERIOD_S + FRAME_S + DELAY_S
+    assert check(HERE, True) == reach.ASKING
+    assert becomes(check, None, soon)
+    controller.answer = lambda: "joint 4 would pass its limit"
+    assert becomes(check, "joint 4 would pass its limit", soon)
+    controller.answer = lambda: clock.sleep(20.0)
+    assert becomes(check, reach.SILENT, 0.1 + 0.5 + FRAME_S + DELAY_S)
+    controller.answer = fails
+    clock.sleep(20.0)
+    assert becomes(check, reach.SILENT, soon)
+    controller.service.shutdown()
+    assert becomes(check, None, soon)
 
 
-def test_after_an_unexpected_failure_it_is_asked_again(check):
-    failed = "the check whether the arm can come has failed: RuntimeError('no thread')"
-    assert settles(check, fails(RuntimeError("no thread")), failed)
-    assert settles(check, lambda: "", None)
+def test_after_an_unexpected_failure_it_is_asked_again(check, controller, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(reach, "stamped_pose", lambda *_: fails())
+        failed = "the check whether the arm can come has failed: ValueError('no arm')"
+        assert becomes(check, failed, 0.1 + FRAME_S)
+    assert becomes(check, None, 0.1 + FRAME_S + DELAY_S)
 
 
-def test_a_service_that_hangs_says_so_without_flicker():
-    assert reach.FRESH_S > reach.TIMEOUT_S + 2.0 * reach.PERIOD_S
+@pytest.mark.parametrize("starts, period", [(True, 0.1), (False, 0.6)])
+def test_while_a_stream_runs_it_asks_less_often(check, controller, starts, period):
+    ask(check, 12.0, starts=starts)
+    assert 12.0 / (period + FRAME_S + DELAY_S) <= controller.calls <= 12.0 / period + 1
+
+
+@pytest.mark.parametrize("age, answer", [(1.98, None), (2.01, reach.ASKING)])
+def test_an_answer_that_is_older_than_two_seconds_does_not_count(check, controller, age, answer):
+    check(HERE, True)
+    clock.sleep(DELAY_S)
+    clock.sleep(age)
+    assert check(HERE, True) == answer
 
 
 @pytest.mark.parametrize("far", [pose(p=(0.04, 0.0, 0.0)), pose(rotation_about(2, np.radians(12.0)))])
-def test_for_a_start_only_the_answer_for_a_near_tool_counts(check, far):
-    assert settles(check, lambda: "", None)
-    block = threading.Event()
-    try:
-        wait = lambda: block.wait(20.0) and ""  # noqa: E731
-        assert settles(check, wait, reach.ASKING, T=far) and check(wait, HERE, True) in (None, reach.ASKING)
-    finally:
-        block.set()
-    assert settles(check, lambda: "", None, T=far)
+def test_for_a_start_only_the_answer_for_a_near_tool_counts(check, controller, far):
+    near = pose(rotation_about(2, np.radians(8.0)), (0.02, 0.0, 0.0))
+    assert becomes(check, None, 0.2)
+    controller.answer = lambda: clock.sleep(0.4) or ""
+    for T, starts, answer in ((near, True, None), (far, False, None), (far, True, reach.ASKING)):
+        assert check(T, starts) == answer
+    assert becomes(check, None, 0.4 + 0.4 + 0.1 + FRAME_S + DELAY_S, T=far)
