@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import signal
-import threading
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+from common import clock
 from common.poses import pose, translation
 
 pytestmark = pytest.mark.ros
@@ -23,11 +22,19 @@ DOWN = np.diag([-1.0, 1.0, -1.0])
 GRASP = pose(DOWN, (0.5, 0.1, 0.2))
 ABOVE = pose(DOWN, (0.5 - 0.0152, 0.1, 0.2 + 0.07 + 0.12))
 HOME = pose(DOWN, (0.5, 0.0, 0.5))
-STATES = {"state": "", "proposal": "", "episode": "", "reason": ""}
+RIG_S, NODE_S, LATER_S = 0.05, 0.05, 0.01
+"""Periods of the rig and of the node, and how much later messages come and go."""
+KNOWN_S = RIG_S + NODE_S + LATER_S
+"""How long the node takes at most to act on what the rig publishes."""
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 class Rig:
-    """Publishes what it is told, 20 times a second; the arm is at once where the tool is held."""
+    """Publishes what it is told, 20 times a second, but for the topics that are silent."""
 
     def __init__(self):
         import rospy
@@ -48,16 +55,16 @@ class Rig:
         self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, 0.0), True, "home"
         self.grasps, self.why_none, self.hold = [self.grasp(7)], "", "none"
         self.out_of_reach, self.not_held = "", ""
-        self.checked, self.held, self.rounds = [], [], 0
-        self.answers = threading.Event()
+        self.checked, self.held, self.silent = [], [], set()
+        self.answers = clock.Event()
         self.answers.set()
         self._services = [
             rospy.Service("kuka/check_tool_pose", CheckToolPose, self._check),
             rospy.Service("leap_kuka/hold_tool", HoldTool, self._hold),
         ]
         self.say_hold("none")
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._stop = clock.Event()
+        self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
 
     @staticmethod
@@ -92,7 +99,7 @@ class Rig:
         from common.ros.conversions import message_from_pose, pose_from_message
         from rig_msgs.srv import CheckToolPoseResponse
 
-        self.answers.wait(30.0)
+        self.answers.wait()
         T = pose_from_message(request.tool.pose)
         self.checked.append(T)
         if self.out_of_reach:
@@ -121,19 +128,22 @@ class Rig:
         from reflex_msgs.msg import Hand
         from rig_msgs.msg import KukaStatus
 
-        while not self._stop.wait(0.05):
+        while not self._stop.wait(RIG_S):
             now = rospy.Time.now()
             T = self.tool @ translation(0.0, 0.0, -0.1)
-            self._tf.publish(TFMessage([stamped_transform(T, "kuka/base_frame", "kuka/flange_frame/measured", now)]))
             hand = Hand()
             for i in range(3):
                 hand.motor[i].joint_angle, hand.finger[i].pressure[3] = self.fingers
-            self._hand.publish(hand)
-            self._status.publish(KukaStatus(control_on=self.control_on, mode=self.mode, reason="So it is."))
             grasps = GraspList(grasps=self.grasps, reason=self.why_none)
             grasps.header.stamp = now
-            self._grasps.publish(grasps)
-            self.rounds += 1
+            for topic, message in (
+                (self._tf, TFMessage([stamped_transform(T, "kuka/base_frame", "kuka/flange_frame/measured", now)])),
+                (self._hand, hand),
+                (self._status, KukaStatus(control_on=self.control_on, mode=self.mode, reason="So it is.")),
+                (self._grasps, grasps),
+            ):
+                if topic.name not in self.silent:
+                    topic.publish(message)
 
 
 @pytest.fixture
@@ -144,7 +154,7 @@ def rig(ros):
 
 
 @pytest.fixture
-def node(ros, wait_until):
+def node(ros):
     import rospy
     from diagnostic_msgs.msg import DiagnosticStatus
     from std_srvs.srv import Trigger
@@ -163,21 +173,17 @@ def node(ros, wait_until):
             self.process = ros.run("grasping", "grasp_execution.py")
             return self
 
-        def ready(self):
-            rospy.wait_for_service("grasping/cancel", 60.0)
-            wait_until(lambda: self.ask("execute") != "The arm's controller is silent.", 20.0, "the controller's state")
-            return self
-
         def ask(self, what):
             answer = rospy.ServiceProxy(f"grasping/{what}", Trigger)()
             return True if answer.success else answer.message
 
-        def wait_for(self, state):
-            wait_until(lambda: self.now["state"] == state, 20.0, f"the state {state}, not {self.now}")
+        def reaches(self, state):
+            clock.sleep(KNOWN_S)
+            assert self.now["state"] == state, self.now
 
         @property
         def now(self):
-            return {v.key: v.value for v in self.states[-1].values} if self.states else STATES
+            return {v.key: v.value for v in self.states[-1].values}
 
         @property
         def log(self):
@@ -187,20 +193,20 @@ def node(ros, wait_until):
 
 
 @pytest.fixture
-def asked(rig, node, wait_until):
-    """A node that has refused once: control was off."""
-    rig.control_on = False
-    node.start(silence=5.0).ready()
-    rig.control_on = True
-    wait_until(lambda: node.ask("execute") is True, 20.0, "an execution")
+def asked(ros, rig, node):
+    """A node that the launch file started, and that executes a grasp."""
+    import rospy
+
+    rospy.set_param("kuka", ARM)
+    (node.process,) = ros.launch("grasping", "execution.launch").nodes
+    clock.sleep(2 * KNOWN_S)
+    assert node.ask("execute") is True
     return node
 
 
-def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
-    import rospy
-
+def test_a_grasp_from_the_proposal_to_the_label(ros, rig, asked):
     node = asked
-    node.wait_for("approaching")
+    node.reaches("approaching")
     assert (node.now["proposal"], node.now["episode"]) == ("7", "1")
     np.testing.assert_allclose(rig.checked[-2], translation(0.0, 0.0, -0.12) @ ABOVE, atol=1e-6)
     np.testing.assert_allclose(rig.checked[-1], ABOVE, atol=1e-6)
@@ -208,44 +214,51 @@ def test_a_grasp_from_the_proposal_to_the_label(rig, asked, wait_until):
     np.testing.assert_allclose(desired, translation(0.0, 0.01, 0.0) @ ABOVE, atol=1e-6)
     assert duration == CONFIG["wait_for_hand"]
     assert "7 is being executed; cancel it first" in node.ask("execute")
-    wait_until(lambda: len(node.markers[-1].markers) == 6, 10.0, "the ghost")
+    assert len(node.markers[-1].markers) == 6
 
     rig.tool, rig.mode = ABOVE, "servo"
-    node.wait_for("waiting_for_hand")
+    node.reaches("waiting_for_hand")
     rig.say_hold("taken", "right hand 12 is followed")
-    node.wait_for("person")
+    node.reaches("person")
     rig.tool = closed_at = translation(0.0, 0.0, -0.12) @ ABOVE
-    there = rig.rounds + 10
-    wait_until(lambda: rig.rounds > there, 10.0, "the node to know, as the fingers' state comes by another topic")
-    rig.fingers = 1.2, 30.0
-    wait_until(lambda: node.now["reason"] == "The fingers have closed; now lift.", 20.0, "closed fingers")
-    rig.tool = translation(0.0, 0.0, 0.08) @ closed_at
-    node.wait_for("over")
-    outcome = node.outcomes.wait()[0]
+    clock.sleep(KNOWN_S)
+    rig.fingers, bent, rest = (1.2, 30.0), clock.time(), CONFIG["watch"]["rest_time"]
+    closed = "The fingers have closed; now lift."
+    ros.wait_until(lambda: node.now["reason"] == closed, rest + KNOWN_S + NODE_S, "closed fingers")
+    closed_after = clock.time() - bent
+    assert closed_after > rest
+    rig.tool, lifted = translation(0.0, 0.0, 0.08) @ closed_at, clock.time()
+    hold = CONFIG["watch"]["hold_time"]
+    outcome = node.outcomes.wait(1, hold + KNOWN_S + NODE_S)[0]
+    assert clock.time() - lifted > hold
     assert outcome.held and outcome.reason == "The thumb and a finger felt something when the tool was 80 mm higher."
     assert (outcome.episode, outcome.proposal.id, outcome.tool.header.frame_id) == (1, 7, "kuka/base_frame")
     assert outcome.tool.pose.position.z == pytest.approx(closed_at[2, 3], abs=1e-6)
-    assert 1.0 < (rospy.Time.now() - outcome.header.stamp).to_sec() < 60.0
-    wait_until(lambda: len(node.markers[-1].markers) == 1, 10.0, "the end of the ghost")
+    assert rest < outcome.header.stamp.to_sec() - bent < closed_after
+    node.reaches("over")
+    assert len(node.markers[-1].markers) == 1
     assert rig.held[-1] is not None
 
     rig.say_hold("none", "right hand 12 was lost")
     rig.tool = HOME
-    wait_until(lambda: node.ask("execute") is True, 20.0, "another execution")
+    clock.sleep(KNOWN_S)
+    assert node.ask("execute") is True
     assert node.ask("cancel") is True
-    node.wait_for("over")
-    assert len(node.outcomes.wait(2)) == 2 and node.outcomes[1].episode == 2
+    node.reaches("over")
+    assert len(node.outcomes) == 2 and node.outcomes[1].episode == 2
     assert not node.outcomes[1].held and node.outcomes[1].tool.header.frame_id == ""
-    wait_until(lambda: rig.held[-1] is None, 20.0, "the end of the hold")
+    assert rig.held[-1] is None
     assert node.ask("cancel") is True and len(node.outcomes) == 2
 
 
-def test_what_is_refused(rig, node, wait_until):
+def test_what_is_refused(rig, node):
     rig.control_on, rig.not_held = False, "The tool is not held: a hand is followed."
-    node.start(answer_time=2.0, silence=5.0).ready()
+    node.start()
+    clock.sleep(2 * KNOWN_S)
 
     def refused(sentence):
-        wait_until(lambda: sentence in str(node.ask("execute")), 20.0, repr(sentence))
+        clock.sleep(KNOWN_S)
+        assert str(node.ask("execute")).startswith(sentence)
 
     refused("Control of the arm is off.")
     rig.control_on, rig.grasps, rig.why_none = True, [], "no peak"
@@ -255,60 +268,67 @@ def test_what_is_refused(rig, node, wait_until):
     rig.out_of_reach = ""
     refused("The tool is not held: a hand is followed.")
     rig.answers.clear()
-    refused("It is unknown whether the arm reaches the grasp: the service kuka/check_tool_pose")
+    began, answers = clock.monotonic(), []
+    other = clock.Thread(target=lambda: answers.append(node.ask("execute")))
+    other.start()
+    refused("Another execution is being requested.")
+    other.join()
+    unknown = (
+        "It is unknown whether the arm reaches the grasp: the service kuka/check_tool_pose did not answer within 3 s"
+    )
+    assert answers[0].startswith(unknown)
+    assert CONFIG["answer_time"] <= clock.monotonic() - began <= CONFIG["answer_time"] + LATER_S
     rig.answers.set()
+    rig.silent = {"/ggcnn/out/grasps"}
+    clock.sleep(CONFIG["fresh"] - 3 * KNOWN_S)
+    refused("The tool is not held")
+    clock.sleep(2 * KNOWN_S)
+    refused("The newest proposal is 2.")
+    rig.silent = {"/kuka/status"}
+    clock.sleep(CONFIG["silence"] - 3 * KNOWN_S)
+    refused("The tool is not held")
+    clock.sleep(2 * KNOWN_S)
+    refused("The arm's controller is silent.")
+    rig.silent = set()
     rig.say_hold("taken")
     refused("The arm follows a hand; take it away first.")
     assert not node.outcomes and node.now["state"] == "idle"
 
 
-def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(rig, asked, wait_until):
+def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(rig, asked):
     asked.process.send_signal(signal.SIGINT)
-    wait_until(lambda: asked.process.poll() is not None, 20.0, "the end of the node")
-    assert asked.process.returncode == 0, asked.log
-    assert asked.outcomes.wait()[0].reason == "The node grasp_execution ended."
+    assert asked.process.wait(NODE_S + LATER_S) == 0
+    assert asked.outcomes[0].reason == "The node grasp_execution ended."
     assert rig.held[-1] is None and "Traceback" not in asked.log
 
 
-def test_a_silent_controller_ends_the_execution(rig, asked):
-    rig._stop.set()
-    asked.wait_for("over")
-    assert asked.outcomes.wait()[0].reason in ("The arm's controller is silent.", "The pose of the tool is unknown.")
+@pytest.mark.parametrize(
+    ("topic", "sentence"),
+    [("/kuka/status", "The arm's controller is silent."), ("/tf", "The pose of the tool is unknown.")],
+)
+def test_silence_ends_the_execution(rig, asked, topic, sentence):
+    rig.silent, began = {topic}, clock.monotonic()
+    outcome = asked.outcomes.wait(1, CONFIG["silence"] + NODE_S + LATER_S)[0]
+    assert outcome.reason == sentence and clock.monotonic() - began >= CONFIG["silence"] - RIG_S
 
 
 @pytest.mark.parametrize(
     "changes, arm, sentence",
     [
         ({"silence": -1.0}, ARM, "~silence is -1"),
-        ({"speed": 1.0}, ARM, "~speed"),
-        ({"watch": {**CONFIG["watch"], "lift": "high"}}, ARM, "~watch/lift"),
         ({"tool_pose": {}}, ARM, "~tool_pose/"),
         ({}, {**ARM, "center_line": [0.0, 0.0, 0.0]}, "center_line is the zero vector"),
     ],
 )
-def test_a_bad_parameter_ends_the_node_with_a_sentence(node, wait_until, changes, arm, sentence):
+def test_a_bad_parameter_ends_the_node_with_a_sentence(node, changes, arm, sentence):
     node.start(arm, **changes)
-    wait_until(lambda: node.process.poll() is not None, 30.0, "the end of the node")
-    assert node.process.returncode == 1
+    assert node.process.wait(LATER_S) == 1
     assert sentence in node.log and "Traceback" not in node.log
 
 
-def test_without_an_arm_it_waits_and_says_so(node, wait_until):
-    import rospy
-
-    rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE})
+def test_without_an_arm_it_waits_and_says_so(node):
     node.start(arm={"robot": "LBR7R800"})
-    wait_until(lambda: "Waiting for the parameter /kuka/" in node.log, 20.0, "what it waits for")
+    clock.sleep(10.0)
+    assert "Waiting for the parameter /kuka/" in node.log
     node.process.send_signal(signal.SIGINT)
-    wait_until(lambda: node.process.poll() is not None, 20.0, "the end of the node")
-    assert node.process.returncode == 0
-
-
-def test_the_launch_file_runs_and_every_argument_is_described(ros, rig, wait_until):
-    import rospy
-
-    tree = ElementTree.parse(FOLDER / "launch" / "execution.launch")
-    assert all(arg.get("doc") for arg in tree.iter("arg"))
-    rospy.set_param("kuka", ARM)
-    ros.launch("grasping", "execution.launch")
-    rospy.wait_for_service("grasping/execute", 60.0)
+    assert node.process.wait(0.2 + LATER_S) == 0

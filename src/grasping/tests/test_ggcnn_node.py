@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import signal
-import subprocess
-import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 from table_scene import CAMERA, depth_picture, looking_at
 
+from common import clock
 from common.config import parse
 from common.errors import RigError
 from common.frames import DEPTH_OPTICAL
@@ -22,7 +20,11 @@ pytestmark = pytest.mark.ros
 
 BOX = (0.03, -0.02, 0.3, (0.06, 0.08, 0.08))
 ASIDE = looking_at((0.45, 0.1, 0.65), (0.0, 0.0, 0.0))
-PATIENCE_S = 60.0
+DOWN = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)
+PERIOD_S = 0.1
+LATER_S = 0.01
+"""Of the camera's images, and how much later messages come and go."""
+DIAGNOSTICS_S = 0.5
 R_LINK_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TYPES = {
     "out/grasps": "grasp_msgs/GraspList",
@@ -37,10 +39,16 @@ TYPES = {
 }
 
 
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
+
+
 class Camera:
     """Publishes a depth image ten times a second, with a new stamp each time.
 
     Attributes:
+        period: time between two images [s].
         depth: the image; None: nothing is published.
         late: how much earlier than now its stamp is [s].
         info: whether camera_info comes too.
@@ -50,16 +58,16 @@ class Camera:
         import rospy
         from sensor_msgs.msg import CameraInfo, Image
 
-        self.depth, self.late, self.info = depth, 0.0, True
+        self.period, self.depth, self.late, self.info = PERIOD_S, depth, 0.0, True
         self._image = rospy.Publisher("camera/depth/image", Image, queue_size=1)
         self._info = rospy.Publisher("camera/depth/camera_info", CameraInfo, queue_size=1)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._ended = clock.Event()
+        self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
 
     def close(self):
         self._ended.set()
-        self._thread.join(5.0)
+        self._thread.join()
         self._image.unregister()
         self._info.unregister()
 
@@ -68,7 +76,7 @@ class Camera:
 
         from common.ros.images import camera_info_message, image_message
 
-        while not self._ended.wait(0.1):
+        while not self._ended.wait(self.period):
             depth = self.depth
             if depth is None:
                 continue
@@ -93,7 +101,7 @@ def camera(ros, depth):
 
 @pytest.fixture
 def calibrated(ros):
-    """The camera's place in the base, and its own frames, as vision's nodes publish them."""
+    """The camera's pose in the base, and its own frames, as vision's nodes publish them."""
     import rospy
     import tf2_ros
 
@@ -109,13 +117,13 @@ def calibrated(ros):
     broadcaster.pub_tf.unregister()
 
 
-def start(ros, fork=True, **changes):
+def start(ros, **changes):
     """Starts the node with changes to the package's parameters; a key may be section/name."""
     import rospy
 
     for key, value in changes.items():
         rospy.set_param(f"ggcnn/{key.replace('__', '/')}", value)
-    return ros.run("grasping", "ggcnn.py", fork=fork)
+    return ros.run("grasping", "ggcnn.py")
 
 
 def statuses(ros):
@@ -131,14 +139,18 @@ def statuses(ros):
     return read
 
 
-def newest(messages, wait_until, condition, what):
+def newest(ros, messages, condition, what, seconds=2 * PERIOD_S):
     """Waits for a message for which the condition holds, among those that come from now on; returns it."""
     seen = len(messages)
-    wait_until(lambda: any(condition(m) for m in messages[seen:]), PATIENCE_S, what)
-    return next(m for m in messages[seen:] if condition(m))
+    found = lambda: next((m for m in messages[seen:] if condition(m)), None)  # noqa: E731
+    return ros.wait_until(found, seconds, what, poll=LATER_S)
 
 
-def test_what_it_publishes(ros, camera, calibrated, wait_until):
+def seconds_between(first, second):
+    return (second.header.stamp - first.header.stamp).to_sec()
+
+
+def test_what_it_publishes(ros, camera, calibrated):
     import roslib.message
     import rospy
     import tf2_ros
@@ -146,20 +158,18 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
 
     from common.ros.conversions import pose_from_message, pose_from_transform
     from common.ros.images import array_from_image
+    from grasping.ros.ggcnn_node import WAIT_S
 
     classes = {name: roslib.message.get_message_class(kind) for name, kind in TYPES.items()}
     got = {name: ros.record(f"ggcnn/{name}", kind) for name, kind in classes.items()}
     times, status = ros.record("rig/stage_times", TimeReference), statuses(ros)
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
-    start(ros, reach__ask=False)
+    process = start(ros, reach__ask=False)
+    clock.sleep(2 * DIAGNOSTICS_S + 2 * PERIOD_S)
 
-    def on_both_topics():
-        stamps = {m.header.stamp for m in got["out/target_pose"]}
-        reachable = (m for m in got["out/grasps"] if m.grasps and m.grasps[0].reachable)
-        return next((m for m in reachable if m.header.stamp in stamps), None)
-
-    found = wait_until(on_both_topics, PATIENCE_S, "a grasp in the base, and the target pose of the same image")
+    stamps = {m.header.stamp for m in got["out/target_pose"]}
+    found = next(m for m in got["out/grasps"] if m.grasps and m.header.stamp in stamps)
     best, stamp = found.grasps[0], found.header.stamp
     assert (found.header.frame_id, found.reason) == (DEPTH_OPTICAL, "")
     assert (best.reachable, best.reason) == (True, "")
@@ -173,32 +183,31 @@ def test_what_it_publishes(ros, camera, calibrated, wait_until):
 
     target = next(m for m in got["out/target_pose"] if m.header.stamp == stamp)
     np.testing.assert_allclose(pose_from_message(target.pose), T_base, atol=1e-6)
-    data = got["out/command"].wait(1)[-1].data
+    data = got["out/command"][-1].data
     assert len(data) == 6
     np.testing.assert_allclose(data[:3], T_camera[:3, 3], atol=5e-3)
     for name in ("img/grasp", "img/grasp_plain", "img/depth", "img/ang", "img/heat_map"):
-        message = got[name].wait(1)[-1]
+        message = got[name][-1]
         side = 600 if name == "img/heat_map" else 300
         assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
         assert np.isfinite(np.asarray(array_from_image(message), float)).all()
-    grippers = [m for m in got["markers"].wait(1)[-1].markers if m.ns == "grasps" and m.points]
+    grippers = [m for m in got["markers"][-1].markers if m.ns == "grasps" and m.points]
     assert [len(m.points) for m in grippers] == [8] * len(grippers)
-    wait_until(
-        lambda: buffer.can_transform("camera_depth_frame", "camera_target_frame", rospy.Time(0)), PATIENCE_S, "tf"
-    )
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
-    wait_until(lambda: buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0)), PATIENCE_S, "the view in tf")
-    wait_until(lambda: "ms_network" in status(), PATIENCE_S, "diagnostics")
-    wait_until(lambda: status()["message"] == "There are grasps.", PATIENCE_S, "a good state")
-    assert {"ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
-    wait_until(lambda: times, PATIENCE_S, "the time of a stage")
+    assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))
+    assert status()["message"] == "There are grasps."
+    assert {"ms_network", "ms_view", "ms_peaks", "ms_poses", "ms_latency", "weights"} <= status().keys()
     assert {t.source for t in times} == {"ggcnn"}
     topics = dict(rospy.get_published_topics("/ggcnn"))
     assert {f"/ggcnn/{name}": kind for name, kind in TYPES.items()}.items() <= topics.items()
 
+    process.send_signal(signal.SIGINT)
+    assert process.wait(WAIT_S + LATER_S) == 0
+    assert "Traceback" not in process.log_path.read_text()
 
-def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
+
+def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     from geometry_msgs.msg import PoseStamped
 
     from grasp_msgs.msg import GraspList
@@ -206,48 +215,54 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth, wait_until):
     lists, targets = ros.record("ggcnn/out/grasps", GraspList), ros.record("ggcnn/out/target_pose", PoseStamped)
     camera.info, status = False, statuses(ros)
     process = start(ros)
-    newest(lists, wait_until, lambda m: "no camera_info has come on /camera/depth/camera_info" in m.reason, "no info")
+    newest(ros, lists, lambda m: m.reason == "no camera_info has come on /camera/depth/camera_info", "no info")
     camera.info = True
-    found = newest(lists, wait_until, lambda m: m.grasps, "a grasp before the camera")
+    found = newest(ros, lists, lambda m: m.grasps, "a grasp before the camera")
     assert found.grasps[0].pose_base.header.frame_id == ""
     assert not found.grasps[0].reachable
     assert "tf does not connect camera_depth_optical_frame and kuka/base_frame" in found.grasps[0].reason
-    assert targets.wait(1)[-1].header.frame_id == DEPTH_OPTICAL
+    clock.sleep(LATER_S)
+    assert targets[-1].header.frame_id == DEPTH_OPTICAL
 
     camera.depth = np.uint16(np.nan_to_num(1000.0 * depth, posinf=0.0))
-    assert newest(lists, wait_until, lambda m: m.grasps, "a grasp in millimetres").grasps[0].width > 0.0
+    clock.sleep(PERIOD_S)
+    assert newest(ros, lists, lambda m: m.grasps, "a grasp in millimetres").grasps[0].width > 0.0
 
-    def says(reason):
-        message = newest(lists, wait_until, lambda m: reason in m.reason, reason)
+    def says(reason, seconds=2 * PERIOD_S):
+        message = newest(ros, lists, lambda m: reason in m.reason, reason, seconds)
         assert not message.grasps
         return message
 
     camera.depth = np.full_like(depth, np.nan)
     says("the depth image holds no reading inside the crop")
-    wait_until(lambda: "no reading inside" in status().get("message", ""), PATIENCE_S, "diagnostics")
+    clock.sleep(DIAGNOSTICS_S + LATER_S)
+    assert "no reading inside" in status()["message"]
     camera.depth = depth_picture(ASIDE, [])
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
-    says("640 x 240")
+    says("the depth image is 640 x 240, but its camera_info says 640 x 480")
     camera.depth, camera.late = depth, 5.0
-    says("s old")
+    says("the depth image is 5.0 s old")
     camera.late = -5.0
-    says("in the future")
-    camera.late, camera.depth = 0.0, None
-    silent = says("the depth camera is silent")
-    assert silent.header.stamp.to_sec() > 0.0
-    before = len(targets)
-    says("the depth camera is silent")
+    says("the depth image is 5.0 s in the future")
+    camera.late = 0.0
+    newest(ros, lists, lambda m: m.grasps, "an image of now")
+    camera.depth = None
+    clock.sleep(LATER_S)
+    last, before = lists[-1], len(targets)
+    silent = says("the depth camera is silent: no image for 1 s", 1.3)
+    again = says("the depth camera is silent", 0.8)
+    assert 1.0 < seconds_between(last, silent) < 1.2 + LATER_S
+    assert 0.5 <= seconds_between(silent, again) < 0.7 + LATER_S
     assert len(targets) == before
     camera.depth = depth
-    newest(lists, wait_until, lambda m: m.grasps, "the camera came back")
-    assert process.poll() is None
+    newest(ros, lists, lambda m: m.grasps, "the camera came back")
     log = process.log_path.read_text()
     assert log.count("nothing stands on the table") == 1
-    assert "Traceback" not in log
+    assert process.poll() is None and "Traceback" not in log
 
 
-def test_a_torn_image_is_refused(ros, camera, wait_until):
+def test_a_torn_image_is_refused(ros, camera):
     import rospy
     from sensor_msgs.msg import Image
 
@@ -256,73 +271,73 @@ def test_a_torn_image_is_refused(ros, camera, wait_until):
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
     process = start(ros)
-    newest(lists, wait_until, lambda m: "no depth image has come on /camera/depth/image" in m.reason, "no camera")
-    camera.info = True
+    none = "no depth image has come on /camera/depth/image"
+    newest(ros, lists, lambda m: m.reason == none, "no camera", 1.3)
+    camera.depth = np.full((480, 640), np.nan, np.float32)
+    newest(ros, lists, lambda m: "no reading" in m.reason, "the camera's description")
+    camera.depth = None
+    clock.sleep(PERIOD_S)
     images = {
         "bytes instead of": Image(height=480, width=640, encoding="32FC1", step=2560, data=b"\0" * 1000),
         "has the encoding mono8": Image(height=480, width=640, encoding="mono8", step=640, data=b"\0" * 640 * 480),
         "is unknown": Image(height=1, width=1, encoding="64FC3", step=24, data=b"\0" * 24),
     }
-    camera.depth = np.full((480, 640), np.nan, np.float32)
-    newest(lists, wait_until, lambda m: "no reading" in m.reason, "the camera's description")
-    camera.depth = None
     for reason, image in images.items():
-        seen = len(lists)
-
-        def reported(reason=reason, image=image, seen=seen):
-            image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_OPTICAL
-            torn.publish(image)
-            return any(reason in m.reason for m in lists[seen:])
-
-        wait_until(reported, PATIENCE_S, reason)
-    torn.unregister()
+        image.header.stamp, image.header.frame_id = rospy.Time.now(), DEPTH_OPTICAL
+        torn.publish(image)
+        clock.sleep(LATER_S)
+        assert reason in lists[-1].reason
     assert process.poll() is None
 
 
-def test_the_arms_controller_is_asked_and_the_way_continues_without_it(ros, camera, calibrated, wait_until):
+def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, calibrated):
     import rospy
 
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
+    from grasping.pipeline.tool_pose import ASKED, RETRY_S, SILENT
     from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
 
     lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
     answer = CheckToolPoseResponse(success=True)
     rospy.set_param("kuka/center_line", [1.0, 0.0, 0.0])
     start(ros, reach__keep=0.5, reach__timeout=0.5)
-    silent = "the arm's controller does not answer"
-    newest(lists, wait_until, lambda m: m.grasps and m.grasps[0].reason == silent, "a controller that is absent")
+    first = newest(ros, lists, lambda m: m.grasps, "a grasp")
+    assert first.grasps[0].reason == ASKED
+    silent = newest(ros, lists, lambda m: m.grasps[0].reason == SILENT, "a controller that is absent", 1.0)
+    assert 0.5 <= seconds_between(first, silent) < 0.5 + 2 * PERIOD_S + LATER_S
 
     def check(request):
         asked.append(request.tool)
         return answer
 
-    service = rospy.Service("kuka/check_tool_pose", CheckToolPose, check)
-    found = newest(lists, wait_until, lambda m: m.grasps and m.grasps[0].reachable, "a controller that says yes")
+    rospy.Service("kuka/check_tool_pose", CheckToolPose, check)
+    yes = newest(ros, lists, lambda m: m.grasps[0].reachable, "a controller that says yes", RETRY_S + 0.5 + PERIOD_S)
     T = pose_from_message(asked[-1].pose)
     assert asked[-1].header.frame_id == "kuka/base_frame"
     np.testing.assert_allclose(T[:3, 2], (0.0, 0.0, -1.0), atol=1e-6)
     grip = T @ (-0.0152, 0.0, 0.07, 1.0)
-    np.testing.assert_allclose(grip[:3], pose_from_message(found.grasps[0].pose_base.pose)[:3, 3], atol=0.01)
+    np.testing.assert_allclose(grip[:3], pose_from_message(yes.grasps[0].pose_base.pose)[:3, 3], atol=0.01)
     answer.success, answer.message = False, "It is outside of the workspace."
-    refused = newest(lists, wait_until, lambda m: m.grasps and "outside" in m.grasps[0].reason, "one that says no")
-    assert not refused.grasps[0].reachable
-    assert refused.grasps[0].reason == "It is outside of the workspace"
-    service.shutdown("the test is over")
+    refused = newest(ros, lists, lambda m: m.grasps[0].reason != "", "one that says no", 1.0)
+    assert (refused.grasps[0].reachable, refused.grasps[0].reason) == (False, "It is outside of the workspace")
+    assert 0.5 <= seconds_between(yes, refused) < 0.5 + 2 * PERIOD_S + LATER_S
 
 
 @pytest.mark.parametrize(
-    ("changes", "sentence"),
+    ("name", "value", "sentence"),
     [
-        ({"peaks__count": 0}, "~peaks/count is 0, but must be a whole number in [1, 50]"),
-        ({"sppeed": 3}, "~sppeed is not a known key"),
-        ({"network__weights": "/nowhere/a.pt"}, "The file /nowhere/a.pt cannot be read"),
-        ({"refine": True, "refinement_weights": "/nowhere/b.pt"}, "The file /nowhere/b.pt cannot"),
+        ("ggcnn/peaks/count", 0, "~peaks/count is 0, but must be a whole number in [1, 50]"),
+        ("ggcnn/network/weights", "/nowhere/a.pt", "The file /nowhere/a.pt cannot be read"),
+        ("kuka/mounting", "ceiling", "The parameter kuka/mounting is not roll, pitch and yaw"),
     ],
 )
-def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, changes, sentence):
-    process = start(ros, **changes)
-    assert process.wait(PATIENCE_S) == 1
+def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, name, value, sentence):
+    import rospy
+
+    rospy.set_param(name, value)
+    process = start(ros)
+    assert process.wait(1.0) == 1
     log = process.log_path.read_text()
     assert sentence in log
     assert "Traceback" not in log
@@ -397,40 +412,6 @@ def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
         load_refinement("refinement.pt", rig())
 
 
-@pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
-def test_interrupted_it_ends_whatever_it_does(ros, camera, wait_until, moment):
-    from grasp_msgs.msg import GraspList
-
-    lists = ros.record("ggcnn/out/grasps", GraspList)
-    process = start(ros, fork=moment != "its libraries load")
-    maps = f"/proc/{process.pid}/maps"
-    condition = {
-        "its libraries load": lambda: "libtorch" in Path(maps).read_text(),
-        "its networks load": lambda: "tool: hand" in process.log_path.read_text(),
-        "it works": lambda: len(lists) > 0,
-    }[moment]
-    wait_until(condition, PATIENCE_S, moment)
-    process.send_signal(signal.SIGINT)
-    assert process.wait(PATIENCE_S) == (-signal.SIGINT if moment == "its libraries load" else 0)
-    assert "Traceback" not in process.log_path.read_text()
-
-
-@pytest.mark.parametrize("view", ["camera", "table"])
-def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, wait_until, tmp_path, view):
-    from common.ros.conversions import pose_from_message
-    from grasp_msgs.msg import GraspList
-
-    lists = ros.record("ggcnn/out/grasps", GraspList)
-    choice = refinement_of_kinds(tmp_path / "refinement.pt", view, cup=0.2)
-    start(ros, **choice, reach__ask=False, peaks__threshold=0.05)
-    found = newest(lists, wait_until, lambda m: m.grasps, "a grasp")
-    approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
-    axis = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)  # of the table, in either view
-    assert approach @ axis == pytest.approx(np.cos(0.2), abs=0.01)
-    assert 0.0 < found.grasps[0].probability <= 1.0
-    assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)
-
-
 def refinement_of_kinds(file, view, **tilts):
     """Writes a refinement of kinds that the operator grasps with these tilts [rad]; returns parameters for the node."""
     import torch
@@ -447,87 +428,79 @@ def refinement_of_kinds(file, view, **tilts):
     return {"view": view, "refine": True, "refinement_weights": str(file), "network__weights": "ggcnn2.pt"}
 
 
-def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, wait_until, tmp_path):
-    import rospy
-
+@pytest.mark.parametrize("view", ["camera", "table"])
+def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, tmp_path, view):
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
 
     lists = ros.record("ggcnn/out/grasps", GraspList)
+    choice = refinement_of_kinds(tmp_path / "refinement.pt", view, cup=0.2)
+    start(ros, **choice, reach__ask=False, peaks__threshold=0.05)
+    found = newest(ros, lists, lambda m: m.grasps, "a grasp")
+    approach = pose_from_message(found.grasps[0].pose_camera)[:3, 2]
+    assert approach @ DOWN == pytest.approx(np.cos(0.2), abs=0.01)  # of the table, in either view
+    assert 0.0 < found.grasps[0].probability <= 1.0
+    assert np.all(np.array([*found.grasps[0].deviations, found.grasps[0].width_deviation]) > 0.0)
+
+
+def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, tmp_path):
+    import rospy
+
+    from common.ros.conversions import pose_from_message
+    from grasp_msgs.msg import GraspList
+    from grasping.ros.ggcnn_node import KIND_PERIOD_S
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    camera.period = 3 * PERIOD_S
     choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
     process = start(ros, **choice, refinement_kind="cup", reach__ask=False, peaks__threshold=0.05)
-    down = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)
 
-    def tilted(message, by):
-        approaches = [pose_from_message(grasp.pose_camera)[:3, 2] for grasp in message.grasps[:1]]
-        return any(abs(approach @ down - np.cos(by)) < 0.008 for approach in approaches)
+    def tilt():
+        approach = pose_from_message(lists[-1].grasps[0].pose_camera)[:3, 2]
+        return np.arccos(min(approach @ DOWN, 1.0))
 
-    newest(lists, wait_until, lambda m: tilted(m, 0.2), "a grasp of a cup")
-    rospy.set_param("ggcnn/refinement_kind", "bottle")
-    newest(lists, wait_until, lambda m: tilted(m, 0.0), "a grasp of a bottle")
-    rospy.set_param("ggcnn/refinement_kind", "mug")
+    def soon(kind, master_answers=True):
+        rospy.set_param("ggcnn/refinement_kind", kind)
+        ros.master_answers = master_answers
+        clock.sleep(KIND_PERIOD_S + 2 * camera.period)
+
+    clock.sleep(3 * camera.period)
+    assert tilt() == pytest.approx(0.2, abs=0.02)
+    soon("bottle", master_answers=False)
+    assert tilt() == pytest.approx(0.2, abs=0.02), "a master that does not answer changes nothing"
+    soon("bottle")
+    assert tilt() == pytest.approx(0.0, abs=0.1)
+    soon("mug")
     sentence = "refinement_kind is 'mug', but must be one of cup, bottle. The grasps remain those of the kind before."
-    wait_until(lambda: sentence in process.log_path.read_text(), PATIENCE_S, "a sentence about the unknown kind")
-    newest(lists, wait_until, lambda m: tilted(m, 0.0), "a grasp of a bottle still")
+    assert sentence in process.log_path.read_text()
+    soon(["cup"])
+    assert tilt() == pytest.approx(0.0, abs=0.1)
+    soon("cup")
+    assert tilt() == pytest.approx(0.2, abs=0.02)
+    assert process.poll() is None
 
 
-def test_of_a_master_that_died_and_of_a_list_no_kind_is_taken(ros, monkeypatch):
-    import rospy
-
-    from grasping.refinement import taste
-    from grasping.refinement.preference import Preference
-    from grasping.ros import ggcnn_node
-
-    monkeypatch.setattr(ggcnn_node, "KIND_PERIOD_S", 0.0)
-    kinds = {name: Preference(taste.nobody(), None) for name in ("cup", "bottle")}
-    kind = ggcnn_node.RefinementKind(kinds, "cup")
-    rospy.set_param("~refinement_kind", "bottle")
-    with monkeypatch.context() as patch:
-        patch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
-        assert kind.changed() is None
-    assert kind.changed() is kinds["bottle"]
-    rospy.set_param("~refinement_kind", ["cup"])
-    assert kind.changed() is None
-
-
-@pytest.mark.parametrize("kind", ["", "mug"])
-def test_a_kind_that_the_file_lacks_ends_it(ros, tmp_path, kind):
+def test_a_kind_that_the_file_lacks_ends_it(ros, tmp_path):
     choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
-    process = start(ros, **choice, refinement_kind=kind)
-    assert process.wait(PATIENCE_S) == 1
-    assert f"refinement_kind is {kind!r}, but must be one of cup, bottle." in process.log_path.read_text()
+    process = start(ros, **choice)
+    assert process.wait(1.0) == 1
+    assert "refinement_kind is '', but must be one of cup, bottle." in process.log_path.read_text()
 
 
-def test_a_wrong_mounting_ends_it_too(ros):
-    import rospy
-
-    rospy.set_param("kuka/mounting", "ceiling")
-    process = start(ros)
-    assert process.wait(PATIENCE_S) == 1
-    assert "kuka/mounting" in process.log_path.read_text()
-
-
-def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, calibrated, tmp_path, wait_until):
-    """What it says is run here: started by it, the node would have to import its libraries, behind all other tests."""
-    import rospy
-
+def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, tmp_path):
     from grasp_msgs.msg import GraspList
     from tools import launched
 
     changes = tmp_path / "changes.yaml"
     changes.write_text("peaks: {threshold: 0.95}\n")
-
     launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")
-    question = ("roslaunch", "--args", "/ggcnn", *launch, "node:=true")
-    command = subprocess.run(question, check=True, capture_output=True, text=True).stdout
-    assert "/behind.sh 10 " in command and "/ggcnn.py " in command
+    assert "/ggcnn" not in launched.nodes(*launch)
+    (prefix,) = launched.prefixes(*launch, "node:=true")
+    assert prefix.endswith("/behind.sh 10")
     beside, inside = (launched.parameters(*launch, *more) for more in ((), ("node:=true",)))
     own = [{name: value for name, value in one.items() if name.startswith("/ggcnn/")} for one in (beside, inside)]
     assert own[0] == own[1] and own[0]
 
-    assert "/ggcnn" not in launched.nodes(*launch)
-    for name, value in beside.items():
-        rospy.set_param(name, value)
     lists = ros.record("ggcnn/out/grasps", GraspList)
-    start(ros)
-    newest(lists, wait_until, lambda m: "no peak of the quality is above 0.95" in m.reason, "the launched node")
+    ros.launch("grasping", "grasping.launch", camera="false", image_view="false", config=changes, node="true")
+    newest(ros, lists, lambda m: "no peak of the quality is above 0.95" in m.reason, "the launched node")

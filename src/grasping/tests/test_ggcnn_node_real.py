@@ -1,0 +1,47 @@
+"""The process of the node ggcnn: what Ctrl-C does while torch and the networks load, and while it works."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from table_scene import CAMERA
+
+from common.frames import DEPTH_OPTICAL
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+PATIENCE_S = 60.0
+
+
+@pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
+def test_interrupted_it_ends_whatever_it_does(ros, wait_until, moment):
+    import rospy
+    from sensor_msgs.msg import CameraInfo, Image
+
+    from common.ros.images import camera_info_message, image_message
+    from grasp_msgs.msg import GraspList
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    images = rospy.Publisher("camera/depth/image", Image, queue_size=1)
+    infos = rospy.Publisher("camera/depth/camera_info", CameraInfo, queue_size=1)
+    process = ros.run("grasping", "ggcnn.py", fork=moment != "its libraries load")
+
+    def works():
+        now = rospy.Time.now()
+        infos.publish(camera_info_message(CAMERA, DEPTH_OPTICAL, now))
+        images.publish(image_message(np.zeros((480, 640), np.uint16), "16UC1", DEPTH_OPTICAL, now))
+        return any("no reading" in message.reason for message in lists)
+
+    condition = {
+        "its libraries load": lambda: "libtorch" in Path(f"/proc/{process.pid}/maps").read_text(),
+        "its networks load": lambda: "tool: hand" in process.log_path.read_text(),
+        "it works": works,
+    }[moment]
+    wait_until(condition, PATIENCE_S, moment)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == (-signal.SIGINT if moment == "its libraries load" else 0)
+    assert "Traceback" not in process.log_path.read_text()
