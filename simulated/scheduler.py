@@ -61,6 +61,7 @@ class Task:
         self.notified = self.alone = False  # and nobody else was
         self.torn = False  # out of its last wait, by an exception
         self.killed = self.ended = False
+        self.visits = False  # a group that is not its own
         self.joiners: list[Task] = []
         self.thread: threading.Thread | None = None
         self.asked = 0  # for the time, since it waited
@@ -194,7 +195,7 @@ class Scheduler:
     def maybe_give_way(self) -> None:
         """Lets others run first, now and then; a thread that unwinds goes on."""
         task = self.current
-        if task.killed or task.torn:
+        if task.killed or task.torn or task.visits:
             return
         if self._ready and self._random.random() < GIVES_WAY:
             self._make_ready(task)
@@ -230,14 +231,18 @@ class Scheduler:
 
     @contextlib.contextmanager
     def in_group(self, group: str) -> Iterator[None]:
-        """Context in which this thread, and those that it makes, belong to the group."""
+        """Context in which this thread, and those that it makes, belong to the group.
+
+        It keeps its turn as long as it need not wait: what becomes of the group must not become of it.
+        """
         task = self._current()
-        before, task.group = task.group, group
+        before, visited = task.group, task.visits
+        task.group, task.visits = group, True
         self.on_turn(group)
         try:
             yield
         finally:
-            task.group = before
+            task.group, task.visits = before, visited
             self.on_turn(before)
 
     def kill(self, group: str) -> None:

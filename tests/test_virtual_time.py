@@ -344,10 +344,9 @@ class TestStuck:
         try:
             with pytest.raises(
                 Stuck, match=r"still there after the end: job 0 \(1\) waits for sleep\(9\)(?s:.*)outside.wait"
-            ):
-                with virtual_time():
-                    started(job, lambda: clock.sleep(1.0))
-                    clock.sleep(2.0)
+            ), virtual_time():
+                started(job, lambda: clock.sleep(1.0))
+                clock.sleep(2.0)
         finally:
             outside.set()
 
@@ -397,10 +396,9 @@ class TestStuck:
 
         with pytest.raises(
             Stuck, match=r"time has not passed for 100000 turns: main waits for sleep\(1\)(?s:.*)in give_way"
-        ):
-            with virtual_time():
-                started(give_way)
-                clock.sleep(1.0)
+        ), virtual_time():
+            started(give_way)
+            clock.sleep(1.0)
 
     def test_it_comes_out_of_each_kind_of_wait(self):
         with virtual_time():
@@ -650,6 +648,12 @@ class TestWhoGoesLeavesNobodyWaiting:
                 started(job)
             clock.sleep(3.0)
             assert ended == [START_S + 2.0] and [task.name for task in scheduler._tasks] == ["main"]
+
+    @pytest.mark.parametrize("seed", range(5))
+    def test_what_becomes_of_a_group_does_not_become_of_who_makes_its_threads(self, seed, monkeypatch):
+        monkeypatch.setattr(scheduling, "GIVES_WAY", 1.0)
+        with virtual_time(seed) as running, running.in_group("node"):
+            started(lambda: running.kill("node"), lambda: running.suspended.add("node"))
 
     def test_each_thread_is_given_what_belongs_to_its_group(self):
         with virtual_time() as scheduler:
