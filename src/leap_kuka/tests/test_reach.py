@@ -76,6 +76,7 @@ def test_only_an_absent_service_is_no_condition(check, controller):
     assert becomes(check, "joint 4 would pass its limit", soon)
     controller.answer = lambda: clock.sleep(20.0)
     assert becomes(check, reach.SILENT, 0.1 + 0.5 + FRAME_S + DELAY_S)
+    assert check(pose(p=(1.0, 0.0, 0.0)), True) == reach.SILENT, "it is so for every tool"
     controller.answer = fails
     clock.sleep(20.0)
     assert becomes(check, reach.SILENT, soon)

@@ -12,7 +12,6 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import rosgraph.xmlrpc
 import rospy
@@ -266,16 +265,32 @@ def run_together(*jobs: Callable[[], None]) -> None:
     """Runs each job in a thread of its own until all have returned; if one raises, the reason goes to the log, ROS
     shuts down, which ends the others, and the exception is raised here.
     """
-    with ThreadPoolExecutor(len(jobs)) as threads:
+    ended: clock.Queue[BaseException | None] = clock.Queue()
+
+    def run(job: Callable[[], None]) -> None:
+        failure = None
         try:
-            for job in as_completed([threads.submit(job) for job in jobs]):
-                job.result()
-        except Exception as error:
-            if not rospy.core.is_shutdown_requested():
-                rospy.logfatal("A part of this node has failed, so all end: %s: %s", type(error).__name__, error)
-            raise
-        finally:
-            rospy.signal_shutdown("a job of the node has ended")
+            job()
+        except BaseException as error:
+            failure = error
+        ended.put(failure)
+
+    threads = [clock.Thread(target=run, args=(job,), name="job") for job in jobs]
+    try:
+        for thread in threads:
+            thread.start()
+        for _ in threads:
+            failure = ended.get()
+            if failure is not None:
+                raise failure
+    except Exception as error:
+        if not rospy.core.is_shutdown_requested():
+            rospy.logfatal("A part of this node has failed, so all end: %s: %s", type(error).__name__, error)
+        raise
+    finally:
+        rospy.signal_shutdown("a job of the node has ended")
+        for thread in threads:
+            thread.join()
 
 
 def dispensable(job: Callable[[], None]) -> None:
