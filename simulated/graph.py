@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import importlib
 import io
 import itertools
 import logging
@@ -614,7 +615,8 @@ class Graph:
             if result:
                 return result
             if self.scheduler.now >= deadline:
-                pytest.fail(f"waited {timeout:g} s in vain for {what}")
+                said = "".join(f"\n{each.name} (ended: {each.returncode}):\n{each.log[-2000:]}" for each in self.nodes)
+                pytest.fail(f"waited {timeout:g} s in vain for {what}{said}")
             clock.sleep(poll)
 
 
@@ -809,6 +811,7 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     _topics(graph, patch)
     _services(graph, patch)
     _process(graph, patch)
+    _timers_and_actions(patch)
 
 
 def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
@@ -934,4 +937,18 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     for name in ("prepare_process", "prepare_log"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
-    patch.setattr(master, "watch", SimpleNamespace(start=lambda: None, fault=None))
+    patch.setattr(master, "watch", SimpleNamespace(start=lambda: None, fault=None, lost=[]))
+
+
+def _timers_and_actions(patch: pytest.MonkeyPatch) -> None:
+    """What rospy and actionlib have of threads."""
+    timer = rospy.timer.Timer
+    own = type("Timer", (clock.Thread,), {name: vars(timer)[name] for name in ("__init__", "run", "shutdown")})
+    for module in (rospy, rospy.timer):
+        patch.setattr(module, "Timer", own)
+    patch.setattr(rospy.timer, "time", clock)
+    for name in ("action_client", "action_server", "simple_action_client", "simple_action_server"):
+        module = importlib.import_module(f"actionlib.{name}")
+        patch.setattr(module, "threading", clock)
+        if hasattr(module, "time"):
+            patch.setattr(module, "time", clock)
