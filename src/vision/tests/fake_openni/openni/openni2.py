@@ -7,11 +7,12 @@ pulled out), `silent` (no images), `unable` (other modes only, no registration),
 
 import ctypes
 import os
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+
+from common import clock
 
 SENSOR_COLOR, SENSOR_DEPTH = "colour", "depth"
 PIXEL_FORMAT_RGB888, PIXEL_FORMAT_DEPTH_1_MM = 200, 100
@@ -42,9 +43,9 @@ def wait_for_any_stream(streams, timeout):
     if state() == "absent":
         raise OpenNIError("ONI_STATUS_ERROR", b"Stream: device is gone", None)
     if state() == "silent":
-        time.sleep(timeout)
+        clock.sleep(timeout)
         return None
-    time.sleep(0.01)
+    clock.sleep(0.01)
     return streams[sum(s.frames for s in streams) % len(streams)]
 
 
