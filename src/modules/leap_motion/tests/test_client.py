@@ -1,87 +1,53 @@
-"""Client against a service on a free port of loopback that keeps, or breaks, the protocol."""
+"""Client in virtual time against a service that keeps, or breaks, the protocol."""
 
-import contextlib
 import json
-import re
-import socket
-import threading
-import time
 
 import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import serve
-from websockets.utils import accept_key
 
+from common import clock
 from leap_motion import client as client_module
-from leap_motion import transport
-from leap_motion.client import LeapClient, LeapLink
-
-pytestmark = pytest.mark.clock
-
-LONG_S = 60.0
-WAITS = ((transport, "OPEN_TIMEOUT_S"), (client_module, "HEADER_TIMEOUT_S"), (client_module, "PING_S"))
-"""Waits of the client: service and client may get no processor for long, which is no fault of the service."""
+from leap_motion.client import HEADER_TIMEOUT_S, PING_S, RETRY_S, SILENCE_S, UNUSABLE_S, LeapClient, LeapLink
+from leap_motion.transport import CLOSE_TIMEOUT_S
+from simulated.clock import virtual_time
+from simulated.leap_wire import LeapWire
+from simulated.tcp import DELAY_S
 
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
 POLICIES = ['{"background":true}', '{"optimizeHMD":false}', '{"focused":true}']
 """UltraleapTrackingWebSocket takes these texts, below 32 characters, only as they are."""
+GREETED_S = 10 * DELAY_S
+"""What the requests of a connection take at most, with those of its end."""
+PERIOD_S = 0.01
 
 
 def frame(number, **fields):
     return json.dumps({"id": number, "timestamp": number * 8650, "hands": [], "pointables": [], **fields})
 
 
-class Service:
-    """Runs one function per connection, the last one again for all later ones; notes what clients sent."""
-
-    def __init__(self, *conversations):
-        self._conversations = list(conversations)
-        self.heard = []
-        self.paths = []
-        self.ended = threading.Event()
-        self._server = serve(self._handle, "127.0.0.1", 0)
-        self.port = self._server.socket.getsockname()[1]
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def _handle(self, connection):
-        self.paths.append(connection.request.path)
-        talk = self._conversations.pop(0) if len(self._conversations) > 1 else self._conversations[0]
-        with contextlib.suppress(ConnectionClosed):
-            talk(self, connection)
-
-    def listen(self, connection, count=3):
-        """Receives the client's policy messages."""
-        self.heard += [connection.recv(LONG_S) for _ in range(count)]
-
-    def stay(self, connection):
-        """Says nothing until the client goes or the test ends."""
-        with contextlib.suppress(TimeoutError):
-            while not self.ended.is_set():
-                with contextlib.suppress(TimeoutError):
-                    connection.recv(0.1)
-
-    def close(self):
-        self.ended.set()
-        self._server.shutdown()
+def device(serial, attached=True, streaming=True):
+    state = {"attached": attached, "streaming": streaming, "id": serial, "type": "Peripheral"}
+    return json.dumps({"event": {"type": "deviceEvent", "state": state}})
 
 
 @pytest.fixture
-def start(monkeypatch):
-    """Starts a service and a client of it; both end with the test."""
-    monkeypatch.setattr(client_module, "RETRY_S", 0.05)
-    for module, name in WAITS:
-        monkeypatch.setattr(module, name, LONG_S)
-    ends = []
+def wire():
+    with virtual_time(), LeapWire() as wire:
+        yield wire
+
+
+@pytest.fixture
+def start(wire):
+    """Starts a service, with one conversation per connection, and a client of it; both end with the test."""
+    clients = []
 
     def start(*conversations, **options):
-        service = Service(*conversations)
-        client = LeapClient(port=service.port, **options)
-        ends.extend([client.close, service.close])
-        return service, client
+        service = wire.serve(*conversations)
+        clients.append(LeapClient(port=service.port, runtime=clock, **options))
+        return service, clients[-1]
 
     yield start
-    for end in ends:
-        end()
+    for client in clients:
+        client.close()
 
 
 def greet(service, connection):
@@ -101,30 +67,40 @@ def stream(*texts):
     return talk
 
 
+def repeating(text_of):
+    """A conversation that sends a text for each number, every PERIOD_S; none for None."""
+
+    def talk(service, connection):
+        greet(service, connection)
+        for number in range(1, 10**6):
+            text = text_of(number)
+            if text is not None:
+                connection.send(text)
+            clock.sleep(PERIOD_S)
+
+    return talk
+
+
 def test_frames_arrive_with_the_stamp_of_their_receipt(start):
     stamps = iter(range(100, 200))
     service, client = start(stream(frame(1)), clock=lambda: next(stamps))
-    received = client.next_frame(LONG_S)
+    received = client.next_frame(GREETED_S)
     assert (received.frame.id, received.stamp) == (1, 100)
-    assert client.status.link in (LeapLink.STREAMING, LeapLink.SILENT)
+    assert client.status.link is LeapLink.STREAMING
     assert client.status.service == "2.3.1+33747"
     assert service.paths == ["/v6.json"]
 
 
-def test_policy_messages_are_compact_and_in_order(start, wait_until):
-    service, _client = start(stream())
-    wait_until(lambda: len(service.heard) == 3, 10.0, "the policy messages")
-    assert service.heard == POLICIES
-
-
-def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
+def test_policy_messages_are_compact_in_order_and_sent_again(start):
     def ends(service, connection):
         greet(service, connection)
         connection.send(frame(1))
         connection.close(1001)
 
     service, client = start(ends, stream(frame(2)))
-    wait_until(lambda: client.next_frame(0.2) and client.counts.connections == 2, 10.0, "the second connection")
+    assert client.next_frame(GREETED_S).frame.id == 1 and service.heard == POLICIES
+    assert client.next_frame(RETRY_S - DELAY_S) is None
+    assert client.next_frame(2 * GREETED_S).frame.id == 2 and client.counts.connections == 2
     assert service.heard == POLICIES * 2
 
 
@@ -137,113 +113,103 @@ def test_reconnects_and_sends_the_policy_messages_again(start, wait_until):
         (b"\x00\x01", "not JSON"),
     ],
 )
-def test_a_wrong_first_message_is_refused_and_tried_again(start, wait_until, first, sentence):
+def test_a_wrong_first_message_is_refused_and_tried_again_ever_later(start, first, sentence):
+    tries = []
+
     def wrong(service, connection):
+        tries.append(clock.monotonic())
         connection.send(first)
         service.stay(connection)
 
     service, client = start(wrong)
-    wait_until(lambda: sentence in client.status.sentence, 10.0, sentence)
-    assert client.status.link is LeapLink.REFUSED
-    wait_until(lambda: len(service.paths) >= 2, 10.0, "another try")
-    assert service.heard == []
-    assert client.counts.connections == 0
+    clock.sleep(GREETED_S)
+    assert sentence in client.status.sentence and client.status.link is LeapLink.REFUSED
+    clock.sleep(11.0)
+    waits = [after - before for before, after in zip(tries, tries[1:])]
+    assert waits == pytest.approx([0.5, 0.8, 1.28, 2.048, 3.0, 3.0], abs=GREETED_S)
+    assert service.heard == [] and client.counts.connections == 0
 
 
 def test_a_wrong_service_that_gets_right_is_used(start):
-    def wrong(_service, connection):
-        connection.send('{"version":7}')
-
-    _service, client = start(wrong, stream(frame(3)))
-    assert client.next_frame(LONG_S).frame.id == 3
+    _service, client = start(lambda _service, connection: connection.send('{"version":7}'), stream(frame(3)))
+    assert client.next_frame(RETRY_S + 2 * GREETED_S).frame.id == 3
 
 
-def test_no_header(start, wait_until, monkeypatch):
-    monkeypatch.setattr(client_module, "HEADER_TIMEOUT_S", 0.1)
-    _service, client = start(Service.stay)
-    wait_until(lambda: "no header" in client.status.sentence, 10.0, "the sentence")
+def test_no_header(start):
+    service, client = start(lambda service, connection: service.stay(connection))
+    clock.sleep(HEADER_TIMEOUT_S)
+    assert client.status.link is LeapLink.CONNECTING
+    clock.sleep(GREETED_S)
+    assert client.status.link is LeapLink.REFUSED and "no header within 2 s" in client.status.sentence
 
 
-def test_close_1001_before_the_header(start, wait_until):
+def test_close_1001_before_the_header(start):
     _service, client = start(lambda _service, connection: connection.close(1001))
-    wait_until(lambda: "ended the connection (1001)" in client.status.sentence, 10.0, "the sentence")
-    assert client.status.link is LeapLink.REFUSED
+    clock.sleep(GREETED_S)
+    assert client.status.link is LeapLink.REFUSED and "ended the connection (1001)" in client.status.sentence
 
 
-def test_silence_is_a_fault_and_ends_with_the_next_frame(start, wait_until):
-    go = threading.Event()
-
-    def pauses(service, connection):
-        greet(service, connection)
-        connection.send(frame(1))
-        go.wait(20.0)
-        while not service.ended.is_set():
-            connection.send(frame(int(time.monotonic() * 1e3)))
-            service.ended.wait(0.01)
-
-    _service, client = start(pauses)
-    assert client.next_frame(LONG_S).frame.id == 1
-    wait_until(
-        lambda: client.status.link is LeapLink.SILENT and "sends no frames" in client.status.sentence, 10.0, "silence"
-    )
-    go.set()
-    wait_until(lambda: client.status.link is LeapLink.STREAMING, 10.0, "the end of the silence")
-    assert client.next_frame(LONG_S) is not None
+def test_silence_is_a_fault_and_ends_with_the_next_frame(start):
+    pause = []
+    _service, client = start(repeating(lambda number: None if pause else frame(number)))
+    clock.sleep(0.5)
+    assert client.next_frame(PERIOD_S) is not None
+    while client.next_frame(2 * PERIOD_S) is not None:
+        pause[:] = [True]
+        last = clock.monotonic()
+    clock.sleep(last + SILENCE_S - DELAY_S - clock.monotonic())
+    assert client.status.link is LeapLink.STREAMING
+    clock.sleep(2 * DELAY_S)
+    assert client.status.link is LeapLink.SILENT and "sends no frames" in client.status.sentence
+    pause.clear()
+    assert client.next_frame(PERIOD_S + 2 * DELAY_S) is not None
+    assert client.status.link is LeapLink.STREAMING
 
 
 @pytest.mark.parametrize(
     ("attached", "streaming", "cause"), [(False, False, "not plugged in"), (True, False, "tracking is paused")]
 )
-def test_a_silence_is_explained_by_the_device_event(start, wait_until, attached, streaming, cause):
-    state = {"attached": attached, "streaming": streaming, "id": "LP1", "type": "Peripheral"}
-    _service, client = start(stream(json.dumps({"event": {"type": "deviceEvent", "state": state}})))
-    wait_until(lambda: cause in client.status.sentence, 10.0, cause)
+def test_a_silence_is_explained_by_the_device_event(start, attached, streaming, cause):
+    _service, client = start(stream(device("LP1", attached, streaming)))
+    clock.sleep(SILENCE_S + GREETED_S)
+    assert client.status.link is LeapLink.SILENT and cause in client.status.sentence
 
 
-def test_a_service_that_does_not_answer_pings_is_left(start, wait_until, monkeypatch):
-    monkeypatch.setattr(client_module, "PING_S", 0.2)
-    stopped = threading.Event()
-
-    def hangs(service, connection):
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_silent_service_is_left_if_it_does_not_answer_pings(start, answers):
+    def pauses(service, connection):
         greet(service, connection)
-        with connection.protocol_mutex:  # the server's own thread cannot answer while this is held
-            stopped.wait(20.0)
+        connection.hangs = not answers
+        service.stay(connection)
 
-    _service, client = start(hangs, stream(frame(5)))
-    received = client.next_frame(LONG_S)
-    stopped.set()
-    assert received.frame.id == 5
+    _service, client = start(pauses, stream(frame(5)))
+    clock.sleep(2 * PING_S - SILENCE_S)
+    assert client.status.link is LeapLink.SILENT
+    clock.sleep(3 * SILENCE_S + CLOSE_TIMEOUT_S + GREETED_S)
+    if answers:
+        clock.sleep(10 * PING_S)
+        assert client.status.link is LeapLink.SILENT and client.counts.connections == 1
+        return
+    assert client.status.link is LeapLink.NO_SERVICE and "no answer to a ping for 2 s" in client.status.sentence
+    assert client.next_frame(RETRY_S + GREETED_S).frame.id == 5
     assert client.counts.connections == 2
 
 
-def test_of_a_backlog_only_the_newest_frame_is_returned(start, wait_until):
+def test_of_a_backlog_only_the_newest_frame_is_returned(start):
     _service, client = start(stream(*[frame(i) for i in range(1, 51)]))
-    wait_until(lambda: client.counts.received == 50, 10.0, "all frames")
+    clock.sleep(60 * DELAY_S)
+    assert client.counts.received == 50
     assert client.next_frame(5.0).frame.id == 50
     assert client.next_frame(0.0) is None
     assert client.counts.superseded == 49
 
 
-def test_bad_frames_are_dropped_with_a_reason_and_the_stream_continues(start, wait_until):
+def test_bad_frames_are_dropped_with_a_reason_and_the_stream_continues(start):
     bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=7), b"\xff"]
-    step = threading.Semaphore(0)
-
-    def talk(service, connection):
-        greet(service, connection)
-        for text in [*bad, frame(5), frame(5), frame(6, hands=[{}])]:
-            connection.send(text)
-            step.acquire(timeout=LONG_S)
-        service.stay(connection)
-
-    _service, client = start(talk)
-    for count in range(1, 5):
-        wait_until(lambda: client.next_frame(0.05) or sum(client.counts.dropped.values()) == count, 10.0, "a drop")  # noqa: B023
-        step.release()
-    assert client.next_frame(LONG_S).frame.id == 5
-    step.release()
-    wait_until(lambda: client.next_frame(0.05) or "A frame came twice." in client.counts.dropped, 10.0, "a drop")
-    step.release()
-    assert client.next_frame(LONG_S).frame.id == 6
+    texts = [*bad, frame(5), frame(5), frame(6, hands=[{}])]
+    _service, client = start(repeating(lambda number: texts[number - 1] if number <= len(texts) else None))
+    assert client.next_frame(1.0).frame.id == 5
+    assert client.next_frame(1.0).frame.id == 6
     assert client.counts.dropped == {
         "The text holds the number NaN.": 1,
         "The text is not JSON.": 2,
@@ -254,7 +220,7 @@ def test_bad_frames_are_dropped_with_a_reason_and_the_stream_continues(start, wa
     assert client.counts.connections == 1
 
 
-def test_reasons_are_counted_without_growing_for_ever(start, wait_until):
+def test_reasons_are_counted_without_growing_for_ever(start):
     _service, client = start(stream())
     for i in range(100):
         client._drop(f"reason {i}")
@@ -262,41 +228,24 @@ def test_reasons_are_counted_without_growing_for_ever(start, wait_until):
     assert client.counts.dropped["other reasons"] == 100 - client_module.MAX_REASONS
 
 
-def test_a_missing_service_is_named_with_the_way_to_start_it(free_port, wait_until):
-    client = LeapClient(port=free_port())
-    try:
-        wait_until(lambda: client.status.link is LeapLink.NO_SERVICE, 10.0, "the missing service")
-        assert "sudo leapd" in client.status.sentence
-        assert client.next_frame(0.01) is None
-    finally:
-        client.close()
+def test_a_missing_service_is_named_with_the_way_to_start_it(wire):
+    client = LeapClient(port=wire.free_port(), runtime=clock)
+    clock.sleep(GREETED_S)
+    assert client.status.link is LeapLink.NO_SERVICE and "sudo leapd" in client.status.sentence
+    assert client.next_frame(0.01) is None
+    client.close()
     assert client.status.link is LeapLink.CLOSED
 
 
-def test_close_from_another_thread_ends_a_wait(start, wait_until):
+def test_close_from_another_thread_ends_a_wait(start):
     _service, client = start(stream())
-    wait_until(lambda: client.counts.connections == 1, 10.0, "the connection")
-    threading.Timer(0.2, client.close).start()
-    before = time.monotonic()
+    closer = clock.Timer(0.2, client.close)
+    closer.start()
+    began = clock.monotonic()
     assert client.next_frame(60.0) is None
-    assert time.monotonic() - before < 30.0
+    assert clock.monotonic() - began == pytest.approx(0.2)
     client.close()
-
-
-def test_close_with_unread_messages_is_bounded(start, wait_until):
-    def floods(service, connection):
-        greet(service, connection)
-        number = 0
-        while not service.ended.is_set():
-            number += 1
-            connection.send(frame(number))
-
-    _service, client = start(floods)
-    wait_until(lambda: client.counts.received > 100, 10.0, "a flood")
-    before = time.monotonic()
-    client.close()
-    assert time.monotonic() - before < 30.0
-    assert client.status.link is LeapLink.CLOSED
+    assert clock.monotonic() - began < 0.2 + SILENCE_S + GREETED_S and client.status.link is LeapLink.CLOSED
 
 
 @pytest.mark.parametrize(
@@ -307,67 +256,56 @@ def test_close_with_unread_messages_is_bounded(start, wait_until):
         ({"hands": [{}]}, "id is missing"),
     ],
 )
-def test_a_stream_without_a_usable_frame_is_a_state_of_the_link_and_one_usable_frame_ends_it(
-    start, wait_until, monkeypatch, bad, reason
-):
-    monkeypatch.setattr(client_module, "UNUSABLE_S", 0.05)
-    mended = threading.Event()
+def test_a_stream_without_a_usable_frame_is_a_state_of_the_link_and_one_usable_frame_ends_it(start, bad, reason):
+    is_bad = [True]
+    _service, client = start(repeating(lambda number: frame(number, **(bad if is_bad else {}))))
 
-    def talk(service, connection):
-        greet(service, connection)
-        number = 0
-        while not service.ended.wait(0.005):
-            number += 1
-            connection.send(frame(number, **({} if mended.is_set() else bad)))
+    def read(seconds):
+        end = clock.monotonic() + seconds
+        while clock.monotonic() < end:
+            client.next_frame(max(0.0, end - clock.monotonic()))
 
-    _service, client = start(talk)
-    wait_until(lambda: [client.next_frame(0.01)] and client.status.link is LeapLink.UNUSABLE, 10.0, "the state")
-    assert reason in client.status.sentence
-    mended.set()
-    wait_until(lambda: client.next_frame(0.01) and client.status.link is LeapLink.STREAMING, 10.0, "a usable frame")
+    read(UNUSABLE_S - PERIOD_S)
+    assert client.status.link is LeapLink.STREAMING
+    read(2 * PERIOD_S + GREETED_S)
+    assert client.status.link is LeapLink.UNUSABLE and reason in client.status.sentence
+    is_bad.clear()
+    read(PERIOD_S + 2 * DELAY_S)
+    assert client.status.link is LeapLink.STREAMING
 
 
 @pytest.mark.parametrize(("identity", "serial"), [("LP12345678901", "LP12345678901"), (1, ""), (None, "")])
 def test_the_serial_of_the_device_is_that_of_its_event_or_unknown(start, identity, serial):
-    state = {"attached": True, "streaming": True, "id": identity, "type": "peripheral"}
-    _service, client = start(stream(json.dumps({"event": {"type": "deviceEvent", "state": state}}), frame(1)))
-    assert client.next_frame(LONG_S).frame.id == 1
+    _service, client = start(stream(device(identity), frame(1)))
+    assert client.next_frame(GREETED_S).frame.id == 1
     assert client.status.serial == serial
 
 
-def device(serial, attached=True, streaming=True):
-    state = {"attached": attached, "streaming": streaming, "id": serial, "type": "Peripheral"}
-    return json.dumps({"event": {"type": "deviceEvent", "state": state}})
-
-
-def test_the_serial_is_that_of_the_tracker_that_sends(start, wait_until):
+def test_the_serial_is_that_of_the_tracker_that_sends(start):
     steps = [
-        ((device("LP1"),), "LP1"),
-        ((device("LP2", streaming=False),), "LP1"),  # a second one, which is not used
-        ((device("LP1", streaming=False),), "LP1"),  # paused
-        ((device("LP2", attached=False, streaming=False),), "LP1"),
-        ((device("LP1", attached=False, streaming=False),), ""),
-        ((device("LP2"),), "LP2"),
+        (device("LP1"), "LP1"),
+        (device("LP2", streaming=False), "LP1"),  # a second one, which is not used
+        (device("LP1", streaming=False), "LP1"),  # paused
+        (device("LP2", attached=False, streaming=False), "LP1"),
+        (device("LP1", attached=False, streaming=False), ""),
+        (device("LP2"), "LP2"),
     ]
-    go = threading.Semaphore(0)
 
     def talk(service, connection):
         greet(service, connection)
-        for number, (texts, _) in enumerate(steps, start=1):
-            go.acquire(timeout=LONG_S)
-            for text in (*texts, frame(number)):
-                connection.send(text)
-        go.acquire(timeout=LONG_S)
+        for text, _ in steps:
+            clock.sleep(1.0)
+            connection.send(text)
+        clock.sleep(0.5)
 
     _service, client = start(talk, stream(frame(99)))
+    clock.sleep(0.5)
     assert client.status.serial == ""
     for _, serial in steps:
-        go.release()
-        assert client.next_frame(LONG_S) is not None
+        clock.sleep(1.0)
         assert client.status.serial == serial
-    go.release()
-    wait_until(lambda: client.counts.connections == 2, 10.0, "the second connection")
-    assert client.status.serial == ""
+    clock.sleep(1.0)
+    assert client.counts.connections == 2 and client.status.serial == ""
 
 
 @pytest.mark.parametrize(
@@ -377,39 +315,15 @@ def test_the_serial_is_that_of_the_tracker_that_sends(start, wait_until):
         *(b"\x80\x01x", b"\x88\x01\x00", bytes(range(256)) * 8),
     ],
 )
-def test_torn_websocket_frames_end_a_connection_and_the_next_one_is_used(wait_until, monkeypatch, torn):
-    """A server that speaks by bytes: after the header it sends what is no frame, and closes."""
-    monkeypatch.setattr(client_module, "RETRY_S", 0.02)
-    for module, name in WAITS:
-        monkeypatch.setattr(module, name, LONG_S)
-    listener = socket.create_server(("127.0.0.1", 0))
-    text = lambda message: b"\x81\x7e" + len(message).to_bytes(2, "big") + message.encode()  # noqa: E731
-    connections = []
+def test_torn_websocket_frames_end_a_connection_and_the_next_one_is_used(start, torn):
+    def tears(service, connection):
+        connection.send(HEADER)
+        connection.send_raw(torn)
+        connection.drop()
 
-    def talk():
-        for last in (torn, text(frame(2))):
-            connection, _ = listener.accept()
-            connections.append(connection)
-            key = re.search(rb"Sec-WebSocket-Key: (\S+)", connection.recv(4000))[1].decode()
-            answer = "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            connection.sendall(f"{answer}Sec-WebSocket-Accept: {accept_key(key)}\r\n\r\n".encode() + text(HEADER))
-            connection.sendall(last)
-            if last is torn:
-                connection.shutdown(socket.SHUT_WR)
-
-    server = threading.Thread(target=talk, daemon=True)
-    server.start()
-    client = LeapClient(port=listener.getsockname()[1])
-    try:
-        wait_until(
-            lambda: (got := client.next_frame(0.1)) and got.frame.id == 2, 10.0, "a frame of the next connection"
-        )
-        assert len(connections) == 2
-    finally:
-        client.close()
-        server.join(5.0)
-        for connection in (*connections, listener):
-            connection.close()
+    service, client = start(tears, stream(frame(2)))
+    assert client.next_frame(RETRY_S + 2 * GREETED_S).frame.id == 2
+    assert len(service.paths) == 2
 
 
 def test_an_unexpected_error_ends_one_connection_only(start, monkeypatch):
@@ -423,4 +337,4 @@ def test_an_unexpected_error_ends_one_connection_only(start, monkeypatch):
 
     monkeypatch.setattr(client_module, "read_header", read)
     _service, client = start(stream(frame(1)))
-    assert client.next_frame(LONG_S).frame.id == 1
+    assert client.next_frame(RETRY_S + 3 * GREETED_S).frame.id == 1
