@@ -84,10 +84,10 @@ class LeapService:
 
     def close(self) -> None:
         """Ends the service and its connections."""
-        self.ended.set()
         self._listener.close()
         for connection in self._connections:
             connection.close(1001)
+        self.ended.set()
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):  # it was closed

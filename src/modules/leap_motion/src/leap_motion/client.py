@@ -241,13 +241,12 @@ class LeapClient:
 
     def _take_frame(self, text: str | bytes, stamp: object) -> None:
         with self._changed:
+            if self._status.link is not LeapLink.STREAMING:  # before somebody gets the frame
+                self._set_status(LeapLink.STREAMING, f"The Leap service on {self._address} sends frames.")
             self._counts.received += 1
             self._counts.superseded += self._newest is not None
             self._newest = (text, stamp)
             self._changed.notify_all()
-            streaming = self._status.link is LeapLink.STREAMING
-        if not streaming:
-            self._set_status(LeapLink.STREAMING, f"The Leap service on {self._address} sends frames.")
 
     def _take_event(self, text: str) -> str:
         """Returns the cause that the event gives for a silence that may follow."""
