@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from common import clock
 from leap_motion.codec import read_message
 from leap_motion.service import wire
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM, hand_from_joints
 
 pytestmark = pytest.mark.ros
 
-LONG_S = 20.0
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 def hands(fingers=5):
@@ -88,33 +92,42 @@ def test_a_hand_with_four_fingers_shows_its_palm_alone():
     assert sorted(len(marker.points) for marker in right) == [0, 1, 2, 2]
 
 
-def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros, wait_until):
+def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros):
     import rospy
     from visualization_msgs.msg import MarkerArray
 
     from leap_motion.msg import Human
     from leap_motion.ros.human import FrameMessage
+    from leap_motion.ros.visualizer import PERIOD_S, POLL_S, REMIND_S, SILENT_S
 
     publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
     node = ros.run("leap_motion", "visualizer", "_frame:=somewhere")
     arrays = []
+    clock.sleep(2 * SILENT_S)
+    assert publisher.get_num_connections() == 0 and "Nothing" not in node.log_path.read_text()
     looks = rospy.Subscriber("leap_motion/visualization_marker_array", MarkerArray, arrays.append, queue_size=1000)
-    wait_until(lambda: "Nothing comes on /leap_motion/leap_device" in node.log_path.read_text(), LONG_S, "the sentence")
-
-    def marker_namespaces():
+    said = lambda: node.log_path.read_text().count("Nothing comes on /leap_motion/leap_device")  # noqa: E731
+    clock.sleep(SILENT_S)
+    assert said() == 0
+    clock.sleep(3 * POLL_S)
+    assert said() == 1
+    clock.sleep(REMIND_S)
+    assert said() == 2
+    for _ in range(100):
         publisher.publish(FrameMessage(hands(), rospy.Time.now()))
-        return {marker.ns for marker in arrays[-1].markers} if arrays else set()
-
-    wait_until(lambda: marker_namespaces() == {"left", "right"}, LONG_S, "both hands", poll=0.05)
-    assert {marker.header.frame_id for array in arrays for marker in array.markers} == {"somewhere"}
+        clock.sleep(0.01)
+    assert 0.9 / PERIOD_S <= len(arrays) <= 1.0 / PERIOD_S + 1, "some are left out"
+    markers = [marker for array in arrays for marker in array.markers]
+    assert {marker.ns for marker in markers} == {"left", "right"}
+    assert {marker.header.frame_id for marker in markers} == {"somewhere"}
     looks.unregister()
-    wait_until(lambda: publisher.get_num_connections() == 0, LONG_S, "the end of its listening")
-    assert node.poll() is None
+    clock.sleep(2 * POLL_S)
+    assert publisher.get_num_connections() == 0 and node.poll() is None
 
 
 def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
     node = ros.run("leap_motion", "visualizer.py", "_frame:=7")
-    assert node.wait(LONG_S) == 1
+    assert node.wait(1.0) == 1
     log = node.log_path.read_text()
     assert "~frame is 7" in log and "Traceback" not in log
 
