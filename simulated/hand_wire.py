@@ -11,6 +11,8 @@ The hand's own cycle runs, rig_simulation.devices.reflex.program.run, and its fa
 from __future__ import annotations
 
 import contextlib
+import math
+from collections import deque
 
 import pytest
 
@@ -22,8 +24,9 @@ from rig_simulation.devices.reflex import program
 from rig_simulation.devices.reflex.hand import SimulatedHand
 from rig_simulation.faults import hand as hand_faults
 from rig_simulation.faults.injection import Faults
-from simulated.tcp import Pipe
+from simulated.scheduler import active
 
+DELAY_S = 0.0005  # longest time of a packet
 SOURCE = ("10.99.99.99", 11333)
 
 
@@ -42,7 +45,7 @@ class HandWire(contextlib.AbstractContextManager):
         self.faults = Faults(hand_faults.HAND_FAULTS)
         self.wire = hand_faults.HandWire(self.faults)
         self.hosts: list[Transport] = []
-        self._commands, self._stop, self._patch = Pipe(), clock.Event(), pytest.MonkeyPatch()
+        self._commands, self._stop, self._patch = Packets(), clock.Event(), pytest.MonkeyPatch()
         self._thread = clock.Thread(
             target=program.run, args=(self.hand, self, clock.Lock(), self._stop), name="simulated hand", daemon=True
         )
@@ -80,9 +83,8 @@ class HandWire(contextlib.AbstractContextManager):
     def collect(self) -> list[bytes]:
         """The commands that have reached the hand since the last call."""
         found: list[bytes] = []
-        with contextlib.suppress(TimeoutError):
-            while True:
-                found.append(self._commands.get(0.0))
+        while (command := self._commands.get(0.0)) is not None:
+            found.append(command)
         return self.wire.incoming(found)
 
 
@@ -91,16 +93,14 @@ class Transport:
 
     def __init__(self, wire: HandWire, port: int) -> None:
         self._wire, self._hears = wire, port == wire.port
-        self.packets = Pipe()
+        self.packets = Packets()
         if self._hears:
             wire.hosts.append(self)
 
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
         """The next packet of the hand, and its sender; None after `timeout` [s]."""
-        try:
-            return self.packets.get(timeout), SOURCE
-        except TimeoutError:
-            return None
+        packet = self.packets.get(timeout)
+        return None if packet is None else (packet, SOURCE)
 
     def send(self, data: bytes) -> None:
         """A packet to the hand."""
@@ -114,3 +114,27 @@ class Transport:
         self._hears = False
         if self in self._wire.hosts:
             self._wire.hosts.remove(self)
+
+
+class Packets:
+    """Packets on their way in one direction, in order."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._there = clock.Event()
+
+    def put(self, packet: bytes) -> None:
+        """Sends one."""
+        due = clock.monotonic() + active().drawn(DELAY_S)
+        self._waiting.append((max(due, self._waiting[-1][0]) if self._waiting else due, packet))
+        self._there.set()
+
+    def get(self, timeout: float) -> bytes | None:
+        """Returns the next one, None after `timeout` [s]."""
+        deadline = clock.monotonic() + timeout
+        while (due := self._waiting[0][0] if self._waiting else math.inf) > (now := clock.monotonic()):
+            if now >= deadline:
+                return None
+            self._there.clear()
+            self._there.wait(max(min(due, deadline) - now, 1e-6))  # a shorter wait may be lost to rounding
+        return self._waiting.popleft()[1]

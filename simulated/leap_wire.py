@@ -4,7 +4,7 @@
         service = wire.play(Playback(GuidedOperator(ScriptedOperator(Script()))))
         node = graph.run("leap_motion", "leap_driver.py", f"_port:={service.port}")
 
-The client's own socket, leap_motion.transport.LeapSocket, runs on simulated.tcp.
+The client's own socket, leap_motion.transport.LeapSocket, runs on simulated.wires, which stand in for its modules.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import contextlib
 import math
 import socket
 from collections.abc import Callable
-from types import ModuleType
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
@@ -26,22 +25,20 @@ from common import clock
 from leap_motion import transport
 from leap_motion.service import wire
 from rig_simulation.operator.sources import Playback
-from simulated.tcp import Network, Socket
 
 VERSION, SERIAL = "2.3.1+simulated", "LP00000000001"
 READ_BYTES = 65536
 
 
-class LeapWire(Network):
-    """The addresses of Leap services; `modules`: further ones that get stand-ins of their sockets."""
+class LeapWire(contextlib.AbstractContextManager):
+    """The services of a test, which end with it."""
 
-    def __init__(self, *modules: ModuleType) -> None:
-        super().__init__(transport, *modules)
+    def __init__(self) -> None:
         self._services: list[LeapService] = []
 
     def serve(self, *conversations: Conversation, port: int = 0) -> LeapService:
         """Starts a service; each connection has one of the conversations, later ones the last one again."""
-        service = LeapService(self, conversations, port)
+        service = LeapService(conversations, port)
         self._services.append(service)
         return service
 
@@ -49,10 +46,9 @@ class LeapWire(Network):
         """Starts a service with the frames of a playback, for one client at a time."""
         return self.serve(lambda service, connection: _play(playback, connection), port=port)
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, *_: object) -> None:
         for service in self._services:
             service.close()
-        super().__exit__(*error)
 
 
 class LeapService:
@@ -64,13 +60,15 @@ class LeapService:
         ended: set at its end.
     """
 
-    def __init__(self, network: Network, conversations: tuple[Conversation, ...], port: int) -> None:
+    def __init__(self, conversations: tuple[Conversation, ...], port: int) -> None:
         self.heard: list[str] = []
         self.paths: list[str] = []
         self.ended = clock.Event()
         self._conversations = list(conversations)
         self._connections: list[Connection] = []
-        self._listener = network.sockets.create_server(("127.0.0.1", port))
+        self._listener = transport.socket.socket()
+        self._listener.bind(("127.0.0.1", port))
+        self._listener.listen()
         self.port = self._listener.getsockname()[1]
         clock.Thread(target=self._accept, name="leap service", daemon=True).start()
 
@@ -95,7 +93,7 @@ class LeapService:
                 client, _ = self._listener.accept()
                 clock.Thread(target=self._converse, args=(client,), name="leap conversation", daemon=True).start()
 
-    def _converse(self, client: Socket) -> None:
+    def _converse(self, client: Any) -> None:
         connection = Connection(client)
         self._connections.append(connection)
         talk = self._conversations.pop(0) if len(self._conversations) > 1 else self._conversations[0]
@@ -115,7 +113,7 @@ class Connection:
         hangs: while it is set, nothing that the client sends is read: pings stay without answer.
     """
 
-    def __init__(self, client: Socket) -> None:
+    def __init__(self, client: Any) -> None:
         self._socket, self._protocol = client, ServerProtocol()
         self._messages: clock.Queue[Any] = clock.Queue()
         self.hangs = False
@@ -160,7 +158,7 @@ class Connection:
 
     def drop(self) -> None:
         """Ends the connection without a word, as a service that crashes."""
-        self._socket.close()
+        self._socket.shutdown(socket.SHUT_WR)
 
     def _listen(self) -> None:
         with contextlib.suppress(EOFError, OSError):

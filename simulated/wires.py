@@ -29,12 +29,16 @@ from typing import Any, NamedTuple
 import pytest
 
 import kst.transport
+import leap_motion.transport
 import rig_simulation.control_port
 import rig_simulation.devices.sunrise.server
 from common import clock
 from simulated.scheduler import Scheduler, is_over
 
-MODULES = (kst.transport, rig_simulation.control_port, rig_simulation.devices.sunrise.server)
+MODULES = (
+    *(kst.transport, leap_motion.transport),
+    *(rig_simulation.control_port, rig_simulation.devices.sunrise.server),
+)
 DELAY_S = 2e-4  # of a packet on this machine
 RTO_S = 0.2  # TCP repeats a lost packet after this time [s],
 FAST = 3  # or, if so many later ones arrive, at once

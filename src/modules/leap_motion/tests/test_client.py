@@ -10,7 +10,7 @@ from leap_motion.client import HEADER_TIMEOUT_S, PING_S, RETRY_S, SILENCE_S, UNU
 from leap_motion.transport import CLOSE_TIMEOUT_S
 from simulated.clock import virtual_time
 from simulated.leap_wire import LeapWire
-from simulated.tcp import DELAY_S
+from simulated.wires import DELAY_S, Wires
 
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
 POLICIES = ['{"background":true}', '{"optimizeHMD":false}', '{"focused":true}']
@@ -31,8 +31,10 @@ def device(serial, attached=True, streaming=True):
 
 @pytest.fixture
 def wire():
-    with virtual_time(), LeapWire() as wire:
-        yield wire
+    with virtual_time() as scheduler, pytest.MonkeyPatch.context() as patch:
+        Wires(scheduler).stand_in(patch)
+        with LeapWire() as wire:
+            yield wire
 
 
 @pytest.fixture
@@ -229,7 +231,7 @@ def test_reasons_are_counted_without_growing_for_ever(start):
 
 
 def test_a_missing_service_is_named_with_the_way_to_start_it(wire):
-    client = LeapClient(port=wire.free_port(), runtime=clock)
+    client = LeapClient(port=6437, runtime=clock)
     clock.sleep(GREETED_S)
     assert client.status.link is LeapLink.NO_SERVICE and "sudo leapd" in client.status.sentence
     assert client.next_frame(0.01) is None

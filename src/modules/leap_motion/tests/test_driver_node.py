@@ -136,7 +136,7 @@ def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
     from leap_motion.msg import Human
     from leap_motion.ros.driver import REMIND_S, SETTLED_S
 
-    port = wire.free_port()
+    port = 6437
     humans = ros.record("leap_motion/leap_device", Human)
     node = ros.run("leap_motion", "leap_driver.py", f"_port:={port}")
     said = lambda: node.log_path.read_text().count("sudo leapd")  # noqa: E731
@@ -218,7 +218,7 @@ def test_bad_parameters_end_it_with_a_sentence(ros, parameter, sentence):
 
 @pytest.mark.parametrize("served", [True, False])
 def test_ends_with_an_interrupt(ros, wire, served):
-    node = ros.run("leap_motion", "leap_driver.py", f"_port:={wire.serve(Talk()).port if served else wire.free_port()}")
+    node = ros.run("leap_motion", "leap_driver.py", f"_port:={wire.serve(Talk()).port if served else 6437}")
     clock.sleep(1.0)
     node.send_signal(signal.SIGINT)
     assert node.wait(1.0) == 0
