@@ -64,7 +64,7 @@ class Thread(threading.Thread):
             pass
         except BaseException as error:
             failure = error
-            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
+            scheduler.on_crash(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
         scheduler.end(self.task, failure)
 
 

@@ -26,6 +26,7 @@ import shlex
 import signal
 import socket
 import sys
+import threading
 import traceback
 import xmlrpc.client
 from collections import deque
@@ -34,6 +35,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import genpy
 import message_filters
 import pytest
 import rosgraph
@@ -51,7 +53,7 @@ ROOT = Path(__file__).parents[1]
 DELAY_S, CONNECT_S = 0.002, 0.01
 """Longest times of a message, and of the connection of a subscriber with a publisher."""
 HANDSHAKE_S = 5.0  # after which a call gives up a node that stands still, see common.ros.service_calls
-OWN = "/test"
+OWN, MASTER_PORT = "/test", 11311
 
 
 class Node:
@@ -79,13 +81,16 @@ class Node:
         self.services: list[_Service] = []
         self.ended, self.spun = clock.Event(), clock.Event()
 
-    def resolve(self, name: str) -> str:
-        """The whole name of a topic, service or parameter."""
-        base = self.name if name.startswith("~") else self.namespace
+    def resolve(self, name: str, node: str | None = None) -> str:
+        """The whole name of a topic, service or parameter, to this node or one of another name."""
+        node = node or (self.name if name.startswith("~") else rosgraph.names.ns_join(self.namespace, "x"))
+        if not name:
+            return rosgraph.names.namespace(node)
+        name = rospy.names.canonicalize_name(name)
         if name.startswith("~"):
-            resolved = rosgraph.names.ns_join(self.name, name[1:]) if name != "~" else self.name
+            resolved = rosgraph.names.ns_join(node, name[1:])
         else:
-            resolved = rosgraph.names.resolve_name(name, rosgraph.names.ns_join(base, "x")) if name else base
+            resolved = name if name.startswith("/") else rosgraph.names.namespace(node) + name
         return self.remaps.get(resolved, resolved)
 
     def begin(self, name: str, anonymous: bool) -> None:
@@ -115,7 +120,7 @@ class Node:
         for hook in self.hooks:
             try:
                 hook()
-            except Exception:
+            except (Exception, SystemExit):
                 self.log += traceback.format_exc()
         self.shut = True
         self.close()
@@ -209,17 +214,18 @@ class Parameters:
         return True
 
     def set(self, name: str, value: Any) -> None:
-        """Sets a value, or all values of a namespace."""
+        """Sets a value, or all values of a namespace; raises what it raises to send them to the master."""
+        ((value,), _) = xmlrpc.client.loads(xmlrpc.client.dumps((value,)))
         parts = _parts(name)
         if not parts:
-            self.tree = copy.deepcopy(value)
+            self.tree = value
             return
         found = self.tree
         for part in parts[:-1]:
             if not isinstance(found.get(part), dict):
                 found[part] = {}
             found = found[part]
-        found[parts[-1]] = copy.deepcopy(value)
+        found[parts[-1]] = value
 
     def delete(self, name: str) -> None:
         """Removes it; raises KeyError."""
@@ -264,6 +270,7 @@ class _Connection:
     def __init__(self, graph: Graph, publisher: _Publisher, subscriber: _Subscriber) -> None:
         self.graph, self.publisher, self.subscriber = graph, publisher, subscriber
         self.open, self.closed = False, False
+        self.callerid_pub = publisher.node.name
         self._messages: deque[tuple[float, bytes]] = deque()
         self._there = clock.Event()
         with graph.scheduler.in_group(subscriber.node.group):
@@ -288,7 +295,7 @@ class _Connection:
             return
         self.open = True
         if self.publisher.latch and self.publisher.last is not None:
-            self.put(self.publisher.last)
+            self.put(self.publisher.written(self.publisher.last))
         while not self.subscriber.closed:
             if not self._messages:
                 if self.closed:
@@ -307,7 +314,7 @@ class _Publisher:
     def __init__(self, graph: Graph, node: Node, name: str, kind: type, latch: bool) -> None:
         self.graph, self.node, self.name, self.kind, self.latch = graph, node, name, kind, latch
         self.connections: list[_Connection] = []
-        self.last: bytes | None = None
+        self.last: Any = None
         self.count, self.closed = itertools.count(1), False
         node.topics.append(self)
         graph.publishers.append(self)
@@ -326,13 +333,23 @@ class _Publisher:
             return
         self.connections.append(_Connection(self.graph, self, subscriber))
 
+    def written(self, message: Any) -> bytes:
+        buffer = io.BytesIO()
+        try:
+            rospy.msg.serialize_message(buffer, next(self.count), message)
+        except genpy.SerializationError as error:
+            raise rospy.ROSSerializationException(str(error)) from error
+        return buffer.getvalue()[4:]
+
+    def has_connection(self, name: str) -> bool:
+        """Whether a node hears it; as of rospy's topics, for actionlib."""
+        return any(each.open and not each.closed for each in self.connections if each.subscriber.node.name == name)
+
     def publish(self, message: Any) -> None:
         if self.closed:
-            raise rospy.ROSException("publish() to a closed topic")
-        buffer = io.BytesIO()
-        rospy.msg.serialize_message(buffer, next(self.count), message)
-        data = buffer.getvalue()[4:]
-        self.last = data
+            return  # as rospy does after its shutdown
+        self.last = message
+        data = self.written(message)
         for connection in self.connections:
             if connection.open and not connection.closed:
                 connection.put(data)
@@ -353,6 +370,12 @@ class _Subscriber:
         self.closed = False
         node.topics.append(self)
         graph.subscribers.append(self)
+
+    @property
+    def connections(self) -> list[_Connection]:
+        """Those over which messages come; as of rospy's topics, for actionlib."""
+        everyone = (each for publisher in self.graph.publishers for each in publisher.connections)
+        return [each for each in everyone if each.subscriber is self and each.open and not each.closed]
 
     @property
     def callbacks(self) -> list[tuple[Any, Any]]:
@@ -405,6 +428,9 @@ class _Service:
         if self.graph.services.get(self.name) is self:
             del self.graph.services[self.name]
 
+    def _failed(self, text: str) -> rospy.ServiceException:
+        return rospy.ServiceException(f"service [{self.name}] responded with an error: {text.encode()!r}")
+
     def call(self, request: Any, caller: str) -> Any:
         """Lets the node answer in a thread of its own, and waits for that."""
         answered, answer = clock.Event(), []
@@ -419,11 +445,10 @@ class _Service:
                 )
                 answer.append(_as_received(response, self.kind._response_class))
             except rospy.ServiceException as error:
-                answer.append(rospy.ServiceException(f"service [{self.name}] responded with an error: {error}"))
+                answer.append(self._failed(f"service cannot process request: {error}"))
             except Exception as error:
                 self.node.say("ERROR", f"Error processing request: {error}\n{traceback.format_exc()}")
-                text = f"error processing request: {error}"
-                answer.append(rospy.ServiceException(f"service [{self.name}] responded with an error: {text}"))
+                answer.append(self._failed(f"error processing request: {error}"))
             finally:
                 answered.set()
 
@@ -732,7 +757,7 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         "get_name": lambda: graph.here.name,
         "get_caller_id": lambda: graph.here.name,
         "get_namespace": lambda: graph.here.namespace,
-        "resolve_name": lambda name, *_: graph.here.resolve(name),
+        "resolve_name": lambda name, caller_id=None: graph.here.resolve(name, caller_id),
         "myargv": lambda argv=None: [
             w for w in (graph.here.argv if argv is None else argv) if not rosgraph.names.is_legal_remap(w)
         ],
@@ -751,8 +776,12 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
             return parameters.get(graph.here.resolve(name))
         except KeyError:
             if default is unset:
-                raise
+                raise KeyError(name) from None
             return default
+
+    def delete_param(name: str) -> None:
+        get_param(name)
+        parameters.delete(graph.here.resolve(name))
 
     names.update(
         get_param=get_param,
@@ -760,7 +789,7 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         get_param_names=parameters.names,
         set_param=lambda name, value: parameters.set(graph.here.resolve(name), value),
         has_param=lambda name: parameters.has(graph.here.resolve(name)),
-        delete_param=lambda name: parameters.delete(graph.here.resolve(name)),
+        delete_param=delete_param,
         search_param=lambda name: parameters.search(name, graph.here.name),
     )
 
@@ -769,6 +798,8 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
 
     def wait_for_service(name: str, timeout: Any = None) -> None:
         limit, resolved = seconds(timeout), graph.here.resolve(name)
+        if limit == 0.0:
+            raise ValueError("timeout must be non-zero")
         begun = scheduler.now
         while resolved not in graph.services:
             if graph.here.shut:
@@ -778,21 +809,18 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
             clock.sleep(0.1)
 
     def wait_for_message(topic: str, kind: type, timeout: Any = None) -> Any:
-        limit, came, found = seconds(timeout), clock.Event(), []
-
-        def take(message: Any) -> None:
-            found.append(message)
-            came.set()
-
-        subscriber = rospy.Subscriber(topic, kind, take)
-        graph.here.hooks.append(came.set)
-        came.wait(limit)
-        subscriber.unregister()
-        if found:
-            return found[0]
-        if graph.here.shutting:
+        limit, found, begun = seconds(timeout), [], scheduler.now
+        subscriber = rospy.Subscriber(topic, kind, found.append)
+        try:
+            while not graph.here.shut and not found:
+                clock.sleep(0.01)
+                if limit is not None and scheduler.now - begun >= limit:
+                    raise rospy.ROSException(f"timeout exceeded while waiting for message on topic {topic}")
+        finally:
+            subscriber.unregister()
+        if graph.here.shut:
             raise rospy.ROSInterruptException("rospy shutdown")
-        raise rospy.ROSException(f"timeout exceeded while waiting for message on topic {topic}")
+        return found[0]
 
     names.update(
         wait_for_service=wait_for_service,
@@ -847,8 +875,7 @@ def _topics(graph: Graph, patch: pytest.MonkeyPatch) -> None:
             return 0
         if isinstance(self.impl, _Publisher):
             return sum(each.open and not each.closed for each in self.impl.connections)
-        everyone = (each for publisher in graph.publishers for each in publisher.connections)
-        return sum(each.open and not each.closed for each in everyone if each.subscriber is self.impl)
+        return len(self.impl.connections)
 
     for kind, init in ((rospy.Publisher, publisher), (rospy.Subscriber, subscriber)):
         patch.setattr(kind, "__init__", init)
@@ -867,6 +894,8 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     def service(self, name, service_class, handler, buff_size=65536, error_handler=None):
         self.resolved_name, self.service_class, self.handler = graph.here.resolve(name), service_class, handler
         self.request_class, self.response_class = service_class._request_class, service_class._response_class
+        if any(each.name == self.resolved_name and not each.closed for each in graph.here.services):
+            raise rospy.ServiceException(f"service [{self.resolved_name}] already registered")
         self.impl = _Service(graph, graph.here, self.resolved_name, service_class, handler)
 
     def proxy(self, name, service_class, persistent=False, headers=None):
@@ -914,6 +943,17 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(service_calls.ServiceClient, "look_up", lambda self: None)
     patch.setattr(service_calls._Attempt, "_hang_up", lambda self: None)
 
+    def reached(address: tuple[str, int], timeout: float | None = None) -> contextlib.AbstractContextManager[None]:
+        """As socket.create_connection, to the master or to the address that it tells of a node."""
+        number = address[1]
+        alive = 0 < number <= len(graph.nodes) and graph.nodes[number - 1].returncode is None
+        if not (graph.master_answers if number == MASTER_PORT else alive):
+            raise ConnectionRefusedError("nobody listens")
+        return contextlib.nullcontext()
+
+    patch.setenv("ROS_MASTER_URI", f"http://localhost:{MASTER_PORT}")
+    patch.setattr(service_calls, "socket", SimpleNamespace(**{**vars(socket), "create_connection": reached}))
+
 
 def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     """What common.ros.node does to the process of a node."""
@@ -930,6 +970,14 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
         graph.here.handlers[number] = handler
         return before
 
+    def report(args: Any) -> None:
+        if graph.here.group:
+            graph.here.log += f"Exception in thread {args.thread.name}:\n"
+            graph.here.log += "".join(traceback.format_exception(args.exc_type, args.exc_value, args.exc_traceback))
+        else:
+            threading.excepthook(args)
+
+    graph.scheduler.on_crash = report
     patch.setattr(os, "_exit", exit_at_once)
     patch.setattr(signal, "signal", handle)
     patch.setattr(sys, "setswitchinterval", lambda seconds: None)  # it is that of all nodes

@@ -74,6 +74,7 @@ class Scheduler:
         now: virtual time [s].
         suspended: groups whose threads stand still.
         on_turn: called with the group of each thread that gets its turn.
+        on_crash: called with what threading.excepthook takes, by each thread that an exception ends.
         crashed: name and exception of each thread that an exception has ended.
         trace: time and thread of each turn, if it was asked for.
     """
@@ -83,6 +84,7 @@ class Scheduler:
         self.now = START_S
         self.suspended: set[str] = set()
         self.on_turn: Callable[[str], None] = lambda group: None
+        self.on_crash: Callable[[Any], None] = lambda args: threading.excepthook(args)
         self.crashed: list[tuple[str, BaseException]] = []
         self.trace: list[tuple[float, str]] | None = [] if trace else None
         self._random = random.Random(seed)
