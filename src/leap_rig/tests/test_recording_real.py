@@ -1,0 +1,60 @@
+"""The program record.py as a process: what a tracker sends reaches the disk, also if the recorder is killed."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from leap_motion.service.server import LeapService
+from leap_rig.recording import read
+
+pytestmark = pytest.mark.ros
+
+EMPTY = '{{"currentFrameRate":110.5,"hands":[],"id":{i},"note":"é \\u0000  ","pointables":[],"timestamp":{t}}}'
+
+
+class Tracker:
+    """A Leap service that sends frames without hands, each text another."""
+
+    def __init__(self):
+        self._service = LeapService(port=0)
+        self.port, self.sent, self._stop = self._service.port, [], threading.Event()
+        for job in (self._service.run, self._send):
+            threading.Thread(target=job, daemon=True).start()
+
+    def _send(self):
+        while not self._stop.wait(0.01):
+            i = len(self.sent)
+            self.sent.append(EMPTY.format(i=i, t=9000 * i))
+            self._service.offer(self.sent[-1])
+
+    def close(self):
+        self._stop.set()
+        self._service.stop()
+
+
+@pytest.fixture
+def tracker():
+    service = Tracker()
+    yield service
+    service.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_what_the_tracker_sent_is_on_the_disk_however_the_recorder_ends(ros, tracker, tmp_path, wait_until, number):
+    ros.run("leap_motion", "leap_driver.py", f"_port:={tracker.port}")
+    program = ros.run("leap_rig", "record.py", f"{tmp_path}/run", "--task", "a test")
+    wait_until(lambda: "frames" in program.log_path.read_text() or program.poll() is not None, 20.0, "the live line")
+    wait_until(lambda: len(read(tmp_path / "run").frames) > 60, 20.0, "frames on the disk", poll=0.1)
+    on_disk = read(tmp_path / "run").frames
+    os.killpg(program.pid, number)
+    ended = program.wait(20.0)
+    run = read(tmp_path / "run")
+    assert run.frames[: len(on_disk)] == on_disk
+    frames = [text for text in run.frames if '"event"' not in text]  # the driver may connect while it is recorded
+    assert frames == [text for text in tracker.sent if text in set(frames)]
+    if number == signal.SIGINT:
+        assert ended == 0 and not run.remark and run.manifest["ended_by"] == "Ctrl-C"
+    else:
+        assert "not completed" in run.remark
