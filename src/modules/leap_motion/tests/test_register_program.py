@@ -1,7 +1,5 @@
 """The program register_tracker before the simulated service, whose tracker is tilted and moved."""
 
-import sys
-import time
 from datetime import datetime
 from pathlib import Path
 
@@ -10,42 +8,54 @@ import pytest
 from numpy.testing import assert_allclose
 
 pytest.importorskip("rospy")
+from common import clock
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from leap_motion.registration import FINGER_M, SHEET, tilt_deg
 from leap_motion.ros import register_program
 from leap_motion.ros.registrations import load, registration_file
-from rig_simulation.control_port import ControlClient
+from rig_simulation.operator.guided import GuidedOperator
 from rig_simulation.operator.hand_model import HandModel
 from rig_simulation.operator.motion import Script
-from rig_simulation.operator.sources import ScriptedOperator
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 
 pytestmark = pytest.mark.ros
 
-LEAPD = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "leapd.py"
 STANDS = (30.0, 12.0, -20.0, 10.0, -15.0, 5.0)  # mm and deg about x, y, z
-SHOWN_S = 0.2  # from the hand's move to the key: frames of before are no longer on the way
+SHOWN_S = 0.2  # from the hand's move to the key
+PORT = 6437
 TIP = 1e-3 * HandModel().place(ScriptedOperator(Script(), centre=(0.0, 0.0, 0.0)).pose(np.zeros(7))).tips[1]
 
 
+def stands(unit=1.0):
+    """The pose of the tracker, shape (4, 4); `unit`: of its position [mm]."""
+    pitch, yaw, roll = np.radians(STANDS[3:])
+    R = rotation_about(1, yaw) @ rotation_about(0, pitch) @ rotation_about(2, roll)
+    return pose(R, unit * np.array(STANDS[:3]))
+
+
 @pytest.fixture
-def leapd(ros, processes, wait_until, tmp_path, monkeypatch):
-    """Ports of a simulated service whose tracker stands at STANDS, with a guided hand on the desk."""
+def ros(virtual_graph, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(register_program, "HOLD_S", 0.3)
-    ports = ("--guided", "--port", "0", "--control-port", "0", "--centre", "0", "0", "0")
-    process = processes.start(sys.executable, str(LEAPD), *ports, "--stands", *map(str, STANDS))
-    words = wait_until(process.log_path.read_text, 20.0, "the ready line").replace(",", "").split()
-    port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
-    with ControlClient("127.0.0.1", control_port, 30.0) as control:
-        yield port, control
+    return virtual_graph
+
+
+@pytest.fixture
+def leapd(ros):
+    """A guided hand on the desk before a service whose tracker stands at STANDS."""
+    from simulated.leap_wire import LeapWire
+
+    hand = GuidedOperator(ScriptedOperator(Script(), centre=(0.0, 0.0, 0.0), T_desk_leap=stands()))
+    with LeapWire() as wire:
+        wire.play(Playback(hand), PORT)
+        yield hand
 
 
 class Person:
     """Obeys the program: touches the point that it names. `errors`: by point [m]."""
 
-    def __init__(self, control, height=0.2, **errors):
-        self._control, self._height, self._errors, self.asked = control, height, errors, []
+    def __init__(self, hand, height=0.2, **errors):
+        self._hand, self._height, self._errors, self.asked = hand, height, errors, []
 
     def __call__(self, question):
         self.asked.append(question)
@@ -55,33 +65,31 @@ class Person:
             right, up, back = (
                 np.array([x, self._height + FINGER_M, z]) - TIP + self._errors.get(name.replace(" ", "_"), 0)
             )
-            self._control.ask("show", right=right, up=up, back=back)
+            self._hand.show(right=right, up=up, back=back)
             if len(self.asked) == 1:  # the first time in a hurry
-                self._control.ask("reach", right=right + 0.25, up=up, back=back, seconds=2.5)
-            time.sleep(SHOWN_S)
+                self._hand.reach(right=right + 0.25, up=up, back=back, seconds=2.5)
+            clock.sleep(SHOWN_S)
         return ""
 
 
 def test_a_tilted_tracker_is_registered(leapd, capsys):
-    port, control = leapd
-    person = Person(control)
-    assert register_program.main(["desk", "--port", str(port)], person) == 0
+    person = Person(leapd)
+    assert register_program.main(["desk"], person) == 0
     out = capsys.readouterr().out
     touched = [name for question in person.asked for name in SHEET if name in question]
-    # One that is not seen well enough, as the service had no time, is asked for once more.
-    assert "The finger moved by" in out and list(dict.fromkeys(touched)) == list(SHEET) and touched[1] == touched[0]
+    first, *others = SHEET
+    assert "The finger moved by" in out and touched == [first, first, *others]
     assert "Start the rig with registration:=desk" in out
     found = load("desk", datetime.now())
-    pitch, yaw, roll = np.radians(STANDS[3:])
-    T = pose(rotation_about(1, yaw) @ rotation_about(0, pitch) @ rotation_about(2, roll), 1e-3 * np.array(STANDS[:3]))
+    T = stands(1e-3)
     assert found.serial.startswith("LP") and f"Tracker {found.serial}" in out
     assert np.degrees(rotation_angle(found.T_desk_leap[:3, :3].T @ T[:3, :3])) < 3.0
     middle = np.array([0.0, 0.2, 0.0, 1.0])
     assert_allclose(found.T_desk_leap @ np.linalg.inv(T) @ middle, middle, atol=5e-3)
-    level = ["desk", "--level", "--port", str(port)]
-    assert register_program.main(level, Person(control)) == 1  # "" is no yes
+    level = ["desk", "--level"]
+    assert register_program.main(level, Person(leapd)) == 1  # "" is no yes
     assert "Cancelled" in capsys.readouterr().err
-    assert register_program.main([*level, "--force"], Person(control)) == 0
+    assert register_program.main([*level, "--force"], Person(leapd)) == 0
     assert tilt_deg(load("desk", datetime.now()).T_desk_leap) == pytest.approx(tilt_deg(T), abs=2.0)
 
 
@@ -96,21 +104,19 @@ def test_points_that_do_not_fit_store_nothing(leapd, capsys, tmp_path, monkeypat
     monkeypatch.chdir(tmp_path)
     lines = [f"{name}: [{0.9 * x}, 0.2, {0.9 * z}]" for name, (x, z) in SHEET.items()]
     Path("enlarged.yaml").write_text("\n".join(lines))
-    port, control = leapd
-    assert register_program.main(["desk", "--port", str(port), *options], Person(control, **errors)) == 1
+    assert register_program.main(["desk", *options], Person(leapd, **errors)) == 1
     err = capsys.readouterr().err
     assert sentence in err and "Nothing was stored" in err
     assert not registration_file("desk").exists()
 
 
-def test_a_running_rig_is_not_steered_by_the_hand_that_is_shown(ros, capsys, monkeypatch, tmp_path, free_port):
+def test_a_running_rig_is_not_steered_by_the_hand_that_is_shown(ros, capsys):
     import rospy
 
     from leap_motion.msg import Human
 
-    monkeypatch.setenv("HOME", str(tmp_path))
     rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
-    assert register_program.main(["desk", "--port", str(free_port())], str) == 1
+    assert register_program.main(["desk"], str) == 1
     assert "stop it, then register" in capsys.readouterr().err
 
 
@@ -127,23 +133,21 @@ def test_a_running_rig_is_not_steered_by_the_hand_that_is_shown(ros, capsys, mon
         (["desk"], "No Leap service answers"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anybody_is_asked(
-    ros, capsys, monkeypatch, tmp_path, free_port, arguments, sentence
-):
-    monkeypatch.setenv("HOME", str(tmp_path))
+def test_what_cannot_be_done_is_said_before_anybody_is_asked(ros, capsys, monkeypatch, tmp_path, arguments, sentence):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(register_program, "CONNECT_S", 2.0)
     Path("list.yaml").write_text("- [0, 0, 0]")
     Path("mm.yaml").write_text("a: [100, 200, 70]\nb: [0, 0.2, 0]\nc: [0.1, .nan, 0]")
     Path("line.yaml").write_text("a: [0, 0, 0]\nb: [0.1, 0, 0]\nc: [0.2, 0, 0]")
-    assert register_program.main([*arguments, "--port", str(free_port())], ask=None) == 1
+    began = clock.monotonic()
+    assert register_program.main(arguments, ask=None) == 1
     assert sentence in capsys.readouterr().err
+    waited = register_program.CONNECT_S if "No Leap" in sentence else 0.0
+    assert waited <= clock.monotonic() - began <= waited + 0.5
 
 
 def test_an_interrupt_stores_nothing(leapd, capsys):
     def interrupted(_):
         raise KeyboardInterrupt
 
-    port, _ = leapd
-    assert register_program.main(["desk", "--port", str(port)], interrupted) == register_program.INTERRUPTED
+    assert register_program.main(["desk"], interrupted) == register_program.INTERRUPTED
     assert not registration_file("desk").exists()

@@ -83,7 +83,7 @@ def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
     _refuse_running_driver()
     if path.exists() and not options.force and ask(f"{path} exists. Replace it? [y/N] ").strip().lower() != "y":
         raise RigError("Cancelled.")
-    client = LeapClient(options.host, options.port, code=options.code)
+    client = LeapClient(options.host, options.port, code=options.code, runtime=clock)
     try:
         _wait_for_frames(client)
         serial = client.status.serial
