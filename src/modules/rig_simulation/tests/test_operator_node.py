@@ -1,15 +1,17 @@
-"""The operator of the demonstration against a stand-in for the controller."""
+"""The operator of the demonstration against a stand-in for the controller, in virtual time."""
 
-import contextlib
-import threading
+import signal
 
 import pytest
 
+from common import clock
 from rig_simulation.control_port import ControlPort
 
 pytestmark = pytest.mark.ros
 
 HOME = [0.1, -0.5, 0.0, 1.4, 0.0, -1.2, 0.3]
+POLL_S, REMIND_S, SEEN_S = 0.1, 10.0, 0.1
+"""How often the operator looks, and says why it waits; what its look and the publishing of joints take at most."""
 
 
 class Controller:
@@ -31,8 +33,8 @@ class Controller:
             rospy.Service(f"{of}kuka/gripper_control", setGripperControl, self._answer("gripper")),
             rospy.Service(f"{of}kuka/kuka_control", setKukaControl, self._answer("arm")),
         ]
-        self._ended = threading.Event()
-        threading.Thread(target=self._publish, daemon=True).start()
+        self._ended = clock.Event()
+        clock.Thread(target=self._publish, daemon=True).start()
 
     def _answer(self, name):
         def answer(request):
@@ -56,6 +58,11 @@ class Controller:
 
 
 @pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
+
+
+@pytest.fixture
 def controller(ros):
     controller = Controller()
     yield controller
@@ -63,80 +70,95 @@ def controller(ros):
 
 
 @pytest.fixture
-def leapd():
+def leapd(ros):
     """A control port that notes that it was told to play."""
-    played = threading.Event()
+    played = clock.Event()
     with ControlPort({"play": played.set}) as port:
         port.played = played
         yield port
 
 
-def test_waits_for_home_then_switches_on_and_plays(ros, controller, leapd, wait_until):
+def test_waits_for_home_then_switches_on_and_plays(ros, controller, leapd):
     controller.refusals = 2
     node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}")
-    wait_until(lambda: "until the arm is at home" in node.log_path.read_text(), 20.0, "the waiting")
-    assert controller.calls == []
-    assert not leapd.played.is_set()
+    said = lambda: node.log_path.read_text().count("until the arm is at home")  # noqa: E731
+    for after, count in ((0.9, 0), (0.4, 1), (REMIND_S - 0.4, 1), (0.4, 2)):
+        clock.sleep(after)
+        assert said() == count
+    assert controller.calls == [] and not leapd.played.is_set()
     controller.joints = HOME
-    wait_until(leapd.played.is_set, 20.0, "the hand")
-    assert controller.calls == [("gripper", True), ("arm", True)]
-    assert node.poll() is None, "it lives on: a rig whose nodes end is not well"
+    clock.sleep(5 * POLL_S + SEEN_S)
+    assert controller.calls == [("gripper", True), ("arm", True)] and leapd.played.is_set()
+    clock.sleep(60.0)
+    assert len(controller.calls) == 2 and node.poll() is None, "it lives on: a rig whose nodes end is not well"
 
 
-def test_without_auto_start_it_only_starts_the_hand(ros, controller, leapd, wait_until):
+def test_without_auto_start_it_only_starts_the_hand(ros, controller, leapd):
     controller.joints = HOME
     ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_auto_start:=false")
-    wait_until(leapd.played.is_set, 20.0, "the hand")
-    assert controller.calls == []
+    clock.sleep(2 * POLL_S + SEEN_S)
+    assert leapd.played.is_set() and controller.calls == []
+
+
+def test_a_hand_that_comes_late_is_waited_for(ros, controller):
+    controller.joints = HOME
+    node = ros.run("rig_simulation", "operator_node.py", "_leapd_port:=16437")
+    clock.sleep(5.0)
+    assert "until the simulated Leap service plays: The control port 127.0.0.1:16437" in node.log_path.read_text()
+    played = clock.Event()
+    with ControlPort({"play": played.set}, port=16437):
+        clock.sleep(2 * POLL_S)
+        assert played.is_set()
 
 
 def test_ends_with_a_sentence_when_the_controller_never_comes(ros):
     node = ros.run("rig_simulation", "operator_node.py", "_time_out:=0.5")
-    assert node.wait(20.0) == 1
+    clock.sleep(0.5)
+    assert node.poll() is None
+    assert node.wait(2 * POLL_S + SEEN_S) == 1
     log = node.log_path.read_text()
-    assert "0.5 s" in log
-    assert "Traceback" not in log
+    assert "0.5 s" in log and "Traceback" not in log
 
 
 def test_ends_with_a_sentence_when_control_is_refused(ros, controller, leapd):
     controller.joints, controller.refusals = HOME, 10**6
     node = ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}", "_time_out:=8.0")
-    assert node.wait(40.0) == 1
-    assert "the arm moves" in node.log_path.read_text()
-    assert not leapd.played.is_set()
+    clock.sleep(8.0)
+    assert node.poll() is None
+    assert node.wait(4 * POLL_S) == 1
+    assert "the arm moves" in node.log_path.read_text() and not leapd.played.is_set()
 
 
 def test_bad_parameters_end_it_with_a_sentence(ros):
     node = ros.run("rig_simulation", "operator_node.py", "_leapd_prot:=1")
-    assert node.wait(20.0) == 1
+    assert node.wait(1.0) == 1
     assert "~leapd_prot" in node.log_path.read_text()
 
 
-def test_ends_with_an_interrupt(ros, processes, wait_until):
+def test_ends_with_an_interrupt(ros):
     node = ros.run("rig_simulation", "operator_node.py")
-    wait_until(lambda: "Waiting until" in node.log_path.read_text(), 20.0, "the waiting")
-    with contextlib.suppress(ProcessLookupError):
-        assert processes.end(node, 10.0) == 0
+    clock.sleep(2.0)
+    assert "Waiting until" in node.log_path.read_text()
+    node.send_signal(signal.SIGINT)
+    assert node.wait(2 * POLL_S) == 0
     assert "Traceback" not in node.log_path.read_text()
 
 
-def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(ros, leapd, wait_until):
+def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(ros, leapd):
     import rospy
 
     arms = {name: Controller(f"{name}/") for name in ("left", "right")}
     rospy.set_param("/operator_node/arms", list(arms))
     arms["left"].joints = HOME
-    node = ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", f"_leapd_port:={leapd.port}")
-    try:
-        wait_until(lambda: "until the arm right is at home" in node.log_path.read_text(), 20.0, "the waiting")
-        assert arms["left"].calls == [("gripper", True), ("arm", True)] and arms["right"].calls == []
-        assert not leapd.played.is_set()
-        arms["right"].joints = HOME
-        wait_until(leapd.played.is_set, 20.0, "the hands")
-        assert arms["left"].calls == arms["right"].calls
-    finally:
-        for arm in arms.values():
-            arm.close()
+    ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", f"_leapd_port:={leapd.port}")
+    clock.sleep(30.0)
+    assert arms["left"].calls == [("gripper", True), ("arm", True)] and arms["right"].calls == []
+    assert not leapd.played.is_set()
+    arms["right"].joints = HOME
+    clock.sleep(2 * POLL_S + SEEN_S)
+    assert arms["left"].calls == arms["right"].calls and leapd.played.is_set()
+    for arm in arms.values():
+        arm.close()
 
 
 def test_a_scenario_of_one_arm_is_refused_for_several(ros):
@@ -144,5 +166,5 @@ def test_a_scenario_of_one_arm_is_refused_for_several(ros):
 
     rospy.set_param("/operator_node/arms", ["left", "right"])
     node = ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", "_scenario:=pick_cup")
-    assert node.wait(20.0) == 1
+    assert node.wait(1.0) == 1
     assert "scenario is pick_cup, which is for one arm, but arms are left, right" in node.log_path.read_text()

@@ -7,7 +7,6 @@ simulated Leap service. With a scenario it then steers the hand by its observati
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 
 import numpy as np
@@ -83,9 +82,21 @@ class Operator:
             )
             for arm in self._config.arms
         ]
-        with ThreadPoolExecutor(len(scenarios)) as threads:
-            for scenario in as_completed([threads.submit(scenario.run) for scenario in scenarios]):
-                scenario.result()
+        failures: list[Exception] = []
+
+        def run(scenario: PickScenario) -> None:
+            try:
+                scenario.run()
+            except Exception as error:
+                failures.append(error)
+
+        threads = [clock.Thread(target=run, args=(scenario,), name=name) for scenario in scenarios]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        if failures:
+            raise failures[0]
 
     def _start(self, arm: str) -> None:
         """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty."""
