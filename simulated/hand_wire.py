@@ -1,22 +1,25 @@
-"""The ReFlex hand on its wire, in this process and in virtual time; ReflexHand reaches it by interface and port.
+"""ReFlex hands on their wire, in this process and in virtual time; ReflexHand reaches them by interface and port.
 
     with HandWire() as wire:
         node = graph.run("reflex", "reflex_takktile_driver.py")
         wire.faults.switch("silent")
         wire.hand.press(finger=1, cell=2, value=15)
 
-The hand's own cycle runs, rig_simulation.devices.reflex.program.run, and its faults; in place of UDP there are lists.
+The hand's own cycle runs, rig_simulation.devices.reflex.program.run, and its faults; only UDP is replaced. With a
+HandNetwork alone, programs such as world.py bring their hands.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 from collections import deque
 
 import pytest
 
 from common import clock
+from common.errors import DeviceError
 from reflex.client import ReflexHand
 from reflex.errors import WireFault
 from reflex.transport import HandTransport
@@ -27,93 +30,131 @@ from rig_simulation.faults.injection import Faults
 from simulated.scheduler import active
 
 DELAY_S = 0.0005  # longest time of a packet
+LEAST_S = 1e-6  # a shorter wait may be lost to rounding
+FIRST_PORT = 50000  # of those that a hand gets for port 0
 SOURCE = ("10.99.99.99", 11333)
 
 
-class HandWire(contextlib.AbstractContextManager):
-    """An interface with a hand that runs.
+class HandNetwork(contextlib.AbstractContextManager):
+    """The only interface of this machine.
 
     Attributes:
-        hand: the simulated hand.
-        faults: those of HAND_FAULTS, in both directions.
-        broken: why the interface is down, "" while it is up: what the host sends fails, and nothing comes.
+        broken: why it is down, "" while it is up: what the host sends fails, and nothing comes.
+        links: those of the hands, by their ports.
     """
 
-    def __init__(self, seed: int = 0, interface: str = "lo", port: int = 11333) -> None:
-        self.interface, self.port, self.broken = interface, port, ""
-        self.hand = SimulatedHand(seed)
-        self.faults = Faults(hand_faults.HAND_FAULTS)
-        self.wire = hand_faults.HandWire(self.faults)
-        self.hosts: list[Transport] = []
-        self._commands, self._stop, self._patch = Packets(), clock.Event(), pytest.MonkeyPatch()
-        self._thread = clock.Thread(
-            target=program.run, args=(self.hand, self, clock.Lock(), self._stop), name="simulated hand", daemon=True
-        )
+    def __init__(self, interface: str = "lo") -> None:
+        self.interface, self.broken = interface, ""
+        self.links: dict[int, Link] = {}
+        self.ports = itertools.count(FIRST_PORT)
+        self._patch = pytest.MonkeyPatch()
 
-    def __enter__(self) -> HandWire:
-        stand_ins = {HandTransport: self.connect}
+    def __enter__(self) -> HandNetwork:
         defaults = ReflexHand.__init__.__defaults__ or ()
-        own = tuple(stand_ins.get(value, value) if isinstance(value, type) else value for value in defaults)
+        own = tuple(self.connect if value is HandTransport else value for value in defaults)
         self._patch.setattr(ReflexHand.__init__, "__defaults__", own)
-        self._thread.start()
+        self._patch.setattr(program, "HandLink", self.link)
         return self
 
     def __exit__(self, *_: object) -> None:
         self._patch.undo()
-        self._stop.set()
-        self._thread.join()
 
     def connect(self, interface: str, port: int) -> Transport:
-        """The host's side; raises WireFault for another interface. On another port there is no hand."""
+        """The host's side, in place of HandTransport; raises WireFault for another interface."""
         if interface != self.interface:
             usable = f"interfaces with an IPv4 address: {self.interface}"
             raise WireFault(f"The network interface {interface!r} does not exist; {usable}.")
         return Transport(self, port)
 
-    def send(self, packet: bytes) -> None:
-        """A packet of the hand."""
-        for each in self.wire.outgoing(packet, clock.monotonic()):
-            for host in [] if self.broken else self.hosts:
-                host.packets.put(each)
+    def link(self, interface: str, port: int) -> Link:
+        """The hand's side, in place of program.HandLink; raises DeviceError for another interface or a taken port."""
+        port = port or next(self.ports)
+        if interface != self.interface or port in self.links:
+            raise DeviceError(f"Cannot use port {port} on {interface}.")
+        self.links[port] = Link(self, port)
+        return self.links[port]
 
-    def take(self, command: bytes) -> None:
-        """A packet of the host."""
-        self._commands.put(command)
+
+class HandWire(HandNetwork):
+    """A network with a hand.
+
+    Attributes:
+        hand: the simulated hand.
+        faults: those of HAND_FAULTS, in both directions.
+    """
+
+    def __init__(self, seed: int = 0, interface: str = "lo", port: int = 11333) -> None:
+        super().__init__(interface)
+        self.hand, link = SimulatedHand(seed), self.link(interface, port)
+        self.faults, self._stop = link.faults, clock.Event()
+        job = (self.hand, link, clock.Lock(), self._stop)
+        self._thread = clock.Thread(target=program.run, args=job, name="simulated hand", daemon=True)
+
+    def __enter__(self) -> HandWire:
+        super().__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        super().__exit__(*error)
+        self._stop.set()
+        self._thread.join()
+
+
+class Link:
+    """As program.HandLink."""
+
+    def __init__(self, network: HandNetwork, port: int) -> None:
+        self.interface, self.port = network.interface, port
+        self.faults = Faults(hand_faults.HAND_FAULTS)
+        self.wire = hand_faults.HandWire(self.faults)
+        self.hosts: list[Transport] = []
+        self.commands = Packets()
+        self._network = network
+
+    def send(self, data: bytes) -> None:
+        """Sends a packet to the hosts."""
+        for packet in self.wire.outgoing(data, clock.monotonic()):
+            for host in [] if self._network.broken else self.hosts:
+                host.packets.put(packet)
 
     def collect(self) -> list[bytes]:
-        """The commands that have reached the hand since the last call."""
+        """Returns the commands that have come since the last call."""
         found: list[bytes] = []
-        while (command := self._commands.get(0.0)) is not None:
+        while (command := self.commands.get(0.0)) is not None:
             found.append(command)
         return self.wire.incoming(found)
 
+    def close(self) -> None:
+        """Takes the hand from the network."""
+        self._network.links.pop(self.port, None)
+
 
 class Transport:
-    """In place of reflex.transport.HandTransport."""
+    """As reflex.transport.HandTransport."""
 
-    def __init__(self, wire: HandWire, port: int) -> None:
-        self._wire, self._hears = wire, port == wire.port
+    def __init__(self, network: HandNetwork, port: int) -> None:
+        self._network, self._link = network, network.links.get(port)
         self.packets = Packets()
-        if self._hears:
-            wire.hosts.append(self)
+        if self._link is not None:
+            self._link.hosts.append(self)
 
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
-        """The next packet of the hand, and its sender; None after `timeout` [s]."""
+        """Returns the next packet of the hand, and its sender; None after `timeout` [s]."""
         packet = self.packets.get(timeout)
         return None if packet is None else (packet, SOURCE)
 
     def send(self, data: bytes) -> None:
-        """A packet to the hand."""
-        if self._wire.broken:
-            raise WireFault(f"Cannot send to {self._wire.interface}: {self._wire.broken}.")
-        if self._hears:
-            self._wire.take(data)
+        """Sends a packet to the hand; raises WireFault if the interface is down."""
+        if self._network.broken:
+            raise WireFault(f"Cannot send to {self._network.interface}: {self._network.broken}.")
+        if self._link is not None:
+            self._link.commands.put(data)
 
     def close(self) -> None:
-        """Hears and sends nothing more."""
-        self._hears = False
-        if self in self._wire.hosts:
-            self._wire.hosts.remove(self)
+        """Hears nothing more; may be called twice."""
+        if self._link is not None and self in self._link.hosts:
+            self._link.hosts.remove(self)
 
 
 class Packets:
@@ -136,5 +177,5 @@ class Packets:
             if now >= deadline:
                 return None
             self._there.clear()
-            self._there.wait(max(min(due, deadline) - now, 1e-6))  # a shorter wait may be lost to rounding
+            self._there.wait(max(min(due, deadline) - now, LEAST_S))
         return self._waiting.popleft()[1]
