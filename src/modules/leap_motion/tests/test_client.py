@@ -6,8 +6,7 @@ import pytest
 
 from common import clock
 from leap_motion import client as client_module
-from leap_motion.client import HEADER_TIMEOUT_S, PING_S, RETRY_S, SILENCE_S, UNUSABLE_S, LeapClient, LeapLink
-from leap_motion.transport import CLOSE_TIMEOUT_S
+from leap_motion.client import LeapClient, LeapLink
 from simulated.clock import virtual_time
 from simulated.leap_wire import LeapWire
 from simulated.wires import DELAY_S, Wires
@@ -15,6 +14,8 @@ from simulated.wires import DELAY_S, Wires
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
 POLICIES = ['{"background":true}', '{"optimizeHMD":false}', '{"focused":true}']
 """UltraleapTrackingWebSocket takes these texts, below 32 characters, only as they are."""
+SILENCE_S, UNUSABLE_S, HEADER_TIMEOUT_S, PING_S, RETRY_S, CLOSE_TIMEOUT_S = 0.1, 0.5, 2.0, 2.0, 0.5, 0.5
+"""The client's waits."""
 GREETED_S = 10 * DELAY_S
 """What the requests of a connection take at most, with those of its end."""
 PERIOD_S = 0.01
@@ -130,6 +131,22 @@ def test_a_wrong_first_message_is_refused_and_tried_again_ever_later(start, firs
     waits = [after - before for before, after in zip(tries, tries[1:])]
     assert waits == pytest.approx([0.5, 0.8, 1.28, 2.048, 3.0, 3.0], abs=GREETED_S)
     assert service.heard == [] and client.counts.connections == 0
+
+
+def test_after_a_connection_the_next_try_is_soon_again(start):
+    tries = []
+
+    def wrong(service, connection):
+        tries.append(clock.monotonic())
+
+    def ends(service, connection):
+        wrong(service, connection)
+        greet(service, connection)
+
+    start(wrong, wrong, wrong, ends, wrong)
+    clock.sleep(4.0)
+    waits = [after - before for before, after in zip(tries, tries[1:])]
+    assert waits == pytest.approx([0.5, 0.8, 1.28, 0.5, 0.8], abs=GREETED_S)
 
 
 def test_a_wrong_service_that_gets_right_is_used(start):

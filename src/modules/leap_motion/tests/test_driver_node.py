@@ -30,6 +30,8 @@ SOURCES = ("received", "leap_motion")
 
 PERIOD_S, SEEN_S = 0.02, 0.01
 """Between two frames; what a frame takes from the service to a subscriber at most."""
+SETTLED_S, REMIND_S, RETRY_MAX_S = 0.3, 10.0, 3.0
+"""After which a state of the link is logged, and again; the client's longest wait between two tries."""
 
 
 class Talk:
@@ -132,9 +134,7 @@ def test_unusable_frames_are_a_warning_and_a_missing_service_is_an_error():
 
 
 def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
-    from leap_motion.client import RETRY_MAX_S, SILENCE_S
     from leap_motion.msg import Human
-    from leap_motion.ros.driver import REMIND_S, SETTLED_S
 
     port = 6437
     humans = ros.record("leap_motion/leap_device", Human)
@@ -148,7 +148,7 @@ def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
     service = wire.serve(Talk(), port=port)
     humans.wait(5, RETRY_MAX_S + 6 * PERIOD_S)
     service.close()
-    clock.sleep(SILENCE_S + SETTLED_S + 0.2)
+    clock.sleep(SETTLED_S + 0.2)
     assert "ended the connection (1001)" in node.log_path.read_text() and node.poll() is None
 
 

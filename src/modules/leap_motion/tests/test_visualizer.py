@@ -17,6 +17,10 @@ from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM, hand_from_joints
 pytestmark = pytest.mark.ros
 
 
+SILENT_S, REMIND_S, POLL_S, PERIOD_S = 3.0, 10.0, 0.1, 1.0 / 30.0
+"""Of the visualizer."""
+
+
 @pytest.fixture
 def ros(virtual_graph):
     return virtual_graph
@@ -98,7 +102,6 @@ def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros):
 
     from leap_motion.msg import Human
     from leap_motion.ros.human import FrameMessage
-    from leap_motion.ros.visualizer import PERIOD_S, POLL_S, REMIND_S, SILENT_S
 
     publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
     node = ros.run("leap_motion", "visualizer", "_frame:=somewhere")

@@ -10,13 +10,12 @@ from common import clock
 from common.config import parse
 from reflex import CommandRefused, HandSettings, HandSilent, HandStatus, ReflexHand
 from reflex.calibration_files import CalibrationFiles
-from reflex.client import REOPEN_S
 from reflex.ros.parameters import ReflexDriverConfig
 from simulated.clock import virtual_time
 from simulated.hand_wire import HandWire
 
-PACKET_S, SILENCE_S, LOOP_S = 0.025, HandSettings.silence_time, 0.01
-"""Between two packets, without a packet the hand is silent, and what client and wire take at most."""
+PACKET_S, SILENCE_S, REOPEN_S, LOOP_S = 0.025, 0.5, 2.0, 0.01
+"""Between two packets; of the client: until silence, and until the sockets are opened anew; what both take at most."""
 
 
 @pytest.fixture
