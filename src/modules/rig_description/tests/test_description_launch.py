@@ -1,68 +1,24 @@
-"""description.launch: tf of the arm from joint_states, and the sentence for an arm that does not exist."""
+"""description.launch: the file that it reads, and what it tells the publisher of the base's orientation."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
-import pinocchio as pin
 import pytest
 
 pytestmark = pytest.mark.ros
 
-URDF = Path(__file__).parents[1] / "urdf"
+
+def test_unknown_arm_ends_the_launch_with_the_name_of_the_missing_file():
+    from tools import launched
+
+    with pytest.raises(FileNotFoundError, match="lbr9_MF_elektrisch.urdf"):
+        launched.parameters("rig_description", "description.launch", "robot:=LBR9")
 
 
-@pytest.mark.parametrize(("robot", "flange"), [("LBR7R800", "MF_elektrisch"), ("LBR14R820", "MF_touch_pneumatisch")])
-def test_tf_is_the_forward_kinematics_of_the_published_joints(ros, wait_until, robot, flange):
-    import rospy
-    import tf2_ros
-    from sensor_msgs.msg import JointState
+def test_only_a_mounting_makes_a_world():
+    from tools import launched
 
-    ros.launch("rig_description", "description.launch", robot=robot, flange=flange)
-    model = pin.buildModelFromUrdf(str(URDF / f"{robot.lower()}_{flange}.urdf"))
-    data, q = model.createData(), np.linspace(-0.5, 0.9, model.nq)
-    pin.framesForwardKinematics(model, data, q)
-    buffer = tf2_ros.Buffer()
-    listener = tf2_ros.TransformListener(buffer)
-    publisher = rospy.Publisher("joint_states", JointState, queue_size=1)
-
-    def publish_until(frame):
-        publisher.publish(JointState(name=list(model.names[1:]), position=list(q), header=_now()))
-        return buffer.can_transform("kuka/base_frame", frame, rospy.Time(0))
-
-    for frame in ("kuka/flange", "reflex/distal_1", "reflex/distal_3"):
-        wait_until(lambda name=frame: publish_until(name), 30.0, f"tf of {frame}", poll=0.1)
-        t = buffer.lookup_transform("kuka/base_frame", frame, rospy.Time(0)).transform
-        expected = data.oMf[model.getFrameId(frame)]
-        p, r = t.translation, t.rotation
-        np.testing.assert_allclose([p.x, p.y, p.z], expected.translation, atol=1e-6)
-        np.testing.assert_allclose(pin.Quaternion(r.w, r.x, r.y, r.z).toRotationMatrix(), expected.rotation, atol=1e-6)
-    listener.unregister()
-
-
-def _now():
-    import rospy
-    from std_msgs.msg import Header
-
-    return Header(stamp=rospy.Time.now())
-
-
-def test_unknown_arm_ends_the_launch_with_the_name_of_the_missing_file(ros):
-    launch = ros.launch("rig_description", "description.launch", robot="LBR9")
-    assert launch.wait(30.0) != 0
-    assert "lbr9_MF_elektrisch.urdf" in launch.log_path.read_text()
-
-
-def test_the_mounting_puts_an_upright_world_above_the_base(ros, wait_until):
-    import rospy
-    import tf2_ros
-
-    buffer = tf2_ros.Buffer()
-    listener = tf2_ros.TransformListener(buffer)
-    ros.launch("rig_description", "description.launch", mounting="20 30 -40")
-    wait_until(lambda: buffer.can_transform("world", "kuka/base_frame", rospy.Time(0)), 30.0, "tf of the base")
-    r = buffer.lookup_transform("world", "kuka/base_frame", rospy.Time(0)).transform.rotation
-    expected = pin.rpy.rpyToMatrix(*np.radians([20.0, 30.0, -40.0]))
-    np.testing.assert_allclose(pin.Quaternion(r.w, r.x, r.y, r.z).toRotationMatrix(), expected, atol=1e-6)
-    listener.unregister()
+    assert launched.nodes("rig_description", "description.launch") == {"/robot_state_publisher"}
+    words = launched.command_line("rig_description", "description.launch", "mounting", "mounting:=20 30 -40")
+    np.testing.assert_allclose(np.degrees([float(word) for word in words[:6]]), [0, 0, 0, -40, 30, 20], atol=1e-6)
+    assert words[6:] == ["world", "kuka/base_frame"]
