@@ -982,7 +982,7 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(signal, "signal", handle)
     patch.setattr(sys, "setswitchinterval", lambda seconds: None)  # it is that of all nodes
     graph.wires.stand_in(patch)
-    for name in ("prepare_process", "prepare_log"):
+    for name in ("prepare_process", "prepare_log", "end_closed_servers", "hide_closed_connections"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
     patch.setattr(master, "watch", SimpleNamespace(start=lambda: None, fault=None, lost=[]))

@@ -74,10 +74,12 @@ class Way:
     def put(self, now: float, data: bytes) -> None:
         """Takes a packet."""
         self.sent(data, now)
-        if self.nagle and now < self._confirmed:
-            if self._packets and self._held_until == self._confirmed:
+        if now < self._held_until:  # the last packet has not left yet
+            if data:
                 self._packets[-1][2] += data
                 return
+            now = self._held_until
+        elif self.nagle and now < self._confirmed:
             now = self._held_until = self._confirmed
         delay = self.delay + self._rng.uniform(-self.jitter, self.jitter)
         again = 0.0

@@ -1,0 +1,134 @@
+"""A controller at the pace of its node, and the simulated robot behind a link that a test worsens; in virtual time."""
+
+from __future__ import annotations
+
+import contextlib
+from functools import partial
+
+import numpy as np
+import pytest
+from loop_world import CLOCK, rig, shifted
+
+from common import clock
+from kst import KstClient, ReplyTimeout, ToolTransform
+from kuka_control.loop import algorithms
+from kuka_control.loop.arm import KstArm
+from kuka_control.loop.commands import Inputs
+from kuka_control.loop.controller import Controller, ReconnectSupervisor
+from kuka_control.model.config import RealTimeConfig
+from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.switches import SwitchState
+from kuka_control.model.tool_load import wrench_at_tool
+from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
+from rig_simulation.files import read_urdf
+from simulated.clock import virtual_time
+from simulated.wires import Wires
+
+PROBES = {"getPin3", "getJointsPositions"}
+CYCLE_S = 0.004
+GROUP = "robot"
+ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
+
+
+class Bench:
+    """What the node does around a controller, without ROS.
+
+    Attributes:
+        up, down: the link's ways to the robot and back.
+        sent: the words of the commands so far.
+        goals: when servo goals were sent [s].
+    """
+
+    def __init__(self, scheduler, wires):
+        self.scheduler = scheduler
+        self.robot = SimulatedArm(ROBOT, ArmSettings())
+        with scheduler.in_group(GROUP):
+            self.server = SunriseServer(self.robot, ServerSettings(), "127.0.0.1", 0, 0)
+            clock.Thread(target=self.server.run, name="robot", daemon=True).start()
+        settings, self.rig = rig(RealTimeConfig, time_out=5.0)
+        self.client = KstClient.connect("127.0.0.1", self.server.port, ToolTransform(self.rig.T_flange_tool))
+        _, self.up, self.down = wires.connections[-1]
+        self.sent, self.goals = [], []
+        self.up.sent = self._note
+        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics))
+        self.make = partial(algorithms.real_time_loop, settings, self.rig)
+        self.loop = self.make()
+        self.controller = Controller(arm, self.loop)
+        self.mode = "starting"
+        self.arm, self.control_on, self.enable_count, self.lost = arm, True, 1, 0
+
+    def freeze(self, *spans):
+        """Lets the robot's controller stand still in the given spans of time [s]."""
+
+        def frozen():
+            for begin, end in spans:
+                clock.sleep(begin - clock.monotonic())
+                self.scheduler.suspended.add(GROUP)
+                clock.sleep(end - clock.monotonic())
+                self.scheduler.suspended.discard(GROUP)
+
+        clock.Thread(target=frozen, name="freezes", daemon=True).start()
+
+    def run(self, until, mode=None):
+        """Runs until a time [s], or until a mode, which must be reached before."""
+        while clock.monotonic() < until:
+            before, silent = len(self.sent), not self.client._session.in_step
+            try:
+                step = self.cycle()
+                self.mode = step.mode
+                if silent and not self.client._session.in_step:
+                    assert set(self.sent[before:]) <= PROBES
+                if mode is not None and step.mode == mode:
+                    return
+            except ReplyTimeout as error:
+                self._stand_by(error)
+            clock.sleep(CYCLE_S)
+        assert mode is None, f"{mode} was not reached: {step.mode}, {step.reason}"
+
+    def follow(self, seconds):
+        """Follows the hand; returns the begin [s], the step and the number of goals of each cycle."""
+        steps = []
+        end = clock.monotonic() + seconds
+        while clock.monotonic() < end:
+            begun, before = clock.monotonic(), len(self.goals)
+            step = self.cycle()
+            steps.append((begun, step, len(self.goals) - before))
+            clock.sleep(max(begun + CYCLE_S - clock.monotonic(), 0.0))
+        return steps
+
+    def cycle(self):
+        """One cycle of the controller."""
+        return self.controller.cycle(self.inputs(), clock.monotonic())
+
+    def inputs(self):
+        now = clock.monotonic()
+        T = shifted(0.0, 0.03 * np.sin(0.8 * now), 0.0)
+        # The operator brings the hand in when the arm is at home, as the status asks for.
+        shown = self.mode in ("home", "pick_up", "servo")
+        desired = DesiredFrame(T, CLOCK + round(now, 2)) if shown else None
+        return Inputs(desired, CLOCK + now, SwitchState(self.control_on, self.enable_count))
+
+    def _stand_by(self, error):
+        self.lost += 1
+        self.control_on, self.mode = False, "stopped"
+        self.loop = ReconnectSupervisor(error, self.loop.counts, self.make)
+        self.controller.restart(self.arm, self.loop)
+        while not self.controller.regained():
+            clock.sleep(0.05)
+
+    def _note(self, data, now):
+        for line in data.decode().splitlines():
+            self.sent.append(line.split("_")[0] if line.endswith("_") else line)
+            if line.startswith("jp"):
+                self.goals.append(now)
+
+
+@contextlib.contextmanager
+def bench(seed=0):
+    """A bench in virtual time."""
+    with pytest.MonkeyPatch.context() as patch, virtual_time(seed) as scheduler:
+        wires = Wires(scheduler)
+        wires.stand_in(patch)
+        yield Bench(scheduler, wires)
