@@ -130,7 +130,7 @@ def job():
         time.sleep(0.05)
 
 def interrupt():
-    (thread,) = (thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool"))
+    (thread,) = (thread for thread in threading.enumerate() if thread.name == "job")
     signal.pthread_kill(thread.ident, signal.SIGINT)
 
 def main():
