@@ -1,6 +1,6 @@
-"""The nodes: images in, detections, tf and drawings out; how they wait and how they end."""
+"""The nodes: images in, detections, tf and drawings out; how they wait and how they exit."""
 
-import threading
+import signal
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ import pytest
 import yaml
 from tag_renderer import render
 
+from common import clock
 from common.poses import pose
 from common.rotations import rotation_about
 
@@ -15,6 +16,11 @@ pytestmark = pytest.mark.ros
 
 NODE = "apriltag_ros_continuous_node"
 TRUTH = pose(rotation_about(0, np.radians(155.0)), (0.02, 0.01, 0.6))
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 class Camera:
@@ -25,10 +31,11 @@ class Camera:
         from sensor_msgs.msg import CameraInfo, Image
 
         self.image, self.encoding, self._model = image, encoding, model
+        self.last = rospy.Time(0)  # stamp of the newest image
         self._images = rospy.Publisher("camera_rect/image_raw", Image, queue_size=1)
         self._infos = rospy.Publisher("camera_rect/camera_info", CameraInfo, queue_size=1)
-        self._ended = threading.Event()
-        threading.Thread(target=self._loop, daemon=True).start()
+        self._ended = clock.Event()
+        clock.Thread(target=self._loop, daemon=True).start()
 
     def _loop(self):
         import rospy
@@ -36,9 +43,9 @@ class Camera:
         from common.ros.images import camera_info_message, image_message
 
         while not self._ended.wait(0.05):
-            stamp = rospy.Time.now()
-            self._infos.publish(camera_info_message(self._model, "camera_optical", stamp))
-            self._images.publish(image_message(self.image, self.encoding, "camera_optical", stamp))
+            self.last = rospy.Time.now()
+            self._infos.publish(camera_info_message(self._model, "camera_optical", self.last))
+            self._images.publish(image_message(self.image, self.encoding, "camera_optical", self.last))
 
     def close(self):
         self._ended.set()
@@ -46,9 +53,7 @@ class Camera:
 
 @pytest.fixture
 def images(camera, ros):
-    camera_node = Camera(camera, render(camera, TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
-    yield camera_node
-    camera_node.close()
+    return Camera(camera, render(camera, TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
 
 
 @pytest.fixture
@@ -58,24 +63,46 @@ def tags(tmp_path):
     return path
 
 
+@pytest.fixture
+def arrays(ros):
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    return ros.record("tag_detections", AprilTagDetectionArray)
+
+
 def launch(ros, tags, **args):
     raw = {"image_topic": "image_raw", "rectified": "false"}
-    return ros.launch("apriltag_ros", "continuous_detection.launch", tags=tags, **raw, **args)
+    launched = ros.launch("apriltag_ros", "continuous_detection.launch", tags=tags, **raw, **args)
+    clock.sleep(0.17)
+    return launched.nodes[0]
 
 
-def test_detections_tf_and_drawing(ros, images, tags, wait_until):
+def status(ros):
+    """Returns a function that gives the level, the message and the number of images of the node's last status."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def read():
+        (last,) = arrays[-1].status
+        return last.level, last.message, int({v.key: v.value for v in last.values}["pictures"])
+
+    return read
+
+
+def test_detections_tf_and_drawing(ros, images, tags, arrays):
     from sensor_msgs.msg import Image
     from tf2_msgs.msg import TFMessage
 
-    from apriltag_ros.msg import AprilTagDetectionArray
     from common.ros.conversions import pose_from_transform
     from common.ros.images import array_from_image
 
-    arrays = ros.record("tag_detections", AprilTagDetectionArray)
     transforms = ros.record("tf", TFMessage)
     drawings = ros.record("tag_detections_image", Image)
     launch(ros, tags)
-    arrays.wait(5, 30.0)
+    clock.sleep(0.2)
+    assert arrays[-1].header.stamp == images.last
+    assert all(0.04 < (b.header.stamp - a.header.stamp).to_sec() < 0.06 for a, b in zip(arrays, arrays[1:]))
     (detection,) = arrays[-1].detections
     assert (list(detection.id), list(detection.size)) == ([0], [0.1])
     assert arrays[-1].header.frame_id == detection.pose.header.frame_id == "camera_optical"
@@ -84,81 +111,86 @@ def test_detections_tf_and_drawing(ros, images, tags, wait_until):
     covariance = np.reshape(detection.pose.pose.covariance, (6, 6))
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
     np.testing.assert_allclose(covariance, covariance.T, rtol=1e-9)
-    (transform,) = transforms.wait(1)[-1].transforms
+    (transform,) = transforms[-1].transforms
     assert (transform.header.frame_id, transform.child_frame_id) == ("camera_optical", "tag_frame")
     np.testing.assert_allclose(pose_from_transform(transform.transform), TRUTH, atol=0.02)
-    drawing = array_from_image(drawings.wait(1)[-1])
+    drawing = array_from_image(drawings[-1])
     assert np.any(np.all(drawing == (0, 0, 255), axis=2)), "no red edge"
 
 
-def test_every_image_gets_an_answer_and_bad_ones_are_named(ros, images, tags, wait_until):
-    from apriltag_ros.msg import AprilTagDetectionArray
-
-    arrays = ros.record("tag_detections", AprilTagDetectionArray)
+def test_every_image_gets_an_answer_and_bad_ones_are_named(ros, images, tags, arrays):
     node = launch(ros, tags)
-    arrays.wait(1, 30.0)
     images.image = np.full_like(images.image, 90)
-    wait_until(lambda: not arrays[-1].detections, 10.0, "an empty array")
+    clock.sleep(0.1)
+    assert arrays[-1].header.stamp == images.last and not arrays[-1].detections
     images.image, images.encoding = np.zeros((480, 640), dtype=np.uint16), "16UC1"
-    wait_until(lambda: "16UC1" in node.log_path.read_text(), 10.0, "the sentence")
-    assert node.poll() is None
+    clock.sleep(0.1)
+    log = node.log_path.read_text()
+    assert "Dropped an image: its encoding is 16UC1" in log and "Traceback" not in log
 
 
-def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, images, tags, wait_until):
+def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, images, tags, arrays):
     import rospy
     from std_srvs.srv import Empty
 
-    from apriltag_ros.msg import AprilTagDetectionArray
-
-    arrays = ros.record("tag_detections", AprilTagDetectionArray)
     launch(ros, tags)
-    arrays.wait(1, 30.0)
     refresh = rospy.ServiceProxy(f"{NODE}/refresh_tag_params", Empty)
     rospy.set_param(f"{NODE}/standalone_tags", [{"id": 0, "size": -1.0}])
     with pytest.raises(rospy.ServiceException, match="old parameters"):
         refresh()
+    clock.sleep(0.1)
+    assert arrays[-1].header.stamp == images.last and arrays[-1].detections[0].size == (0.1,)
     rospy.set_param(f"{NODE}/standalone_tags", [{"id": 0, "size": 0.2, "name": "twice"}])
     refresh()
-    wait_until(lambda: arrays[-1].detections[0].size == (0.2,), 10.0, "the new size")
+    clock.sleep(0.1)
+    assert arrays[-1].detections[0].size == (0.2,)
 
 
-def test_it_waits_for_the_camera(ros, camera, processes, wait_until):
-    from diagnostic_msgs.msg import DiagnosticArray
+def test_it_waits_for_the_camera_says_when_that_falls_silent_and_an_interrupt_stops_it(ros, camera, tags):
+    from diagnostic_msgs.msg import DiagnosticStatus
 
-    statuses = ros.record("/diagnostics", DiagnosticArray)
-    node = ros.launch("apriltag_ros", "continuous_detection.launch")
-    wait_until(lambda: statuses and "waits for" in statuses[-1].status[0].message, 20.0, "the diagnosis")
-    assert node.poll() is None
-    assert processes.end(node) == 0
+    last = status(ros)
+    node = launch(ros, tags)
+    clock.sleep(0.5)
+    assert last() == (DiagnosticStatus.WARN, "waits for /camera_rect/image_raw", 0)
+    images = Camera(camera, np.full((480, 640), 90, np.uint8))
+    clock.sleep(1.0)
+    assert last()[:2] == (DiagnosticStatus.OK, "detects") and last()[2] > 10
+    images.close()
+    clock.sleep(1.9)
+    assert last()[:2] == (DiagnosticStatus.OK, "detects")
+    clock.sleep(0.7)
+    assert last()[0] == DiagnosticStatus.WARN and last()[1].startswith("no images for 2.")
+    node.send_signal(signal.SIGINT)
+    assert node.wait(1.0) == 0
     assert "Traceback" not in node.log_path.read_text()
 
 
 @pytest.mark.parametrize(
     ("node", "parameters", "keys"),
     [
-        ("apriltag_ros_continuous_node.py", ("_tag_decimate:=0.5", "_tag_famly:=x"), ("~tag_decimate", "~tag_famly")),
-        ("apriltag_ros_continuous_node.py", ("_standalone_tags:=[{id: 0}]",), ("standalone_tags[0]/size",)),
+        (f"{NODE}.py", ("_tag_decimate:=0.5", "_tag_famly:=x"), ("~tag_decimate", "~tag_famly")),
+        (f"{NODE}.py", ("_standalone_tags:=[{id: 0}]",), ("standalone_tags[0]/size",)),
         ("apriltag_ros_single_image_server_node.py", ("_tag_debug:=1",), ("~tag_debug",)),
     ],
 )
 def test_bad_parameters_end_the_node(ros, node, parameters, keys):
     process = ros.run("apriltag_ros", node, *parameters)
-    assert process.wait(30.0) == 1
+    assert process.wait(1.0) == 1
     log = process.log_path.read_text()
     assert all(key in log for key in keys)
     assert "Traceback" not in log
 
 
-def test_launch_files_for_the_published_package_find_the_nodes(tmp_path, processes, ros):
+@pytest.mark.parametrize("name", [NODE, "apriltag_ros_single_image_server_node"])
+def test_launch_files_for_the_published_package_find_the_nodes(ros, name):
     """Its programs have no suffix."""
-    names = ("apriltag_ros_continuous_node", "apriltag_ros_single_image_server_node")
-    launch = tmp_path / "a.launch"
-    nodes = [f'<node pkg="apriltag_ros" type="{name}" name="n{i}" output="screen"/>' for i, name in enumerate(names)]
-    launch.write_text(f"<launch>{''.join(nodes)}</launch>")
-    program = processes.start("roslaunch", str(launch))
-    assert program.wait(60.0) is not None
-    log = program.log_path.read_text()
-    assert all(f"/n{i}: standalone_tags and tag_bundles are both empty" in log for i in range(len(names)))
+    import roslib.packages
+
+    assert roslib.packages.find_node("apriltag_ros", name)
+    node = ros.run("apriltag_ros", name)
+    assert node.wait(1.0) == 1
+    assert "standalone_tags and tag_bundles are both empty" in node.log_path.read_text()
 
 
 def test_single_image(ros, camera, tmp_path):
@@ -170,7 +202,7 @@ def test_single_image(ros, camera, tmp_path):
     image, goal = tmp_path / "in.png", tmp_path / "out.png"
     cv2.imwrite(str(image), render(camera.rectified(), TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
     node = ros.run("apriltag_ros", "apriltag_ros_single_image_server_node.py", "_standalone_tags:=[{id: 0, size: 0.1}]")
-    rospy.wait_for_service("single_image_tag_detection", 30.0)
+    rospy.wait_for_service("single_image_tag_detection", 1.0)
     analyse = rospy.ServiceProxy("single_image_tag_detection", AnalyzeSingleImage)
     info = camera_info_message(camera, "camera_optical", rospy.Time.now())
     (detection,) = analyse(str(image), str(goal), info).tag_detections.detections
