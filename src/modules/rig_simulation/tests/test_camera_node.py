@@ -1,20 +1,21 @@
 """The camera's node before a small world: topics, load, loss and return of the world, faults, bad parameters."""
 
 import dataclasses
-import time
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+from common import clock
 from common.errors import RigError
 from rig_simulation.control_port import ControlClient, ControlPort
 
-pytest.importorskip("rospy")
 pytest.importorskip("mujoco.egl")
 pytestmark = pytest.mark.ros
 
+RATE, PORT, CONTROL_PORT = 15.0, 30021, 30031
 CONFIG = Path(__file__).parents[1] / "config" / "camera.yaml"
 CALIBRATION = {
     "image_width": 160,
@@ -39,8 +40,8 @@ class SmallWorld:
         self.world = World(WorldDescription("LBR7R800", "MF_elektrisch", (0.0, 0.0, 0.0), read_scene(scene)))
         self.snapshots = 0
 
-    def open(self, port: int = 0) -> ControlPort:
-        return ControlPort({"scene": self._scene, "snapshot": self._snapshot}, port=port)
+    def open(self) -> ControlPort:
+        return ControlPort({"scene": self._scene, "snapshot": self._snapshot}, port=PORT)
 
     def _scene(self) -> dict:
         return {"loads": self.world.loads, **dataclasses.asdict(self.world.description)}
@@ -50,13 +51,18 @@ class SmallWorld:
         return {"time": 0.0, "loads": self.world.loads, "qpos": self.world.data.qpos.tolist()}
 
 
-def parameters(port: int, **changes) -> dict:
-    """Returns the parameters of the package with a small image, for a world at `port`, and with changes."""
-    values = {**yaml.safe_load(CONFIG.read_text()), "port": port, "samples": 0}
+def parameters(**changes) -> dict:
+    """Returns the parameters of the package with a small image, and with changes."""
+    values = {**yaml.safe_load(CONFIG.read_text()), "samples": 0}
     values.update(rgb_calibration=CALIBRATION, depth_calibration=CALIBRATION)
     for name, value in changes.items():
         values[name] = {**values[name], **value} if isinstance(value, dict) else value
     return values
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 @pytest.fixture(scope="module")
@@ -75,20 +81,37 @@ def world(small_world):
 
 
 @pytest.fixture
-def start(ros, free_port):
-    """Starts the node `driver` with the package's parameters and changes to them; returns its process."""
+def start(ros):
+    """Starts the node `driver` with the package's parameters and changes to them; returns it."""
     import rospy
 
-    def start_node(port: int, namespace: str = "camera", **changes):
-        values = parameters(port, **{"control_port": free_port(), **changes})
-        rospy.set_param(f"{namespace}/driver", values)
-        start_node.control = ControlClient("127.0.0.1", values["control_port"], 30.0)
-        return ros.run("rig_simulation", "camera_node.py", f"__ns:={namespace}", "__name:=driver")
+    def start_node(**changes):
+        rospy.set_param("camera/driver", parameters(**changes))
+        return ros.run("rig_simulation", "camera_node.py", "__ns:=camera", "__name:=driver")
 
     return start_node
 
 
-def test_it_publishes_what_an_xtion_does(world, start, ros, wait_until):
+def switch(name: str, on: bool = True) -> None:
+    """Switches a fault at the camera's control port."""
+    with ControlClient("127.0.0.1", CONTROL_PORT) as control:
+        control.ask("fault", name=name, on=on)
+
+
+def diagnostics(ros):
+    """Returns a function that gives the node's last status: its level, message and values."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def read() -> dict:
+        last = arrays[-1].status[0]
+        return {"level": last.level, "message": last.message, **{v.key: v.value for v in last.values}}
+
+    return read
+
+
+def test_it_publishes_what_an_xtion_does(world, start, ros):
     from sensor_msgs.msg import CameraInfo, Image
 
     images = {
@@ -98,12 +121,12 @@ def test_it_publishes_what_an_xtion_does(world, start, ros, wait_until):
     infos = {
         name: ros.record(f"camera/{name}/camera_info", CameraInfo) for name in ("rgb", "depth", "depth_registered")
     }
-    with world.open() as port:
-        start(port.port)
-        for recording in (*images.values(), *infos.values()):
-            recording.wait(3)
-        together = (*images.values(), infos["rgb"])
-        wait_until(lambda: set.intersection(*({m.header.stamp for m in r} for r in together)), 15.0, "one moment")
+    with world.open():
+        start()
+        clock.sleep(1.0)
+    together = [[m.header.stamp for m in recording] for recording in (*images.values(), *infos.values())]
+    assert all(stamps == together[0] for stamps in together), "all images of one moment have one stamp"
+    assert len(together[0]) == pytest.approx(RATE, abs=1)
     facts = {topic: (p[-1].encoding, p[-1].header.frame_id, p[-1].width, p[-1].height) for topic, p in images.items()}
     rgb, depth = "camera_rgb_optical_frame", "camera_depth_optical_frame"
     assert facts == {
@@ -114,81 +137,87 @@ def test_it_publishes_what_an_xtion_does(world, start, ros, wait_until):
     }
     assert [infos[name][-1].header.frame_id for name in ("rgb", "depth", "depth_registered")] == [rgb, depth, rgb]
     np.testing.assert_array_equal(infos["depth"][-1].K, CALIBRATION["camera_matrix"]["data"])
-    raw = {m.header.stamp: np.frombuffer(m.data, "<u2") for m in images["depth/image_raw"]}
-    stamp, metres = next(
-        (m.header.stamp, np.frombuffer(m.data, "<f4")) for m in images["depth/image"] if m.header.stamp in raw
-    )
-    np.testing.assert_allclose(np.nan_to_num(metres) * 1000.0, raw[stamp], atol=1e-3)
-    assert np.mean(raw[stamp] > 0) > 0.5
+    raw = np.frombuffer(images["depth/image_raw"][-1].data, "<u2")
+    metres = np.frombuffer(images["depth/image"][-1].data, "<f4")
+    np.testing.assert_allclose(np.nan_to_num(metres) * 1000.0, raw, atol=1e-3)
+    assert np.mean(raw > 0) > 0.5
 
 
-def test_without_listeners_nothing_is_rendered(world, start, ros, wait_until):
+def test_without_listeners_nothing_is_rendered_and_the_world_is_looked_at_once_a_second(world, start, ros):
     from sensor_msgs.msg import CameraInfo, Image
 
-    # The subscribers of the other tests stay; nobody listens in this namespace.
-    infos = ros.record("unheard/rgb/camera_info", CameraInfo)
-    status = diagnostics(ros)
-    with world.open() as port:
-        start(port.port, "unheard")
-        infos.wait(5)
-        before, began = world.snapshots, time.monotonic()
-        wait_until(lambda: status() and int(status()["pictures"]) > 30, 15.0, "images to be counted")
+    infos, status = ros.record("camera/rgb/camera_info", CameraInfo), diagnostics(ros)
+    with world.open():
+        start()
+        clock.sleep(0.55)
+        before, published = world.snapshots, len(infos)
+        clock.sleep(3.0)
+        assert world.snapshots == before + 3 and len(infos) - published == pytest.approx(3.0 * RATE, abs=1)
         assert not any(key.startswith("render") for key in status())
-        assert world.snapshots - before < 10 + (time.monotonic() - began), "it looks at the world once a second"
-        ros.record("unheard/rgb/image_raw", Image).wait(1)
-        wait_until(lambda: "render_rgb_ms" in status(), 15.0, "the time of rendering")
-        assert "render_depth_ms" not in status()
+        ros.record("camera/rgb/image_raw", Image)
+        before = world.snapshots
+        clock.sleep(1.0)
+        assert world.snapshots - before == pytest.approx(RATE, abs=1)
+        assert "render_rgb_ms" in status() and "render_depth_ms" not in status()
 
 
-def test_it_waits_for_the_world_and_continues_when_it_comes_back(world, start, ros, free_port, wait_until):
+def test_it_waits_for_the_world_and_continues_when_it_comes_back(world, start, ros):
     from sensor_msgs.msg import Image
 
     status = diagnostics(ros)
-    port = free_port()
-    process = start(port)
-    wait_until(lambda: status().get("level") == 2, 15.0, "the report that there is no world")
-    assert str(port) in status()["message"]
+    process = start()
     images = ros.record("camera/rgb/image_raw", Image)
-    with world.open(port):
-        images.wait(2)
-        wait_until(lambda: status().get("level") == 0, 15.0, "the report that all is well")
-    wait_until(lambda: status().get("level") == 2, 15.0, "the report that the world is gone")
+    clock.sleep(1.1)
+    assert status()["level"] == 2 and str(PORT) in status()["message"] and not images
+    with world.open():
+        clock.sleep(0.6)
+        assert images, "it asks again every 0.5 s"
+        clock.sleep(0.5)
+        assert status()["level"] == 0
+    clock.sleep(0.6)
+    assert status()["level"] == 2
     before = len(images)
     assert process.poll() is None
-    with SmallWorld("objects").open(port):
-        images.wait(before + 2)
+    with SmallWorld("objects").open():
+        clock.sleep(0.6)
+        assert len(images) > before
 
 
-def test_a_change_of_scene_is_seen(world, start, ros, wait_until):
+def test_a_change_of_scene_is_seen(world, start, ros):
     from sensor_msgs.msg import Image
 
     from rig_simulation.files import read_scene
 
     images = ros.record("camera/rgb/image_raw", Image)
-    with world.open() as port:
-        start(port.port, colour={"noise": 0.0})
-        images.wait(2)
+    with world.open():
+        start(colour={"noise": 0.0})
+        clock.sleep(0.3)
         before = images[-1].data
+        assert images[-2].data == before
         world.world.set_scene(read_scene("objects"))
-        wait_until(lambda: images[-1].data != before, 15.0, "another image")
+        clock.sleep(0.15)
+        assert images[-1].data != before
 
 
-def test_faults_are_switched_at_its_control_port(world, start, ros, wait_until):
+def test_faults_are_switched_at_its_control_port(world, start, ros):
     from sensor_msgs.msg import Image
 
     depth = ros.record("camera/depth/image_raw", Image)
     status = diagnostics(ros)
-    with world.open() as port:
-        start(port.port)
-        depth.wait(2)
-        start.control.ask("fault", name="depth_empty")
-        wait_until(lambda: not np.frombuffer(depth[-1].data, "<u2").any(), 15.0, "an empty depth image")
-        wait_until(lambda: status().get("level") == 1 and status().get("faults") == "depth_empty", 15.0, "the warning")
-        start.control.ask("fault", name="depth_empty", on=False)
-        wait_until(lambda: np.frombuffer(depth[-1].data, "<u2").any(), 15.0, "depth again")
+    with world.open():
+        start()
+        clock.sleep(0.3)
+        assert np.frombuffer(depth[-1].data, "<u2").any()
+        switch("depth_empty")
+        clock.sleep(0.6)
+        assert not np.frombuffer(depth[-1].data, "<u2").any()
+        assert status()["level"] == 1 and status()["faults"] == "depth_empty"
+        switch("depth_empty", False)
+        clock.sleep(0.15)
+        assert np.frombuffer(depth[-1].data, "<u2").any()
 
 
-def test_garbled_images_are_refused_by_their_readers(world, start, ros, wait_until):
+def test_garbled_images_are_refused_by_their_readers(world, start, ros):
     from sensor_msgs.msg import Image
 
     from common.ros.images import array_from_image
@@ -201,32 +230,35 @@ def test_garbled_images_are_refused_by_their_readers(world, start, ros, wait_unt
 
     topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
     images = [ros.record(f"camera/{topic}", Image) for topic in topics]
-    with world.open() as port:
-        start(port.port, fault="garbled")
+    with world.open():
+        start(fault="garbled")
+        clock.sleep(0.8)
         for recording in images:
-            recording.wait(8)
-            assert not any(map(is_whole, recording))
-        start.control.ask("fault", name="garbled", on=False)
-        for recording in images:
-            wait_until(lambda r=recording: is_whole(r[-1]), 15.0, "a whole image")
+            assert len(recording) >= 8 and not any(map(is_whole, recording))
+        switch("garbled", False)
+        clock.sleep(0.15)
+        assert all(is_whole(recording[-1]) for recording in images)
 
 
-def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros, wait_until):
-    import rospy
+def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros):
     from sensor_msgs.msg import Image
 
     def published() -> set:
-        return {topic for topic, _ in rospy.get_published_topics("/camera")}
+        return {topic for topic in ros.names("/camera/driver")["publishes"] if topic.startswith("/camera")}
 
     images = ros.record("camera/rgb/image_raw", Image)
-    with world.open() as port:
-        start(port.port)
-        images.wait(2)
-        start.control.ask("fault", name="restarted")
-        wait_until(lambda: not published(), 15.0, "the end of the topics")
+    with world.open():
+        start()
+        clock.sleep(0.3)
+        switch("restarted")
+        clock.sleep(0.15)
+        assert images and not published()
         before = len(images)
-        start.control.ask("fault", name="restarted", on=False)
-        images.wait(before + 2)
+        clock.sleep(0.5)
+        assert len(images) == before
+        switch("restarted", False)
+        clock.sleep(0.3)
+        assert len(images) >= before + 2
         assert "/camera/depth/camera_info" in published()
 
 
@@ -245,43 +277,26 @@ def test_bad_parameters_are_refused(ros, changes, key):
 
     from rig_simulation.ros.camera import main
 
-    rospy.set_param("~", parameters(1, control_port=0, **changes))
+    rospy.set_param("~", parameters(**changes))
     with pytest.raises(RigError, match=key):
         main()
 
 
-def test_a_control_port_that_is_taken_ends_it_with_a_sentence(world, start, wait_until):
-    with world.open() as port:
-        process = start(port.port, control_port=port.port)
-        wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+def test_a_control_port_that_is_taken_ends_it_with_a_sentence(world, start):
+    with world.open():
+        process = start(control_port=PORT)
+        assert process.wait(1.0) == 1
     output = process.log_path.read_text()
-    assert process.returncode == 1
     assert "127.0.0.1" in output
     assert "Traceback" not in output
 
 
-def test_it_ends_quietly_when_it_is_interrupted(world, start, ros, processes):
+def test_it_stops_quietly_when_it_is_interrupted(world, start, ros):
     from sensor_msgs.msg import Image
 
-    with world.open() as port:
-        process = start(port.port)
-        ros.record("camera/depth_registered/image_raw", Image).wait(1)
-        assert processes.end(process) == 0
+    with world.open():
+        process = start()
+        ros.record("camera/depth_registered/image_raw", Image).wait(1, 1.0)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(1.0) == 0
     assert "Traceback" not in process.log_path.read_text()
-
-
-def diagnostics(ros):
-    """Returns a function that gives the node's last status: its level, message and values."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    arrays = ros.record("/diagnostics", DiagnosticArray)
-    begun = time.time()
-
-    def read() -> dict:
-        for array in reversed(arrays):
-            for status in array.status:
-                if status.name == "camera" and array.header.stamp.to_sec() >= begun:
-                    return {"level": status.level, "message": status.message, **{v.key: v.value for v in status.values}}
-        return {}
-
-    return read
