@@ -478,7 +478,7 @@ class _Master:
         """Topics with their publishers, topics with their subscribers, services with their nodes."""
         offered = self._graph.publishers, self._graph.subscribers, self._graph.services.values()
         return [
-            [[name, sorted({each.node.name for each in kind if each.name == name})] for name in {e.name for e in kind}]
+            [[name, sorted({e.node.name for e in kind if e.name == name})] for name in sorted({e.name for e in kind})]
             for kind in map(list, offered)
         ]
 

@@ -212,7 +212,9 @@ def test_the_life_of_the_real_time_controller(ros, robot, run):
 
     hand.hide()
     hidden = clock.monotonic()
-    ros.wait_until(lambda: "No new desired tool frame came for 0.2 s" in node.log, 1.0, "the arm to leave the hand", poll=0.001)
+    ros.wait_until(
+        lambda: "No new desired tool frame came for 0.2 s" in node.log, 1.0, "the arm to leave the hand", poll=0.001
+    )
     assert 0.2 - 0.01 <= clock.monotonic() - hidden <= 0.2 + 0.01, "after time_out"
     node.wait_for_mode("home")
     np.testing.assert_allclose(robot.joints, rospy.get_param("kuka/joints_home"), atol=1e-3)
@@ -351,6 +353,24 @@ def test_in_servo_mode_joints_come_with_the_goals_a_jump_is_picked_up_anew_and_a
     truth = robot.ask("state")
     assert not truth["connected"] and truth["mode"] == "idle"
     assert "the client ended the application" in robot.log and "Traceback" not in node.log
+
+
+def test_an_interrupt_while_the_arm_follows_a_moving_hand_brakes_it_by_goals(robot, start):
+    node = start()
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    T_home = home_tool()
+    hand = Hand(T_home)
+    node.wait_for_mode("servo")
+    for y in np.linspace(0.0, 0.1, 50):  # 0.2 m/s
+        hand.T = shifted(T_home, 0.0, y, 0.0)
+        clock.sleep(0.01)
+    before = robot.ask("state")
+    node.process.send_signal(signal.SIGINT)
+    assert node.wait_for_end(2.0) == 0
+    after = robot.ask("state")
+    assert before["tcp_speed"] > 0.05 and after["goals"] - before["goals"] > 5
+    assert after["tcp_speed"] < 1e-3 and after["stops"] == 0, "it stands still before the controller leaves"
 
 
 def test_a_frame_that_two_nodes_publish_stops_the_arm_and_names_both(ros, robot, start):
