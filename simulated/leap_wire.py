@@ -116,6 +116,7 @@ class Connection:
     def __init__(self, client: Any) -> None:
         self._socket, self._protocol = client, ServerProtocol()
         self._messages: clock.Queue[Any] = clock.Queue()
+        self._sending = clock.Lock()
         self.hangs = False
 
     def accept(self) -> str:
@@ -181,11 +182,12 @@ class Connection:
         self._protocol.receive_data(data)
 
     def _flush(self) -> None:
-        for data in self._protocol.data_to_send():
-            if data:
-                self._socket.sendall(data)
-            else:
-                self._socket.shutdown(socket.SHUT_WR)
+        with self._sending:
+            for data in self._protocol.data_to_send():
+                if data:
+                    self._socket.sendall(data)
+                else:
+                    self._socket.shutdown(socket.SHUT_WR)
 
     def _require_open(self) -> None:
         protocol = self._protocol
