@@ -5,11 +5,17 @@ import io
 import numpy as np
 import pytest
 
+from common import clock
 from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_COMMANDED, TOOL_DESIRED, VIRTUAL_LEAP
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 
 pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 def random_pose(rng):
@@ -38,13 +44,12 @@ def listener(ros):
     return RigListener(Recorder())
 
 
-def test_the_newest_poses_are_those_of_tf(listener, monkeypatch):
+def test_the_newest_poses_are_those_of_tf(listener):
     import rospy
     import tf2_ros
 
     from common.ros.conversions import pose_from_transform, stamped_transform
 
-    monkeypatch.setattr("leap_rig.ros.listener.FRESH_S", 1000.0)
     rng, buffer = np.random.default_rng(3), tf2_ros.Buffer()
     begin = rospy.Time.now()
     for i in range(200):
@@ -76,24 +81,22 @@ def test_the_newest_poses_are_those_of_tf(listener, monkeypatch):
                 np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
-def test_old_and_incomplete_frames_are_missing(listener, monkeypatch):
+def test_old_and_incomplete_frames_are_missing(listener):
     import rospy
 
     from common.ros.conversions import stamped_transform
 
-    def give(parent, stamp):
+    def found(parent, age=0.0):
+        stamp = rospy.Time.now() - rospy.Duration.from_sec(age)
         listener._transforms(raw([stamped_transform(np.eye(4), parent, TOOL_DESIRED, stamp)]))
+        return listener._fresh(TOOL_DESIRED) is not None
 
-    monkeypatch.setattr("leap_rig.ros.listener.FRESH_S", 100.0)  # a busy machine may pause between two lines
     assert listener._fresh(TOOL_DESIRED) is None
-    give(VIRTUAL_LEAP, rospy.Time.now())
+    assert not found(VIRTUAL_LEAP) and not found(TOOL_DESIRED)
+    assert found(BASE, 0.19) and not found(BASE, 0.21)
+    assert found(BASE)
+    clock.sleep(0.21)
     assert listener._fresh(TOOL_DESIRED) is None
-    give(TOOL_DESIRED, rospy.Time.now())
-    assert listener._fresh(TOOL_DESIRED) is None
-    give(BASE, rospy.Time.now() - rospy.Duration(200))
-    assert listener._fresh(TOOL_DESIRED) is None
-    give(BASE, rospy.Time.now())
-    assert listener._fresh(TOOL_DESIRED) is not None
 
 
 def test_a_listener_of_one_of_two_arms_takes_the_names_of_this_arm_alone(ros):
@@ -134,15 +137,15 @@ def test_a_stage_time_is_read_as_genpy_reads_it(listener):
         assert listener.recorder.stage_times[source][frame] == pytest.approx(done.to_sec(), abs=1e-6)
 
 
-def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listener, monkeypatch):
+def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listener):
     from std_msgs.msg import String
 
-    now, read = 0.0, []
-    monkeypatch.setattr("leap_rig.ros.listener.clock.monotonic", lambda: now)
-    take = listener._sampled(String, lambda message: read.append(float(message.data)), 0.1)
-    for i in range(1000):
-        now = 5.0 + 0.003 * i
-        take(any_message(String(str(now))))
-    assert read[0] == 5.0 and len(read) == pytest.approx(30, abs=2)
+    read = []
+    take = listener._sampled(String, lambda _: read.append(clock.monotonic()), 0.1)
+    begun = clock.monotonic()
+    for _ in range(1000):
+        take(any_message(String()))
+        clock.sleep(0.003)
+    assert read[0] == begun and len(read) == pytest.approx(30, abs=2)
     spans = np.diff(read)[1:]  # two come at once after a pause, such as the one before the first
     assert min(spans) > 0.09 and max(spans) < 0.11

@@ -1,23 +1,34 @@
 """The node operator_view: what it shows to those who look, what it hears only then, and its silence without a card."""
 
-import os
+import subprocess
 
 import numpy as np
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
 
-LONG_S = 20.0
+PERIOD_S, HEARTBEAT_S, DELAY_S = 0.1, 0.5, 0.005
 
 
 @pytest.fixture
-def no_card(tmp_path, monkeypatch):
-    """A program `aplay` as on a machine without a sound card, which counts its calls in a file."""
-    calls, program = tmp_path / "calls", tmp_path / "bin" / "aplay"
-    program.parent.mkdir()
-    program.write_text(f"#!/bin/sh\necho call >> {calls}\necho 'no soundcards found' >&2\nexit 1\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{program.parent}:{os.environ['PATH']}")
+def ros(virtual_graph):
+    return virtual_graph
+
+
+@pytest.fixture
+def no_card(monkeypatch):
+    """A program `aplay` as on a machine without a sound card; its calls."""
+    from leap_rig.ros import speaker
+
+    calls = []
+
+    def run(command, **_):
+        calls.append(command)
+        raise subprocess.CalledProcessError(1, command, stderr=b"no soundcards found")
+
+    monkeypatch.setattr(speaker.subprocess, "run", run)
     return calls
 
 
@@ -35,58 +46,99 @@ def skeleton():
     return LeapFrame(7, 1000, 110.0, (hand,))
 
 
-def test_it_shows_what_came_to_those_who_look_and_says_once_that_there_is_no_sound(ros, wait_until, no_card):
+@pytest.fixture
+def rig(ros):
+    """Publishes what the node shows twenty times a second; `state` is that of the hand."""
     import rospy
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-    from visualization_msgs.msg import MarkerArray
 
+    from common.ros.node import repeat
     from leap_motion.msg import Human
     from leap_motion.ros.human import FrameMessage
     from reflex_msgs.msg import Finger, Hand
-    from rig_msgs.msg import KukaStatus, OperatorView, TeleopState
+    from rig_msgs.msg import KukaStatus, TeleopState
 
-    publishers = {
-        name: rospy.Publisher(name, kind, queue_size=1)
+    publishers = [
+        rospy.Publisher(name, kind, queue_size=1)
         for name, kind in (
             ("kuka/status", KukaStatus), ("leap_kuka/state", TeleopState), ("/diagnostics", DiagnosticArray),
             ("/reflex_takktile/hand_state", Hand), ("leap_motion/leap_device", Human),
         )
-    }  # fmt: skip
-    state = "waiting"
+    ]  # fmt: skip
 
-    def publish():
-        delay = DiagnosticStatus(
-            name="x", values=[KeyValue("hand_to_arm_ms", "unknown"), KeyValue("hand_to_arm_ms", "91")]
+    class Rig:
+        state = "waiting"
+
+        def publish(self):
+            delay = [KeyValue("hand_to_arm_ms", value) for value in ("unknown", "91")]
+            pressed = Finger(contact=[True] + 8 * [False], pressure=[30.0] + 8 * [0.0])
+            messages = (
+                KukaStatus(mode="servo", reason="follows", limited_by=["joint speed"], round_trip=0.002),
+                TeleopState(state=self.state, reason="why", conditions=["flat"], fulfilled=[True]),
+                DiagnosticArray(status=[DiagnosticStatus(name="x", values=delay)]), Hand(finger=[pressed] * 3),
+                FrameMessage(skeleton(), rospy.Time.now()),
+            )  # fmt: skip
+            for publisher, message in zip(publishers, messages):
+                publisher.publish(message)
+
+    rig = Rig()
+    repeat(rig.publish, 0.05, "rig")
+    return rig
+
+
+def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
+    import rospy
+    from visualization_msgs.msg import MarkerArray
+
+    from rig_msgs.msg import OperatorView
+
+    ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
+    clock.sleep(2.0)
+    assert ros.names("/operator_view")["hears"] == set()
+    views, hands, markers = [], [], []
+    lookers = [
+        rospy.Subscriber(f"operator_view/{name}", kind, messages.append)
+        for name, kind, messages in (
+            ("rows", OperatorView, views), ("hands", MarkerArray, hands), ("markers", MarkerArray, markers)
         )
-        pressed = Finger(contact=[True] + 8 * [False], pressure=[30.0] + 8 * [0.0])
-        messages = (
-            KukaStatus(mode="servo", reason="follows", limited_by=["joint speed"], round_trip=0.002),
-            TeleopState(state=state, reason="why", conditions=["flat"], fulfilled=[True]),
-            DiagnosticArray(status=[delay]), Hand(finger=[pressed] * 3), FrameMessage(skeleton(), rospy.Time.now()),
-        )  # fmt: skip
-        for publisher, message in zip(publishers.values(), messages):
-            publisher.publish(message)
-
-    rospy.set_param("operator_view/sounds", True)
-    node = ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
-    views, hands = ros.record("operator_view/rows", OperatorView), ros.record("operator_view/hands", MarkerArray)
-    markers = ros.record("operator_view/markers", MarkerArray)
+    ]  # fmt: skip
+    clock.sleep(1.0)
 
     def texts():
-        publish()
-        return {row.name: row.text for row in views[-1].rows} if views else {}
+        return {row.name: row.text for row in views[-1].rows}
 
     expected = {"Hand": "waiting: why", "Arm": "servo: follows", "Limits": "joint speed", "Delay": "hand to arm 91 ms",
                 "Grip": "grips", "Link": "round trip 2.0 ms, jitter 0.0 ms", "Guard": "-"}  # fmt: skip
-    wait_until(lambda: expected.items() <= texts().items(), LONG_S, "the rows", poll=0.05)
-    for state in ("running", "waiting"):
-        wait_until(lambda: texts()["Hand"] == f"{state}: why", LONG_S, "the change", poll=0.05)  # noqa: B023
-    bones, joints = wait_until(lambda: texts() and hands and hands[-1].markers, LONG_S, "the hand")
+    assert expected.items() <= texts().items()
+    bones, joints = hands[-1].markers
     assert (len(bones.points), len(joints.points)) == (40, 26)
-    wait_until(lambda: texts() and markers and len(markers[-1].markers) == 7, LONG_S, "text and bars", poll=0.05)
-    assert "Hand: " in markers[-1].markers[0].text
-    wait_until(lambda: "no soundcards found" in node.log_path.read_text(), LONG_S, "the word about sounds")
-    assert no_card.read_text().count("call") == 1 and node.log_path.read_text().count("No sounds") == 1
+    assert len(markers[-1].markers) == 7 and "Hand: " in markers[-1].markers[0].text
+    views.clear()
+    hands.clear()
+    clock.sleep(10.0)
+    assert len(views) == pytest.approx(10.0 / HEARTBEAT_S, abs=4), "the heartbeat"
+    assert len(hands) == pytest.approx(10.0 * 15.0, abs=2), "not each of 200 frames"
+    for state in ("running", "waiting"):
+        rig.state, changed = state, clock.monotonic()
+        ros.wait_until(lambda: texts()["Hand"] == f"{state}: why", 1.0, "the change", poll=0.001)  # noqa: B023
+        assert clock.monotonic() - changed <= 0.05 + 2.0 * PERIOD_S + 2.0 * DELAY_S
+        clock.sleep(1.0)
+    for looker in lookers:
+        looker.unregister()
+    clock.sleep(PERIOD_S + DELAY_S)
+    assert ros.names("/operator_view")["hears"] == set()
+
+
+def test_it_says_once_that_there_is_no_sound(ros, rig, no_card):
+    import rospy
+
+    rospy.set_param("operator_view/sounds", True)
+    node = ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
+    for rig.state in ("waiting", "running", "waiting"):
+        clock.sleep(1.0)
+        assert len(no_card) == 1
+    log = node.log_path.read_text()
+    assert "no soundcards found" in log and log.count("No sounds") == 1
 
 
 def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
@@ -94,6 +146,6 @@ def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
 
     rospy.set_param("operator_view/sounds", "loud")
     node = ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
-    assert node.wait(LONG_S) == 1
+    assert node.wait(1.0) == 1
     log = node.log_path.read_text()
     assert "~sounds is 'loud'" in log and "Traceback" not in log
