@@ -221,6 +221,8 @@ class Condition:
         """Wakes all that wait."""
         self.notify(None)
 
+    notifyAll = notify_all  # actionlib's word for it
+
 
 class Event:
     """As threading.Event."""

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 def test_a_result_that_comes_before_the_goal_is_sent_counts(ros):
@@ -18,17 +23,15 @@ def test_a_result_that_comes_before_the_goal_is_sent_counts(ros):
 
     client = ActionClient("move", MoveAction)
     manager = client.action_client.manager
-    servers = []
 
     def refuse_at_once(goal):
         status = GoalStatus(goal_id=goal.goal_id, status=GoalStatus.REJECTED)
         result = MoveActionResult(status=status, result=MoveResult(message="refused"))
-        servers.append(threading.Thread(target=manager.update_results, args=(result,)))
-        servers[0].start()
-        servers[0].join(0.2)  # longer than a result takes that does not wait
+        clock.Thread(target=manager.update_results, args=(result,)).start()
+        clock.sleep(0.2)  # longer than a result takes that does not wait
 
     manager.register_send_goal_fn(refuse_at_once)
     client.send_goal(MoveGoal())
-    servers[0].join(20.0)
-    assert client.wait_for_result(rospy.Duration(20.0))
+    begun = clock.monotonic()
+    assert client.wait_for_result(rospy.Duration(20.0)) and clock.monotonic() == begun
     assert client.get_result().message == "refused"

@@ -1,145 +1,116 @@
-"""Service calls that return in time."""
+"""Service calls that return in time, in virtual time."""
 
 from __future__ import annotations
 
-import socket
-import threading
+import signal
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+from common import clock
+
+pytestmark = pytest.mark.ros
+
+DELAY_S = 0.005  # of a call
 
 
 @pytest.fixture
-def offer():
+def ros(virtual_graph):
+    return virtual_graph
+
+
+@pytest.fixture
+def offer(ros):
+    """A service, which answers with what its handler returns, in a node of its own; the requests, and the node."""
     import rospy
+    from std_srvs.srv import SetBool, SetBoolResponse
+
+    def start(name, handler=lambda: None):
+        requests = []
+
+        def answer(request):
+            requests.append(request.data)
+            handler()
+            return SetBoolResponse(request.data, "so it is")
+
+        def main():
+            rospy.Service(name, SetBool, answer)
+            rospy.spin()
+
+        return requests, ros.start(name, main)
+
+    return start
+
+
+@pytest.fixture
+def client():
     from std_srvs.srv import SetBool
-
-    services = []
-
-    def start(name, handler):
-        services.append(rospy.Service(name, SetBool, handler))
-        return services[-1]
-
-    yield start
-    for service in services:
-        service.shutdown()
-
-
-def test_a_call_answers_or_is_given_up(ros, offer, monkeypatch):
-    from std_srvs.srv import SetBool, SetBoolResponse
-
-    from common.ros import service_calls
-    from common.ros.service_calls import ServiceFailed, call
-
-    asked, resume = threading.Event(), threading.Event()
-    response = service_calls._Attempt.response
-
-    def response_once_asked(attempt, timeout):
-        asked.wait(30.0)
-        return response(attempt, timeout)
-
-    def answer(request):
-        asked.set()
-        if not request.data:
-            resume.wait(30.0)
-        return SetBoolResponse(request.data, "so it is")
-
-    offer("answers", answer)
-    try:
-        assert call("answers", SetBool, True, timeout=30.0).message == "so it is"
-        asked.clear()
-        monkeypatch.setattr(service_calls._Attempt, "response", response_once_asked)
-        with pytest.raises(ServiceFailed) as caught:
-            call("answers", SetBool, False, timeout=0.5)
-        assert (caught.value.service, caught.value.sent) == ("answers", True)
-    finally:
-        resume.set()
-
-
-def test_a_service_that_fails_or_is_absent(ros, offer):
-    from std_srvs.srv import SetBool, Trigger
-
-    from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed, call
-
-    def fail(_request):
-        raise ValueError("no arm")
-
-    client = ServiceClient("fails", SetBool)
-    with pytest.raises(ServiceAbsent):
-        client(True, timeout=30.0)
-    with pytest.raises(ServiceAbsent):
-        call("fails", SetBool, True, timeout=30.0, wait=0.2)
-    service = offer("fails", fail)
-    client.look_up()
-    with pytest.raises(ServiceFailed, match="no arm") as caught:
-        client(True, timeout=30.0)
-    assert caught.value.sent
-    with pytest.raises(ServiceAbsent, match="md5sum"):
-        call("fails", Trigger, timeout=30.0)
-    service.shutdown()
-    with pytest.raises(ServiceAbsent):
-        client(True, timeout=30.0)
-
-
-def test_a_known_service_is_called_without_the_master(ros, offer, monkeypatch, free_port):
-    from std_srvs.srv import SetBool, SetBoolResponse
-
-    from common.ros.service_calls import MasterLost, ServiceAbsent, ServiceClient, call
-
-    offer("known", lambda request: SetBoolResponse(request.data, ""))
-    client = ServiceClient("known", SetBool)
-    client.look_up()
-    monkeypatch.setenv("ROS_MASTER_URI", f"http://localhost:{free_port()}")
-    assert client(True, timeout=30.0).success
-    with pytest.raises(MasterLost):
-        client.look_up()
-    with pytest.raises(ServiceAbsent):
-        call("known", SetBool, True, timeout=30.0)
-
-
-def test_a_service_that_comes_later_is_waited_for(ros, offer):
-    from std_srvs.srv import SetBool, SetBoolResponse
 
     from common.ros.service_calls import ServiceClient
 
-    client = ServiceClient("again", SetBool)
-    threading.Timer(0.5, offer, ("again", lambda _: SetBoolResponse(True, "first"))).start()
-    assert client(True, timeout=30.0, wait=30.0).message == "first"
+    return ServiceClient("switch", SetBool)
 
 
-def test_a_node_that_hangs_never_executes_a_call_that_was_given_up(ros):
-    """The handshake is never answered, as by a suspended process; then the node continues."""
-    from std_srvs.srv import SetBool
+@pytest.fixture
+def failure(client):
+    """How a call fails, and after which time [s]."""
+    from common.ros.service_calls import ServiceFailed
 
-    from common.ros.service_calls import ServiceClient, ServiceFailed
-
-    with socket.create_server(("127.0.0.1", 0)) as node:
-        client = ServiceClient("hangs", SetBool)
-        client._address = node.getsockname()
+    def call(value, **times):
+        begun = clock.monotonic()
         with pytest.raises(ServiceFailed) as caught:
-            client(True, timeout=0.5)
-        assert not caught.value.sent
-        connection, _ = node.accept()
-        with connection:
-            connection.settimeout(30.0)
-            assert b"service=/hangs" in connection.recv(4096)
-            header = b"".join(len(f).to_bytes(4, "little") + f for f in (b"md5sum=*", b"type=*"))
-            connection.sendall(len(header).to_bytes(4, "little") + header)
-            assert connection.recv(4096) == b"", "closed without a request"
+            client(value, **times)
+        return caught.value, clock.monotonic() - begun
+
+    return call
 
 
-def test_listens():
-    from common.ros.service_calls import listens
+def test_a_call_answers_or_is_given_up_in_time_and_the_next_one_waits_for_its_end(offer, client, failure):
+    requests, _ = offer("switch", lambda: clock.sleep(0.0 if len(requests) == 1 else 3.0))
+    clock.sleep(0.1)
+    begun = clock.monotonic()
+    assert client(True, timeout=0.5).message == "so it is" and clock.monotonic() - begun <= DELAY_S
+    error, after = failure(False, timeout=0.5)
+    assert after == pytest.approx(0.5) and (error.service, error.sent) == ("switch", True)
+    assert str(error) == "the service switch did not answer within 0.5 s: it may still execute the request"
+    error, after = failure(True, timeout=0.5)
+    assert after == pytest.approx(0.5) and not error.sent and "still does not answer" in str(error)
+    assert requests == [True, False]
+    assert client(True, timeout=6.0).success
 
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        uri = f"http://127.0.0.1:{server.getsockname()[1]}/"
-        assert listens(uri)
-    assert not listens(uri)
+
+def test_a_service_that_fails_or_is_absent(offer, failure):
+    from common.ros.service_calls import ServiceAbsent
+
+    def fail():
+        raise ValueError("no arm")
+
+    for wait in (0.0, 0.5):
+        error, after = failure(True, timeout=30.0, wait=wait)
+        assert type(error) is ServiceAbsent and not error.sent and after == pytest.approx(wait, abs=0.11)
+    _, node = offer("switch", fail)
+    clock.sleep(0.1)
+    error, after = failure(True, timeout=30.0)
+    assert "no arm" in str(error) and error.sent and after <= DELAY_S
+    node.send_signal(signal.SIGINT)
+    node.wait(1.0)
+    error, _ = failure(True, timeout=30.0)
+    assert type(error) is ServiceAbsent
 
 
-@pytest.mark.parametrize("uri", ["", "http://", "http://127.0.0.1:port/", "nonsense"])
-def test_what_is_no_address_does_not_listen(uri):
-    from common.ros.service_calls import listens
+def test_a_service_that_comes_later_is_waited_for(offer, client):
+    begun = clock.monotonic()
+    clock.Timer(0.5, offer, ("switch",)).start()
+    assert client(True, timeout=1.0, wait=1.0).success
+    assert clock.monotonic() - begun == pytest.approx(0.55, abs=0.06)
 
-    assert not listens(uri)
+
+def test_a_node_that_hangs_never_executes_a_call_that_was_given_up(offer, client, failure):
+    requests, node = offer("switch")
+    clock.sleep(0.1)
+    node.send_signal(signal.SIGSTOP)
+    error, after = failure(True, timeout=0.5)
+    assert not error.sent and after == pytest.approx(0.5)
+    node.send_signal(signal.SIGCONT)
+    clock.sleep(10.0)
+    assert requests == []
+    assert client(False, timeout=0.5).message == "so it is" and requests == [False]
