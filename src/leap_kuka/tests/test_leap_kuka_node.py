@@ -515,6 +515,9 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
     assert states[-1].state == "waiting"
     control["control_on"] = True
     pedal.write(("KEY_B", 1), ("KEY_B", 0))
+    tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.3)))
+    clock.sleep(1.0)
+    assert states[-1].state == "waiting" and "in the box" in unmet()
     tracker.show(hand(yaw=20.0, pitch=10.0, position=(0.05, 0.35, 0.0)))
     clock.sleep(1.0)
     assert states[-1].reason.endswith("the enabling device is not pressed") and unmet() == ["enabled"]
