@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import yaml
 from episodes import CAMERA, DOWN
 
+from common import clock
 from common.poses import pose, translation
 from common.rotations import rotation_about
 
@@ -18,7 +17,7 @@ CONFIG = Path(__file__).parents[1] / "config"
 KUKA = Path(__file__).parents[2] / "kuka_control" / "config" / "kuka_params_rt.yaml"
 CAMERA_FRAME = "camera_depth_optical_frame"
 TICK_S = 0.05
-IMAGE_EVERY = 3  # ticks; of more images a busy machine would leave most out
+IMAGE_EVERY = 3  # ticks
 TOOL_LENGTH_M = yaml.safe_load(KUKA.read_text())["tool_length"]
 OPEN, FIST = 0.0, 1.8
 GRASP_Z = 0.4
@@ -141,8 +140,8 @@ class PuppetRig:
         self.depth = image()
         self.silent: set[str] = set()
         self._tick = (OPEN, False, GRASP_Z + 0.1)
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._loop, daemon=True)
+        self._ended = clock.Event()
+        self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
 
     def say(self, topic, message) -> None:
@@ -152,11 +151,11 @@ class PuppetRig:
         """Does what the operator does, in its time."""
         for tick in ticks(phases):
             self._tick = tick
-            time.sleep(TICK_S)
+            clock.sleep(TICK_S)
 
     def close(self) -> None:
         self._ended.set()
-        self._thread.join(5.0)
+        self._thread.join()
         for publisher in self.publishers.values():
             publisher.unregister()
 

@@ -142,7 +142,8 @@ def revision(folder: Path) -> str:
     answers = []
     for question in (("log", "-1", "--format=%H"), ("status", "--porcelain")):
         try:
-            command = ("git", "-C", str(folder), *question, "--", ".")
+            # A status that writes the index would lock it against the operator, and leave the lock on a full disk.
+            command = ("git", "--no-optional-locks", "-C", str(folder), *question, "--", ".")
             found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=True)
             answers.append(found.stdout.strip())
         except (OSError, subprocess.SubprocessError):

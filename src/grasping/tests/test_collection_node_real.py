@@ -1,0 +1,111 @@
+"""The process of the node grasp_collection: with a recording, and one that dies while it writes."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from collection_rig import (
+    GRASP_Z,
+    IMAGE_EVERY,
+    camera_pose,
+    grasp,
+    messages,
+    stream,
+    ticks,
+    tool,
+)
+from episodes import episode
+
+from grasping.lab.dataset.store import decode, encode, file_name
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+LONG_S = 180.0
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "grasps"
+
+
+def files(folder):
+    return sorted(folder.glob("*.npz"))
+
+
+def write_bag(path: Path, began: float) -> None:
+    """Records two grasps."""
+    import rosbag
+    import rospy
+
+    with rosbag.Bag(str(path), "w") as bag:
+        now = rospy.Time.from_sec(began)
+        bag.write("/tf_static", camera_pose(now), now)
+        bag.write("/leap_kuka/stream", stream(True), now)
+        for i, tick in enumerate(ticks([*grasp(), *grasp(touched=False)])):
+            now = rospy.Time.from_sec(began + 0.05 * (i + 1))
+            for topic, message in messages(now, *tick):
+                if i % IMAGE_EVERY == 0 or not topic.startswith("/camera"):
+                    bag.write(topic, message, now)
+
+
+def test_a_recording_makes_the_same_episodes(ros, folder, tmp_path):
+    write_bag(tmp_path / "operator.bag", 1.6e9)
+    arguments = {"bag": str(tmp_path / "operator.bag"), "folder": str(folder), "object": "cup", "operator": "puppet"}
+    process = ros.launch("grasping", "collect.launch", **arguments)
+    assert process.wait(LONG_S) == 0
+    log = process.log_path.read_text()
+    made = [decode(file.read_bytes()) for file in files(folder)]
+    assert [m.held for m in made] == [True, False], log
+    assert made[0].metadata.date == "2020-09-13T12:26:42Z"
+    np.testing.assert_allclose(made[0].T_base_tool_closed, tool(GRASP_Z), atol=1e-6)
+    assert len(made[0]) >= 2 and np.all(np.diff(made[0].stamp) > 0.0)
+
+
+def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(folder, processes, virtual_graph):
+    from grasping.lab.ros.episode_files import EpisodeFiles
+
+    one = episode()
+    whole = folder / file_name(one)
+    folder.mkdir()
+    whole.write_bytes(encode(one))
+    died = folder / whole.name.replace("episode_1970", "episode_1971")
+    code = (
+        "import os, signal, sys; from pathlib import Path; from common.ros.files import write_whole;"
+        "os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL);"
+        "write_whole(Path(sys.argv[1]), b'half of an episode')"
+    )
+    assert processes.start(sys.executable, "-c", code, str(died)).wait(LONG_S) == -signal.SIGKILL
+    assert files(folder) == [whole] and len(os.listdir(folder)) == 2
+    node = virtual_graph.start("files", lambda: EpisodeFiles(folder, print).close())
+    assert node.wait(1.0) == 0
+    assert "is lost: the process that wrote it died" in node.log_path.read_text()
+    assert decode(whole.read_bytes()).held
+
+
+def test_the_revision_is_asked_of_git_and_git_writes_nothing(folder, processes):
+    from grasping.lab.ros.collection_setup import revision
+
+    def git(*words):
+        who = ("-c", "user.name=tests", "-c", "user.email=tests@localhost")
+        assert processes.start("git", "-C", str(folder), *who, *words).wait(LONG_S) == 0
+
+    source, index = folder / "source.py", folder / ".git" / "index"
+    folder.mkdir()
+    source.write_text("one\n")
+    assert revision(folder) == ""
+    git("init", "-q")
+    git("add", "source.py")
+    git("commit", "-q", "-m", "one")
+    os.utime(source, (1.0, 1.0))  # which a status would note in the index
+    before = index.read_bytes()
+    assert re.fullmatch("[0-9a-f]{40}", revision(folder))
+    assert index.read_bytes() == before
+    source.write_text("two\n")
+    assert re.fullmatch(r"[0-9a-f]{40}\+", revision(folder))
