@@ -12,22 +12,27 @@ pytest.importorskip("rospy")
 
 from episodes import episode
 
+from common import clock
 from grasping.lab.dataset.store import decode, file_name
 from grasping.lab.ros import episode_files
-from grasping.lab.ros.episode_files import EpisodeFiles
+from grasping.lab.ros.episode_files import WAITING, EpisodeFiles
 
 pytestmark = pytest.mark.ros
+
+RETRY_S, FLUSH_S = 2.0, 6.0
+"""Between two tries to write, and longest wait for the last ones."""
 
 
 @pytest.fixture
 def disk(monkeypatch):
-    """A disk that is full until its attribute `full` is False."""
+    """A disk that is full until its attribute `full` is False, and that takes so many `seconds` [s] for a file."""
 
     class Disk:
-        full, tried = True, 0
+        full, tried, seconds = True, 0, 0.0
 
         def write(self, file, content):
             self.tried += 1
+            clock.sleep(self.seconds)
             if self.full:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             file.parent.mkdir(exist_ok=True)
@@ -35,7 +40,6 @@ def disk(monkeypatch):
 
     disk = Disk()
     monkeypatch.setattr(episode_files, "write_whole", disk.write)
-    monkeypatch.setattr(episode_files, "RETRY_S", 0.05)
     return disk
 
 
@@ -45,7 +49,7 @@ def written():
 
 
 @pytest.fixture
-def files(tmp_path, written):
+def files(virtual_graph, tmp_path, written):
     files = EpisodeFiles(tmp_path / "data", lambda episode, file, size: written.append((file, size)))
     yield files
     files.close()
@@ -56,41 +60,57 @@ def some(count):
     return [replace(first, t_grasp=first.t_grasp + 10.0 * i) for i in range(count)]
 
 
-def test_what_a_full_disk_does_not_take_is_written_in_its_order_when_there_is_room(
-    disk, files, written, tmp_path, wait_until
-):
+def put(files, episode):
+    files.put(episode)
+    clock.sleep(0.01)
+
+
+def test_what_a_full_disk_does_not_take_is_written_in_its_order_when_there_is_room(disk, files, written, tmp_path):
     three = some(3)
-    for one in three:
-        waiting = files.waiting
-        files.put(one)
-        wait_until(lambda before=waiting: files.waiting == before + 1, 10.0, "that it waits")
+    for count, one in enumerate(three, 1):
+        put(files, one)
+        assert files.waiting == count
     assert "An episode waits in memory" in files.fault and "No space left on device" in files.fault
-    tried = disk.tried
-    wait_until(lambda: disk.tried > tried + 2, 10.0, "further tries")
+    assert disk.tried == 3
+    clock.sleep(10 * RETRY_S)
+    assert disk.tried == 13
     disk.full = False
-    wait_until(lambda: len(written) == 3, 10.0, "all files")
+    clock.sleep(RETRY_S)
     assert [file for file, _ in written] == [tmp_path / "data" / file_name(one) for one in three]
     assert [decode(file.read_bytes()).t_grasp for file, _ in written] == [one.t_grasp for one in three]
     assert (files.waiting, files.lost, files.fault) == (0, 0, "")
 
 
-def test_the_same_grasp_does_not_wait_twice(disk, files, written, wait_until):
+def test_the_same_grasp_is_neither_kept_nor_written_twice(disk, files, written):
     (one,) = some(1)
-    files.put(one)
-    wait_until(lambda: files.waiting == 1, 10.0, "that it waits")
-    files.put(one)
-    wait_until(lambda: files.lost == 1, 10.0, "the second one")
+    put(files, one)
+    put(files, one)
+    assert (files.waiting, files.lost) == (1, 1)
     disk.full = False
-    wait_until(lambda: len(written) == 1, 10.0, "the file")
+    clock.sleep(RETRY_S)
+    put(files, one)
+    assert (len(written), files.waiting, files.lost) == (1, 0, 2)
+    assert f"{written[0][0]} holds that grasp already" in files.fault
 
 
-def test_memory_is_bounded_and_the_end_names_what_is_lost(disk, files, monkeypatch, wait_until):
+def test_memory_is_bounded_and_the_end_names_what_is_lost(disk, files, monkeypatch):
     one, other = some(2)
     monkeypatch.setattr(episode_files, "WAITING_BYTES", len(episode_files.encode(one)) + 10)
-    files.put(one)
-    wait_until(lambda: files.waiting == 1, 10.0, "that it waits")
-    files.put(other)
-    wait_until(lambda: files.lost == 1, 10.0, "the second one")
+    put(files, one)
+    put(files, other)
+    assert (files.waiting, files.lost) == (1, 1)
     assert "memory. Make room" in files.fault and "waits in memory" in files.fault
     files.close()
     assert files.lost == 2 and "could not be written until the end" in files.fault
+
+
+def test_a_disk_that_takes_too_long_delays_neither_the_node_nor_its_end(virtual_graph, disk, files, written):
+    disk.full, disk.seconds = False, 60.0
+    many, began = some(WAITING + 3), clock.monotonic()
+    put(files, many[0])
+    for one in many[1:]:
+        files.put(one)
+    assert files.lost == 2 and "2 episodes before it are still being written" in files.fault
+    files.close()
+    assert FLUSH_S <= clock.monotonic() - began <= 2 * FLUSH_S
+    assert "the disk took longer than 6 s" in virtual_graph.here.log

@@ -310,6 +310,8 @@ def test_silence_ends_the_execution(rig, asked, topic, sentence):
     rig.silent, began = {topic}, clock.monotonic()
     outcome = asked.outcomes.wait(1, CONFIG["silence"] + NODE_S + LATER_S)[0]
     assert outcome.reason == sentence and clock.monotonic() - began >= CONFIG["silence"] - RIG_S
+    clock.sleep(LATER_S)
+    assert rig.held[-1] is None, "the tool waits no longer"
 
 
 @pytest.mark.parametrize(

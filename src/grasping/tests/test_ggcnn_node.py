@@ -24,7 +24,8 @@ DOWN = ASIDE[:3, :3].T @ (0.0, 0.0, -1.0)
 PERIOD_S = 0.1
 LATER_S = 0.01
 """Of the camera's images, and how much later messages come and go."""
-DIAGNOSTICS_S = 0.5
+DIAGNOSTICS_S, WAIT_S, KIND_PERIOD_S = 0.5, 0.2, 1.0
+"""Of the node: time between diagnostics, longest wait for an image, and time between two looks at the kind."""
 R_LINK_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 TYPES = {
     "out/grasps": "grasp_msgs/GraspList",
@@ -158,7 +159,6 @@ def test_what_it_publishes(ros, camera, calibrated):
 
     from common.ros.conversions import pose_from_message, pose_from_transform
     from common.ros.images import array_from_image
-    from grasping.ros.ggcnn_node import WAIT_S
 
     classes = {name: roslib.message.get_message_class(kind) for name, kind in TYPES.items()}
     got = {name: ros.record(f"ggcnn/{name}", kind) for name, kind in classes.items()}
@@ -448,7 +448,6 @@ def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, tm
 
     from common.ros.conversions import pose_from_message
     from grasp_msgs.msg import GraspList
-    from grasping.ros.ggcnn_node import KIND_PERIOD_S
 
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.period = 3 * PERIOD_S

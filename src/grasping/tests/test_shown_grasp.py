@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import threading
+import sys
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from episodes import CAMERA, CROP, DOWN, metadata
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common import clock
 from common.camera_model import pinhole
 from common.poses import translation
 from grasping.lab.dataset.episode import SHOWN
@@ -23,8 +23,13 @@ from grasping.lab.dataset.store import decode, encode
 from grasping.network.maps import Peak
 
 OPTICS = Optics(CAMERA, CROP, CAMERA)
-LONG_S = 60.0
-PROGRAM = ("rosrun", "grasping", "collect_shown_grasp.py", "cup", "--view", "camera", "--folder")
+POSE_S, POLL_S, LATER_S = 0.2, 0.02, 0.01
+"""Time between two poses, and how often the program looks; how much later messages come."""
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
 
 
 def frame(stamp):
@@ -104,63 +109,59 @@ def test_a_pair_is_an_episode_that_training_reads():
     assert np.isnan(read.opening)
 
 
-class Program:
-    """The program with a keyboard, what it printed so far, and its folder."""
+class Keyboard:
+    """The program's input: a line for each Enter, until it is closed."""
 
-    def __init__(self, folder, *arguments):
-        self.process = subprocess.Popen(
-            [*PROGRAM, str(folder), *arguments], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
-        )
-        self.folder, self._read = folder, b""
-        threading.Thread(target=self._loop, daemon=True).start()
-
-    @property
-    def said(self):
-        return self._read.decode()
+    def __init__(self):
+        self._lines = clock.Queue()
 
     def enter(self):
-        self.process.stdin.write(b"\n")
-        self.process.stdin.flush()
+        self._lines.put("\n")
 
-    def files(self):
-        return sorted(self.folder.glob("*.npz"))
+    def close(self):
+        self._lines.put(None)
 
-    def _loop(self):
-        while part := self.process.stdout.read1(4096):
-            self._read += part
+    def __iter__(self):
+        return iter(self._lines.get, None)
 
 
 @pytest.fixture
-def program(ros, tmp_path):
-    """A function that starts the program, and ends it with the test."""
+def keyboard(ros, monkeypatch):
+    keyboard = Keyboard()
+    monkeypatch.setattr(sys, "stdin", keyboard)
+    return keyboard
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "grasps"
+
+
+@pytest.fixture
+def program(ros, keyboard, folder, monkeypatch):
+    """A function that starts the program, whose progress bars have the clock of the others."""
     import rospy
 
+    from grasping.lab.ros import collection_setup
+
+    monkeypatch.setattr(collection_setup, "revision", lambda _: "")
+    monkeypatch.setattr("tqdm.std.time", lambda: clock.time())
     rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
-    started = []
-
-    def start(*arguments):
-        started.append(Program(tmp_path / "grasps", *arguments))
-        return started[-1]
-
-    yield start
-    for one in started:
-        one.process.kill()
-        one.process.wait(LONG_S)
+    words = ("cup", "--view", "camera", "--folder", str(folder))
+    return lambda *more: ros.run("grasping", "collect_shown_grasp.py", *words, *more)
 
 
 @pytest.fixture
 def arm(ros):
-    """A function that sets the mode that the arm's controller publishes."""
+    """A function that sets the mode that the arm's controller publishes; with an empty one it is silent."""
     import rospy
 
     from rig_msgs.msg import KukaStatus
 
     publisher = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
     mode = [KukaStatus.STARTING]
-    timer = rospy.Timer(rospy.Duration(0.04), lambda _: publisher.publish(KukaStatus(mode=mode[0])))
-    yield lambda name: mode.__setitem__(0, name)
-    timer.shutdown()
-    publisher.unregister()
+    rospy.Timer(rospy.Duration(0.04), lambda _: mode[0] and publisher.publish(KukaStatus(mode=mode[0])))
+    return lambda name: mode.__setitem__(0, name)
 
 
 @pytest.fixture
@@ -171,36 +172,43 @@ def rig(ros):
 
 
 @pytest.mark.ros
-def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(program, rig, arm, wait_until):
+def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(ros, program, keyboard, rig, arm, folder):
+    def files():
+        return sorted(folder.glob("*.npz"))
+
     one = program("--maps", "3", "--poses", "25")
-    wait_until(lambda: "the arm is not at home: starting" in one.said, LONG_S, "that it waits for home")
-    assert "1/3" not in one.said
+    clock.sleep(1.0)
+    assert "the arm is not at home: starting" in one.log and "silent" not in one.log
+    arm("")
+    clock.sleep(0.9)  # 0.5 s until it counts as silent, and at 5 Hz every second image is looked at
+    assert "the arm's controller is silent" in one.log and "1/3" not in one.log
     arm("home")
-    wait_until(lambda: "Bring the hand to the grasp" in one.said, LONG_S, "the maps")
-    assert "3/3" in one.said and not one.files()
+    clock.sleep(1.0)
+    assert "3/3" in one.log and "Bring the hand to the grasp" in one.log and not files()
     arm("servo")
     rig.say("/leap_kuka/stream", stream(True))
-    # The tool stays for a while: Enter comes by another way than its pose.
-    rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z), (2.0, OPEN, False, GRASP_Z, GRASP_Z)])
-    wait_until(lambda: "Enter starts" in one.said, LONG_S, "that it waits for Enter")
-    assert not one.files(), "the tool is on its way"
-    one.enter()
-    wait_until(lambda: len(one.files()) >= 2, LONG_S, "poses")
-    said = len(one.said)
+    rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z), (0.2, OPEN, False, GRASP_Z, GRASP_Z)])
+    assert "Enter starts" in one.log and not files(), "the tool is on its way"
+    keyboard.enter()
+    clock.sleep(5 * (POSE_S + POLL_S))
+    said, count = len(one.log), len(files())
+    assert count in (5, 6)
     rig.say("/leap_kuka/stream", stream(False))
-    wait_until(lambda: "Enter starts" in one.said[said:], LONG_S, "that it pauses")
-    count = len(one.files())
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])
-    assert len(one.files()) == count < 25, "it pauses"
+    keyboard.enter()
+    clock.sleep(1.0)
+    assert "Enter starts" in one.log[said:] and len(files()) == count, "it pauses, and Enter alone does not end that"
     rig.say("/leap_kuka/stream", stream(True))
-    rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (2.0, FIST, False, GRASP_Z, GRASP_Z)])
-    one.enter()
-    wait_until(lambda: one.process.poll() is not None, LONG_S, "the end of the program")
-    assert one.process.returncode == 0, one.said
-    (rate, *_) = re.findall(r"24/25 \[[^]]* ([\d.]+)it/s", one.said)
-    assert float(rate) < 6.0, "by which the time that is left is estimated; 5 poses a second are taken"
-    made = [decode(file.read_bytes()) for file in one.files()]
-    assert len(made) == 25 and "25 poses of cup with 3 maps" in one.said
+    rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (0.2, FIST, False, GRASP_Z, GRASP_Z)])
+    assert len(files()) == count, "also where a hand is followed again"
+    keyboard.enter()
+    left = 25 - count
+    assert one.wait(left * (POSE_S + POLL_S)) == 0, one.log
+    (rate, *_) = re.findall(r"24/25 \[[^]]* ([\d.]+)it/s", one.log)
+    assert float(rate) < 24 / (24 * POSE_S + 3.2), "with the pause, as it tells the time that is left"
+    made = [decode(file.read_bytes()) for file in files()]
+    assert len(made) == 25 and "25 poses of cup with 3 maps" in one.log
+    assert np.diff([episode.t_grasp for episode in made]).min() >= POSE_S - 1e-6
     for episode in made:
         assert (episode.metadata.source, episode.metadata.object) == (SHOWN, "cup") and episode.held
         np.testing.assert_allclose(episode.T_base_tool_closed, tool(GRASP_Z), atol=1e-6)
@@ -208,27 +216,15 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(progr
     assert len({episode.metadata.fingerprint for episode in made}) == 1
 
 
-@pytest.fixture
-def without_keyboard(ros, processes, tmp_path):
-    """A function that starts the program without a keyboard, in the environment with these changes."""
-    import rospy
-
-    rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
-    return lambda *arguments, **env: processes.start(*PROGRAM, str(tmp_path / "grasps"), *arguments, env=env)
-
-
 @pytest.mark.ros
-def test_a_count_out_of_range_and_a_missing_master_are_one_sentence_each(without_keyboard):
-    one = without_keyboard("--maps", "0")
-    assert one.wait(LONG_S) == 2 and "--maps is 0 and must be 1 to 10000." in one.log_path.read_text()
-    one = without_keyboard(ROS_MASTER_URI="http://localhost:9")
-    assert one.wait(LONG_S) == 1
-    assert "does not answer" in one.log_path.read_text() and "Traceback" not in one.log_path.read_text()
-
-
-@pytest.mark.ros
-def test_without_a_keyboard_it_says_so(without_keyboard, rig, arm, tmp_path):
-    one = without_keyboard("--maps", "1")
+def test_what_ends_it_is_one_sentence(ros, program, keyboard, rig, arm, folder):
+    one = program("--maps", "0")
+    assert one.wait(LATER_S) == 2 and "--maps is 0 and must be 1 to 10000." in one.log
+    ros.master_answers = False
+    one = program()
+    assert one.wait(LATER_S) == 1 and "does not answer" in one.log and "Traceback" not in one.log
+    ros.master_answers = True
+    keyboard.close()
     arm("home")
-    assert one.wait(LONG_S) == 1, one.log_path.read_text()
-    assert "there is no keyboard" in one.log_path.read_text() and not [*(tmp_path / "grasps").glob("*.npz")]
+    one = program("--maps", "1")
+    assert one.wait(1.0) == 1 and "there is no keyboard" in one.log and not [*folder.glob("*.npz")]
