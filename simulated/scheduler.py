@@ -7,6 +7,7 @@ other orders. A thread gives way only where it waits, and at some of its uses of
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import heapq
 import random
 import re
@@ -57,7 +58,7 @@ class Task:
         self.waits_for: str | None = None
         self.turn = threading.Lock()  # released by whoever gives this thread its turn
         self.turn.acquire()
-        self.waits = 0  # so many times it has begun or ended to wait
+        self.waits = 0  # so many times it has begun to: a deadline of a wait before counts no longer
         self.notified = self.alone = False  # and nobody else was
         self.torn = False  # out of its last wait, by an exception
         self.killed = self.ended = False
@@ -221,7 +222,7 @@ class Scheduler:
         """Called by a thread as its last act."""
         task.ended = True
         self._tasks.remove(task)
-        if error is not None and not isinstance(error, (Killed, SystemExit)):
+        if error is not None:
             self.crashed.append((task.name, error))
         if not self._unwinding:
             self.notify(task.joiners)
@@ -285,7 +286,6 @@ class Scheduler:
         if task not in self._ready:
             self._ready.append(task)
         task.waits_for = None
-        task.waits += 1  # its deadline no longer counts
 
     def _drawn_of(self, tasks: list[Task]) -> Task:
         return tasks[self._random.randrange(len(tasks))] if len(tasks) > 1 else tasks[0]
@@ -294,7 +294,7 @@ class Scheduler:
         """Takes the thread whose turn it is; None if there is none, which is a fault of the main thread."""
         self._turns += 1
         while True:
-            ready = [task for task in self._ready if task.group not in self.suspended or task.killed]
+            ready = [task for task in self._ready if task.group not in self.suspended]
             if ready and self._turns <= SPINS:
                 task = self._drawn_of(ready)
                 self._ready.remove(task)
@@ -335,7 +335,6 @@ class Scheduler:
         except BaseException as error:
             task.torn = True
             if task is self._main and not isinstance(error, Stuck):  # Ctrl-C, or pytest's time is up: others may run
-                self._note(task)
                 self._unwind()
             raise
 
@@ -345,7 +344,11 @@ class Scheduler:
             task.turn.release()
 
     def _take_turn(self, task: Task) -> None:
-        task.turn.acquire()
+        if task is self._main:
+            while not task.turn.acquire(timeout=POLL_S):
+                pass  # a signal that came just before would not wake it
+        else:
+            task.turn.acquire()
         self._note(task)
         self._raise_faults(task)
 
@@ -380,7 +383,6 @@ class Scheduler:
         while not self._over.wait(POLL_S):
             task = self._running
             if looks.at(task.thread) >= POLLS:
-                looks = _Looks()
                 fault = Stuck(f"waits outside of virtual time: {self._described(task)}")
                 if task is not self._main:
                     self._fail(fault)
@@ -395,11 +397,17 @@ class Scheduler:
         for task in others:
             task.killed = True
         for task in others:
-            looks, running = _Looks(), self._running
+            looks = _Looks()
             self._hand_over(task)
-            while looks.at(task.thread) < LAST_POLLS and threading.Thread.is_alive(task.thread):
+            for number in range(POLLS):
+                if not threading.Thread.is_alive(task.thread) or looks.at(task.thread) >= LAST_POLLS:
+                    break
+                if number >= LAST_POLLS:  # it may compute for ever
+                    ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                        ctypes.c_ulong(task.thread.ident), ctypes.py_object(Killed)
+                    )
                 threading.Thread.join(task.thread, POLL_S)
-            self._running = running
+        self._note(self._main)
         left = [task for task in others if threading.Thread.is_alive(task.thread)]
         self._unwinding = bool(left)
         self._ready.clear()

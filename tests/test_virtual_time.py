@@ -118,6 +118,28 @@ def test_a_seed_makes_one_run_and_others_make_others():
     assert len({tuple(traffic(seed)[1]) for seed in SEEDS}) == len(SEEDS)
 
 
+def test_of_what_is_due_at_one_time_any_may_be_first():
+    def order(seed):
+        with virtual_time(seed):
+            came = []
+            (thread,) = started(lambda: (clock.sleep(1.0), came.append("first asked")))
+            clock.sleep(0.5)
+            clock.sleep(0.5)
+            came.append("later asked")
+            thread.join()
+            return came[0]
+
+    assert {order(seed) for seed in range(40)} == {"first asked", "later asked"}
+
+
+def test_many_turns_at_one_time_are_none_too_many(monkeypatch):
+    monkeypatch.setattr(scheduling, "SPINS", 100)
+    with virtual_time():
+        for _ in range(5):
+            run(lambda: [clock.sleep(0.0) for _ in range(90)])
+            clock.sleep(0.1)
+
+
 def test_threads_without_names_have_the_same_in_each_run():
     def traced():
         with virtual_time(trace=True) as scheduler:
@@ -224,6 +246,20 @@ class TestTimeOuts:
         with condition:
             assert self.lasts(0.2, lambda: condition.wait(5.0))
         assert self.lasts(0.2, lambda: items.get(timeout=5.0)) == "it"
+
+    def test_what_came_in_time_leaves_no_deadline(self):
+        event = clock.Event()
+        started(lambda: event.wait(5.0))
+
+        def later():
+            event.wait(5.0)
+            self.lasts(9.0, lambda: clock.sleep(9.0))
+
+        (thread,) = started(later)
+        clock.sleep(1.0)
+        event.set()
+        thread.join()
+        assert self.scheduler.crashed == []
 
     def test_a_timer_calls_once_unless_it_is_cancelled(self):
         calls = []
@@ -393,10 +429,47 @@ class TestStuck:
                 clock.sleep(0.0)
 
         with pytest.raises(
-            Stuck, match=r"time has not passed for 100000 turns: main waits for sleep\(1\)(?s:.*)in give_way"
+            Stuck,
+            match=r"time has not passed for 100000 turns: main (?s:.*); job \d \(\d\) is ready\n(?s:.*)in give_way",
         ), virtual_time():
-            started(give_way)
+            started(give_way, give_way)
             clock.sleep(1.0)
+
+    def test_who_has_killed_them_goes_on(self, monkeypatch):
+        monkeypatch.setattr(scheduling, "SPINS", 100)
+
+        def give_way():
+            while True:
+                clock.sleep(0.0)
+
+        with virtual_time() as scheduler:
+            with scheduler.in_group("node"):
+                started(give_way)
+            with pytest.raises(Stuck):
+                clock.sleep(1.0)
+            scheduler.kill("node")
+            clock.sleep(1.0)
+
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_a_wake_up_from_before_is_none_for_the_next_wait(self, impatient, seed):
+        outside = threading.Event()
+        with virtual_time(seed):
+            event = clock.Event()
+
+            def job():
+                clock.sleep(1.0)
+                event.set()
+                outside.wait()
+
+            started(job)
+            with pytest.raises(Stuck, match="outside.wait"):
+                for _ in range(2):
+                    event.wait()
+                    event.clear()
+            begun = clock.monotonic()
+            clock.sleep(1.0)
+            assert clock.monotonic() == begun + 1.0
+            outside.set()
 
     def test_it_comes_out_of_each_kind_of_wait(self):
         with virtual_time():
@@ -412,6 +485,8 @@ class TestStuck:
             with pytest.raises(Stuck):
                 clock.Queue().get()
             clock.sleep(1.0)
+            with pytest.raises(RuntimeError):
+                clock.Lock().release()
 
     def test_a_thread_of_somebody_else_has_no_turns(self):
         failed = []
@@ -461,15 +536,18 @@ class TestEnds:
 
         def job():
             clock.sleep(1.0)
-            signal.pthread_kill(threading.main_thread().ident, signal.SIGALRM)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGUSR1)
+            wait()
+
+        def wait():
             while True:
                 clock.sleep(0.01)
 
-        before = signal.signal(signal.SIGALRM, interrupt)
+        before = signal.signal(signal.SIGUSR1, interrupt)
         try:
             with virtual_time(seed):
                 condition = clock.Condition()
-                threads = started(job, lambda: clock.Event().wait())
+                threads = started(job, wait, wait, lambda: clock.Event().wait())
                 with pytest.raises(ZeroDivisionError), condition:
                     condition.wait()
                 assert not any(threading.Thread.is_alive(thread) for thread in threads)
@@ -479,7 +557,30 @@ class TestEnds:
                 run(lambda: clock.sleep(1.0), lambda: clock.sleep(2.0))
                 assert clock.monotonic() == begun + 2.0
         finally:
-            signal.signal(signal.SIGALRM, before)
+            signal.signal(signal.SIGUSR1, before)
+
+    def test_a_thread_that_computes_for_ever_ends_with_the_rest(self, monkeypatch):
+        """It never gives way: pytest's time is up, and the next test must run."""
+        monkeypatch.setattr(scheduling, "POLL_S", 0.02)
+        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
+
+        def interrupt(*_):
+            raise ZeroDivisionError
+
+        def compute():
+            while True:
+                pass
+
+        before = signal.signal(signal.SIGUSR1, interrupt)
+        main = threading.main_thread().ident
+        try:
+            with pytest.raises(ZeroDivisionError), virtual_time():
+                threads = started(compute)
+                threading.Timer(0.1, lambda: signal.pthread_kill(main, signal.SIGUSR1)).start()
+                clock.sleep(1.0)
+            assert not threading.Thread.is_alive(threads[0])
+        finally:
+            signal.signal(signal.SIGUSR1, before)
 
     def test_objects_of_another_virtual_time_say_that_it_is_over(self):
         with virtual_time():
@@ -595,6 +696,21 @@ class TestWhoGoesLeavesNobodyWaiting:
             assert came in (["other"], ["one"] if how == "killed" and "one" in came else ["other"])
             assert scheduler.crashed == []
 
+    @pytest.mark.parametrize("seed", SEEDS)
+    def test_nobody_is_woken_for_one_that_was_woken_with_all(self, seed):
+        with virtual_time(seed) as scheduler:
+            event = clock.Event()
+            with scheduler.in_group("node"):
+                started(event.wait, event.wait)
+            clock.sleep(1.0)
+            event.set()
+            event.clear()
+            seen = []
+            started(lambda: seen.append(event.wait(1.0)))
+            scheduler.kill("node")
+            clock.sleep(2.0)
+            assert seen == [False]
+
     def test_a_lock_that_a_suspended_thread_has_is_waited_for(self):
         with virtual_time() as scheduler:
             lock = clock.Lock()
@@ -670,3 +786,6 @@ class TestWhoGoesLeavesNobodyWaiting:
             assert groups[-1] == ""
             clock.sleep(1.0)
             assert seen == ["node"] * 5 and groups[-1] == ""
+            with scheduler.in_group("node"):
+                started(clock.Event().wait)
+        assert groups[-2:] == ["node", ""]
