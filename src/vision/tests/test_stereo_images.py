@@ -1,0 +1,129 @@
+"""What the operator sees when images come late, torn, without depth, or not at all: the drawing of stereo_view."""
+
+import pytest
+from depth_scene import load
+from stereo_camera import REMAPS, Camera, middle, status
+
+from common import clock
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def ros(virtual_graph):
+    return virtual_graph
+
+
+@pytest.fixture
+def camera(ros):
+    return Camera()
+
+
+@pytest.fixture
+def shown(ros):
+    """What is published of the screen."""
+    from sensor_msgs.msg import Image
+
+    return ros.record("stereo_view/image", Image)
+
+
+class Window:
+    """In place of the window, which needs Qt's event loop."""
+
+    def show_image(self, image):
+        pass
+
+
+@pytest.fixture
+def sentence(ros):
+    """Starts the drawing as the node does; returns a function that gives the sentence of its last status."""
+    import rospy
+
+    def main():
+        from common.ros.diagnostics import Diagnostics
+        from common.ros.params import private_config
+        from vision.ros.stereo.eye_images import StereoImageSource
+        from vision.ros.stereo.view_node import _draw
+        from vision.stereo.view import StereoViewConfig
+
+        rospy.init_node("stereo_view")
+        images = StereoImageSource(private_config(StereoViewConfig, "view"))
+        images.subscribe(True)
+        Diagnostics("stereo_view", images.diagnose)
+        _draw(images, Window(), clock.Event())
+
+    rospy.set_param("stereo_view/view", load("stereo_view.yaml"))
+    read = status(ros, "stereo_view")
+    ros.start("stereo_view", main, "stereo_view", *REMAPS)
+    clock.sleep(0.6)
+    return read
+
+
+def publish(camera, seconds, **how):
+    """Publishes fifteen images a second as the Xtion does, the first one at once."""
+    for _ in range(round(15.0 * seconds)):
+        camera.publish(**how)
+        clock.sleep(1.0 / 15.0)
+
+
+def test_both_eyes_see_the_camera_and_the_age_when_it_stops(camera, shown, sentence):
+    """After half a second; an old image is drawn again each 0.2 s."""
+    assert sentence() == "Waits for /camera/rgb/camera_info." and not shown
+    publish(camera, 1.0)
+    assert sentence() == "Shows images."
+    assert (shown[-1].width, shown[-1].height, shown[-1].encoding) == (1920, 1080, "rgb8")
+    assert len({message.header.stamp for message in shown}) == 15
+    clock.sleep(0.42)
+    assert middle(shown[-1])[0][0] == 200
+    clock.sleep(0.15)
+    last = middle(shown[-1])
+    assert shown[-1].header.stamp == shown[-2].header.stamp
+    for left, right in (last[:2], last[2:]):
+        assert left[0] == 80 and left[2] == 0 and right[2] == 80 and right[0] == 0
+    clock.sleep(0.5)
+    assert sentence().startswith("The image on screen is ") and sentence().endswith("s old: is the camera running?")
+    publish(camera, 0.6)
+    assert sentence() == "Shows images." and middle(shown[-1])[0][0] == 200
+
+
+@pytest.mark.parametrize("how", [{"depth": False}, {"gap": 0.17}])
+def test_without_depth_of_its_time_it_shows_the_image_twice_and_says_so(camera, sentence, how):
+    publish(camera, 0.6, gap=0.03)
+    assert sentence() == "Shows images."
+    clock.sleep(0.2)  # the depth is old
+    publish(camera, 0.6, **how)
+    assert sentence() == "Shows the same image twice: no depth of its time on /camera/depth/image_raw."
+
+
+def test_torn_images_are_not_shown_and_do_not_count_as_new(ros, camera, shown, sentence):
+    publish(camera, 0.6)
+    before = shown[-1].header.stamp
+    for _ in range(11):
+        camera.publish_torn()
+        clock.sleep(0.1)
+    assert "s old" in sentence() and shown[-1].header.stamp == before
+    (node,) = (node for node in ros.nodes if node.name == "/stereo_view")
+    assert "5 bytes" in node.log_path.read_text()
+    publish(camera, 0.6)
+    assert sentence() == "Shows images."
+
+
+def test_wrong_parameters_end_the_node_with_a_sentence(ros):
+    import rospy
+
+    rospy.set_param("stereo_view", {"view": {**load("stereo_view.yaml"), "colour": 1}, "output": ""})
+    node = ros.run("vision", "stereo_view_node.py")
+    assert node.wait(1.0) == 1
+    log = node.log_path.read_text()
+    assert "~view/colour is not a known key" in log and "Traceback" not in log
+
+
+def test_without_a_screen_the_node_ends_with_a_sentence(ros, monkeypatch):
+    import rospy
+
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    rospy.set_param("stereo_view", {"view": load("stereo_view.yaml"), "output": ""})
+    node = ros.run("vision", "stereo_view_node.py")
+    assert node.wait(1.0) == 1
+    assert "needs a screen" in node.log_path.read_text()
