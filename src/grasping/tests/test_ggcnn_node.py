@@ -324,6 +324,22 @@ def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, c
     assert 0.5 <= seconds_between(yes, refused) < 0.5 + 2 * PERIOD_S + LATER_S
 
 
+def test_a_controller_that_comes_late_and_hangs_counts_as_silent_in_time(ros, camera, calibrated):
+    import rospy
+
+    from grasp_msgs.msg import GraspList
+    from grasping.pipeline.tool_pose import SILENT
+    from rig_msgs.srv import CheckToolPose
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    start(ros, reach__timeout=0.5)
+    first = newest(ros, lists, lambda m: m.grasps, "a grasp")
+    clock.sleep(0.3)
+    rospy.Service("kuka/check_tool_pose", CheckToolPose, lambda _: clock.sleep(60.0))
+    silent = newest(ros, lists, lambda m: m.grasps[0].reason == SILENT, "that it says so", 0.5)
+    assert 0.5 <= seconds_between(first, silent) < 0.5 + 2 * PERIOD_S + LATER_S
+
+
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
