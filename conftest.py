@@ -32,7 +32,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup.py"))]
 sys.path.extend([*SOURCES, str(ROOT)])
 
-from common.ports import free_port  # noqa: E402 - needs the path above
+from common import clock  # noqa: E402 - needs the path above
+from common.ports import free_port  # noqa: E402
 from tools.fork_server import ForkServer  # noqa: E402
 
 # On a busy machine one example of a law may take long. Each run tries the same ones: what one finds is due to a change.
@@ -77,11 +78,19 @@ def pytest_collection_modifyitems(config, items):
 
 
 class Watch:
-    """Sees what leaves the process during a test; Python has no way to remove an audit hook again."""
+    """Sees what leaves the process during a test, and sleeps; Python has no way to remove an audit hook again."""
 
     def __init__(self) -> None:
         self.seen: set[str] = set()
         sys.addaudithook(self._hear)
+        self._sleep = time.sleep
+        time.sleep = clock.sleep = self.sleep
+
+    def sleep(self, seconds: float) -> None:
+        """As time.sleep; counts for the test if its own thread sleeps, as others may be those of a test before."""
+        if seconds > 0 and threading.current_thread() is threading.main_thread() and not _importing():
+            self.seen.add("time.sleep")
+        self._sleep(seconds)
 
     def _hear(self, event: str, _) -> None:
         if event in OUTSIDE and not _importing():
@@ -113,7 +122,7 @@ def pytest_runtest_protocol(item):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item, nextitem):
-    """Fails a test that opens sockets or starts programs beside tests that only compute: others would displace it."""
+    """Fails a test that opens sockets, starts programs or sleeps beside tests that only compute, which displace it."""
     seen = item.config.stash[WATCH].seen
     mine = set(seen)
     yield

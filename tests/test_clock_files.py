@@ -100,12 +100,22 @@ def test_a_file_that_does_not_show_such_a_test_is_refused(collected, text):
             "os.system",
         ),
         ("import os\ndef test_a():\n    os.posix_spawn('/bin/true', ['true'], {})\n", "os.posix_spawn"),
+        ("import time\ndef test_a():\n    time.sleep(0.001)\n", "time.sleep"),
+        ("from common import clock\ndef test_a():\n    clock.sleep(0.001)\n", "time.sleep"),
     ],
 )
 def test_a_test_that_leaves_its_process_must_be_marked(ran, text, event):
     code, said = ran(text)
     assert code == pytest.ExitCode.TESTS_FAILED and event in said and "1 error" in said
     assert ran(f"{text}import pytest\npytestmark = pytest.mark.clock\n")[0] == pytest.ExitCode.OK
+
+
+def test_who_only_gives_way_or_sleeps_in_virtual_time_needs_no_mark(ran):
+    code, said = ran(
+        "import time\nfrom common import clock\nfrom simulated.clock import virtual_time\n"
+        "def test_a():\n    time.sleep(0)\n    with virtual_time():\n        clock.sleep(1.0)\n"
+    )
+    assert code == pytest.ExitCode.OK, said
 
 
 def test_what_another_test_did_is_not_its_own(ran):

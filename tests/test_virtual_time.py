@@ -33,9 +33,13 @@ def run(*jobs):
 
 def test_common_clock_is_the_standard_library_s_before_and_after():
     before = [getattr(clock, name) for name in clock.__all__]
-    with virtual_time():
+    handler = signal.getsignal(scheduling.SIGNAL)
+    with virtual_time() as scheduler:
         assert clock.monotonic() == START_S and clock.Event is not threading.Event
+        drawn = {scheduler.drawn(2.0) for _ in range(9)}
+        assert len(drawn) == 9 and min(drawn) >= 0.0 and max(drawn) <= 2.0
     assert [getattr(clock, name) for name in clock.__all__] == before
+    assert signal.getsignal(scheduling.SIGNAL) == handler
     own = (clock.monotonic, clock.sleep, clock.Event, clock.Lock, clock.Queue)
     assert own == (time.monotonic, time.sleep, threading.Event, threading.Lock, queue.Queue)
 
@@ -116,6 +120,30 @@ def test_no_wake_up_and_no_item_is_lost(seed):
 def test_a_seed_makes_one_run_and_others_make_others():
     assert traffic(3) == traffic(3)
     assert len({tuple(traffic(seed)[1]) for seed in SEEDS}) == len(SEEDS)
+
+
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("how", ["notify", "notify_all"])
+def test_who_waits_for_a_condition_hears_whoever_then_takes_its_lock(how, seed):
+    with virtual_time(seed):
+        condition, heard = clock.Condition(), []
+
+        def wait(seconds=1.0):
+            with condition:
+                clock.sleep(seconds)
+                heard.append(condition.wait(9.0))
+
+        def notify():
+            clock.sleep(0.5)
+            with condition:
+                getattr(condition, how)()
+
+        if how == "notify_all":
+            started(lambda: wait(0.0))
+            clock.sleep(0.125)
+        run(wait, notify)
+        clock.sleep(0.125)
+        assert heard == ([True] if how == "notify" else [True, True])
 
 
 def test_of_what_is_due_at_one_time_any_may_be_first():
@@ -269,7 +297,7 @@ class TestTimeOuts:
         clock.sleep(0.4)
         timers[0].cancel()
         clock.sleep(1.0)
-        assert calls == ["b"]
+        assert calls == ["b"] and timers[1].finished.is_set()
 
     def test_an_unlucky_sleep_is_refused(self):
         for seconds in (-1.0, float("nan")):
@@ -382,6 +410,24 @@ class TestStuck:
             ), virtual_time():
                 started(job, lambda: clock.sleep(1.0))
                 clock.sleep(2.0)
+        finally:
+            outside.set()
+
+    def test_a_failure_of_the_test_comes_before_one_that_does_not_end(self, impatient, monkeypatch):
+        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
+        outside = threading.Event()
+
+        def job():
+            try:
+                clock.sleep(9.0)
+            finally:
+                outside.wait()
+
+        try:
+            with pytest.raises(ZeroDivisionError), virtual_time():
+                started(job)
+                clock.sleep(1.0)
+                raise ZeroDivisionError
         finally:
             outside.set()
 
