@@ -1,6 +1,6 @@
 """A camera of a few lines that sees the marker board in colour and in depth, for tests of the nodes of both."""
 
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from depth_scene import DEPTH, PLATE, RGB, T_RGB_DEPTH, board_pose, depth_image
@@ -15,7 +15,7 @@ TRUTH = board_pose(0.9, 20.0, x=0.03, y=-0.02)
 MODELS = {"rgb": (RGB, RGB_OPTICAL), "depth": (DEPTH, DEPTH_OPTICAL)}
 
 
-@cache
+@lru_cache(maxsize=None)
 def images():
     """Returns the colour image and the depth image [mm] of the marker board at TRUTH."""
     grey = render(RGB, TRUTH, TAGS, PLATE)

@@ -6,8 +6,8 @@ The calibrations are a folder of dated yaml files, which never change once writt
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
-from time import localtime, strftime
 
 import numpy as np
 import rospkg
@@ -104,7 +104,7 @@ class CalibrationSetup:
     @property
     def head(self) -> dict[str, str]:
         """The first entries of a calibration record: date, and the hardware that it belongs to."""
-        store, date = self.store_config, strftime("%Y-%m-%dT%H:%M:%S", localtime(clock.time()))
+        store, date = self.store_config, datetime.fromtimestamp(clock.time()).isoformat(timespec="seconds")
         hardware = {"robot": store.robot, "flange": store.flange, "camera": store.camera}
         return {"date": date, **hardware, "panel": self.board.frame}
 
