@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from simulated.scheduler import Killed, Scheduler, Task, active, is_over
+from simulated.scheduler import Killed, Scheduler, Task, active
 
 
 def virtual_time(seed: int = 0, trace: bool = False) -> Scheduler:
@@ -239,7 +239,7 @@ class Event:
     def set(self) -> None:
         """Sets it, and wakes all that wait."""
         self._set = True
-        if self._waiters and not is_over():
+        if self._waiters:
             active().notify(self._waiters)
             active().maybe_give_way()
 
@@ -252,7 +252,7 @@ class Event:
         if self._set:
             active().maybe_give_way()
             return True
-        return active().wait(self._waiters, timeout, f"the event of {self._site}") or self._set
+        return active().wait(self._waiters, timeout, f"the event of {self._site}")
 
 
 class Queue(queue.Queue):

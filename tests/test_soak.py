@@ -138,7 +138,7 @@ def test_a_run_is_judged_from_its_file_even_if_its_last_line_was_cut_off(tmp_pat
 
 
 def test_a_node_that_ends_before_the_first_sample_is_a_finding(tmp_path, monkeypatch):
-    monkeypatch.setattr(soak, "SAMPLE_S", 0.01)
+    monkeypatch.setattr(soak, "SAMPLE_S", 0.0)
     process = {"pid": 5, "pss": 1.0, "cpu": 1.0}
     seen = iter([{"a": process, "b": process}, {"a": process}])
     rig = soak.Rig.__new__(soak.Rig)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import signal
+import sys
 import threading
 import time
 
@@ -648,8 +649,10 @@ class TestEnds:
         monkeypatch.setattr(threading, "excepthook", lambda args: reported.append(args.exc_type))
         with virtual_time() as scheduler:
             run(lambda: 1 // 0)
-        assert reported == [ZeroDivisionError]
-        assert [(name.split()[0], type(error)) for name, error in scheduler.crashed] == [("job", ZeroDivisionError)]
+            run(sys.exit)
+            run(lambda: threading.current_thread().join())
+        assert reported == [ZeroDivisionError, RuntimeError]
+        assert [name for name, _ in scheduler.crashed] == ["job 0 (1)", "job 0 (3)"]
 
 
 class TestGroups:
