@@ -1,0 +1,32 @@
+"""The process of the node grasp_execution: what Ctrl-C publishes still comes."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
+
+pytestmark = pytest.mark.ros
+
+LONG_S = 60.0
+
+
+def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, wait_until):
+    import rospy
+    from std_srvs.srv import Trigger
+
+    from grasp_msgs.msg import GraspOutcome
+
+    outcomes = ros.record("grasping/outcome", GraspOutcome)
+    rospy.set_param("kuka", ARM)
+    rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE, "silence": 10.0})
+    rig = Rig()
+    process = ros.run("grasping", "grasp_execution.py")
+    rospy.wait_for_service("grasping/execute", LONG_S)
+    wait_until(lambda: rospy.ServiceProxy("grasping/execute", Trigger)().success or rig.held, LONG_S, "an execution")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(LONG_S) == 0
+    wait_until(lambda: outcomes, LONG_S, "the outcome")
+    assert rig.held[-1] is None and "Traceback" not in process.log_path.read_text()
+    rig.end()
