@@ -332,7 +332,7 @@ class Lives:
 
     def test_a_life(self, ros, start, tmp_path):
         (tmp_path / "life.py").write_text(PROGRAM)
-        words = ["one", "__ns:=/left", "__name:=two", "_number:=3", "words:=others", "__log:=x"]
+        words = ["one", "__ns:=/left", "__name:=two", "_number:=3", "words:=others", f"__log:={tmp_path / 'x'}"]
         node = start(tmp_path / "life.py", *words)
         assert node.wait(20.0) == 1
         said = node.log_path.read_text().splitlines()
