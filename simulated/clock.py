@@ -294,8 +294,5 @@ class Queue(queue.Queue):
 class SimpleQueue(Queue):
     """As queue.SimpleQueue."""
 
-    def __init__(self) -> None:
-        super().__init__()
-
 
 _IN_PLACE = {own.__name__: own for own in (Condition, Event, Lock, Queue, RLock, SimpleQueue, Thread, Timer)}

@@ -68,7 +68,7 @@ class Node:
     def __init__(self, graph: Graph, group: str, argv: list[str]) -> None:
         self.graph, self.group, self.argv, self.args = graph, group, argv, argv
         self.name = group
-        self.mappings = {key: value for key, value in rosgraph.names.load_mappings(argv).items()}
+        self.mappings = dict(rosgraph.names.load_mappings(argv))
         self.namespace = rosgraph.names.make_global_ns(self.mappings.get("__ns", "/"))
         self.remaps: dict[str, str] = {}
         self.log = ""
@@ -922,14 +922,6 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
             clock.sleep(DELAY_S)
         return SimpleNamespace(close=lambda: None)
 
-    def connect(address: tuple[str, int], *_: Any) -> contextlib.AbstractContextManager:
-        _, port = address
-        listens = graph.nodes[port - 1].returncode is None if port <= len(graph.nodes) else graph.master_answers
-        if not listens:
-            raise ConnectionRefusedError("nobody listens")
-        return contextlib.nullcontext()
-
-    patch.setattr(service_calls, "socket", SimpleNamespace(**{**vars(socket), "create_connection": connect}))
     patch.setattr(xmlrpc.client, "ServerProxy", lambda *_, **__: _MasterProxy(graph, caller=True))
     patch.setattr(rospy.Service, "__init__", service)
     patch.setattr(rospy.Service, "shutdown", lambda self, reason="": self.impl.close())

@@ -20,9 +20,8 @@ import pytest
 
 from common import clock
 from common.errors import DeviceError
-from reflex.client import ReflexHand
+from reflex import client
 from reflex.errors import WireFault
-from reflex.transport import HandTransport
 from rig_simulation.devices.reflex import program
 from rig_simulation.devices.reflex.hand import SimulatedHand
 from rig_simulation.faults import hand as hand_faults
@@ -50,9 +49,7 @@ class HandNetwork(contextlib.AbstractContextManager):
         self._patch = pytest.MonkeyPatch()
 
     def __enter__(self) -> HandNetwork:
-        defaults = ReflexHand.__init__.__defaults__ or ()
-        own = tuple(self.connect if value is HandTransport else value for value in defaults)
-        self._patch.setattr(ReflexHand.__init__, "__defaults__", own)
+        self._patch.setattr(client, "HandTransport", self.connect)
         self._patch.setattr(program, "HandLink", self.link)
         return self
 

@@ -38,7 +38,7 @@ ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, 
 # Their extras: folders whose users install more.
 EXTRAS = {"leap_motion/webcam": {"cv2", "mediapipe", "python_qt_binding", "yaml"}}
 # Time and threads, and what of them only measures a duration or names a date.
-CLOCKED = {"time", "threading", "queue", "sched"}
+CLOCKED = {"time", "threading", "queue", "sched", "concurrent.futures"}
 MEASURES = {"perf_counter", "strftime", "gmtime"}
 # Where they come from; transports that wait for a socket or a camera; and what counts the threads of others.
 TIMED_EDGES = {
@@ -46,6 +46,7 @@ TIMED_EDGES = {
     "kst/transport.py", "leap_motion/transport.py", "headset/transport.py", "webcam/video_source.py",
     "webcam/webcam_program.py",
     "common/ros/node.py", "recording/viewer.py",
+    "sunrise/server.py", "stereo/view_node.py",
 }  # fmt: skip
 EFFECTS = {"open", "print", "input"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.

@@ -12,7 +12,14 @@ pytestmark = pytest.mark.ros
 LONG_S = 60.0
 
 
-def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, wait_until):
+@pytest.fixture
+def rig_of_the_test(ros):
+    rig = Rig()
+    yield rig
+    rig.end()
+
+
+def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, rig_of_the_test, wait_until):
     import rospy
     from std_srvs.srv import Trigger
 
@@ -21,7 +28,7 @@ def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, wait_until):
     outcomes = ros.record("grasping/outcome", GraspOutcome)
     rospy.set_param("kuka", ARM)
     rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE, "silence": 10.0})
-    rig = Rig()
+    rig = rig_of_the_test
     process = ros.run("grasping", "grasp_execution.py")
     rospy.wait_for_service("grasping/execute", LONG_S)
     wait_until(lambda: rospy.ServiceProxy("grasping/execute", Trigger)().success or rig.held, LONG_S, "an execution")
@@ -29,4 +36,3 @@ def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, wait_until):
     assert process.wait(LONG_S) == 0
     wait_until(lambda: outcomes, LONG_S, "the outcome")
     assert rig.held[-1] is None and "Traceback" not in process.log_path.read_text()
-    rig.end()

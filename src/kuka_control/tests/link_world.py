@@ -57,7 +57,7 @@ class Bench:
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"
-        self.arm, self.control_on, self.enable_count, self.lost = arm, True, 1, 0
+        self.arm, self.control_on, self.enable_count = arm, True, 1
 
     def freeze(self, *spans):
         """Lets the robot's controller stand still in the given spans of time [s]."""
@@ -111,7 +111,6 @@ class Bench:
         return Inputs(desired, CLOCK + now, SwitchState(self.control_on, self.enable_count))
 
     def _stand_by(self, error):
-        self.lost += 1
         self.control_on, self.mode = False, "stopped"
         self.loop = ReconnectSupervisor(error, self.loop.counts, self.make)
         self.controller.restart(self.arm, self.loop)

@@ -36,7 +36,7 @@ def test_the_emergency_exit_works_while_the_robot_hangs(ros, robot, wait_until, 
     node = Node(None, wait_until)
     node.modes = ros.record("kuka/mode", String)
     node.process = ros.run("kuka_control", REAL_TIME)
-    node.wait_for_mode("homing")
+    node.wait_for_mode("homing", "home")
     suspend(robot.process.pid)
     try:
         assert node.call("exit_app_emergency", "exitAppEmergency").success

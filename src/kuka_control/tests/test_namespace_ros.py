@@ -81,9 +81,9 @@ def test_the_names_of_a_controller(ros, robot, names_on_the_page, namespace, pre
     # The frame of another arm does not move this one, its own does.
     c = np.sqrt(0.5)
     T = pose([[-c, c, 0.0], [c, c, 0.0], [0.0, 0.0, -1.0]], np.add(centre, (0.0, 0.0, 0.06)))
-    other = Hand(T, of="right/" if prefix else "left/")
     set_control = rospy.ServiceProxy(f"{namespace}/kuka/kuka_control", setKukaControl)
     assert set_control(True).success
+    other = Hand(T, of="right/" if prefix else "left/")
     clock.sleep(3.0)
     other.hide()
     assert modes[-1].data == "home"
@@ -120,6 +120,6 @@ def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros,
     set_params("/left", prefix, robot.port)
     rospy.set_param("/arms", arms)
     process = ros.run("kuka_control", REAL_TIME, *options, "__ns:=/left")
-    assert process.wait(30.0) != 0
+    assert process.wait(30.0) == 1
     assert words in process.log and "Traceback" not in process.log, process.log
     assert "connected" not in robot.log

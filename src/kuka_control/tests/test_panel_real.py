@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,9 @@ def link(ros, application):
     yield made
     made.close()
     panel.close()
+    for thread in threading.enumerate():  # its watch must not outlive the graph
+        if thread.name == "watch":
+            thread.join(20.0)
 
 
 @pytest.fixture

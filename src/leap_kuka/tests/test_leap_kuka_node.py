@@ -381,13 +381,6 @@ def test_the_debug_launch_file_runs_without_a_controller(ros, node, tracker, han
     ros.wait_until(node.desired, 5.0, "the desired tool")
 
 
-def test_an_interrupted_node_ends_by_itself(ros, node):
-    set_params()
-    process = node.run()
-    process.send_signal(signal.SIGINT)
-    assert process.wait(1.0) == 0
-
-
 RELATIVE = {"engagement": "relative", "hold_time": 60.0, "clutch": "device", "enabling": "device"}
 
 
@@ -531,10 +524,12 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
     clock.sleep(0.1)
     assert clutch(True).success
     becomes("clutched", PERIOD_S + 2.0 * DELAY_S)
+    node.tf.clear()
     tracker.show(hand(pitch=40.0, position=(0.06, 0.35, 0.01)))
     clock.sleep(2.0)
     assert states[-1].state == "clutched" and states[-1].hold_left == RELATIVE["hold_time"]
     np.testing.assert_allclose(desired(), T_home, atol=1e-6)
+    node.tf.clear()
     assert clutch(False).success
     becomes("running", 0.02 + PERIOD_S + 0.02)
     np.testing.assert_allclose(desired(), T_home, atol=2e-3)  # the filter of the hand still settles

@@ -31,6 +31,7 @@ def test_a_client_hears_what_was_recorded(ros, tmp_path, wait_until):
     client = LeapClient(port=port, clock=time.monotonic, tap=lambda text, stamp: heard.append(text))
     try:
         assert program.wait(20.0) == 0, program.log_path.read_text()
+        wait_until(lambda: any("hands" in text for text in list(heard)), 20.0, "a frame")
         assert client.status.service == "2.3.1"
     finally:
         client.close()

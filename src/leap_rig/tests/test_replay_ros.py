@@ -236,17 +236,17 @@ def test_receive_times_that_jump_hold_no_replay_up(monkeypatch):
 
     from leap_rig.recording.ros import replay_program
 
-    clock = SimpleNamespace(now=0.0)
+    fake = SimpleNamespace(now=0.0)
     sent = []
 
     def sleep(seconds):
         assert 0.0 <= seconds <= replay_program.LONGEST_WAIT_S / 0.5
-        clock.now += seconds
+        fake.now += seconds
 
-    monkeypatch.setattr(replay_program, "clock", SimpleNamespace(monotonic=lambda: clock.now, sleep=sleep))
+    monkeypatch.setattr(replay_program, "clock", SimpleNamespace(monotonic=lambda: fake.now, sleep=sleep))
     times = np.array([0.0, 9e9, 0.0, 0.1, 0.2, -10.0, -9.9])
     run = SimpleNamespace(frames=("a",) * len(times), frame_times=times)
-    replay_program._send(run, SimpleNamespace(offer=lambda text: sent.append(clock.now)), 0.5)
+    replay_program._send(run, SimpleNamespace(offer=lambda text: sent.append(fake.now)), 0.5)
     longest = replay_program.LONGEST_WAIT_S / 0.5
     np.testing.assert_allclose(np.diff(sent), [longest, 0.0, 0.2, 0.2, 0.0, 0.2], atol=1e-6)
 

@@ -64,7 +64,7 @@ def test_nodelets_that_are_not_there_end_with_a_sentence(ros):
 def test_by_itself_it_takes_our_own_node_then(ros, monkeypatch):
     if not missing():
         pytest.skip("the nodelets are there")
-    monkeypatch.setattr("os.execvp", lambda *_: None)
+    monkeypatch.setattr("os.execvp", lambda *words: pytest.fail(f"it starts {words}"))
     node = ros.run("vision", "register_rgbd_start.py", "__ns:=camera", "__name:=register_rgbd")
     clock.sleep(0.5)
     assert "/camera/depth_registered/points" in ros.names("/camera/register_rgbd")["publishes"]

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from kst.errors import MotionRefused, PtpFailed, ReplyTimeout, UnexpectedReply
+from kst.errors import ConnectionLost, MotionRefused, PtpFailed, ReplyTimeout, UnexpectedReply
 from kst.ptp import PtpLimits, PtpState, PtpSupervisor
 from kst.ptp_client import read_joints, run_ptp
 
@@ -122,6 +122,20 @@ def test_a_motion_with_its_reports():
     assert arm.calls == [("start", tuple(BENT), 0.3), "arrived", "arrived"]
     np.testing.assert_allclose([fraction for fraction, _ in reports], [0.5, 1.0])
     np.testing.assert_array_equal(reports[0][1], 0.5 * BENT)
+
+
+def test_readings_are_a_period_apart_until_the_link_is_aborted():
+    arm = Arm([ZERO, ZERO, 0.5 * BENT, BENT], [False, False, True])
+    assert run_ptp(arm, BENT, 0.3, PtpLimits(period=0.1)).state is PtpState.ARRIVED
+    assert arm.now == pytest.approx(0.2)
+
+    def aborted(duration):
+        raise ConnectionLost("aborted")
+
+    arm = Arm([ZERO], [False])
+    arm.pause = aborted
+    with pytest.raises(ConnectionLost):
+        run_ptp(arm, BENT, 0.3, QUICK)
 
 
 @pytest.mark.parametrize("bad", [LATE, NAN])

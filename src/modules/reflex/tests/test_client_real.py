@@ -10,7 +10,7 @@ from reflex.calibration_files import CalibrationFiles
 
 pytestmark = pytest.mark.clock
 
-PATIENT = HandSettings(silence_time=5.0, calibration_max_time=60.0)
+PATIENT = HandSettings(silence_time=60.0, calibration_max_time=60.0)
 """Hand and client may get no processor for seconds."""
 
 

@@ -290,7 +290,8 @@ def run_together(*jobs: Callable[[], None]) -> None:
     finally:
         rospy.signal_shutdown("a job of the node has ended")
         for thread in threads:
-            thread.join()
+            if thread.ident is not None:  # else it could not be started
+                thread.join()
 
 
 def dispensable(job: Callable[[], None]) -> None:

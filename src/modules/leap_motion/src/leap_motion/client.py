@@ -76,24 +76,24 @@ class StampedFrame:
 class LeapClient:
     """Reads the Leap service until it is closed, through missing services, restarts and broken messages.
 
-    `port` is its plain WebSocket port. The value of `clock` at the receipt of a message is the stamp of the frame.
+    `port` is its plain WebSocket port. The value of `clock` at the receipt of a message is the stamp of the frame; None
+    is the time since 1970 [s].
     `code`: what a service on another machine may ask for. `tap` gets each text after the header as it came, with its
-    stamp, in the thread that reads: it must not wait.
+    stamp, in the thread that reads: it must not wait. `runtime`: time and threads, with the names of LeapRuntime.
     """
 
     def __init__(
         self,
         host: str = "127.0.0.1",
         port: int = 6437,
-        clock: Callable[[], object] = LeapRuntime.time,
+        clock: Callable[[], object] | None = None,
         code: str = "",
         tap: Callable[[str, object], None] | None = None,
-        connect: Callable[[str, int, str], LeapSocket] = LeapSocket,
-        runtime: Any = LeapRuntime,  # time and threads
+        runtime: Any = LeapRuntime,
     ) -> None:
-        self._connect, self._runtime, self._monotonic = connect, runtime, runtime.monotonic
+        self._runtime, self._monotonic = runtime, runtime.monotonic
         self._host, self._port, self._address, self._code = host, port, f"{host}:{port}", code
-        self._clock, self._tap = clock, tap
+        self._clock, self._tap = clock or runtime.time, tap
         self._closing = runtime.Event()
         self._changed = runtime.Condition()
         self._newest: tuple[str | bytes, object] | None = None
@@ -179,7 +179,7 @@ class LeapClient:
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
         try:
-            connection = self._connect(self._host, self._port, self._code)
+            connection = LeapSocket(self._host, self._port, self._code)
         except InvalidStatus as error:
             answer = f"The program on {self._address} refuses the connection (HTTP {error.response.status_code})."
             advice = "A Leap service serves other machines only with the code that it shows: set `code` to it."

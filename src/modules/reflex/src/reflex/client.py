@@ -51,13 +51,12 @@ class ReflexHand:
         on_reading: Callable[[HandReading], None] = lambda reading: None,
         on_note: Callable[[HandNote], None] = lambda note: None,
         hold_at_exit: bool = False,  # keep torque and goals at the end, instead of letting the fingers go
-        connect: Callable[[str, int], HandTransport] = HandTransport,
-        runtime: Any = HandRuntime,  # time and threads
+        runtime: Any = HandRuntime,  # time and threads, with the names of HandRuntime
     ) -> None:
-        self._connect, self._runtime, self._monotonic = connect, runtime, runtime.monotonic
+        self._runtime, self._monotonic = runtime, runtime.monotonic
         self._interface, self._port = interface, port
         self._settings = HandSettings() if settings is None else settings
-        self._transport = connect(interface, port)
+        self._transport = HandTransport(interface, port)
         self._files = CalibrationFiles(f"~/.ros/reflex/{interface}") if files is None else files
         self._on_reading, self._on_note, self._hold_at_exit = on_reading, on_note, hold_at_exit
         try:
@@ -307,7 +306,7 @@ class ReflexHand:
             silent = f"No packet from the hand on {self._interface}: is it on and its cable in?"
             self._on_note(HandNote("warning", silent))
         try:
-            fresh = self._connect(self._interface, self._port)
+            fresh = HandTransport(self._interface, self._port)
         except WireFault as error:
             self._report(self._wire_failed(error))
             return

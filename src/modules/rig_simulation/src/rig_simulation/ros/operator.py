@@ -82,15 +82,16 @@ class Operator:
             )
             for arm in self._config.arms
         ]
-        failures: list[Exception] = []
+        failures: list[BaseException] = []
 
         def run(scenario: PickScenario) -> None:
             try:
                 scenario.run()
-            except Exception as error:
+            except BaseException as error:
                 failures.append(error)
 
-        threads = [clock.Thread(target=run, args=(scenario,), name=name) for scenario in scenarios]
+        arms = zip(self._config.arms, scenarios)
+        threads = [clock.Thread(target=run, args=(scenario,), name=f"{arm}{name}") for arm, scenario in arms]
         for thread in threads:
             thread.start()
         for thread in threads:
