@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import yaml
@@ -575,8 +576,9 @@ def user_files(text: Any) -> None:
     """The files in a person's home: where the tracker stands."""
     from leap_motion.ros import registrations
 
-    with _file(text.encode("utf-8", "surrogatepass"), "x.yaml") as path:
-        registrations.registration_file = lambda name: path  # type: ignore[assignment]
+    with _file(text.encode("utf-8", "surrogatepass"), "x.yaml") as path, mock.patch.object(
+        registrations, "registration_file", lambda name: path
+    ):
         finite(registrations.load("x", datetime(2026, 2, 1)).T_desk_leap)
 
 

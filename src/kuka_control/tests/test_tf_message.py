@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common import clock
+
 pytestmark = pytest.mark.ros
 
 names = st.text(st.characters(codec="utf-8", exclude_characters="/"), min_size=1, max_size=12)
@@ -138,10 +140,8 @@ def hear(listener, parent, x, stamp, child=DESIRED):
 
 
 def test_a_frame_that_stands_nowhere_is_refused_after_a_while_until_it_has_a_way_to_the_base(listener, monkeypatch):
-    import time
-
-    now = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now)
+    now = clock.monotonic()
+    monkeypatch.setattr(clock, "monotonic", lambda: now)
     assert hear(listener, "table", 0.5, 100.0) is None
     now += 0.3
     assert hear(listener, "table", 0.5, 100.3) is None
@@ -194,14 +194,12 @@ def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_
 def test_bad_numbers_are_refused_with_the_reason_and_the_frame_before_them_does_not_count_again(
     listener, monkeypatch, numbers, said
 ):
-    import time
-
     import rospy
     from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
     from std_msgs.msg import Header
 
-    now = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now)
+    now = clock.monotonic()
+    monkeypatch.setattr(clock, "monotonic", lambda: now)
     good = hear(listener, BASE, 0.5, 100.0)
     bad = Transform(Vector3(*numbers[:3]), Quaternion(*numbers[3:]))
     for i in range(10):
@@ -226,12 +224,10 @@ def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(liste
 
 def clock_of_another_machine(listener, monkeypatch, ahead, rate=50.0):
     """Returns what hears the next frame of a node whose clock is `ahead` [s], at the rate [Hz]."""
-    import time
-
     import rospy
 
-    at = [time.monotonic(), rospy.get_time()]
-    monkeypatch.setattr(time, "monotonic", lambda: at[0])
+    at = [clock.monotonic(), rospy.get_time()]
+    monkeypatch.setattr(clock, "monotonic", lambda: at[0])
     monkeypatch.setattr(rospy, "get_time", lambda: at[1])
 
     def next_frame(x=0.5, ahead=ahead):
@@ -248,15 +244,15 @@ def test_a_clock_that_differs_is_measured_and_its_stamps_are_of_this_machine_the
     refused = [next_frame()[0] for _ in range(20)]
     assert all(frame.refused and f"{abs(ahead):.3f} s" in frame.refused for frame in refused)
     frames = [next_frame(0.5 + 0.001 * i) for i in range(20)][8:]
-    for i, (frame, clock) in enumerate(frames, start=8):
+    for i, (frame, at) in enumerate(frames, start=8):
         assert frame.refused is None and frame.conflict is None and frame.clock == 1
-        assert frame.stamp == pytest.approx(clock, abs=1e-3)
+        assert frame.stamp == pytest.approx(at, abs=1e-3)
         assert frame.T_base_tool[0, 3] == pytest.approx(0.6 + 0.001 * i)
-    assert listener.desired.stamp.to_sec() == pytest.approx(clock + ahead, abs=1e-6), "as it came"
+    assert listener.desired.stamp.to_sec() == pytest.approx(at + ahead, abs=1e-6), "as it came"
     refused = [next_frame(ahead=0.0)[0] for _ in range(20)]
     assert all(frame.refused for frame in refused), "a clock that is set is a jump at first"
-    frame, clock = [next_frame(ahead=0.0) for _ in range(20)][-1]
-    assert frame.refused is None and frame.clock == 2 and frame.stamp == pytest.approx(clock)
+    frame, at = [next_frame(ahead=0.0) for _ in range(20)][-1]
+    assert frame.refused is None and frame.clock == 2 and frame.stamp == pytest.approx(at)
 
 
 def test_a_static_desired_tool_is_refused_with_a_sentence(listener):
@@ -273,12 +269,10 @@ def test_a_static_desired_tool_is_refused_with_a_sentence(listener):
 
 
 def test_desired_tools_are_refused_while_simulated_time_stands_still(listener, monkeypatch):
-    import time
-
     import rospy
 
-    now = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now)
+    now = clock.monotonic()
+    monkeypatch.setattr(clock, "monotonic", lambda: now)
     try:
         rospy.rostime._set_rostime(rospy.Time(200))
         assert hear(listener, BASE, 0.5, 200.0).refused is None

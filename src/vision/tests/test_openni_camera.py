@@ -34,6 +34,7 @@ def fake(monkeypatch, tmp_path):
         sys.modules.pop(name, None)
 
 
+@pytest.mark.clock
 def test_both_streams_come_as_they_are(fake):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     assert camera.connect() == "Fake Camera"
@@ -92,6 +93,7 @@ def test_a_camera_that_is_missing_or_unable_is_refused(fake, does, sentence):
     assert fake[1] == ([] if does == "absent" else [("open", None), ("close", "colour"), "close device"])
 
 
+@pytest.mark.clock
 def test_silence_is_no_image_and_a_camera_pulled_out_an_error(fake):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     camera.connect()

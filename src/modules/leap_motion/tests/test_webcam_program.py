@@ -168,11 +168,12 @@ def test_a_film_is_played_in_real_time_and_again_after_a_pause(tmp_path, monkeyp
         FileSource(Path(__file__), mirrored=False)
 
 
+@pytest.mark.clock
 def test_a_mirrored_camera_is_turned_back(tmp_path, monkeypatch):
     image = np.zeros((48, 64, 3), np.uint8)
     image[:, :32] = 255
     monkeypatch.setattr(video_source, "ENTRY_S", 0.0)
-    source = FileSource(film(tmp_path / "a.avi", [image] * 3), mirrored=True)
+    source = FileSource(film(tmp_path / "a.avi", [image] * 500), mirrored=True)  # of five seconds
     source.start()
     taken = source.newest(60.0)
     source.close()
