@@ -30,7 +30,7 @@ START_S, WALL_S = 1000.0, 1.7e9
 GIVES_WAY = 0.1
 """How often a thread gives way where it need not, such as between two locks."""
 SPINS = 100_000
-"""A thread that asks so often for the time without waiting, or so many turns without time passing, go on for ever."""
+"""A thread that asks for the time so often without waiting never stops; nor do so many turns without time passing."""
 POLL_S, POLLS, LAST_POLLS = 1.0, 60, 10
 """A thread that sleeps at so many looks in a row waits outside of this module; fewer of them at the end [s, real]."""
 SIGNAL = signal.SIGUSR2
@@ -59,7 +59,8 @@ class Task:
         self.turn = threading.Lock()  # released by whoever gives this thread its turn
         self.turn.acquire()
         self.waits = 0  # so many times it has begun to: a deadline of a wait before counts no longer
-        self.notified = self.alone = False  # and nobody else was
+        self.notified = False
+        self.alone = False  # it was notified in place of the others: if torn, it passes that on
         self.torn = False  # out of its last wait, by an exception
         self.killed = self.ended = False
         self.visits = False  # a group that is not its own
@@ -196,7 +197,7 @@ class Scheduler:
             self._make_ready(task)
 
     def maybe_give_way(self) -> None:
-        """Lets others run first, now and then; a thread that unwinds goes on."""
+        """Lets other threads run first now and then; a thread that unwinds keeps its turn."""
         task = self.current
         if task.killed or task.torn or task.visits:
             return
@@ -206,7 +207,7 @@ class Scheduler:
 
     def start(self, thread: threading.Thread) -> Task:
         """Takes a new thread in, which becomes ready."""
-        name = re.sub(r"^Thread-\d+", "thread", thread.name)  # Python goes on counting in the next run
+        name = re.sub(r"^Thread-\d+", "thread", thread.name)  # Python's count continues in the next run
         task = Task(f"{name} ({next(self._names)})", self._current().group)
         task.thread = thread
         self._tasks.append(task)
@@ -291,7 +292,7 @@ class Scheduler:
         return tasks[self._random.randrange(len(tasks))] if len(tasks) > 1 else tasks[0]
 
     def _next(self) -> Task | None:
-        """Takes the thread whose turn it is; None if there is none, which is a fault of the main thread."""
+        """Takes the thread that runs next; None if no thread can: then the main thread has a fault to raise."""
         self._turns += 1
         while True:
             ready = [task for task in self._ready if task.group not in self.suspended]

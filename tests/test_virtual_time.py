@@ -395,7 +395,9 @@ class TestStuck:
                 assert "self._cond.wait" in str(stuck.value)
             outside.set()
 
-    def test_one_that_does_not_end_is_named(self, impatient, monkeypatch):
+    @pytest.fixture
+    def endless(self, impatient, monkeypatch):
+        """A job that waits outside where it is to end."""
         monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
         outside = threading.Event()
 
@@ -405,32 +407,20 @@ class TestStuck:
             finally:
                 outside.wait()
 
-        try:
-            with pytest.raises(
-                Stuck, match=r"still there after the end: job 0 \(1\) waits for sleep\(9\)(?s:.*)outside.wait"
-            ), virtual_time():
-                started(job, lambda: clock.sleep(1.0))
-                clock.sleep(2.0)
-        finally:
-            outside.set()
+        yield job
+        outside.set()
 
-    def test_a_failure_of_the_test_comes_before_one_that_does_not_end(self, impatient, monkeypatch):
-        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
-        outside = threading.Event()
+    def test_one_that_does_not_end_is_named(self, endless):
+        text = r"still there after the end: job 0 \(1\) waits for sleep\(9\)(?s:.*)outside.wait"
+        with pytest.raises(Stuck, match=text), virtual_time():
+            started(endless, lambda: clock.sleep(1.0))
+            clock.sleep(2.0)
 
-        def job():
-            try:
-                clock.sleep(9.0)
-            finally:
-                outside.wait()
-
-        try:
-            with pytest.raises(ZeroDivisionError), virtual_time():
-                started(job)
-                clock.sleep(1.0)
-                raise ZeroDivisionError
-        finally:
-            outside.set()
+    def test_a_failure_of_the_test_comes_before_one_that_does_not_end(self, endless):
+        with pytest.raises(ZeroDivisionError), virtual_time():
+            started(endless)
+            clock.sleep(1.0)
+            raise ZeroDivisionError
 
     @pytest.mark.parametrize("who", ["main", "job 0"])
     def test_a_thread_that_computes_is_not(self, impatient, who):

@@ -34,7 +34,7 @@ def ros(virtual_graph):
 
 
 class Rig:
-    """Publishes what it is told, 20 times a second, but for the topics that are silent."""
+    """Publishes the values that the test sets, 20 times a second, except on topics that are silent."""
 
     def __init__(self):
         import rospy
