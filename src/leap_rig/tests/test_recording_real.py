@@ -1,6 +1,7 @@
 """The program record.py as a process: what a tracker sends reaches the disk, also if the recorder is killed."""
 
 import os
+import re
 import signal
 import threading
 
@@ -58,3 +59,25 @@ def test_what_the_tracker_sent_is_on_the_disk_however_the_recorder_ends(ros, tra
         assert ended == 0 and not run.remark and run.manifest["ended_by"] == "Ctrl-C"
     else:
         assert "not completed" in run.remark
+
+
+def test_its_version_is_asked_for_without_a_lock(processes, tmp_path):
+    """On a full disk a killed git would leave the index locked."""
+    from leap_rig.recording.ros.record_program import _commit
+
+    def git(*words):
+        who = ("-c", "user.name=a", "-c", "user.email=a@b")
+        assert processes.start("git", "-C", str(tmp_path), *who, *words).wait(60.0) == 0
+
+    assert _commit(tmp_path) == ""
+    source, index = tmp_path / "source.py", tmp_path / ".git" / "index"
+    source.write_text("a = 1\n")
+    git("init", "-q")
+    git("add", "source.py")
+    git("commit", "-q", "-m", "one")
+    os.utime(source, (1.0, 1.0))  # which git would note in the index
+    before = index.read_bytes()
+    assert re.fullmatch("[0-9a-f]{7,}", _commit(tmp_path))
+    assert index.read_bytes() == before
+    source.write_text("a = 2\n")
+    assert re.fullmatch("[0-9a-f]{7,}-dirty", _commit(tmp_path))

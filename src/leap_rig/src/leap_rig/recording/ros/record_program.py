@@ -217,17 +217,27 @@ def file_hash(path: str) -> str:
         return f"{path} cannot be read: {error.strerror}"
 
 
+def _commit(folder: Path) -> str:
+    """Returns what git calls the commit of a folder, with "-dirty" if a file differs; empty outside of git.
+
+    `git describe --dirty` would write the index, and on a full disk leave it locked.
+    """
+    answers = []
+    for question in (("describe", "--always"), ("status", "--porcelain", "--untracked-files=no")):
+        command = ("git", "--no-optional-locks", "-C", str(folder), *question)
+        try:
+            found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S)
+        except (OSError, subprocess.TimeoutExpired):
+            return ""
+        answers.append(found.stdout.strip())
+    name, changes = answers
+    return f"{name}-dirty" if name and changes else name
+
+
 def _versions() -> dict[str, Any]:
     packages = rospkg.RosPack()
-    try:
-        here = Path(__file__).resolve().parent
-        git = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], cwd=here, capture_output=True, text=True, timeout=GIT_S
-        ).stdout.strip()
-    except (OSError, subprocess.TimeoutExpired):
-        git = ""
     return {
-        "git": git,
+        "git": _commit(Path(__file__).resolve().parent),
         "packages": {name: packages.get_manifest(name).version for name in PACKAGES},
         "ros": os.environ.get("ROS_DISTRO", ""),
         "python": platform.python_version(),
