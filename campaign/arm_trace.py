@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-import time
 from dataclasses import dataclass
 
 import numpy as np
 
+from common import clock
 from common.errors import DeviceError
 from common.poses import translation
 from rig_simulation.control_port import ControlClient
@@ -57,9 +56,9 @@ class ArmTrace:
         self.events: list[tuple[float, str]] = []
         self.pauses: list[tuple[float, float]] = []
         self.now: Sample | None = None
-        self.heard = time.monotonic()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.heard = clock.monotonic()
+        self._stop = clock.Event()
+        self._thread = clock.Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def ask(self, do: str, **fields):
@@ -92,7 +91,7 @@ class ArmTrace:
                 answer = self._client.ask("trace", since=seen)
             except DeviceError:
                 continue
-            before, self.heard = self.heard, time.monotonic()
+            before, self.heard = self.heard, clock.monotonic()
             if self.heard - before > PAUSE_S:
                 self.pauses.append((self.heard, self.heard - before))
             self.now = _sample(answer)

@@ -11,12 +11,12 @@ from __future__ import annotations
 import itertools
 import signal
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
+from common import clock
 from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
 from rig_simulation.control_port import ControlClient, ControlPort
@@ -55,7 +55,7 @@ class HandPuppet:
 
     def __init__(self) -> None:
         self._seen = 0
-        self._lock = threading.Lock()
+        self._lock = clock.Lock()
         self._model = HandModel("right")
         self._hand: Hand | None = None
         self._path: Iterator[Hand | None] = iter(())

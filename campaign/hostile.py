@@ -11,8 +11,6 @@ import math
 import re
 import signal
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +21,7 @@ from geometry_msgs.msg import PoseStamped, Quaternion, Transform, TransformStamp
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from common import clock
 from common.frames import BASE, TOOL_DESIRED
 from common.poses import pose, translation
 from common.ros.conversions import transform_message
@@ -66,11 +65,11 @@ class FrameStream:
     def __init__(self, path: Callable[[float], Iterable[Frame]], silent: bool = False, rate: float = RATE_HZ) -> None:
         self.path, self.silent, self._period = path, silent, 1.0 / rate
         self._publisher = rospy.Publisher("/tf", TFMessage, queue_size=100, tcp_nodelay=True)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        deadline = time.monotonic() + HEARD_S
-        while self._publisher.get_num_connections() < 2 and time.monotonic() < deadline:  # the controller, and we
-            time.sleep(0.05)
+        self._stop = clock.Event()
+        self._thread = clock.Thread(target=self._run, daemon=True)
+        deadline = clock.monotonic() + HEARD_S
+        while self._publisher.get_num_connections() < 2 and clock.monotonic() < deadline:  # the controller, and we
+            clock.sleep(0.05)
 
     def __enter__(self) -> FrameStream:
         self._thread.start()
@@ -86,9 +85,9 @@ class FrameStream:
         self._publisher.publish(TFMessage([frame.message for frame in frames]))
 
     def _run(self) -> None:
-        begin = time.monotonic()
+        begin = clock.monotonic()
         while not self._stop.wait(self._period):
-            frames = [] if self.silent else list(self.path(time.monotonic() - begin))
+            frames = [] if self.silent else list(self.path(clock.monotonic() - begin))
             if frames:
                 self.send(*frames)
 
@@ -135,7 +134,7 @@ def by_frames(what: str, says: str, *frames: Frame, count: int = 20) -> Attack:
 
     def send(trial: Any) -> None:
         with FrameStream(lambda _: frames):
-            time.sleep(count / RATE_HZ)
+            clock.sleep(count / RATE_HZ)
 
     return Attack(what, send, says, following=False)
 
@@ -155,7 +154,7 @@ def by_message(topic: str, says: str, message: Any, what: str = "", count: int =
             if hasattr(message, "header"):
                 message.header.stamp = rospy.Time.now()
             publisher.publish(message)
-            time.sleep(0.02)
+            clock.sleep(0.02)
         publisher.unregister()
 
     return Attack(f"{topic} {what}", send, says, following)
@@ -185,7 +184,7 @@ def attack(trial: Any, attacks: Iterable[Attack], following: bool = False) -> No
     for bad in attacks:
         if following and not bad.following:
             continue
-        since = time.monotonic()
+        since = clock.monotonic()
         rig.listen_anew()
         answer = bad.send(trial)
         if answer is not None:
@@ -193,18 +192,18 @@ def attack(trial: Any, attacks: Iterable[Attack], following: bool = False) -> No
             trial.check(f"{bad.what} is refused", not answer.success, answer.message)
         if following or not bad.says:
             continue
-        deadline = time.monotonic() + HEARD_S
-        while not _said(rig, bad.says, since) and time.monotonic() < deadline:
-            time.sleep(0.02)
+        deadline = clock.monotonic() + HEARD_S
+        while not _said(rig, bad.says, since) and clock.monotonic() < deadline:
+            clock.sleep(0.02)
         trial.check(f"the reason of {bad.what} is said", _said(rig, bad.says, since), _last(rig, since))
 
 
 def counted(trial: Any, node: str, *names: str) -> None:
     """Notes whether /diagnostics of a node counts something."""
     rig = trial.rig
-    deadline = time.monotonic() + HEARD_S
-    while not all(rig.count(node, name) for name in names) and time.monotonic() < deadline:
-        time.sleep(0.1)
+    deadline = clock.monotonic() + HEARD_S
+    while not all(rig.count(node, name) for name in names) and clock.monotonic() < deadline:
+        clock.sleep(0.1)
     trial.check(f"{node} counts {', '.join(names)}", all(rig.count(node, name) for name in names), rig._counts[node])
 
 

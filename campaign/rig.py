@@ -8,7 +8,6 @@ import re
 import signal
 import socket
 import sys
-import time
 import xmlrpc.client
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,8 @@ from campaign.clocks import Clock
 from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
-from campaign.trial import ENGAGEMENTS
+from campaign.trial import ENGAGEMENTS, runs
+from common import clock
 from common.frames import BASE
 from common.ros.action_client import ActionClient
 from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
@@ -84,7 +84,7 @@ class RigUnderTest:
         self._arguments = arguments
         self._sees = arguments.get("world") == "true"
         self.camera: ControlClient | None = None
-        self._processes = shared.Processes(folder)
+        self._processes = shared.Processes(folder) if shared else None
         self._started = {}
         self._subscribers: list[rospy.Subscriber] = []
         self._marks: dict[Path, int] = {}  # sizes of the programs' outputs at the last `calm`
@@ -215,8 +215,12 @@ class RigUnderTest:
             self._last_said,
         ):
             record.clear()
-        self._marks = {path: path.stat().st_size for path in self._logs}
+        self.mark()
         self.arm.forget()
+
+    def mark(self) -> None:
+        """From now on `log_since_calm` counts."""
+        self._marks = {path: path.stat().st_size for path in self._logs}
 
     def devices(self) -> dict:
         """Returns the control ports of the simulated devices, by the names that the faults' page gives them."""
@@ -234,7 +238,7 @@ class RigUnderTest:
         """Records what somebody says: a topic's message, or the answer of a service."""
         if text and self._last_said.get(who) != text:
             self._last_said[who] = text
-            self.said.append((time.monotonic(), who, text))
+            self.said.append((clock.monotonic(), who, text))
 
     def streams_of(self, name: str) -> list[tuple[int, str, str]]:
         """Returns the streams of messages from a node to the nodes of PROGRAMS, as (socket, topic, node)."""
@@ -261,10 +265,14 @@ class RigUnderTest:
         self.set(**parameters)
         if name == CONTROLLER:
             self.mode = ""
+        self._started[name] = self._processes.start("rosrun", *self.program_of(name), f"__name:={name}")
+
+    def program_of(self, name: str) -> tuple[str, str]:
+        """Returns the package of a node, and its program."""
         package, program = PROGRAMS[name]
         if name == TELEOP and not self._arguments.get("teleop", program).startswith("patient"):
-            package, program = "leap_kuka", self._arguments["teleop"]
-        self._started[name] = self._processes.start("rosrun", package, program, f"__name:={name}")
+            return "leap_kuka", self._arguments["teleop"]
+        return package, program
 
     def run(self, package: str, program: str, *arguments: str) -> Any:
         """Starts a program with rosrun and returns its process, which has the attribute log_path."""
@@ -300,9 +308,17 @@ class RigUnderTest:
         except (rosgraph.MasterError, OSError):
             return None
 
+    def runs(self, pid: int) -> bool:
+        """Returns whether a process runs."""
+        return runs(pid)
+
+    def kill(self, pid: int, number: signal.Signals) -> None:
+        """Sends a signal to a process; one that stands still tells nobody its number."""
+        os.kill(pid, number)
+
     def signal(self, name: str, number: signal.Signals) -> None:
         """Sends a signal to a node."""
-        os.kill(self.pid(name), number)
+        self.kill(self.pid(name), number)
 
     def suspend(self, name: str) -> None:
         """Lets a node stand still, as if it hung."""
@@ -396,9 +412,9 @@ class RigUnderTest:
 
         def followed():
             nonlocal until
-            if time.monotonic() > until:
+            if clock.monotonic() > until:
                 self.hand.show(**at)
-                until = time.monotonic() + 6.0
+                until = clock.monotonic() + 6.0
             return self.stream_state == "running"
 
         self.wait(lambda: self.stream_state != "running", "the end of the stream before")
@@ -492,7 +508,7 @@ class RigUnderTest:
 
     def _take_status(self, status: KukaStatus) -> None:
         self.status = status
-        self.statuses.append((time.monotonic(), status.mode, status.control_on))
+        self.statuses.append((clock.monotonic(), status.mode, status.control_on))
         self.hear("kuka/status", status.reason)
         self.hear("kuka/status, limited by", ", ".join(status.limited_by))
 

@@ -17,10 +17,8 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import signal
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,6 +29,7 @@ import pytest
 
 from campaign.judge import Evidence, Expected, Limits, Verdict, judge
 from campaign.network.link import Link
+from common import clock
 
 SHIFTED, SIMULATED = "shifted", "simulated"  # clocks of a rig
 VARIANTS: dict[str, dict[str, str]] = {
@@ -171,19 +170,18 @@ class Trial:
 
     def begins(self, at: float | None = None) -> float:
         """Notes that the fault begins now, or began `at`, unless it began before; returns when it began [s]."""
-        self._fault = self._fault or at or time.monotonic()
+        self._fault = self._fault or at or clock.monotonic()
         return self._fault
 
     def ends(self) -> None:
         """Notes that the fault has ended."""
-        self._mended = time.monotonic()
+        self._mended = clock.monotonic()
 
     def signal(self, node: str, number: signal.Signals) -> None:
         """Sends a signal to a node; the fault begins."""
-        pid = self.rig.pid(node)
         self.killed.add(f"/{node}")
         self.begins()
-        os.kill(pid, number)
+        self.rig.signal(node, number)
 
     @contextlib.contextmanager
     def controller(self, **parameters: Any) -> Iterator[None]:
@@ -251,7 +249,7 @@ class Trial:
 
     def operator(self) -> None:
         """Notes that the operator acts from now on."""
-        self._operator = self._operator or time.monotonic()
+        self._operator = self._operator or clock.monotonic()
 
     def recovers(self) -> None:
         """Switches control off and on and brings a hand in, and waits until the arm follows it again."""
@@ -285,7 +283,7 @@ class Trial:
         """Returns what was seen up to now."""
         arm = self.rig.arm
         steps = np.array(list(arm.steps)) if arm.steps else np.zeros((0, 16))
-        now = time.monotonic()
+        now = clock.monotonic()
         return Evidence(
             steps=steps,
             fault=self._fault or now,
@@ -313,7 +311,7 @@ def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
         trial.fail(str(getattr(failure, "msg", failure)).strip())
     if trial._fault is None:
         trial.fail("the row provoked nothing")
-    died = [name for name, pid in before.items() if name not in trial.killed and not runs(pid)]
+    died = [name for name, pid in before.items() if name not in trial.killed and not rig.runs(pid)]
     seen = trial.evidence(died)
     if traces is not None:
         (traces / f"row_{entry.number}.json").write_text(json.dumps({**vars(seen), "steps": seen.steps.tolist()}))

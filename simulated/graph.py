@@ -95,6 +95,7 @@ class Node:
     def say(self, level: str, text: str) -> None:
         """Writes a line of the log."""
         self.log += f"[{level}] [{clock.time():.6f}]: {text}\n"
+        self.graph.on_log(self.name, text)
 
     def shut_down(self) -> None:
         """As rospy.signal_shutdown: callbacks first, then the topics close."""
@@ -180,6 +181,7 @@ class Graph:
     Attributes:
         scheduler: its virtual time.
         nodes: all that were started.
+        on_log: called with the name of a node and each sentence that it logs.
         master_answers: whether a node that asks the master learns something; topics and services go on without.
     """
 
@@ -194,6 +196,7 @@ class Graph:
         self.handles: list[Any] = []  # rospy's objects of the topics
         self.nodes: list[Node] = []
         self.numbers = itertools.count(1)
+        self.on_log: Callable[[str, str], None] = lambda node, text: None
         self._by_group: dict[str, Node] = {}
         self._patch = pytest.MonkeyPatch()
 
@@ -225,7 +228,7 @@ class Graph:
         return self.start(executable, lambda: runpy.run_path(str(script), run_name="__main__"), str(script), *args)
 
     def launch(self, package: str, file: str, **args: Any) -> Launch:
-        """Sets the parameters of a launch file, and starts its nodes."""
+        """Sets the parameters of a launch file, and starts its nodes; without a package, `file` is its path."""
         loaded = launched.config(package, file, tuple(f"{key}:={value}" for key, value in args.items()))
         for name in loaded.clear_params:
             with contextlib.suppress(KeyError):

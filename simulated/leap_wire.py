@@ -24,10 +24,14 @@ from websockets.server import ServerProtocol
 from common import clock
 from leap_motion import transport
 from leap_motion.service import wire
+from rig_simulation.control_port import ControlPort
+from rig_simulation.faults.injection import Faults
+from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.sources import Playback
 
 VERSION, SERIAL = "2.3.1+simulated", "LP00000000001"
 READ_BYTES = 65536
+POLL_S = 0.02
 
 
 class LeapWire(contextlib.AbstractContextManager):
@@ -157,6 +161,11 @@ class Connection:
                 self._protocol.send_close(code)
             self._flush()
 
+    def reset(self) -> None:
+        """Ends the connection as a program that is killed with bytes unread."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"")
+        self._socket.close()
+
     def drop(self) -> None:
         """Ends the connection without a word, as a service that crashes."""
         self._socket.shutdown(socket.SHUT_WR)
@@ -193,6 +202,78 @@ class Connection:
         protocol = self._protocol
         if protocol.state is not State.OPEN:
             raise ConnectionClosed(protocol.close_rcvd, protocol.close_sent, protocol.close_rcvd_then_sent)
+
+
+class LeapDevice:
+    """As rig_simulation.devices.leap.server.SimulatedLeapService: plays frames to all clients, with faults.
+
+    Attributes:
+        port, control_port: of the service, and of its faults.
+    """
+
+    def __init__(self, playback: Playback) -> None:
+        self.faults = Faults(LEAP_FAULTS)
+        self._playback, self._stream = playback, FrameStream(self.faults)
+        self._service: LeapService | None = LeapService((self._attend,), 0)
+        self._clients: list[Connection] = []
+        self._control = ControlPort({**self.faults.requests, "state": lambda: {"clients": len(self._clients)}})
+        self.port, self.control_port = self._service.port, self._control.port
+
+    def _attend(self, service: LeapService, connection: Connection) -> None:
+        if self.faults.is_on("cut"):
+            connection.reset()
+            return
+        connection.hangs = self.faults.is_on("half_open")
+        connection.send(wire.text(wire.header(6, "2.3", VERSION)))
+        connection.send(self._event(not self.faults.is_on("unplugged")))
+        while not wire.policies(connection.recv(), "2.3").get("background"):
+            pass
+        self._clients.append(connection)
+        try:
+            while True:
+                connection.recv()
+        finally:
+            self._clients.remove(connection)
+
+    @staticmethod
+    def _event(attached: bool) -> str:
+        return wire.text(wire.device_event(6, "2.3", SERIAL, attached) or {})
+
+    def run(self) -> None:
+        """Plays for ever."""
+        start = clock.monotonic()
+        while True:
+            if self._service is None:
+                if self.faults.is_on("restarted"):
+                    clock.sleep(POLL_S)
+                    continue
+                self._service = LeapService((self._attend,), self.port)
+                self._playback.restart()
+                start = clock.monotonic()
+            self._follow_faults()
+            played = self._playback.next()
+            clock.sleep(max(0.0, start + played.time - clock.monotonic()))
+            if not self.faults.is_on("unplugged") and not self.faults.is_on("half_open"):
+                self._send(self._stream.pass_on(played.text, start + played.time))
+
+    def _follow_faults(self) -> None:
+        changes = self.faults.changes()
+        if changes.get("restarted") is not None and self._service is not None:
+            self._service.close()
+            self._service = None
+        if "unplugged" in changes:
+            self._send([self._event(changes["unplugged"] is None)])
+        for client in list(self._clients):
+            if changes.get("cut") is not None:
+                client.reset()
+            if "half_open" in changes:
+                client.hangs = changes["half_open"] is not None
+
+    def _send(self, texts: list[str]) -> None:
+        for client in list(self._clients):
+            with contextlib.suppress(ConnectionClosed, OSError):  # it goes
+                for text in texts:
+                    client.send(text)
 
 
 def _play(playback: Playback, connection: Connection) -> None:

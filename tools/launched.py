@@ -31,7 +31,7 @@ def parameters(package: str, file: str, *arguments: str) -> dict[str, Any]:
 
 def config(package: str, file: str, arguments: tuple[str, ...]) -> Any:
     """Loads the file without that of roscore, for which roslaunch starts two programs each time."""
-    (path,) = roslaunch.rlutil.resolve_launch_arguments([package, file])
+    (path,) = roslaunch.rlutil.resolve_launch_arguments([*filter(None, [package]), file])
     config, loader = roslaunch.config.ROSLaunchConfig(), roslaunch.xmlloader.XmlLoader()
     loader.ignore_unset_args = False
     loader.load(path, config, argv=list(arguments), verbose=False)

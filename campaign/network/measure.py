@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from campaign.judge import Evidence, Expected, Limits, judge
 from campaign.network.cells import Cell, CellResult, unprovoked
 from campaign.network.link import CLEAR, CONDITIONS
+from common import clock
 
 ITSELF_S, OPERATOR_S = 3.0, 20.0
 """How long the arm may take to follow by itself, and control to be switched on again [s]."""
@@ -23,20 +23,20 @@ def run_cell(rig, cell: Cell) -> CellResult:
     rig.hand.sway(1.0, right=0.06)
     rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
     rig.modes.clear()
-    began, goals, stops = time.monotonic(), rig.arm.now.goals, rig.arm.now.stops
+    began, goals, stops = clock.monotonic(), rig.arm.now.goals, rig.arm.now.stops
     counts = _let_pass(rig.wire, cell)
-    ended = time.monotonic()
+    ended = clock.monotonic()
     goals_per_s = (rig.arm.now.goals - goals) / (ended - began)
     error = tracking_error(rig, began, ended)
     pick_ups = rig.modes.count("pick_up")
     said = "" if rig.mode == "servo" else f"{rig.mode}: {rig.status.reason}"
     recovery, after = _recover(rig)
-    time.sleep(0.1)  # the arm's trace is so far behind
+    clock.sleep(0.1)  # the arm's trace is so far behind
     steps = np.array(list(rig.arm.steps)) if rig.arm.steps else np.zeros((0, 16))
     after_pids = rig.pids()
     died = [name for name, pid in before.items() if after_pids.get(name) != pid]
     expected = Expected("", 1.0, limits=Limits.of_the_drives())  # which hurry behind each late goal
-    verdict = judge(expected, Evidence(steps, began, time.monotonic(), rig.arm.heard, died=died))
+    verdict = judge(expected, Evidence(steps, began, clock.monotonic(), rig.arm.heard, died=died))
     stops = rig.arm.now.stops - stops
     faults = verdict.faults + unprovoked(cell.condition, counts["packets"], counts["lost"])
     if stops:
@@ -54,19 +54,19 @@ def run_cell(rig, cell: Cell) -> CellResult:
 def _let_pass(wire, cell: Cell) -> dict[str, int]:
     """Lets the condition pass; returns how many packets came and how many were lost."""
     total = {"packets": 0, "lost": 0}
-    end = time.monotonic() + cell.seconds
+    end = clock.monotonic() + cell.seconds
     wire.set(CLEAR)
     for duration, link in (*CONDITIONS[cell.condition].phases, (0.0, CLEAR)):
-        for phase in (link,) if time.monotonic() < end else (CLEAR,):
+        for phase in (link,) if clock.monotonic() < end else (CLEAR,):
             for name, count in wire.set(phase).items():
                 total[name] += count
-        time.sleep(max(0.0, min(duration, end - time.monotonic())))
+        clock.sleep(max(0.0, min(duration, end - clock.monotonic())))
     return total
 
 
 def tracking_error(rig, began: float, ended: float) -> float | None:
     """Returns how far the tool was from where it should have been, root mean square [mm]."""
-    offset = time.time() - time.monotonic()
+    offset = clock.time() - clock.monotonic()
     stamps = np.array(rig.desired_at[:]) - offset
     desired = np.array([T[:3, 3] for T in rig.desired[: len(stamps)]])
     samples = rig.arm.since(began - 1.0)
@@ -80,7 +80,7 @@ def tracking_error(rig, began: float, ended: float) -> float | None:
 
 def _recover(rig) -> tuple[str, float]:
     """Waits until the arm follows again; returns what it took and how long [s]."""
-    ended = time.monotonic()
+    ended = clock.monotonic()
     followed_on = all(mode == "servo" for mode in rig.modes)
 
     def follows() -> bool:
@@ -111,5 +111,5 @@ def _recover(rig) -> tuple[str, float]:
             rig.wait(follows, "the arm to follow", ITSELF_S)
         except (pytest.fail.Exception, AssertionError):
             continue
-        return way, time.monotonic() - ended
-    return "none", time.monotonic() - ended
+        return way, clock.monotonic() - ended
+    return "none", clock.monotonic() - ended

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import time
 
 import numpy as np
 import rospy
@@ -14,6 +13,7 @@ from campaign.network.measure import tracking_error
 from campaign.rig import CONTROLLER, DRIVER, TELEOP
 from campaign.sockets import connections
 from campaign.trial import row
+from common import clock
 from kuka_msgs.msg import jointPositions
 
 ROBOT_BRAKES = Limits.of_the_drives()
@@ -122,9 +122,9 @@ def never_answers(trial):
     trial.follow()
     trial.fault("arm", "silent")
     rig.wait_for_mode("stopped")
-    began = time.monotonic()
+    began = clock.monotonic()
     answer = rig.control(True)
-    trial.check("no thread is blocked: a service answers", time.monotonic() - began < 2.0, answer.message)
+    trial.check("no thread is blocked: a service answers", clock.monotonic() - began < 2.0, answer.message)
     trial.check("control cannot be switched on", not answer.success, answer.message)
     rig.arm.ask("fault", name="cut", duration=0.3)  # and the next connection is accepted and never answered
     trial.says("silent for .* another client", 20.0)
@@ -331,10 +331,10 @@ def bad_link(trial):
             trial.link()
             trial.recovers()
             rig.hand.sway(1.0, right=0.06)
-        began = time.monotonic()
+        began = clock.monotonic()
         trial.link(**link)
         rig.watch(4.0)
-        error = tracking_error(rig, began, time.monotonic())
+        error = tracking_error(rig, began, clock.monotonic())
         followed = rig.mode == "servo"
         trial.check(f"it follows to within 0.12 m, or holds: {what}", not followed or (error or 0.0) < 120.0, error)
     trial.link()

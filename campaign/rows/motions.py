@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import rospy
 from actionlib_msgs.msg import GoalStatus
 
 from campaign.rows.limits import FOLLOWS
 from campaign.trial import row
+from common import clock
 from common.frames import BASE
 from common.ros.conversions import stamped_pose
 from kuka_msgs.msg import MoveGoal
@@ -60,11 +59,11 @@ def end_of_motion_is_not_reported(trial):
     program.send_goal(MoveGoal(kind=MoveGoal.JOINTS, joints=AWAY.tolist(), velocity=0.25))
     rig.wait_for_mode("moving")
     rig.wait_until_at(AWAY)
-    there = time.monotonic()
+    there = clock.monotonic()
     trial.says("does not continue", 10.0)
-    named = time.monotonic() - there
+    named = clock.monotonic() - there
     rig.wait_for_mode("stopped")
-    latched = time.monotonic() - there
+    latched = clock.monotonic() - there
     trial.check("it is named before it is latched", 0.8 < named < latched - 1.0, f"{named:.1f}, {latched:.1f} s")
     result = rig.moved(program)
     trial.check("the program is told that it ended badly", not result.success, result.message)

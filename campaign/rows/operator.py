@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
-import threading
 
 import numpy as np
 
 from campaign.judge import FOLLOWING, Expected, Limits
 from campaign.rig import CONTROLLER
-from campaign.trial import Trial, row, runs
+from campaign.trial import Trial, row
+from common import clock
 from kuka_msgs.srv import setGripperControl, setKukaControl, setPayload, setScalingFactor
 
 ROBOT_BRAKES = Limits.of_the_drives()
@@ -45,7 +44,7 @@ def panel(trial):
             program = opened()
             rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
         trial.begins()
-        os.kill(rig.pid("kuka_panel") if number != signal.SIGKILL else program.pid, number)
+        rig.kill(rig.pid("kuka_panel") if number != signal.SIGKILL else program.pid, number)
         if number != signal.SIGSTOP:
             rig.finish(program)
         rig.watch(2.0)
@@ -78,7 +77,7 @@ def service_calls(trial):
     trial.part("the wrong time", Expected("", 1.0, limits=ROBOT_BRAKES))
     # Many at once: off wins if it comes last, and a hand in the box starts nothing, however often control went on.
     trial.begins()
-    clicks = [threading.Thread(target=rig.control, args=(bool(i % 2),)) for i in range(12)]
+    clicks = [clock.Thread(target=rig.control, args=(bool(i % 2),)) for i in range(12)]
     for click in clicks:
         click.start()
     for click in clicks:
@@ -201,7 +200,7 @@ def interrupted(trial):
     trial.begins()
     rig.interrupt_launch()
     ends_in_order(trial)
-    rig.wait(lambda: not any(map(runs, pids.values())), "the end of all nodes", 30.0)
+    rig.wait(lambda: not any(map(rig.runs, pids.values())), "the end of all nodes", 30.0)
 
 
 def ends_in_order(trial: Trial) -> None:
@@ -228,7 +227,7 @@ def power_cut(trial):
     rig.suspend(CONTROLLER)  # together with the wire: a goal that waited in it would move the arm when it is back
     rig.arm.ask("fault", name="half_open")
     for pid in pids.values():
-        os.kill(pid, signal.SIGKILL)
+        rig.kill(pid, signal.SIGKILL)
     rig.watch(2.0)
     stands = rig.arm.now.time  # but for the last thousandths, to which the law of joint servo takes seconds
     rig.watch(2.0)

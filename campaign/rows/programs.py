@@ -9,7 +9,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 import xmlrpc.client
 from pathlib import Path
 
@@ -18,7 +17,8 @@ from tf2_msgs.msg import TFMessage
 
 from campaign.judge import FOLLOWING, Expected, Limits
 from campaign.rig import CONTROLLER, DRIVER, HAND, HAND_DRIVER, TELEOP
-from campaign.trial import row, runs
+from campaign.trial import row
+from common import clock
 
 ROBOT_BRAKES = Limits.of_the_drives()
 """Where goals fail to come in time the drives brake by themselves: a node dies, stands still, or waits for a processor
@@ -40,7 +40,7 @@ def pause(rig, node: str, seconds: float) -> None:
     try:
         rig.watch(seconds)
     finally:
-        os.kill(pid, signal.SIGCONT)
+        rig.kill(pid, signal.SIGCONT)
 
 
 @row(33, "roscore killed", "D", within=1.5, named_by="ROS master .* is gone", operator=True, limits=ROBOT_BRAKES,
@@ -133,16 +133,16 @@ def started_twice(trial):
     old = rig.pid(CONTROLLER)
     rig.start(CONTROLLER)
     bumped = "new node registered with same name"
-    looked = [time.monotonic()]
+    looked = [clock.monotonic()]
 
     def asked_to_end() -> bool:
-        looked.append(time.monotonic())
+        looked.append(clock.monotonic())
         return bumped in rig.log_since_calm
 
     rig.wait(asked_to_end, "the older one to be asked to end", 60.0)
     trial.begins(looked[-2])  # it may have ended before it was seen to be asked
     trial.reads(bumped)
-    rig.wait(lambda: not runs(old), "the end of the older one")
+    rig.wait(lambda: not rig.runs(old), "the end of the older one")
     rig.watch(3.0)
     left = [when - trial.begins() for when, text in list(rig.arm.events) if "stopDirectServoJoints" in text]
     trial.check("the older one has left servo mode at once", left and 0.0 < left[-1] < 1.5, left)
@@ -229,7 +229,7 @@ def queue_builds_up(trial):
         rig.wait(lambda: len(ages) > held + 20, "the frames after the pause")
         old = [age for age in ages[held:] if age > STALE_S]
         trial.check("no frame comes out of a queue but the one that was at work", len(old) <= 1, old)
-        trial.check("the arm follows on", moves(trial), f"{rig.modes[-5:]} {time.monotonic() - began:.1f} s after")
+        trial.check("the arm follows on", moves(trial), f"{rig.modes[-5:]} {clock.monotonic() - began:.1f} s after")
         trial.part("the teleoperation stands still", Expected("H", 0.8, limits=ROBOT_BRAKES))
         # Likewise the controller, which takes the newest frame and catches up within the limits.
         trial.begins()
@@ -268,13 +268,13 @@ def tick_overrun(trial):
     before = rig.count("kuka_control", "goal_gaps")
     pid = rig.pid(CONTROLLER)
     began = trial.begins()
-    while time.monotonic() - began < 2.0:
-        os.kill(pid, signal.SIGSTOP)
-        time.sleep(0.06)
-        os.kill(pid, signal.SIGCONT)
-        time.sleep(0.012)
+    while clock.monotonic() - began < 2.0:
+        rig.kill(pid, signal.SIGSTOP)
+        clock.sleep(0.06)
+        rig.kill(pid, signal.SIGCONT)
+        clock.sleep(0.012)
     trial.ends()
-    ended = time.monotonic()
+    ended = clock.monotonic()
     rig.wait(lambda: rig.count("kuka_control", "goal_gaps") > before + 10, "the late cycles to be counted")
     way = 1e-3 * sum(speed for when, *_, speed in list(rig.arm.steps) if began < when < ended)
     trial.check("the arm is slow meanwhile", way / (ended - began) < 0.06, f"{way:.3f} m, the hand: 0.12 m/s")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +21,7 @@ from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
 from campaign.arm_trace import T_FLANGE_TOOL
 from campaign.rows.limits import FOLLOWS, stays_in_servo
 from campaign.trial import row
+from common import clock
 from common.camera_model import pinhole
 from common.config import parse
 from common.poses import inverse, pose
@@ -52,7 +51,7 @@ class Proposals:
 
     def wait(self, some: bool, reason: str = "") -> None:
         """Waits for a list from now on with grasps, or without any and with a reason."""
-        since = time.monotonic()
+        since = clock.monotonic()
         self._rig.wait(
             lambda: self.at > since and bool(self.newest.grasps) == some and reason in self.newest.reason,
             f"{'grasps' if some else f'no grasps: {reason}'}; the last: {self.newest.reason}",
@@ -60,7 +59,7 @@ class Proposals:
         )
 
     def _take(self, message: GraspList) -> None:
-        self.newest, self.at = message, time.monotonic()
+        self.newest, self.at = message, clock.monotonic()
         self._rig.hear("ggcnn/out/grasps", message.reason)
 
 
@@ -149,7 +148,7 @@ def stale_proposal(trial):
             rig.watch(FRESH_S + 1.0)
             refused(trial, "s old")
         finally:
-            os.kill(network, signal.SIGCONT)
+            rig.kill(network, signal.SIGCONT)
         trial.ends()
         proposals.wait(some=True)
         rig.watch(1.0)
