@@ -48,7 +48,7 @@ GOES_BY_THE_CLOCK = {"wait_until", "processes", "ros_master"}
 OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
 OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
 """Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
-CLOCK_FILE = re.compile(rf"mark\.(ros|rig|clock)\b|\b({'|'.join(sorted(GOES_BY_THE_CLOCK))})\b")
+CLOCK_FILE = re.compile(rf"mark\.(ros|rig|clock|real|long)\b|\b({'|'.join(sorted(GOES_BY_THE_CLOCK))})\b")
 """What stands in each file of tests that go by the clock or start nodes."""
 
 
@@ -128,8 +128,8 @@ def pytest_runtest_teardown(item, nextitem):
     yield
     if nextitem is not None and nextitem.parent is item.parent:  # else fixtures of other tests end, too
         mine = seen
-    if mine and not item.get_closest_marker("clock"):
-        pytest.fail(f"it raised {sorted(mine)}: mark it `clock`, so that other tests do not displace it", pytrace=False)
+    if mine and not any(item.get_closest_marker(mark) for mark in ("clock", "real", "long")):
+        pytest.fail(f"it raised {sorted(mine)}: let it run in virtual time, or mark it `real`", pytrace=False)
 
 
 @pytest.fixture(name="free_port")
