@@ -30,7 +30,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup demo test test-fast bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
+.PHONY: help setup demo test test-fast test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -52,7 +52,10 @@ test: $(READY) ## all tests
 	@tools/test.sh
 
 test-fast: $(READY) ## the tests that only compute, without ROS; part of `make test`
-	@.venv/bin/python -m pytest -n 2 --dist worksteal -m "not ros and not clock"
+	@.venv/bin/python -m pytest -n "$$(nproc)" --dist worksteal -m "not ros and not real and not long"
+
+test-long: $(READY) ## before a release: what takes hours, by the real clock; prints a table at the end
+	@$(IN_WORKSPACE) python -m tools.test_long
 
 bench: $(READY) ## measures speed on this machine and prints a table
 	@$(IN_WORKSPACE) python bench/run.py $(foreach part,$(ONLY),--only $(part)) $(if $(JSON),--json "$(JSON)")
