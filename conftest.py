@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -48,31 +47,21 @@ GOES_BY_THE_CLOCK = {"wait_until", "processes", "ros_master"}
 OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
 OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
 """Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
-CLOCK_FILE = re.compile(rf"mark\.(ros|rig|clock|real|long)\b|\b({'|'.join(sorted(GOES_BY_THE_CLOCK))})\b")
-"""What stands in each file of tests that go by the clock or start nodes."""
-
-
-def pytest_addoption(parser):
-    """Adds the options of tools/test.sh."""
-    parser.addoption("--clock-files", action="store_true", help="import only files with tests by the clock")
-
-
-def pytest_ignore_collect(collection_path, config):
-    """With --clock-files: spares each of many processes the import of two thirds of the files."""
-    if config.getoption("--clock-files") and collection_path.suffix == ".py":
-        return True if CLOCK_FILE.search(collection_path.read_text()) is None else None
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
-def pytest_collection_modifyitems(config, items):
-    """Marks the tests that go by the clock; skips those marked `ros` where the workspace is not sourced."""
+def pytest_collection_modifyitems(items):
+    """Skips the tests marked `ros` where the workspace is not sourced; see tools/test.sh of the marks."""
     skip = pytest.mark.skip(reason="the workspace is not built and sourced: source devel/setup.bash")
-    clock_files = {path: CLOCK_FILE.search(path.read_text()) for path in {item.path for item in items}}
+    texts = {path: path.read_text() for path in {item.path for item in items}}
     for item in items:
+        hidden = [
+            m for m in ("ros", "real", "long") if item.get_closest_marker(m) and f"mark.{m}" not in texts[item.path]
+        ]
+        if hidden:  # tools/test.sh finds the files of a part by it
+            raise pytest.UsageError(f"{item.nodeid}: its file must name the mark {hidden[0]!r}")
         if item.get_closest_marker("rig") or GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
             item.add_marker("clock")
-        if (item.get_closest_marker("clock") or item.get_closest_marker("ros")) and not clock_files[item.path]:
-            raise pytest.UsageError(f"{item.nodeid}: its file must name the mark or fixture, for --clock-files")
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
 

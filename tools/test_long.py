@@ -12,6 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PARTS = {
+    "make test, beside eight busy processes": [sys.executable, "-m", "tools.under_load", "--stops", "make", "test"],
     "tests marked `long`": ["tools/test.sh", "--long"],
     "make campaign": ["make", "campaign"],
     "make networks": ["make", "networks"],

@@ -1,0 +1,71 @@
+"""`python -m tools.under_load [--stops] COMMAND...`: runs a command beside eight busy processes.
+
+With --stops one of its processes at a time stands still for 5 s, chosen at random. `make test` must pass so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+BUSY, STOP_S, BETWEEN_S = 8, 5.0, 15.0
+
+
+@contextlib.contextmanager
+def load() -> Iterator[None]:
+    """Keeps the processors busy."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(BUSY)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+
+
+def workers(root: int) -> list[int]:
+    """The processes of pytest below a process."""
+    parents, names = {}, {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            parents[int(stat.parent.name)] = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+            names[int(stat.parent.name)] = stat.with_name("cmdline").read_bytes()
+
+    def below(pid: int | None) -> bool:
+        while pid and pid != root:
+            pid = parents.get(pid)
+        return pid == root
+
+    return [pid for pid, name in names.items() if b"python" in name and below(pid)]
+
+
+def main() -> int:
+    """Returns the exit code of the command."""
+    parser = argparse.ArgumentParser(prog="tools.under_load", description=__doc__)
+    parser.add_argument("--stops", action="store_true", help="let processes of the command stand still now and then")
+    parser.add_argument("command", nargs=argparse.REMAINDER)
+    options = parser.parse_args()
+    stops = 0
+    with load():
+        process = subprocess.Popen(options.command)
+        while process.poll() is None:
+            time.sleep(random.uniform(0.0, 2.0 * BETWEEN_S) if options.stops else 1.0)
+            for pid in random.sample(found := workers(process.pid), min(len(found), int(options.stops))):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGSTOP)
+                    time.sleep(STOP_S)
+                    os.kill(pid, signal.SIGCONT)
+                    stops += 1
+    print(f"{stops} stops of {STOP_S:g} s" if options.stops else "", flush=True)
+    return process.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
