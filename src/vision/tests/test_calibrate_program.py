@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from board_scene import T_FLANGE_BOARD, BoardScene, parameters
 
+from common import clock
 from common.config import parse
-from common.poses import inverse, pose
+from common.poses import inverse, pose, translation
 from common.rotations import rotation_about, rotation_angle, unit
 from vision.calibration.acceptance import CalibrationConfig, judge
 from vision.calibration.record import by_views
@@ -107,6 +108,8 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
     assert code == 0, log
     (file,) = stored(tmp_path)
     assert "The calibration is good" in log and str(file) in log
+    distances = [float(text) for text in re.findall(r"marker board at ([\d.]+) m", log)]
+    assert len(distances) == 9 and all(0.55 <= distance <= 1.1 for distance in distances)
     record = read(file)
     assert len(record.views) >= 8
     assert (record.camera, record.robot, record.panel) == ("1234", "LBR7R800", "tag_frame")
@@ -195,6 +198,14 @@ def test_by_hand_with_nobody_moving_the_arm(calibrate, still_scene):
     assert "taken, 4 images, by the corners" in log
     assert "not taken: the flange is only 0.0 mm and 0.0 deg" in log
     assert "1 views are too few" in log
+
+
+def test_by_hand_an_arm_that_moves_gives_no_view(calibrate, still_scene):
+    begun = clock.monotonic()
+    still_scene.measured = True
+    still_scene.flange = lambda: translation(1e-2 * (clock.monotonic() - begun), 0.0, 0.0) @ T_BASE_FLANGE
+    _, log = calibrate("--by-hand", answers=("", "q"))
+    assert "not taken: the arm moved; hold it still" in log
 
 
 def test_poses_cannot_be_refined_without_the_images(calibrate, still_scene):
