@@ -1,7 +1,7 @@
 """TCP in virtual time: the product's own transports, servers and control ports on sockets in memory.
 
-    wires = Wires(scheduler)
-    wires.stand_in(patch)  # for socket, select, selectors, asyncio's loop and threads in the modules of MODULES
+    with virtual_wires() as wires:  # for socket, select, selectors, asyncio's loop and threads in MODULES
+        ...
 
 A connection has two ways, which a test may worsen: `wires.connections[-1].up.stalls = [(begin, end)]`. What a thread
 opens belongs to its group, and closes with it. As by the kernel, a connection is accepted, and bytes are kept, for a
@@ -11,6 +11,7 @@ group whose threads stand still.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import errno
 import io
 import ipaddress
@@ -23,7 +24,7 @@ import socket
 import struct
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from itertools import count
 from typing import Any, NamedTuple
@@ -43,6 +44,7 @@ import rig_simulation.control_port
 import rig_simulation.devices.leap.server
 import rig_simulation.devices.sunrise.server
 from common import clock
+from simulated.clock import virtual_time
 from simulated.event_loop import EventLoop, Outcome
 from simulated.scheduler import Scheduler, is_over
 
@@ -205,6 +207,7 @@ class Wires:
         near, far = Socket(self), Socket(self, listener.group)
         near.address, far.address = ("127.0.0.1", next(self._ports)), listener.address
         near.join(far)
+        near.settimeout(timeout)
         self.connections.append(Connection((host, port), far.incoming, near.incoming))
         self.on_connect(self.connections[-1])
         listener.take(far)
@@ -571,6 +574,15 @@ def _times(watched: Socket, key: selectors.SelectorKey) -> list[tuple[float, int
     """When a socket is ready for each of the events that are waited for [s]."""
     times = ((watched.readable_at, selectors.EVENT_READ), (watched.writable_at, selectors.EVENT_WRITE))
     return [(time(), event) for time, event in times if key.events & event]
+
+
+@contextlib.contextmanager
+def virtual_wires(seed: int = 0) -> Iterator[Wires]:
+    """A context of virtual time in which the modules of MODULES stand on wires."""
+    with pytest.MonkeyPatch.context() as patch, virtual_time(seed) as scheduler:
+        wires = Wires(scheduler)
+        wires.stand_in(patch)
+        yield wires
 
 
 class _Module:
