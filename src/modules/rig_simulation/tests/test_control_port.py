@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 
 import pytest
@@ -159,7 +160,11 @@ def test_on_real_sockets_many_clients_a_taken_port_its_end_and_its_return():
         with pytest.raises(DeviceError):
             ControlPort({}, "127.0.0.1", port.port)
         client.ask("state")
-        port.close()
+        with socket.create_connection((port.host, port.port), 60.0) as other:
+            other.sendall(b"{}\n")
+            assert other.recv(4096)
+            port.close()
+            assert other.recv(1) == b"", "the port ends the connection, whose end the kernel remembers for a minute"
         with pytest.raises(DeviceError):
             client.ask("state")
         with pytest.raises(PortClosedError):
