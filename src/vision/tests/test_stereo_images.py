@@ -34,6 +34,13 @@ class Window:
         pass
 
 
+class Held:
+    """In place of a publisher, keeps the message."""
+
+    def publish(self, message):
+        self.message = message
+
+
 @pytest.fixture
 def sentence(ros):
     """Starts the drawing as the node does; returns a function that gives the sentence of its last status."""
@@ -84,6 +91,17 @@ def test_both_eyes_see_the_camera_and_the_age_when_it_stops(camera, shown, sente
     assert sentence().startswith("The image on screen is ") and sentence().endswith("s old: is the camera running?")
     publish(camera, 0.6)
     assert sentence() == "Shows images." and middle(shown[-1])[0][0] == 200
+
+
+def test_an_image_that_comes_before_its_camera_info_is_shown_once_that_is_there(camera, shown, sentence):
+    info = camera.publishers["rgb/camera_info"]
+    camera.publishers["rgb/camera_info"] = held = Held()
+    camera.publish()
+    clock.sleep(0.5)
+    assert not shown
+    info.publish(held.message)
+    clock.sleep(0.1)
+    assert shown[-1].header.stamp == held.message.header.stamp
 
 
 @pytest.mark.parametrize("how", [{"depth": False}, {"gap": 0.17}])
