@@ -223,6 +223,10 @@ def test_each_arm_and_each_hand_answers_on_its_own_wire(network):
             moved = arm == side or side == "right"
             np.testing.assert_allclose(state["joints"], q if moved else np.zeros(7), atol=1e-4)
         client.close()
+    steps = devices["right/sunrise_controller"].ask("state")["time"]
+    assert steps == pytest.approx(devices["world"].ask("state")["time"], abs=0.01), (
+        "the right one counts the left one's"
+    )
     before = {side: devices[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
     devices["right/reflex_hand"].ask("jump", motor=0, turns=3)
     after = {side: devices[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
