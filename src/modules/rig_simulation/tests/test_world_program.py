@@ -20,7 +20,7 @@ TICK_S = 0.02
 """How often the server looks after an arm at rest."""
 READY = re.compile(
     r"sunrise_controller: listening on 127.0.0.1:(\d+), control port 127.0.0.1:(\d+)\n"
-    r"reflex_hand: on lo, UDP port \d+, control port 127.0.0.1:(\d+)\n"
+    r"reflex_hand: on lo, UDP port (\d+), control port 127.0.0.1:(\d+)\n"
     r"world: scene \S+, control port 127.0.0.1:(\d+)\n"
 )
 
@@ -36,8 +36,8 @@ class Program:
         clock.sleep(0.01)
         ready = READY.fullmatch(self.process.log)
         assert ready, self.process.log
-        self.port, *controls = map(int, ready.groups())
-        self.arm, self.hand, self.world = (ControlClient("127.0.0.1", port) for port in controls)
+        self.port, arm, self.hand_port, *others = map(int, ready.groups())
+        self.arm, self.hand, self.world = (ControlClient("127.0.0.1", port) for port in (arm, *others))
 
     def tell(self, line):
         """Sends a line to the toolbox server and returns the line that it answers."""
@@ -66,12 +66,18 @@ def goal(q):
 
 
 @pytest.fixture
-def start(virtual_graph):
-    """Starts the program on free ports."""
+def network():
+    """A network for the hand."""
     from simulated.hand_wire import HandNetwork
 
-    with HandNetwork():
-        yield lambda *arguments: Program(virtual_graph, *arguments)
+    with HandNetwork() as network:
+        yield network
+
+
+@pytest.fixture
+def start(virtual_graph, network):
+    """Starts the program on free ports."""
+    return lambda *arguments: Program(virtual_graph, *arguments)
 
 
 OTHER_RIG = ("--robot", "LBR14R820", "--flange", "MF_touch_pneumatisch", "--panel", "bundle", "--scene", "objects")
@@ -87,14 +93,17 @@ def test_it_says_when_its_devices_are_ready_and_ends_on_a_signal(start, number):
 
 
 @pytest.mark.ros
-def test_one_clock_moves_arm_hand_and_objects_by_itself(start):
+def test_one_clock_moves_arm_hand_and_objects_by_itself(start, network):
     program = start("--scene", "objects", "--speed", "2")
+    host = network.connect("lo", program.hand_port)
     begin = program.world.ask("state")["time"]
     clock.sleep(1.0)
     state, hand, arm = (device.ask("state") for device in (program.world, program.hand, program.arm))
     assert state["time"] - begin == pytest.approx(2.0, abs=0.01) and not state["stepped"]
     assert hand["time"] == pytest.approx(state["time"], abs=0.03) and arm["age"] == pytest.approx(0.0, abs=1e-3)
     assert state["real_time_factor"] == pytest.approx(2.0, abs=0.02)
+    packets = list(iter(lambda: host.packets.get(0.0), None))
+    assert len(packets) == pytest.approx(80, abs=1), "every 25 ms of the world"
     objects = program.world.ask("objects")["objects"]
     assert {name for name, one in objects.items() if one["touches"] == ["table"]} == set(objects)
     assert all("table" in contact["bodies"] for contact in program.world.ask("contacts")["contacts"])
