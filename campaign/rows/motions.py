@@ -6,7 +6,6 @@ import numpy as np
 import rospy
 from actionlib_msgs.msg import GoalStatus
 
-from campaign.rows.limits import FOLLOWS
 from campaign.trial import row
 from common import clock
 from common.frames import BASE
@@ -16,7 +15,7 @@ from kuka_msgs.msg import MoveGoal
 AWAY = np.radians([-20.0, 35.0, 0.0, -70.0, 0.0, 75.0, 20.0])  # joints within the workspace
 
 
-@row(64, "PTP requested while streaming, and vice versa", "R", named_by="A program may move the arm", limits=FOLLOWS)
+@row(64, "PTP requested while streaming, and vice versa", "R", named_by="A program may move the arm")
 def motion_while_following(trial):
     rig, program, another = trial.rig, trial.rig.moves(), trial.rig.moves()
     trial.follow()
