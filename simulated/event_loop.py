@@ -35,7 +35,7 @@ class EventLoop(asyncio.SelectorEventLoop):
             self._killed = True
             while coroutines := [each for task in asyncio.all_tasks(self) if _is_open(each := task.get_coro())]:
                 with contextlib.suppress(Killed, RuntimeError):  # it may wait once more, or begin others, as it unwinds
-                    coroutines[0].close()
+                    coroutines[0].throw(Killed)
             raise
 
     def run_in_executor(self, _executor: Any, job: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]

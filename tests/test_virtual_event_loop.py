@@ -196,13 +196,18 @@ def test_what_unwinds_with_its_thread_says_nothing_and_ends_its_coroutines(capfd
     async def waits(name):
         try:
             await asyncio.sleep(HOUR_S)
+            yield name
         finally:
             ended.append(name)
             await asyncio.sleep(1.0)
 
+    async def consumes(name):
+        async for _ in waits(name):
+            pass
+
     async def both():
-        other = asyncio.ensure_future(waits("other"))
-        await waits("main")
+        other = asyncio.ensure_future(consumes("other"))
+        await consumes("main")
         await other
 
     with virtual_time() as scheduler:

@@ -73,7 +73,7 @@ def received(connection, seconds):
     end, texts = clock.monotonic() + seconds, []
     with contextlib.suppress(TimeoutError):
         while True:
-            texts.append(json.loads(connection.recv(max(0.0, end - clock.monotonic()))))
+            texts.append(json.loads(connection.recv(max(1e-6, end - clock.monotonic()))))
     return texts
 
 
