@@ -120,7 +120,7 @@ class KeptRig:
     """A rig that is kept for rows of the same variant until one spoils it; else a new one is made."""
 
     def __init__(self, traces: Path | None = None) -> None:
-        self._traces = traces
+        self.traces = traces
         self._rig: Rig | None = None
         self._stopped = False
 
@@ -136,7 +136,7 @@ class KeptRig:
                 self.close()
             used = self._rig is not None
             try:
-                self._rig = self._rig or Rig(entry.variant, self._traces)
+                self._rig = self._rig or Rig(entry.variant, self.traces)
                 if self._stopped:
                     self._rig.stop()
                 result = self._rig.judge(entry)

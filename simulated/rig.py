@@ -101,8 +101,9 @@ class VirtualRig(real.RigUnderTest):
             made.append(SimulatedLeapService(Playback(self.hand), HOST, 0, 0))
             made[0].run()
 
-        self.graph.start("leapd", serve)
+        tracker = self.graph.start("leapd", serve)
         leap = self.wait(lambda: made and made[0], "the Leap service")
+        self._resources.callback(lambda: (leap.stop(), tracker.wait(real.SOON_S)))  # else its coroutines are left over
         self.leap = ControlClient(HOST, leap.control_port)
         self.listen()
         robot, hand = next(PORTS), next(PORTS)

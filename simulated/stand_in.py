@@ -23,6 +23,7 @@ import tf2_ros
 
 from common import clock
 from common.ros import master, node, publishing, service_calls
+from leap_kuka.ros.hand_to_arm import DelayMonitor
 from simulated.graph_parts import (
     DELAY_S,
     GraphMaster,
@@ -341,6 +342,7 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(signal, "signal", handle)
     patch.setattr(sys, "setswitchinterval", lambda seconds: None)  # it is that of all nodes
     graph.wires.stand_in(patch)
+    patch.setattr(DelayMonitor, "_looked", {})  # it is that of one process
     patch.setattr(node, "prepare_log", lambda: setattr(graph.here, "logs", node.RepeatedExceptions().filter))
     for name in ("prepare_process", "end_closed_servers", "hide_closed_connections"):
         patch.setattr(node, name, lambda *_: None)
