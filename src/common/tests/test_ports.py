@@ -7,7 +7,7 @@ import pytest
 
 from common import ports
 
-pytestmark = pytest.mark.clock
+pytestmark = pytest.mark.real
 
 KINDS = [socket.SOCK_STREAM, socket.SOCK_DGRAM]
 

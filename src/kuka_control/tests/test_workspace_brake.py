@@ -76,7 +76,7 @@ def run(follower, targets):
     return np.array([follower.step(target, follower.goal, DT).q for target in targets])
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.lists(st.tuples(speeds, st.integers(5, 60)), min_size=1, max_size=6))
 def test_no_desired_velocity_carries_the_tool_out(wishes):
     change, brake = guard()
@@ -112,7 +112,7 @@ class FullGuard(StoppingGuard):
         return False
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
     rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
         assert (now.q, now.v, now.a) == (expected.q, expected.v, expected.a)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_bounds(seed):
     rng = np.random.default_rng(seed)
@@ -146,7 +146,7 @@ def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_boun
     assert np.all(np.sum(np.abs(np.diff(q, axis=0)), axis=0) <= np.array(lengths) + 1e-9)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
 def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):
     targets = [HOME + np.array([a, b, 0, a, 0, b, a]) for a, b in turns for _ in range(40)]
@@ -253,7 +253,7 @@ def feasible(T, shift):
     return x - y > 0.1 and z > 0.02
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.lists(shifts, min_size=2, max_size=6), st.floats(0.2, 1.5), st.sampled_from([74.0, 115.0]))
 def test_whatever_the_hand_does_the_goals_stay_in_the_workspace(moves, speed, rate):
     rig = simulated()

@@ -408,11 +408,8 @@ def test_the_wizard_stores_a_hand_that_the_launch_file_loads(ros, tracker, tmp_p
 @pytest.mark.parametrize(
     "limits, private, words",
     [
-        ({"index_human": [85.0, 85.0]}, {}, "leap_hand/index_human is"),
         ({"index_humen": [85.0, 40.0]}, {}, "leap_hand/index_humen is not a known key"),
-        ({}, {"hand_only": "maybe"}, "~hand_only is 'maybe'"),
         ({}, {"hand": "both"}, "~hand is 'both'"),
-        ({}, {"hands": "left"}, "~hands is not a known key"),
     ],
 )
 def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, private, words):
