@@ -10,6 +10,8 @@ import xmlrpc.client
 
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
 
 END_S = 30.0
@@ -271,6 +273,18 @@ def test_the_exception_of_a_callback_is_logged_once_in_a_while_and_all_else_alwa
     assert not passes(bad.format("a")) and not passes(bad.format("b"))
     now += REPEAT_S
     assert passes(bad.format("a")) and not passes(bad.format("a"))
+
+
+def test_simulated_time_without_a_clock_is_said(virtual_graph):
+    import rospy
+
+    from common.ros.node import run
+
+    rospy.set_param("use_sim_time", True)
+    begun = clock.monotonic()
+    node = virtual_graph.start("timeless", lambda: run("timeless", lambda: None))
+    assert node.wait(20.0) == 1 and clock.monotonic() - begun == pytest.approx(10.0, abs=0.1)
+    assert "use_sim_time is true, but nobody publishes /clock within 10 s" in node.log and "Traceback" not in node.log
 
 
 LOGGING = """
