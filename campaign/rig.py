@@ -131,7 +131,7 @@ class RigUnderTest:
         self.launch()
         self.arm = ArmTrace(robot_host, robot)
         self.robot_hand = ControlClient("127.0.0.1", hand)
-        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        self.wait(lambda: self.mode in ("home", "stopped"), "the arm at home, or latched by a pause", START_S)
         if self._sees:
             self.camera = ControlClient("127.0.0.1", self._arguments["camera_control_port"])
             self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
@@ -205,11 +205,7 @@ class RigUnderTest:
         self.wait(lambda: self.mode not in ("", "starting"), "the controller", MOVE_S)
         self.gripper(False)
         self.control(False)
-        if self.mode == "stopped":
-            self.control(True)
-            self.wait(lambda: self.mode != "stopped", "the controller to leave `stopped`", MOVE_S)
-            self.control(False)
-        self.wait(lambda: self.mode == "home" and not self.status.control_on, "the arm at home", MOVE_S)
+        self.wait(self._comes_home, "the arm at home", MOVE_S)
         self.wait(lambda: self.stream_state == "waiting", "the stream to end")
         for record in (
             self.modes,
@@ -224,6 +220,14 @@ class RigUnderTest:
             record.clear()
         self.mark()
         self.arm.forget()
+
+    def _comes_home(self) -> bool:
+        """Returns whether the arm is at home, control off; brings it there as the operator does if it is latched."""
+        if self.mode == "stopped":
+            self.control(True)
+        elif self.status.control_on:
+            self.control(False)
+        return self.mode == "home" and not self.status.control_on
 
     def mark(self) -> None:
         """From now on `log_since_calm` counts."""
