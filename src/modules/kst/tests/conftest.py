@@ -9,8 +9,7 @@ import struct
 import pytest
 
 from common import clock
-from simulated.clock import virtual_time
-from simulated.wires import DELAY_S, Socket, Wires
+from simulated.wires import DELAY_S, Socket, Wires, virtual_wires
 
 HOME = "-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_\n"
 
@@ -39,8 +38,7 @@ class ScriptedServer:
         self.connection: Socket | None = None
         self._once: dict[str, list[bytes]] = {}
         self._ended = clock.Event()
-        self._listener = Socket(wires)
-        self._listener.bind(("127.0.0.1", 0))
+        self._listener = wires.serve(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
         self._suspended = wires.scheduler.suspended
         with wires.scheduler.in_group("server"):
@@ -95,9 +93,7 @@ class ScriptedServer:
 @pytest.fixture
 def wires():
     """Wires in virtual time, with the client's transport on them."""
-    with pytest.MonkeyPatch.context() as patch, virtual_time() as scheduler:
-        wires = Wires(scheduler)
-        wires.stand_in(patch)
+    with virtual_wires() as wires:
         yield wires
 
 

@@ -11,7 +11,6 @@ from common.poses import translation
 from kst.client import KstClient
 from kst.codec import Feedback
 from kst.session import KstTiming
-from simulated.wires import Socket
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 WAITS = KstTiming(rest=0.0)  # the client of the recording did not watch the arm before the stop
@@ -89,8 +88,7 @@ class Replay:
     def __init__(self, wires, script):
         self.faults = []
         self._script = script
-        self._listener = Socket(wires)
-        self._listener.bind(("127.0.0.1", 0))
+        self._listener = wires.serve(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
         self._thread = clock.Thread(target=self._serve, name="server", daemon=True)
         self._thread.start()

@@ -13,12 +13,9 @@ sys.path.append(str(Path(__file__).parent))
 @pytest.fixture
 def wires():
     """Wires in virtual time."""
-    from simulated.clock import virtual_time
-    from simulated.wires import Wires
+    from simulated.wires import virtual_wires
 
-    with pytest.MonkeyPatch.context() as patch, virtual_time() as scheduler:
-        wires = Wires(scheduler)
-        wires.stand_in(patch)
+    with virtual_wires() as wires:
         yield wires
 
 
