@@ -23,7 +23,7 @@ ENTRIES = rows.load()
 VIRTUAL = [entry for entry in ENTRIES.values() if not entry.real]
 DANGEROUS = [entry for entry in VIRTUAL if entry.dangerous]
 TIMES = json.loads(run.TIMES.read_text())
-SPREAD_S = 0.03  # by the order of threads and the delays of messages: a cycle or two of the devices
+SPREAD_S = 0.06  # by the order of threads and the delays of messages: some cycles of the devices
 SEEDS = range(1, 20)
 
 
@@ -46,7 +46,7 @@ def test_in_other_orders_and_with_other_delays(entry, seed):
     found = judged(entry, seed)
     assert found.faults == []
     time = TIMES[str(entry.number)]
-    assert found.reaction_s == (time if time is None else pytest.approx(time, abs=2.0 * SPREAD_S))
+    assert found.reaction_s == (time if time is None else pytest.approx(time, abs=SPREAD_S))
 
 
 def test_a_seed_makes_one_run():
