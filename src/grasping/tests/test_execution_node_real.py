@@ -7,7 +7,7 @@ import signal
 import pytest
 from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 LONG_S = 60.0
 

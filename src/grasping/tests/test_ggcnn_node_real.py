@@ -17,7 +17,13 @@ pytestmark = pytest.mark.ros
 PATIENCE_S = 60.0
 
 
-@pytest.mark.parametrize("moment", ["its libraries load", "its networks load", "it works"])
+@pytest.mark.parametrize(
+    "moment",
+    [
+        pytest.param("its libraries load", marks=pytest.mark.real),
+        *(pytest.param(moment, marks=pytest.mark.long) for moment in ("its networks load", "it works")),
+    ],
+)
 def test_interrupted_it_ends_whatever_it_does(ros, wait_until, moment):
     import rospy
     from sensor_msgs.msg import CameraInfo, Image
