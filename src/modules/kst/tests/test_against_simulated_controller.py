@@ -60,7 +60,7 @@ def until(condition, seconds):
     deadline = clock.monotonic() + seconds
     while not condition():
         assert clock.monotonic() < deadline
-        clock.sleep(0.001)
+        clock.sleep(0.004)
 
 
 def stream(client, feedback, q_from, q_to, count=25):
@@ -77,7 +77,7 @@ def test_a_motion_whose_final_word_is_lost_ends_by_its_joints_and_the_next_one_i
     for goal, seconds in ((q + 0.05, 2.0 + WAITS.reply), (q, 0.04)):
         client.start_ptp_joints(goal, 0.5)
         while np.max(np.abs(client.joints() - goal)) > ARRIVED_RAD:
-            clock.sleep(0.001)
+            clock.sleep(0.004)
         with takes(seconds):
             until(lambda: client.joints() is not None and client.ptp_arrived(), 5.0)
         np.testing.assert_allclose(client.joints(), goal, atol=2e-3)

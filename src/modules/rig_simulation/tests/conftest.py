@@ -38,3 +38,12 @@ def serve(wires):
         return server
 
     return start
+
+
+@pytest.fixture
+def network():
+    """A network for simulated hands in virtual time."""
+    from simulated.hand_wire import HandNetwork
+
+    with HandNetwork() as network:
+        yield network

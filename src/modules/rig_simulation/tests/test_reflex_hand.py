@@ -149,15 +149,6 @@ def test_a_power_cycle_forgets_the_turn_but_not_the_pose():
     assert after["torque"] == [False] * 4 and after["time"] == 0
 
 
-@pytest.fixture
-def network(virtual_graph):
-    """A graph, with a network for hands."""
-    from simulated.hand_wire import HandNetwork
-
-    with HandNetwork():
-        yield virtual_graph
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
@@ -176,10 +167,10 @@ def test_ends_with_a_sentence(virtual_graph, arguments, sentence):
 
 
 @pytest.fixture
-def program(network):
+def program(virtual_graph, network):
     """Starts the program; returns it, its UDP port and a client of its control port."""
     arguments = ("--port", "0", "--control-port", "0", "__name:=hand")
-    program = network.run("rig_simulation", "reflex_hand.py", *arguments)
+    program = virtual_graph.run("rig_simulation", "reflex_hand.py", *arguments)
     clock.sleep(PERIOD_S)
     ready = re.fullmatch(r"reflex_hand: on lo, UDP port (\d+), control port 127\.0\.0\.1:(\d+)\n", program.log)
     return program, ready[1], ControlClient("127.0.0.1", int(ready[2]))
@@ -196,8 +187,8 @@ def test_one_ready_line_and_a_clean_end(program, number):
 
 
 @pytest.mark.ros
-def test_refuses_a_second_hand_on_the_port(network, program):
-    second = network.run("rig_simulation", "reflex_hand.py", "--port", program[1], "--control-port", "0")
+def test_refuses_a_second_hand_on_the_port(virtual_graph, program):
+    second = virtual_graph.run("rig_simulation", "reflex_hand.py", "--port", program[1], "--control-port", "0")
     assert second.wait(1.0) == 1
     assert second.log == f"reflex_hand: Cannot use port {program[1]} on lo.\n"
 

@@ -194,19 +194,10 @@ def test_the_scene_of_two_arms_has_a_box_within_the_reach_of_each():
         assert there == pytest.approx(y) and 0.5 < x < 0.7  # straight ahead, between the spheres of the workspace
 
 
-@pytest.fixture
-def network(virtual_graph):
-    """A graph, with a network for hands."""
-    from simulated.hand_wire import HandNetwork
-
-    with HandNetwork():
-        yield virtual_graph
-
-
 @pytest.mark.ros
-def test_each_arm_and_each_hand_answers_on_its_own_wire(network):
+def test_each_arm_and_each_hand_answers_on_its_own_wire(virtual_graph, network):
     ports = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
-    process = network.run("rig_simulation", "world.py", *ports, "--arms", str(SHIPPED), "--scene", "two_arms")
+    process = virtual_graph.run("rig_simulation", "world.py", *ports, "--arms", str(SHIPPED), "--scene", "two_arms")
     clock.sleep(0.01)
     ports = dict(re.findall(r"^(\w+)/sunrise_controller: listening on \S+:(\d+), control", process.log, re.M))
     controls = re.findall(r"^(\S+):.*, control port (\S+):(\d+)$", process.log, re.M)

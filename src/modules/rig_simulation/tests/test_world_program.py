@@ -66,15 +66,6 @@ def goal(q):
 
 
 @pytest.fixture
-def network():
-    """A network for the hand."""
-    from simulated.hand_wire import HandNetwork
-
-    with HandNetwork() as network:
-        yield network
-
-
-@pytest.fixture
 def start(virtual_graph, network):
     """Starts the program on free ports."""
     return lambda *arguments: Program(virtual_graph, *arguments)
