@@ -111,7 +111,7 @@ def test_a_time_is_used_where_its_name_stands():
     [
         (["--count", "0"], "'0' is not a number from 1"),
         (["--limit", "nan"], "'nan' is not a number from 1"),
-        pytest.param(["--root", "."], "'.' is no tree with a commit of git", marks=pytest.mark.real),
+        pytest.param(["--root", "."], "'.' is no tree with a commit of git", marks=pytest.mark.long),
         (["--places", "nowhere.json"], "'nowhere.json' holds no result"),
         (["--places", "wrong.json"], "'wrong.json' holds no result"),
     ],
