@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from loop_world import DT, World
 from test_controller import GOAL, LATE, Cycles, silent
 
 from common import clock
+from common.errors import DeviceError
 from common.poses import pose, translation
-from kst import ConnectionLost, ReplyTimeout
+from kst import ConnectionLost, NoServer, ReplyTimeout
 from kuka_control.loop.commands import End, Step, Wait
 from kuka_control.loop.controller import ReconnectSupervisor
 from kuka_control.loop.tracking import PtpSupervision, TrackingMonitor
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream, FrameSources, skew_fault
+from kuka_control.model.switches import Switches
 
 TOOL, LEAP, BASE = "kuka/tool_frame/desired", "leap_motion/virtual_frame", "kuka/base_frame"
 
@@ -205,9 +210,60 @@ class TestNodes:
         assert not ends_soon()
         assert clock.monotonic() - begin == pytest.approx(0.51, abs=0.02)
 
-    def test_a_motion_that_the_loop_does_not_start_is_aborted_after_a_second(self, ros, monkeypatch):
-        from types import SimpleNamespace
+    def test_a_server_that_does_not_run_yet_is_tried_for_20_s_and_a_lost_one_for_2_s_each(self, ros, monkeypatch):
+        from kuka_control.ros import controller_node
 
+        tries = []
+
+        def connect(*_, timeout, **__):
+            tries.append((clock.monotonic(), timeout))
+            raise NoServer("nobody answers")
+
+        monkeypatch.setattr(controller_node.KstClient, "connect", connect)
+        config, rig = SimpleNamespace(ip="127.0.0.1", port=1), SimpleNamespace(T_flange_tool=np.eye(4))
+        with pytest.raises(DeviceError):
+            controller_node.RobotLink(config, rig)
+        times, timeouts = np.transpose(tries)
+        assert times[-1] - times[0] == pytest.approx(20.0, abs=0.51) and set(timeouts) == {5.0}
+        np.testing.assert_allclose(np.diff(times), 0.5, atol=1e-6)
+        link = object.__new__(controller_node.RobotLink)
+        link._config, link._rig, link.arm = config, rig, None
+        with pytest.raises(NoServer):
+            link.again()
+        assert tries[-1][1] == 2.0
+
+    @pytest.fixture
+    def node(self, ros):
+        """A controller's node whose robot does not answer, and which can do nothing about it."""
+        from kuka_control.ros.controller_node import _Node
+
+        node = object.__new__(_Node)
+        node._switches, node._servo_period, node._loop = Switches(), 0.01, SimpleNamespace(counts=Counter())
+        node._services = node._moves = SimpleNamespace(hold=lambda _: None, abort=lambda _: None)
+        node._show = node._say = node._make_loop = lambda *_: None
+        node._controller = SimpleNamespace(
+            in_servo=True, cycle=lambda *_: None, restart=lambda *_: None, regained=lambda: False
+        )
+        return node
+
+    def test_an_arm_that_follows_has_a_second_to_brake_at_the_end(self, node):
+        begin = clock.monotonic()
+        node._brake()
+        assert clock.monotonic() - begin == pytest.approx(1.0, abs=0.015)
+
+    def test_a_robot_that_does_not_answer_is_probed_for_twelve_seconds_and_then_connected_anew(self, node):
+        times = [clock.monotonic()]
+
+        def again():
+            times.append(clock.monotonic())
+            node._switches.request_exit()
+            raise NoServer("nobody answers")
+
+        node._link = SimpleNamespace(arm=None, close=lambda: times.append(clock.monotonic()), again=again)
+        assert not node._stand_by(ReplyTimeout("silent"))
+        assert np.diff(times).tolist() == [pytest.approx(12.5, abs=0.1), pytest.approx(0.5, abs=0.06)]
+
+    def test_a_motion_that_the_loop_does_not_start_is_aborted_after_a_second(self, ros, monkeypatch):
         from kuka_control.ros.moves import MoveServer
 
         server, step = MoveServer(None, None), Step(Wait(), "home", "It is busy.", ())
