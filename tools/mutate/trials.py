@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -31,7 +32,7 @@ START_S, PATIENCE = 60.0, 4.0
 
 @dataclass(frozen=True)
 class Covering:
-    """The tests that reach a place, file by file with the cheapest file first, and the sum of their durations [s]."""
+    """The tests that reach a place, and the sum of their durations [s]: file by file, those of the package first."""
 
     tests: list[str]
     duration: float
@@ -167,13 +168,14 @@ class CoverageTable:
         """
         lines = lines or {place.file: {place.line}}
         found = set().union(*(self._tests(file, line) for file, numbers in lines.items() for line in numbers))
+        folder = re.split("/src/|/config/", place.file.removeprefix("src/"))[0]
+        own = f"src/{folder}/tests/"
         if place.file.endswith(".yaml"):
-            own = (f"{place.file.split('/config/')[0]}/tests/", GOLDEN)
-            found = {test for test in self._times if test.startswith(own)}
+            found = {test for test in self._times if test.startswith((own, GOLDEN))}
         found = found or self._tests(place.file, None)
         tests: list[str] = []
         duration = 0.0
-        for test in sorted(found & self._times.keys(), key=lambda name: self._times[name]):
+        for test in sorted(found & self._times.keys(), key=lambda name: (not name.startswith(own), self._times[name])):
             if tests and duration + self._times[test] > self._limit:
                 break
             tests.append(test)
@@ -181,7 +183,7 @@ class CoverageTable:
         of_file: dict[str, float] = {}
         for test in tests:
             of_file[_file(test)] = of_file.get(_file(test), 0.0) + self._times[test]
-        tests.sort(key=lambda test: (of_file[_file(test)], self._order[test]))
+        tests.sort(key=lambda test: (not test.startswith(own), of_file[_file(test)], self._order[test]))
         return Covering(tests, duration)
 
     def _tests(self, file: str, line: int | None) -> set[str]:
