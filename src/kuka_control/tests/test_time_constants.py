@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from loop_world import DT, World
+from loop_world import DT, World, shifted
 from test_controller import GOAL, LATE, Cycles, silent
 
 from common import clock
@@ -16,6 +16,9 @@ from common.poses import pose, translation
 from kst import ConnectionLost, NoServer, ReplyTimeout
 from kuka_control.loop.commands import End, Step, Wait
 from kuka_control.loop.controller import ReconnectSupervisor
+from kuka_control.loop.goal_stream import ServoStream, _cycle
+from kuka_control.loop.line_stream import LineStream
+from kuka_control.loop.servo_law import ServoLawIdentification
 from kuka_control.loop.tracking import PtpSupervision, TrackingMonitor
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream, FrameSources, skew_fault
 from kuka_control.model.switches import Switches
@@ -123,6 +126,48 @@ def test_an_exit_waits_two_seconds_for_an_arm_that_something_holds():
     world = World().run(0.1)
     world.arm.held = world.exit_requested = True
     assert first(lambda _: isinstance(world.run(DT).steps[-1].command, End)) == pytest.approx(2.0, abs=2.5 * DT)
+
+
+def test_a_pick_up_that_the_guard_refuses_is_looked_at_again_each_250_ms(monkeypatch):
+    world, times = World().at_home(), []
+
+    def refuse(*_):
+        times.append(world.now)
+        world.loop._refuse_pick_up("It is tested.", world.now)
+
+    monkeypatch.setattr(world.loop, "_resolve", refuse)
+    world.control_on = True
+    world.run(2.0, shifted(0.0, 0.0, 0.0))
+    np.testing.assert_allclose(np.diff(times), 0.25, atol=3.5 * DT)
+
+
+def test_a_line_that_something_holds_is_given_up_after_two_seconds():
+    stream = object.__new__(LineStream)
+    stream._elapsed, stream._progress, stream._limited_by, stream.fraction = 0.0, (0.0, 0.0), None, 0.0
+    assert first(stream.blocked) == pytest.approx(2.0, abs=1.5 * DT)
+
+
+@pytest.mark.parametrize(("stays", "seconds"), [(0.0, 2.12), (0.5, 2.0)], ids=["at home", "away"])
+def test_a_test_motion_is_given_up_after_two_seconds_out_or_back(stays, seconds):
+    """It is 0.5 deg, and the goal goes back in 0.12 s."""
+    identification, measured = ServoLawIdentification(new(0.0)), new(0.0)
+    measured[6] = np.radians(stays)
+    assert first(lambda now: identification.step(measured, now)[1]) == pytest.approx(seconds, abs=3.5 * DT)
+
+
+def test_an_arm_that_brakes_by_the_lts_law_is_waited_for_for_300_ms():
+    stream, stopped = object.__new__(ServoStream), SimpleNamespace(q=new(0.0))
+    stream._limits = SimpleNamespace(at_rest=True, brake=lambda _: stopped)
+    stream._lts, stream._time, stream._stands_at, stream._settled = object(), 0.0, None, False
+    stream._for_robot = lambda limited, *_: limited
+    assert first(lambda now: stream.brake(new(1.0), now) is None) == pytest.approx(0.3, abs=2.5 * DT)
+
+
+@pytest.mark.parametrize(
+    ("dt", "stall", "found"), [(0.099, 0.0, 0.099), (0.101, 0.0, 0.01), (0.599, 0.6, 0.599), (0.601, 0.6, 0.01)]
+)
+def test_a_gap_of_100_ms_beside_stalls_of_half_a_second_is_crossed_in_a_cycle(dt, stall, found):
+    assert _cycle(dt, stall) == found
 
 
 def test_another_node_takes_a_frame_over_after_a_second():
