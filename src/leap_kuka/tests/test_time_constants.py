@@ -15,6 +15,7 @@ from leap_kuka.teleop import ArmTeleop, StreamState
 from leap_motion.frames import TrackingFrame
 
 DT = 0.01
+NO_DEVICE = {"device": "", "enable_key": "", "clutch_key": "", "joy_clutch_button": -1, "debounce": 0.05}
 
 
 def first(condition, longest=10.0):
@@ -42,8 +43,7 @@ def test_a_device_is_silent_after_250_ms_and_has_left_after_two_seconds():
 
 
 def test_a_gamepad_is_lost_after_half_a_second():
-    values = dict(device="", enable_key="", clutch_key="", joy_enable_button=4, joy_clutch_button=5)
-    values["debounce"] = 0.05
+    values = {**NO_DEVICE, "joy_enable_button": 4, "joy_clutch_button": 5}
     operator = OperatorInput(parse(OperatorInputConfig, values, ""))
     operator.gamepad.take([0] * 6, -0.2)
     operator.gamepad.take([0, 0, 0, 0, 1, 0], -0.1)
@@ -136,3 +136,21 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
     clock.sleep(0.03)
     with pytest.raises(ValueError, match="0.5 s old"):
         measured()
+
+
+@pytest.mark.ros
+def test_an_operators_device_reports_ten_times_a_second(virtual_graph):
+    import rospy
+
+    from leap_kuka.ros.operator_input_node import OperatorInputNode
+    from rig_msgs.msg import OperatorInput as Message
+
+    messages = virtual_graph.record("leap_kuka/operator_input", Message)
+
+    def node():
+        rospy.init_node("operator_input_node")
+        OperatorInputNode(parse(OperatorInputConfig, {**NO_DEVICE, "joy_enable_button": 4}, "")).run()
+
+    virtual_graph.start("operator_input_node", node)
+    clock.sleep(2.0)
+    np.testing.assert_allclose(np.diff([m.header.stamp.to_sec() for m in messages]), 0.1, atol=0.011)
