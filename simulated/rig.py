@@ -16,6 +16,7 @@ import runpy
 import signal
 import sys
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -134,8 +135,8 @@ class VirtualRig(real.RigUnderTest):
     def run_command(self, *command: str) -> Node:
         """Starts a program of the workspace, or a module."""
         if command[:2] == (sys.executable, "-m"):
-            module = command[2]
-            node = self.graph.start(module, lambda: runpy.run_module(module, run_name="__main__"), *command[2:])
+            path = str(find_spec(command[2]).origin)
+            node = self.graph.start(command[2], lambda: runpy.run_path(path, run_name="__main__"), *command[2:])
         else:
             assert command[0] == "rosrun", command
             node = self.graph.run(*command[1:])

@@ -15,6 +15,7 @@ pytest.importorskip("rig_msgs.srv")
 from campaign import rows, run, trial
 from campaign.rig import RigUnderTest
 from campaign.virtual import judged
+from leap_rig.recording.ros import record_program
 from simulated.graph import Graph
 from simulated.rig import VirtualRig
 
@@ -32,7 +33,8 @@ def ids(entries, marks=lambda entry: ()):
 
 
 @pytest.mark.parametrize("entry", ids(VIRTUAL, lambda entry: () if entry.dangerous else pytest.mark.long))
-def test_in_virtual_time(entry):
+def test_in_virtual_time(entry, monkeypatch):
+    monkeypatch.setattr(record_program, "_commit", lambda _: "")  # which starts git
     found = judged(entry)
     assert found.faults == []
     time = TIMES[str(entry.number)]
