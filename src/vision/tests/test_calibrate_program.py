@@ -84,12 +84,14 @@ def still_scene(virtual_graph, tmp_path):
 
 @pytest.fixture
 def calibrate(virtual_graph):
-    """Runs the program, and returns its exit code and its output."""
+    """Runs the program, and returns its exit code and its output; `seconds` is how long it ran."""
 
     def run(*options, answers=()):
         program = virtual_graph.run("vision", "calibrate_camera.py", *options)
+        begun = clock.monotonic()
         program.stdin = io.StringIO("".join(f"{answer}\n" for answer in answers))
         code = program.wait(600.0)
+        run.seconds = clock.monotonic() - begun
         assert "Traceback" not in program.log, program.log
         return code, program.log
 
@@ -150,6 +152,14 @@ def test_a_refused_calibration_is_shown_before_the_program_ends(virtual_graph, c
     assert marker.ns == "new"
 
 
+def test_a_viewer_that_does_not_connect_is_waited_for(virtual_graph, calibrate, still_scene, tmp_path):
+    from std_msgs.msg import String
+
+    virtual_graph.record("camera_calibration/markers", String)
+    code, _ = calibrate("--again", str(file_of_views(tmp_path)))
+    assert code == 1 and calibrate.seconds == pytest.approx(5.0, abs=0.1)
+
+
 def file_of_views(tmp_path, board=T_FLANGE_BOARD, **head):
     """A file with good views of this rig, or of one that `head` changes, with the board at T_flange_board."""
     from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
@@ -200,6 +210,12 @@ def test_by_hand_with_nobody_moving_the_arm(calibrate, still_scene):
     assert "1 views are too few" in log
 
 
+def test_by_hand_a_board_that_is_not_seen_is_waited_for(calibrate, still_scene):
+    still_scene.measured, still_scene.visible = True, False
+    _, log = calibrate("--by-hand", answers=("", "q"))
+    assert "not taken" in log and calibrate.seconds == pytest.approx(6.2, abs=0.2)
+
+
 def test_by_hand_an_arm_that_moves_gives_no_view(calibrate, still_scene):
     begun = clock.monotonic()
     still_scene.measured = True
@@ -222,6 +238,7 @@ def test_by_hand_without_a_controller(calibrate, still_scene):
     code, log = calibrate("--by-hand", answers=("", "q"))
     assert code == 1
     assert "calibrate_camera: tf has no path from kuka/base_frame" in log and "--ip" in log
+    assert calibrate.seconds == pytest.approx(3.0, abs=0.1)
 
 
 def test_by_hand_the_program_asks_the_arm_itself(calibrate, scene, arm):
