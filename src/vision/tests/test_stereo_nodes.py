@@ -78,7 +78,9 @@ def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(virtual
     page = connect(URL)
     clock.sleep(REFRESH_S + SOON_S)
     assert camera.watched()
-    camera.publish()
+    for _ in range(2):  # the depth of the first one may come behind it
+        camera.publish()
+        clock.sleep(0.02)
     said, jpeg = ask(page)
     assert said["picture"] and said["deep"] and "rows" not in said and "hands" not in said
     both = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
