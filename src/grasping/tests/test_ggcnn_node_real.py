@@ -49,5 +49,6 @@ def test_interrupted_it_ends_whatever_it_does(ros, wait_until, moment):
     }[moment]
     wait_until(condition, PATIENCE_S, moment)
     process.send_signal(signal.SIGINT)
-    assert process.wait(PATIENCE_S) == (-signal.SIGINT if moment == "its libraries load" else 0)
+    code = process.wait(PATIENCE_S)
+    assert code == 0 or (code == -signal.SIGINT and moment == "its libraries load")
     assert "Traceback" not in process.log_path.read_text()
