@@ -12,6 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common import clock
+from leap_motion.client import LeapClient
+from rig_simulation.devices.leap.server import SimulatedLeapService
+from rig_simulation.operator.motion import Script
+from rig_simulation.operator.sources import Playback, ScriptedOperator
 from simulated.clock import virtual_time
 from simulated.event_loop import EventLoop, Outcome
 from simulated.wires import DELAY_S, Wires
@@ -222,3 +226,23 @@ def test_only_addresses_of_this_machine_can_be_served(wires):
         assert wires.serve((host, 0)).family == socket.AF_INET
     with pytest.raises(OSError, match="assign requested address"):
         wires.serve(("192.0.2.1", 0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_seed_makes_one_run(seed):
+    def traced():
+        with pytest.MonkeyPatch.context() as patch, virtual_time(seed, trace=True) as scheduler:
+            Wires(scheduler).stand_in(patch)
+            service = SimulatedLeapService(Playback(ScriptedOperator(Script())), "127.0.0.1", 0, 0)
+            thread = clock.Thread(target=service.run, daemon=True)
+            thread.start()
+            clients = [LeapClient(port=service.port, runtime=clock) for _ in range(2)]
+            clock.sleep(0.5)
+            for client in clients:
+                client.close()
+            service.stop()
+            thread.join()
+        return scheduler.trace
+
+    first = traced()
+    assert len(first) > 200 and traced() == first
