@@ -47,7 +47,6 @@ TIMES = {
     "vision/config/camera_watchdog.yaml": "silence",
     "vision/src/vision/ros/stereo/web_node.py": "SILENCE_S",
     "grasping/src/grasping/pipeline/tool_pose.py": "RETRY_S",
-    "grasping/src/grasping/ros/reach_client.py": "POLL_S",
     "grasping/config/execution.yaml": "silence wait_for_hand",
     "grasping/config/ggcnn.yaml": "max_age silence",
 }

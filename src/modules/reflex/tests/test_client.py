@@ -199,3 +199,13 @@ def test_the_drivers_parameters_have_the_clients_defaults(config_folder):
     shipped = yaml.safe_load((config_folder / "reflex_takktile.yaml").read_text())
     values = {**shipped, "network_interface": "lo", "port": 1, "calibration_folder": "x"}
     assert parse(ReflexDriverConfig, values).settings() == HandSettings()
+
+
+def test_a_speed_that_is_not_set_is_given_up_after_two_seconds(wire, hand_of, monkeypatch):
+    with hand_of() as hand:
+        monkeypatch.setattr(ReflexHand, "status", HandStatus.CHANGING_SPEED)
+        began = clock.monotonic()
+        with pytest.raises(CommandRefused, match="within 2 s"):
+            hand.set_speed((1.0, 1.0, 1.0, 1.0))
+        assert clock.monotonic() - began == pytest.approx(2.0, abs=LOOP_S)
+        monkeypatch.undo()
