@@ -12,8 +12,10 @@ from test_controller import GOAL, LATE, Cycles, silent
 
 from common import clock
 from common.errors import DeviceError
+from common.frames import ONE_ARM
 from common.poses import pose, translation
 from kst import ConnectionLost, NoServer, ReplyTimeout
+from kuka_control.loop.algorithms import real_time_loop
 from kuka_control.loop.commands import End, Step, Wait
 from kuka_control.loop.controller import ReconnectSupervisor
 from kuka_control.loop.goal_stream import ServoStream, _cycle
@@ -276,6 +278,26 @@ class TestNodes:
         with pytest.raises(NoServer):
             link.again()
         assert tries[-1][1] == 2.0
+
+    def test_the_loop_looks_each_25_ms_at_least_whatever_is_published(self, ros, monkeypatch):
+        import rospy
+
+        from golden.chain import Run, World
+        from kuka_control.ros.controller_node import _Node
+        from kuka_control.ros.state_publisher import GoalPublisher
+
+        slow = {"rate_joints": 10.0, "rate_servo": 100.0, "rate_state": 10.0}
+        world, times = World(Run("at rest", ((0.0, ""),), settings={"kuka": slow})), []
+        monkeypatch.setattr(world.arm, "read", lambda: times.append(clock.monotonic()))
+
+        def main():
+            rospy.init_node("kuka_real_time_node")
+            link = SimpleNamespace(arm=world.arm, goals=GoalPublisher(), close=lambda: None)
+            _Node(world.config, world.rig, link, lambda: real_time_loop(world.config, world.rig), ONE_ARM).spin(None)
+
+        ros.start("kuka_real_time_node", main)
+        clock.sleep(6.0)  # with the test motion at home, which the arm does not make
+        np.testing.assert_allclose(np.diff(times[-20:]), 0.025, atol=1e-6)
 
     @pytest.fixture
     def node(self, ros):
