@@ -120,56 +120,36 @@ def screen(application, processes, tmp_path, wait_until):
     return Screen(tmp_path, number[1], wait_until)
 
 
-class Panel:
-    """The program, started as `rosrun` does."""
-
-    def __init__(self, process, wait_until):
-        self.process, self._wait_until = process, wait_until
-
-    @property
-    def log(self):
-        return self.process.log_path.read_text()
-
-    def wait_for_end(self):
-        self._wait_until(lambda: self.process.poll() is not None, LONG_S, "the end of the panel")
-        assert "Traceback" not in self.log, self.log
-        return self.process.returncode
-
-
 @pytest.fixture
-def panel(screen, processes, wait_until):
-    """Starts the program on the screen, at the given ROS master or at the tests' own."""
-    started = []
+def panel(screen, processes):
+    """Starts the program on the screen."""
 
-    def start(uri=None):
-        env = {"DISPLAY": screen.display, "QT_QPA_PLATFORM": "xcb", **({"ROS_MASTER_URI": uri} if uri else {})}
-        started.append(Panel(processes.start("rosrun", "kuka_control", "gui.py", env=env), wait_until))
+    def start(**env):
+        env = {"DISPLAY": screen.display, "QT_QPA_PLATFORM": "xcb", **env}
+        process = processes.start("rosrun", "kuka_control", "gui.py", env=env)
         screen.wait_for_panel()
-        return started[-1]
+        return process
 
-    yield start
-    for one in started:
-        assert "Traceback" not in one.log, one.log
+    return start
 
 
-@pytest.fixture
-def fake(processes):
-    return lambda: processes.start(sys.executable, FAKE)
+def assert_ends_well(process):
+    assert process.wait(LONG_S) == 0, process.log_path.read_text()
+    assert "Traceback" not in process.log_path.read_text(), process.log_path.read_text()
 
 
-def test_a_person_clicks_presses_a_key_and_closes_the_window(ros, screen, panel, fake, wait_until):
+def test_a_person_clicks_presses_a_key_and_closes_the_window(ros, screen, panel, processes):
     shown = panel()
     screen.wait_for("control", LOCKED)
-    controller = fake()
+    controller = processes.start(sys.executable, FAKE)
     screen.wait_for("control", GREY)
     screen.click("control")  # leaves the focus on Emergency Stop
     screen.wait_for("control", GREEN)
     screen.key("space")
-    wait_until(lambda: controller.poll() is not None, LONG_S, "the end of the controller")
-    assert controller.returncode in (2, -signal.SIGKILL)  # one that does not end in time is killed
+    assert controller.wait(LONG_S) in (2, -signal.SIGKILL)  # one that does not end in time is killed
     screen.wait_for("control", LOCKED)
     ask_to_close(screen.display, int(screen.window))
-    assert shown.wait_for_end() == 0
+    assert_ends_well(shown)
 
 
 def test_interrupted_it_ends_although_the_master_hangs(screen, panel, processes, free_port, wait_until):
@@ -182,13 +162,13 @@ def test_interrupted_it_ends_although_the_master_hangs(screen, panel, processes,
             return master.getPid("/test")[2]
 
     pid = wait_until(process_of_the_master, LONG_S, "the ROS master")
-    shown = panel(uri)
+    shown = panel(ROS_MASTER_URI=uri)
     screen.wait_for("status", NORMAL)
     os.kill(pid, signal.SIGSTOP)
     try:
         screen.wait_for("status", WARNING)
-        shown.process.send_signal(signal.SIGINT)
-        assert shown.wait_for_end() == 0
+        shown.send_signal(signal.SIGINT)
+        assert_ends_well(shown)
     finally:
         os.kill(pid, signal.SIGCONT)
 
