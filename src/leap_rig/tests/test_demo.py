@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import signal
 from pathlib import Path
@@ -18,9 +17,7 @@ pytestmark = pytest.mark.ros
 
 END_S = 30.0
 """Longest time that a node may take to its end."""
-PORTS = itertools.count(26000, 2)  # those of a second arm are the next ones
-PORT_NAMES = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_port", "hand_control_port",
-              "world_port", "camera_control_port")  # fmt: skip
+ROBOT_CONTROL_PORT, WORLD_PORT = 30011, 30021
 CEILING = Path(__file__).parents[2] / "kuka_control" / "config" / "ceiling.yaml"
 WITHOUT_WORLD = {"world": "false"}
 """For tests in which nothing is touched: physics takes time."""
@@ -54,28 +51,20 @@ class LaunchParent:
             listener.process_died(f"{name}-1", node.returncode)
 
 
-class Demo:
-    """A demo that runs."""
-
-    def __init__(self, graph, report, arguments, launch):
-        self.ports = {name: next(PORTS) for name in PORT_NAMES}
-        self._report = report
-        words = [f"{name}:={value}" for name, value in {**self.ports, **launch}.items()]
-        self.node = graph.run("leap_rig", "demo.py", "--headless", "--report", str(report), *arguments, "--", *words)
-
-    def end(self, seconds, code=0):
-        """Waits for its end, and returns the report."""
-        assert self.node.wait(seconds) == code, self.node.log
-        return json.loads(self._report.read_text())
+def report_of(demo, seconds, code=0):
+    """Waits for the end of a demo, and returns its report."""
+    assert demo.wait(seconds) == code, demo.log
+    return json.loads(Path(demo.argv[demo.argv.index("--report") + 1]).read_text())
 
 
 @pytest.fixture
 def demo(virtual_graph, monkeypatch, tmp_path):
-    """Starts a demo."""
+    """Starts a demo; returns its node."""
     from leap_rig.ros import demo
     from simulated.hand_wire import HandNetwork
 
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    monkeypatch.setenv("ROSCONSOLE_FORMAT", "")  # which it changes
     monkeypatch.setattr(
         demo.roslaunch.parent, "ROSLaunchParent",
         lambda _, files, process_listeners, **__: LaunchParent(virtual_graph, files, process_listeners),
@@ -83,8 +72,11 @@ def demo(virtual_graph, monkeypatch, tmp_path):
     monkeypatch.setattr(demo.roslaunch.rlutil, "get_or_generate_uuid", lambda *_: "")
     monkeypatch.setattr(demo.rosgraph, "is_master_online", lambda: True)
     monkeypatch.setattr(demo, "end_closed_servers", lambda: None)
+    words = ("leap_rig", "demo.py", "--headless", "--report", str(tmp_path / "report.json"))
     with HandNetwork():
-        yield lambda *arguments, **launch: Demo(virtual_graph, tmp_path / "report.json", arguments, launch)
+        yield lambda *arguments, **launch: virtual_graph.run(
+            *words, *arguments, "--", *(f"{name}:={value}" for name, value in launch.items())
+        )
 
 
 def assert_sound(summary):
@@ -96,7 +88,7 @@ def assert_sound(summary):
 
 
 def test_the_simulated_operator_picks_a_cup_up_and_puts_it_down(demo):
-    summary = demo("--scenario", "pick_cup").end(60.0)
+    summary = report_of(demo("--scenario", "pick_cup"), 60.0)
     assert_sound(summary)
     assert summary["scenario"]["step"] == "done" and summary["duration_s"] == pytest.approx(22.0, abs=1.5)
     cup = summary["objects"]["cup"]
@@ -108,18 +100,27 @@ def test_the_simulated_operator_picks_a_cup_up_and_puts_it_down(demo):
 
 def test_an_arm_that_hangs_from_the_ceiling_follows(demo):
     options = {"mounting": "180 0 0", "overrides": CEILING, "leap_args": "--figure line --size 40"}
-    summary = demo("--duration", "10", **options, **WITHOUT_WORLD).end(40.0)
+    summary = report_of(demo("--duration", "10", **options, **WITHOUT_WORLD), 40.0)
     assert_sound(summary)
     assert summary["tracking_error"]["commanded"]["rms_mm"] < 3.0
 
 
+def test_two_arms_follow_a_hand_each(demo):
+    summary = report_of(demo("--duration", "5", robots=2, leap_args="--figure line --size 40"), 40.0, code=1)
+    assert summary["nodes_died"] == [] and set(summary["arms"]) == {"left", "right"}
+    for part in summary["arms"].values():
+        assert part["faults"] == ["The robot hand never moved."], "there was no time for that"
+        assert part["streams"] and part["safety_stops"] == 0 and part["tool_path_m"] > 0.2
+        assert part["tracking_error"]["commanded"]["rms_mm"] < 3.0
+
+
 def test_with_control_off_nothing_moves_and_a_dead_node_is_named(demo, virtual_graph):
     running = demo(auto_start="false", **WITHOUT_WORLD)
-    virtual_graph.wait_until(lambda: "Ready" in running.node.log, 30.0, "the arm at home")
+    virtual_graph.wait_until(lambda: "Ready" in running.log, 30.0, "the arm at home")
     clock.sleep(3.0)
     (teleop,) = (node for node in virtual_graph.nodes if node.name == "/leap_teleop")
     teleop.send_signal(signal.SIGKILL)
-    summary = running.end(5.0, code=1)
+    summary = report_of(running, 5.0, code=1)
     *dead, follows, moves = summary["faults"]
     assert "leap_teleop" in " ".join(dead) and "arm never followed" in follows and "hand never moved" in moves
     assert summary["tool_path_m"] < 1e-3
@@ -128,17 +129,17 @@ def test_with_control_off_nothing_moves_and_a_dead_node_is_named(demo, virtual_g
 @pytest.mark.long
 def test_the_simulated_operator_plays_the_tutorial(demo):
     running = demo("--tutorial", "--language", "de", **WITHOUT_WORLD)
-    summary = running.end(60.0)
+    summary = report_of(running, 60.0)
     assert_sound(summary)
     assert summary["scenario"] == {"scenario": "tutorial", "step": "done", "failure": ""}
     names = ("Hand flach halten", "Auf Grün warten", "Langsam bewegen", "Finger schließen", "Hand neigen")
-    ticks = [running.node.log.index(f"✔ {name}") for name in (*names, "Hand wegnehmen")]
+    ticks = [running.log.index(f"✔ {name}") for name in (*names, "Hand wegnehmen")]
     assert ticks == sorted(ticks)
 
 
 @pytest.mark.parametrize("scenario", ["clutch", pytest.param("two_hands", marks=pytest.mark.long)])
 def test_the_simulated_operator_clutches_and_continues_from_there(demo, scenario):
-    summary = demo("--scenario", scenario).end(60.0)
+    summary = report_of(demo("--scenario", scenario), 60.0)
     report = summary["scenario"]
     assert report["step"] == "done" and summary["faults"] == [] and summary["returns_home"] == 0
     assert report["clutched"] == "3" and float(report["travel_mm"]) > 200.0
@@ -148,7 +149,7 @@ def test_the_simulated_operator_clutches_and_continues_from_there(demo, scenario
 
 
 def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo):
-    summary = demo("--scenario", "wall").end(60.0)
+    summary = report_of(demo("--scenario", "wall"), 60.0)
     report = summary["scenario"]
     assert summary["faults"] == [] and report["step"] == "done" and report["way_back"] == "true"
     assert float(report["smallest_mm"]) > 29.0 and float(report["held_s"]) == pytest.approx(8.5, abs=1.0)
@@ -156,7 +157,7 @@ def test_the_collision_guard_holds_the_tool_before_a_wall_and_lets_it_back(demo)
 
 @pytest.mark.long
 def test_a_proposed_grasp_is_corrected_by_hand_lifted_and_put_down(demo):
-    summary = demo("--scenario", "assisted_grasp").end(200.0)
+    summary = report_of(demo("--scenario", "assisted_grasp"), 200.0)
     assert summary["scenario"]["step"] == "done" and summary["faults"] == []
     (grasp,) = summary["grasps"]
     assert grasp["executed"] >= 1 and grasp["held"] and grasp["lifted_mm"] > 100.0
@@ -178,8 +179,8 @@ def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(
 
     running = demo("--scenario", "hand_over", robots=2, arm_choice="service")
     choose = rospy.ServiceProxy("leap_kuka/choose_arm", ChooseArm)
-    virtual_graph.wait_until(lambda: "Ready" in running.node.log, 30.0, "the arms at home")
-    left, world = (ControlClient("127.0.0.1", running.ports[name]) for name in ("robot_control_port", "world_port"))
+    virtual_graph.wait_until(lambda: "Ready" in running.log, 30.0, "the arms at home")
+    left, world = (ControlClient("127.0.0.1", port) for port in (ROBOT_CONTROL_PORT, WORLD_PORT))
     virtual_graph.wait_until(lambda: held_by_left_alone(world), 30.0, "the box in the left hand")
     answer = choose("middle")
     assert not answer.success and "the arm is 'middle', but must be left, right or both" in answer.message
@@ -190,7 +191,7 @@ def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(
         clock.sleep(0.2)
         np.testing.assert_allclose(left.ask("state")["joints"], before, atol=1e-3)
     assert choose("both").success
-    summary = running.end(120.0)
+    summary = report_of(running, 120.0)
     assert summary["faults"] == [] and set(summary["arms"]) == {"left", "right"}
     for part in summary["arms"].values():
         assert part["scenario"]["step"] == "done" and part["streams"] and part["safety_stops"] == 0
