@@ -163,10 +163,11 @@ class CoverageTable:
     def of(self, place: Place, lines: dict[str, set[int]] | None = None) -> Covering:
         """Returns the tests of a place, or of lines by their files.
 
-        What runs when the module is imported, such as a constant, belongs to no test: then those of the whole file
-        are taken. Those of a file of parameters are the tests of its package, and the golden ones.
+        What runs when the module is imported, such as a constant, belongs to no test or to the first one: then those
+        of the whole file are taken. Those of a file of parameters are the tests of its package, and the golden ones.
         """
-        lines = lines or {place.file: {place.line}}
+        if lines is None:
+            lines = {place.file: {place.line}} if place.function else {}
         found = set().union(*(self._tests(file, line) for file, numbers in lines.items() for line in numbers))
         folder = re.split("/src/|/config/", place.file.removeprefix("src/"))[0]
         own = f"src/{folder}/tests/"
@@ -193,7 +194,7 @@ class CoverageTable:
             f"JOIN context ON context.id = line_bits.context_id WHERE file.path = ? {condition}"
         )
         values = (str(self._tree / file), *(() if line is None else (line,)))
-        return {name for (name,) in self._database.execute(query, values)}
+        return {name for (name,) in self._database.execute(query, values) if name}
 
 
 def _file(test: str) -> str:
