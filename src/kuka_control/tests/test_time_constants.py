@@ -279,6 +279,30 @@ class TestNodes:
             link.again()
         assert tries[-1][1] == 2.0
 
+    def test_a_program_gives_up_a_motion_of_which_nothing_is_reported_for_five_seconds(self, ros, monkeypatch):
+        from kuka_control.ros import move_program
+
+        class Client:
+            def __init__(self, *_):
+                self.began = clock.monotonic()
+
+            def wait_for_server(self, _):
+                return True
+
+            def send_goal(self, _, feedback_cb):
+                self.show = feedback_cb
+
+            def wait_for_result(self, duration):
+                clock.sleep(duration.to_sec())
+                if clock.monotonic() < self.began + 2.0:
+                    self.show(SimpleNamespace(left=0.1, fraction=0.5))
+
+        monkeypatch.setattr(move_program, "ActionClient", Client)
+        begin = clock.monotonic()
+        with pytest.raises(DeviceError, match="reported nothing for 5 s"):
+            move_program.carry_out(SimpleNamespace(straight=True))
+        assert clock.monotonic() - begin == pytest.approx(7.0, abs=0.21)
+
     def test_the_loop_looks_each_25_ms_at_least_whatever_is_published(self, ros, monkeypatch):
         import rospy
 

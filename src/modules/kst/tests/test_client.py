@@ -327,11 +327,12 @@ def test_main_thread_getters_are_not_sent_when_nobody_would_answer(server, conne
 
 def test_modes_that_exclude_each_other(server, connect):
     client = connect()
-    for feedback in Feedback:
+    for goal, feedback in itertools.product((client.servo, client.stream), Feedback):
         with pytest.raises(WrongMode):
-            client.servo(HOME, feedback)
-    with pytest.raises(WrongMode):
-        client.stop_joint_servo()
+            goal(HOME, feedback)
+    for of_servo_mode in (client.stop_joint_servo, client.stream_joints):
+        with pytest.raises(WrongMode):
+            of_servo_mode()
     assert server.words() == ["TFtrans"]
     client.start_joint_servo()
     for start in (lambda: client.start_ptp_joints(HOME, 0.5), client.start_joint_servo):
