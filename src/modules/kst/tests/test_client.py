@@ -1,5 +1,6 @@
 """What the client says, refuses and reports, against a scripted server."""
 
+import itertools
 import math
 
 import numpy as np
