@@ -191,8 +191,8 @@ def test_what_it_publishes(ros, camera, calibrated):
         side = 600 if name == "img/heat_map" else 300
         assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
         assert np.isfinite(np.asarray(array_from_image(message), float)).all()
-    grippers = [m for m in got["markers"][-1].markers if m.ns == "grasps" and m.points]
-    assert [len(m.points) for m in grippers] == [8] * len(grippers)
+    grippers, labels = ([m for m in got["markers"][-1].markers if m.ns == ns and m.id] for ns in ("grasps", "labels"))
+    assert {len(m.points) for m in grippers} == {8} and [m.id for m in labels] == [m.id for m in grippers]
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
     assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))
