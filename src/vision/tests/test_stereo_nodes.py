@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import shutil
@@ -15,6 +16,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+import websockets.asyncio.client
 from chromium import browser
 from depth_scene import RGB, load
 from stereo_camera import REMAPS, Camera
@@ -180,14 +182,23 @@ def start_program(ros, wait_until, certificate="", key="", **view):
     return node, wait_until(address, 30.0, "the address of the page")
 
 
-def pages_of(address, certificate):
-    """Asks for the page; returns a function that opens one of its sockets."""
+def page_of(address, certificate, **messages):
+    """Asks for the page, and sends a message on each of its sockets; returns the first answers.
+
+    By asyncio: OpenSSL loses what one thread sends while another reads the session tickets of a new connection.
+    """
     assert address.startswith("https://")
     trust = ssl.create_default_context(cafile=certificate)
     with urllib.request.urlopen(address, timeout=60.0, context=trust) as answer:
         assert answer.read() == Path(PAGE).read_bytes()
-    socket = address.replace("https", "wss")
-    return lambda path: connect(socket + path, ssl=trust, origin=address.rstrip("/"), open_timeout=60.0)
+    options = {"ssl": trust, "origin": address.rstrip("/"), "open_timeout": 60.0}
+
+    async def exchange(path, message):
+        async with websockets.asyncio.client.connect(address.replace("https", "wss") + path, **options) as page:
+            await page.send(message)
+            return json.loads(await page.recv())
+
+    return [asyncio.run(exchange(path, message)) for path, message in messages.items()]
 
 
 @pytest.mark.real
@@ -200,9 +211,8 @@ def test_with_a_certificate_the_program_serves_by_https_until_ctrl_c(ros, proces
         check=True, capture_output=True, timeout=60.0,
     )  # fmt: skip
     node, address = start_program(ros, wait_until, certificate, key)
-    with pages_of(address, certificate)("pictures") as page:
-        assert ask(page)[0] == {"picture": False}
-        assert processes.end(node, timeout=30.0) == 0
+    assert page_of(address, certificate, pictures="next") == [{"picture": False}]
+    assert processes.end(node, timeout=30.0) == 0
     assert "Traceback" not in node.log_path.read_text()
 
 
@@ -222,12 +232,10 @@ def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
     endpoint = transport.HandsEndpoint(HandStream(0.4, 0.35), served, lambda: scene, said.append)
     web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35), endpoint.converse)
     try:
-        open_page = pages_of(web.address, str(tmp_path / "leap_rig" / "headset" / "certificate.pem"))
-        with open_page("pictures") as page:
-            assert ask(page)[0] == {"picture": False, "hands": True}
-        with open_page("hands") as page:
-            page.send(json.dumps({"secret": said[0].rstrip(".")[-6:]}))
-            assert json.loads(page.recv(timeout=60.0))["drives"]
+        certificate = str(tmp_path / "leap_rig" / "headset" / "certificate.pem")
+        secret = json.dumps({"secret": said[0].rstrip(".")[-6:]})
+        picture, hands = page_of(web.address, certificate, pictures="next", hands=secret)
+        assert picture == {"picture": False, "hands": True} and hands["drives"]
     finally:
         web.close()
 
