@@ -31,21 +31,17 @@ EASY = {
 
 @pytest.fixture
 def demo(processes, free_port, tmp_path):
-    """Starts the demo on free ports with a master of its own; returns the process and where its report will be."""
+    """Starts the demo on free ports with a master of its own; returns the process, which has its report and ports."""
 
     def start(*arguments: str, within: tuple[str, ...] = (), easy: bool = True, **launch):
         report, overrides = tmp_path / "report.json", tmp_path / "overrides.yaml"
         overrides.write_text(yaml.safe_dump(EASY))
-        ports = (
-            "robot_port",
-            "robot_control_port",
-            "leap_port",
-            "leap_control_port",
-            "hand_control_port",
-            "world_port",
-            "camera_control_port",
-        )
-        launch = {**{name: free_port() for name in ports}, "hand_port": free_port(socket.SOCK_DGRAM), **launch}
+        ports = ("robot", "robot_control", "leap", "leap_control", "hand_control", "world", "camera_control")
+        launch = {
+            **{f"{name}_port": free_port() for name in ports},
+            "hand_port": free_port(socket.SOCK_DGRAM),
+            **launch,
+        }
         if easy:
             launch = {"overrides": overrides, "leap_args": "--frame-rate 60", **launch}
         master = f"http://localhost:{free_port()}"
@@ -114,6 +110,8 @@ def test_a_scripted_hand_moves_arm_and_hand_until_ctrl_c_and_nothing_is_left_beh
     assert process.poll() is None, read()
     with ControlClient("127.0.0.1", process.ports["hand_control_port"], 60.0) as hand:
         wait_until(lambda: max(hand.ask("state")["angles"]) > 1.0, 90.0, "the robot hand to close")
+    lines = read().count(" s | arm ")
+    wait_until(lambda: read().count(" s | arm ") > lines, 90.0, "the demo to have seen that")
     sockets = listening({process.pid, *descendants(process.pid)})
     assert {program for _, _, program in sockets} >= {"rosmaster", "rosout", "leapd.py"}
     outside = {entry for entry in sockets if not entry[1].startswith("127.") and entry[1] != HAND_GROUP}
