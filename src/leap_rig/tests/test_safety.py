@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-pytest.importorskip("rospy")
+pytest.importorskip("kuka_msgs")
 import rospy
 
 from common import clock
