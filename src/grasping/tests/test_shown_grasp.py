@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -126,10 +125,8 @@ class Keyboard:
 
 
 @pytest.fixture
-def keyboard(ros, monkeypatch):
-    keyboard = Keyboard()
-    monkeypatch.setattr(sys, "stdin", keyboard)
-    return keyboard
+def keyboard():
+    return Keyboard()
 
 
 @pytest.fixture
@@ -148,7 +145,13 @@ def program(ros, keyboard, folder, monkeypatch):
     monkeypatch.setattr("tqdm.std.time", lambda: clock.time())
     rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
     words = ("cup", "--view", "camera", "--folder", str(folder))
-    return lambda *more: ros.run("grasping", "collect_shown_grasp.py", *words, *more)
+
+    def run(*more):
+        node = ros.run("grasping", "collect_shown_grasp.py", *words, *more)
+        node.stdin = keyboard
+        return node
+
+    return run
 
 
 @pytest.fixture
