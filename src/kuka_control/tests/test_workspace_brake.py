@@ -125,8 +125,14 @@ def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
     )
     own = float(np.abs(v) @ ARM.tool_point(q.tolist())[1])
     tool_speed = rng.choice([0.2, 0.7, 2.0, max(0.9 * own, 0.05), max(own, 0.05)])
+    workspace = rng.choice([WORKSPACE, None])
+    if rng.random() < 0.5:  # a joint that can just stop before its limit, or just not
+        tool_speed, workspace = 9.0, None
+        joint = np.argmax(np.abs(v))
+        v[joint] = abs(v[joint])
+        q[joint] = MODEL.upper[joint] - rng.uniform(0.2, 1.2) * v[joint] ** 2 / (2.0 * ACCELERATION[joint])
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
-    bounds = room(rng.choice([WORKSPACE, None]), tool_speed)
+    bounds = room(workspace, tool_speed)
     quick, full = (kind(change, bounds, ACCELERATION) for kind in (StoppingGuard, FullGuard))
     now = JointState(q.tolist(), v.tolist(), a.tolist())
     for _ in range(10):
