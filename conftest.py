@@ -33,7 +33,6 @@ sys.path.extend([*SOURCES, str(ROOT)])
 
 from common import clock  # noqa: E402 - needs the path above
 from common.ports import free_port  # noqa: E402
-from tools.fork_server import ForkServer  # noqa: E402
 
 # On a busy machine one example of a law may take long. Each run tries the same ones: what one finds is due to a change.
 # `HYPOTHESIS_SEARCH=1 make test-fast` tries others.
@@ -155,23 +154,10 @@ def application():
 class Process(subprocess.Popen):
     """A program that a test started; its output goes to the file `log_path`."""
 
-    _server: ForkServer | None = None
-
-    def __init__(self, command: list[str], log_path: Path, environment: dict[str, str], fork: bool) -> None:
-        self.log_path, self._environment, self._fork = log_path, environment, fork
-        if Process._server is None:
-            Process._server = ForkServer(ENVIRONMENT)
+    def __init__(self, command: list[str], log_path: Path, environment: dict[str, str]) -> None:
+        self.log_path = log_path
         with open(log_path, "wb") as log:
             super().__init__(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
-
-    def _execute_child(self, command, *others) -> None:
-        """Forks a Python program from the process that has imported its modules; anything else starts plainly."""
-        server = Process._server
-        if not (self._fork and server.fits(command, self._environment)):
-            super()._execute_child(command, *others)
-            return
-        self.pid = server.start(command, self._environment, self.log_path)
-        self._child_created = True
 
     def wait(self, timeout: float | None = None) -> int:
         """Waits for its end and returns the exit code.
@@ -189,13 +175,13 @@ class Processes:
         self._log_folder = log_folder
         self._running: list[Process] = []
 
-    def start(self, *command: str, env: dict[str, str] | None = None, fork: bool = True) -> Process:
-        """Starts a command; a program of the workspace by tools.fork_server, unless its imports are what is tested."""
+    def start(self, *command: str, env: dict[str, str] | None = None) -> Process:
+        """Starts a command, its output into a file."""
         command = _without_search(command)
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
-        if fork and command[0] in ("roslaunch", "roscore"):
+        if command[0] in ("roslaunch", "roscore"):
             command = (sys.executable, str(ROOT / "tools" / "launcher.py"), *command)
-        process = Process([*command], log_path, with_sources(env or {}), fork)
+        process = Process([*command], log_path, with_sources(env or {}))
         self._running.append(process)
         return process
 
@@ -220,9 +206,6 @@ def with_sources(changes: dict[str, str]) -> dict[str, str]:
     """Returns this process's environment with these changes, in which the packages are found without a build."""
     paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **changes}
-
-
-ENVIRONMENT = with_sources({})
 
 
 def _without_search(command: tuple[str, ...]) -> tuple[str, ...]:
@@ -311,9 +294,9 @@ class Graph:
     def __init__(self, processes: Processes) -> None:
         self._processes = processes
 
-    def run(self, package: str, executable: str, *args: str, fork: bool = True) -> Process:
+    def run(self, package: str, executable: str, *args: str) -> Process:
         """Starts a node as `rosrun` does."""
-        return self._processes.start("rosrun", package, executable, *args, fork=fork)
+        return self._processes.start("rosrun", package, executable, *args)
 
     def launch(self, package: str, file: str, **args) -> Process:
         """Starts a launch file as `roslaunch` does, all nodes at the same priority."""

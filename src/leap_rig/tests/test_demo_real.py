@@ -50,7 +50,6 @@ def demo(processes, free_port, tmp_path):
             "--", *(f"{name}:={value}" for name, value in launch.items()),
             env={"ROS_MASTER_URI": master, "ROS_HOME": str(tmp_path / "ros"),
                  "ROS_LOG_DIR": str(tmp_path / "log")},
-            fork=False,  # how it starts and ends is what is tested
         )  # fmt: skip
         process.report, process.ports = report, launch
         return process
