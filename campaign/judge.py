@@ -83,7 +83,8 @@ class Evidence:
     `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's speed [m/s]; the arm
     stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended, when the operator
     acted, and when the watch ended. `heard`: when the arm last answered, as without steps it stands, or nobody looks.
-    `failed`: what the row found wrong. `exact`: whether the times are virtual.
+    `statuses`: mode of the controller and whether control was on; `entered`: each mode that it entered. `failed`: what
+    the row found wrong. `exact`: whether the times are virtual.
     """
 
     steps: np.ndarray
@@ -94,6 +95,7 @@ class Evidence:
     operator: float | None = None
     said: list[tuple[float, str, str]] = field(default_factory=list)
     statuses: list[tuple[float, str, bool]] = field(default_factory=list)
+    entered: list[tuple[float, str]] = field(default_factory=list)
     events: list[tuple[float, str]] = field(default_factory=list)
     died: list[str] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)

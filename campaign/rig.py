@@ -72,6 +72,7 @@ class RigUnderTest:
         stream: what leap_kuka said of its stream, as (state, reason).
         said: what any node said since the last `calm`, as (monotonic time [s], topic, text).
         statuses: mode of the controller and whether control was on, as (monotonic time [s], mode, on).
+        entered: when it entered each mode, as (monotonic time [s], mode).
         exact: whether its times are virtual.
 
     Args:
@@ -106,6 +107,7 @@ class RigUnderTest:
         self.stream_state = ""
         self.said: list[tuple[float, str, str]] = []
         self.statuses: list[tuple[float, str, bool]] = []
+        self.entered: list[tuple[float, str]] = []
         self._last_said: dict[str, str] = {}
 
     def bring_up(self) -> None:
@@ -215,6 +217,7 @@ class RigUnderTest:
             self.stream,
             self.said,
             self.statuses,
+            self.entered,
             self._last_said,
         ):
             record.clear()
@@ -513,6 +516,7 @@ class RigUnderTest:
     def _take_mode(self, message: String) -> None:
         self.mode = message.data
         self.modes.append(message.data)
+        self.entered.append((clock.monotonic(), message.data))
 
     def _take_stream(self, message: DiagnosticStatus) -> None:
         self.stream_state = {v.key: v.value for v in message.values}["state"]

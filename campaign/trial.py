@@ -259,6 +259,7 @@ class Trial:
             operator=self._operator,
             said=list(self.rig.said),
             statuses=list(self.rig.statuses),
+            entered=list(self.rig.entered),
             events=list(arm.events),
             died=died,
             failed=list(self._failed),

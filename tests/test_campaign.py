@@ -341,7 +341,7 @@ class TestRows:
         from campaign.trial import Trial
 
         arm = SimpleNamespace(steps=stops(delay=0.8).tolist(), events=[], heard=clock.monotonic())
-        trial = Trial(SimpleNamespace(arm=arm, said=[], statuses=statuses(), exact=True))
+        trial = Trial(SimpleNamespace(arm=arm, said=[], statuses=statuses(), entered=[], exact=True))
         trial.begins(FAULT)
         trial.part("held", Expected("H", within=0.5))
         trial.begins(FAULT)
@@ -360,7 +360,7 @@ class TestRows:
         from campaign import trial
 
         arm = SimpleNamespace(steps=[], events=[], heard=clock.monotonic())
-        rig = SimpleNamespace(arm=arm, said=[], statuses=[], pids=dict, exact=True)
+        rig = SimpleNamespace(arm=arm, said=[], statuses=[], entered=[], pids=dict, exact=True)
         entry = trial.Row(99, "nothing", Expected("", 1.0), lambda row: row.check("fine", True))
         assert trial.run(rig, entry).faults == ["the row provoked nothing"]
         begins = dataclasses.replace(entry, provoke=lambda row: row.begins())

@@ -87,7 +87,7 @@ def test_on_the_real_rig_it_goes_as_in_virtual_time(kept_rig, entry, tmp_path):
 def modes(folder, entry):
     """Returns the modes of the controller since the fault, in their order."""
     seen = json.loads((folder / f"row_{entry.number}.json").read_text())
-    return [mode for mode, _ in itertools.groupby(mode for when, mode, _ in seen["statuses"] if when >= seen["fault"])]
+    return [mode for mode, _ in itertools.groupby(mode for when, mode in seen["entered"] if when >= seen["fault"])]
 
 
 @pytest.mark.real

@@ -241,6 +241,8 @@ def callback_raises(trial):
     trial.check("the exception is logged once, with its traceback", tracebacks == 1, tracebacks)
     trial.check("and its node lives", rig.pid(TELEOP) is not None)
     trial.recovers()
+    rig.hand.hide()
+    rig.wait_for_modes("returning", "home")
     rig.end_program(node)
 
 
