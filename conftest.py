@@ -41,8 +41,6 @@ hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, de
 hypothesis.settings.load_profile("tests")
 
 
-GOES_BY_THE_CLOCK = {"wait_until", "processes", "ros_master"}
-"""Fixtures of tests whose threads or programs have times to keep."""
 OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
 OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
 """Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
@@ -59,8 +57,6 @@ def pytest_collection_modifyitems(items):
         ]
         if hidden:  # tools/test.sh finds the files of a part by it
             raise pytest.UsageError(f"{item.nodeid}: its file must name the mark {hidden[0]!r}")
-        if item.get_closest_marker("rig") or GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
-            item.add_marker("clock")
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
 
@@ -116,7 +112,7 @@ def pytest_runtest_teardown(item, nextitem):
     yield
     if nextitem is not None and nextitem.parent is item.parent:  # else fixtures of other tests end, too
         mine = seen
-    if mine and not any(item.get_closest_marker(mark) for mark in ("clock", "real", "long")):
+    if mine and not any(item.get_closest_marker(mark) for mark in ("real", "long")):
         pytest.fail(f"it raised {sorted(mine)}: let it run in virtual time, or mark it `real`", pytrace=False)
 
 
@@ -160,12 +156,15 @@ class Process(subprocess.Popen):
             super().__init__(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Waits for its end and returns the exit code.
+        """Waits for its end and returns the exit code; `timeout` as for wait_until.
 
         Raises:
-            subprocess.TimeoutExpired: it lasts longer than PATIENCE times `timeout` seconds.
+            subprocess.TimeoutExpired: it lasts longer.
         """
-        return super().wait(None if timeout is None else PATIENCE * timeout)
+        return super().wait(None if timeout is None else max(timeout, LONGEST_S))
+
+
+END_S = 60.0  # after which a program that does not end is killed
 
 
 class Processes:
@@ -185,13 +184,13 @@ class Processes:
         self._running.append(process)
         return process
 
-    def end(self, process: Process, timeout: float = 15.0) -> int:
+    def end(self, process: Process) -> int:
         """Interrupts a process as Ctrl-C does, kills its group if that does not help, returns its exit code."""
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
             process.send_signal(signal.SIGCONT)  # a test may have suspended it
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout)
+                subprocess.Popen.wait(process, END_S)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         return process.wait(5.0)
@@ -356,23 +355,22 @@ class Recording(list):
         return self
 
 
-PATIENCE = 4.0
-"""Waits are this many times longer than a quiet machine needs: a busy one must not fail a test."""
+LONGEST_S = 240.0
+"""Longest wait for what happens by the real clock: no time that a busy machine needs, but before pytest's own limit."""
 
 
 def wait_until(condition, timeout: float, what: str, poll: float = 0.02):
-    """Waits until the condition returns something true, and returns that.
+    """Waits until the condition returns something true, and returns that, as that of a virtual graph does.
 
-    Fails the test after PATIENCE times `timeout` seconds.
+    `timeout` is what a quiet machine needs [s]; here the test fails after LONGEST_S at the earliest.
     """
-    timeout *= PATIENCE
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + max(timeout, LONGEST_S)
     while time.monotonic() < deadline:
         result = condition()
         if result:
             return result
         time.sleep(poll)
-    pytest.fail(f"waited {timeout} s in vain for {what}")
+    pytest.fail(f"waited in vain for {what}")
 
 
 @pytest.fixture(name="wait_until")

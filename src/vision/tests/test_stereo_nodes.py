@@ -212,7 +212,7 @@ def test_with_a_certificate_the_program_serves_by_https_until_ctrl_c(ros, proces
     )  # fmt: skip
     node, address = start_program(ros, wait_until, certificate, key)
     assert page_of(address, certificate, pictures="next") == [{"picture": False}]
-    assert processes.end(node, timeout=30.0) == 0
+    assert processes.end(node) == 0
     assert "Traceback" not in node.log_path.read_text()
 
 

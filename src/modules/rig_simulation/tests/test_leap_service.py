@@ -259,7 +259,7 @@ def test_the_program_says_where_it_listens_has_its_faults_and_ends_with_an_inter
     assert [(entry["name"], entry["value"]) for entry in on] == [("low_rate", 20.0)]
     leap = LeapClient(port=int(address.rpartition(":")[2]))
     assert leap.next_frame(60.0) is not None
-    assert processes.end(process, 60.0) == 0
+    assert processes.end(process) == 0
     leap.close()
     assert process.log_path.read_text() == line, "one line, and no traceback at the end"
 
