@@ -302,14 +302,6 @@ class Graph:
         arguments = [f"{k}:={v}" for k, v in args.items()]
         return self._processes.start("roslaunch", "--wait", package, file, *arguments, env={"LEAP_RIG_NICENESS": "0"})
 
-    def names(self, node: str) -> dict[str, set[str]]:
-        """Returns the topics that a node publishes and hears, and its services, but for those that every node has."""
-        import rosgraph
-
-        kinds = dict(zip(("publishes", "hears", "offers"), rosgraph.Master("/test").getSystemState()))
-        mine = {kind: {name for name, nodes in found if node in nodes} for kind, found in kinds.items()}
-        return {kind: {n for n in names if n != "/rosout" and not n.startswith(node)} for kind, names in mine.items()}
-
     def record(self, topic: str, message_type) -> list:
         """Returns a list that grows by every message on the topic, with `list.wait(count, timeout)`."""
         import rospy
@@ -324,8 +316,8 @@ SHARED_TOPICS = {"/tf", "/tf_static", "/diagnostics", "/clock"}
 
 
 def names_on_the_page(node: str, namespace: str = "") -> dict[str, set[str]]:
-    """Returns as `Graph.names` does what the handbook's page of the ROS graph says of a node of the only arm, with the
-    names that it has in a namespace, such as /left.
+    """Returns as the `names` of a virtual graph what the handbook's page of the ROS graph says of a node of the only
+    arm, with the names that it has in a namespace, such as /left.
     """
     columns = {"publishes": ("topic", 2), "hears": ("topic", 3), "offers": ("service", 2)}
     found: dict[str, set[str]] = {kind: set() for kind in columns}
