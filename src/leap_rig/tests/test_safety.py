@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-pytest.importorskip("kuka_msgs")
+pytest.importorskip("kuka_msgs.srv")
 import rospy
 
 from common import clock
