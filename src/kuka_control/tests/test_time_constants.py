@@ -13,7 +13,7 @@ from test_controller import GOAL, LATE, Cycles, silent
 from common import clock
 from common.errors import DeviceError
 from common.frames import ONE_ARM
-from common.poses import pose, translation
+from common.poses import translation
 from kst import ConnectionLost, NoServer, ReplyTimeout
 from kuka_control.loop.algorithms import real_time_loop
 from kuka_control.loop.commands import End, Step, Wait
@@ -367,8 +367,8 @@ class TestNodes:
         assert clock.monotonic() - begin == pytest.approx(1.0, abs=2.0 * DT)
         assert aborted == ["The controller did not start the motion. It is busy."]
 
-    def desired(self, child_of):
-        """A DesiredTool, and what publishes frames for it: child frame, and the time until now of its stamp [s]."""
+    def desired(self, parent, *others):
+        """Publishes the desired tool frame in a parent, and `others` in theirs; returns what becomes of it."""
         import rospy
         from tf2_msgs.msg import TFMessage
 
@@ -379,10 +379,9 @@ class TestNodes:
         clock.sleep(0.1)
 
         def publish():
-            T = translation(0.5, 0.0, 0.5)
-            publisher.publish(
-                TFMessage([stamped_transform(pose(T[:3, :3], T[:3, 3]), child_of, TOOL, rospy.Time.now())])
-            )
+            now, T = rospy.Time.now(), translation(0.5, 0.0, 0.5)
+            frames = [stamped_transform(T, a, b, now) for a, b in ((parent, TOOL), *others)]
+            publisher.publish(TFMessage(frames))
             clock.sleep(0.02)
             return desired.wait(0.0)
 
@@ -399,6 +398,10 @@ class TestNodes:
 
     def test_a_tool_frame_without_a_way_to_the_base_is_refused_after_half_a_second(self, ros):
         assert self.refused_after(self.desired(LEAP), "nobody publishes where that is") == pytest.approx(0.5, abs=0.05)
+
+    def test_frames_in_a_circle_have_no_way_to_the_base(self, ros):
+        circle = (("a", LEAP), (LEAP, "a"))
+        assert self.refused_after(self.desired(LEAP, *circle), "nobody publishes where that is") < 1.0
 
     def test_ros_time_that_stands_still_is_no_time_after_half_a_second(self, ros, monkeypatch):
         import rospy

@@ -120,10 +120,14 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
     publisher, measured = rospy.Publisher("/tf", TFMessage, queue_size=10), MeasuredTool(np.eye(4))
     clock.sleep(0.1)
 
-    def send(age):
+    def send(age, parent=BASE):
         stamp = rospy.Time.now() - rospy.Duration(age)
-        publisher.publish(TFMessage([stamped_transform(np.eye(4), BASE, FLANGE_MEASURED, stamp)]))
+        publisher.publish(TFMessage([stamped_transform(np.eye(4), parent, FLANGE_MEASURED, stamp)]))
         clock.sleep(0.005)
+
+    send(0.0, "world")
+    with pytest.raises(ValueError, match="is not in"):
+        measured()
 
     send(0.49)
     measured()
