@@ -230,6 +230,7 @@ class Graph:
             self._patch.undo()
             for handle in self.handles:
                 handle.impl = None  # whose owner may unregister it when it is destroyed
+            self.wires.forget()
 
     @property
     def here(self) -> Node:

@@ -172,6 +172,7 @@ class Wires:
         self._of_group: dict[str, list[Socket]] = {}
         self._ports, self._numbers = count(FIRST_PORT), count(FIRST_NUMBER)
         self._by_number: weakref.WeakValueDictionary[int, Socket] = weakref.WeakValueDictionary()
+        self.files: weakref.WeakSet[_File] = weakref.WeakSet()
 
     def stand_in(self, patch: pytest.MonkeyPatch) -> None:
         """Gives them to the modules that use sockets."""
@@ -259,6 +260,11 @@ class Wires:
     def numbered(self, number: int) -> Socket:
         """The socket with this number."""
         return self._by_number[number]
+
+    def forget(self) -> None:
+        """Lets the simulation go, once it is over."""
+        for each in list(self.files):
+            each.let_go()
 
     def end(self, group: str) -> None:
         """Closes the sockets of a group, as the kernel does with those of a process."""
@@ -600,7 +606,13 @@ class _File(io.RawIOBase):
     """A socket as a file; the half for writing of a pair is not its `own`."""
 
     def __init__(self, underlying: Socket, own: bool = True) -> None:
-        self._socket, self._own = underlying, own
+        self._socket: Socket | None = underlying
+        self._own = own
+        underlying._wires.files.add(self)
+
+    def let_go(self) -> None:
+        """Holds the simulation no longer: Python's collector does not see what a BufferedRWPair holds."""
+        self._socket, self._own = None, False
 
     def readable(self) -> bool:
         """Yes."""
