@@ -53,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
     if result.get("commit") != trials.commit:
         mutants = _times(trials) if arguments.times else _chosen(arguments, trials, table)
         result = {"commit": trials.commit, "seed": arguments.seed, "mutants": mutants}
-    sources = {file: trials.source(file) for file in _sources(arguments.root)}
+    sources = {file: trials.source(file) for file in trials.files()}
     for mutant in result["mutants"]:
         if mutant["found"] is None:
             place, begin = _place(mutant), time.monotonic()
@@ -86,7 +86,7 @@ def result_file(text: str) -> dict:
 
 def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable) -> list[dict]:
     candidates = []
-    for file in map(Path, _sources(arguments.root)):
+    for file in map(Path, trials.files()):
         inner = file.parts[len(file.parts) - 1 - file.parts[::-1].index("src") + 1 :]
         if not LEFT_OUT & set(inner[1:-1]):
             found = places.find(trials.source(str(file)), inner[0], str(file))
@@ -97,10 +97,6 @@ def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable)
     else:
         chosen = [(place, True) for place in places.choose(candidates, arguments.count, arguments.seed)]
     return _untried(chosen)
-
-
-def _sources(root: Path) -> list[str]:
-    return sorted(str(path.relative_to(root)) for path in root.glob("src/**/src/*/**/*.py"))
 
 
 def _times(trials: Trials) -> list[dict]:

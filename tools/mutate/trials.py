@@ -77,6 +77,10 @@ class Trials:
             link.unlink(missing_ok=True)
             link.symlink_to(target)
 
+    def files(self) -> list[str]:
+        """Returns the sources of the packages in the copy."""
+        return sorted(str(path.relative_to(self._tree)) for path in self._tree.glob("src/**/src/*/**/*.py"))
+
     def source(self, file: str) -> str:
         """Returns the text of a file of the copy."""
         return (self._tree / file).read_text()
