@@ -103,7 +103,7 @@ def _times(trials: Trials) -> list[dict]:
     found = []
     for file, names in times.TIMES.items():
         path = f"src/{file}"
-        package = file.removeprefix("modules/").split("/")[0]
+        package = path.split("/src/")[0].rpartition("/")[2]
         found += times.find(trials.source(path), package, path, names)
     return _untried([(place, True) for place in found])
 

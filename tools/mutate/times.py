@@ -68,7 +68,7 @@ def find(source: str, package: str, file: str, names: str) -> list[Place]:
 
 def uses(place: Place, sources: dict[str, str]) -> dict[str, set[int]]:
     """Returns the lines in which a time stands, by file, of those that may import it."""
-    module = place.file.rpartition("/src/")[2].removesuffix(".py").replace("/", ".")
+    module = place.file.rpartition("/src/")[2][: -len(".py")].replace("/", ".")
     able = {file: source for file, source in sources.items() if file == place.file or f"from {module} import" in source}
     name = re.compile(rf"\b{place.statement}\b")
     return {

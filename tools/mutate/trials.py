@@ -21,7 +21,7 @@ from tools.mutate import plugin
 from tools.mutate.places import Place
 
 GOLDEN = "tests/test_golden.py"
-MARKS = "not (real or long or clock or rig)"
+MARKS = "not (real or long)"
 SOURCED = (
     'command=("$@"); set --; [ ! -d devel ] || . devel/setup.bash; PYTHONPATH="$PYTHONPATH:$0" exec "${command[@]}"'
 )
@@ -173,8 +173,7 @@ class CoverageTable:
         if lines is None:
             lines = {place.file: {place.line}} if place.function else {}
         found = set().union(*(self._tests(file, line) for file, numbers in lines.items() for line in numbers))
-        folder = re.split("/src/|/config/", place.file.removeprefix("src/"))[0]
-        own = f"src/{folder}/tests/"
+        own = re.split("/src/|/config/", place.file)[0] + "/tests/"
         if place.file.endswith(".yaml"):
             found = {test for test in self._times if test.startswith((own, GOLDEN))}
         found = found or self._tests(place.file, None)
