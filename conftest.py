@@ -35,8 +35,8 @@ from common import clock  # noqa: E402 - needs the path above
 from common.ports import free_port  # noqa: E402
 
 # On a busy machine one example of a law may take long. Each run tries the same ones: what one finds is due to a change.
-# `HYPOTHESIS_SEARCH=1 make test-fast` tries others.
-SEARCH = os.environ.get("HYPOTHESIS_SEARCH") == "1"
+# `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many.
+SEARCH, TIMES = os.environ.get("HYPOTHESIS_SEARCH") == "1", int(os.environ.get("HYPOTHESIS_TIMES", "1"))
 hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, derandomize=not SEARCH)
 hypothesis.settings.load_profile("tests")
 
@@ -57,6 +57,10 @@ def pytest_collection_modifyitems(items):
         ]
         if hidden:  # tools/test.sh finds the files of a part by it
             raise pytest.UsageError(f"{item.nodeid}: its file must name the mark {hidden[0]!r}")
+        law = getattr(item.obj, "__func__", item.obj)
+        own = getattr(law, "_hypothesis_internal_use_settings", None)
+        if TIMES > 1 and own is not None:
+            law._hypothesis_internal_use_settings = hypothesis.settings(own, max_examples=TIMES * own.max_examples)
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
 

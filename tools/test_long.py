@@ -12,6 +12,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PARTS = {
+    "laws, ten times the examples": ["env", "HYPOTHESIS_TIMES=10", "make", "test-fast"],
     "make test, beside eight busy processes": [sys.executable, "-m", "tools.under_load", "--stops", "make", "test"],
     "tests marked `long`": ["tools/test.sh", "--long"],
     "make campaign": ["make", "campaign"],
