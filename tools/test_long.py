@@ -15,7 +15,6 @@ PARTS = {
     "laws, ten times the examples": ["env", "HYPOTHESIS_TIMES=10", "make", "test-fast"],
     "make test, beside eight busy processes": [sys.executable, "-m", "tools.under_load", "--stops", "make", "test"],
     "tests marked `long`": ["tools/test.sh", "--long"],
-    "make campaign": ["make", "campaign"],
     "make networks": ["make", "networks"],
     "make fuzz": ["make", "fuzz", "MINUTES=20"],
     "make soak": ["make", "soak", "HOURS=1"],
