@@ -20,10 +20,11 @@ def ran(tmp_path):
     """Runs the text of a file of tests with the project's conftest.py; returns the exit code and what was printed."""
 
     def run(text):
-        (tmp_path / "test_a.py").write_text(text)
+        file = tmp_path / f"test_{len([*tmp_path.glob('test_*.py')])}.py"  # a name of its own: nothing is cached of it
+        file.write_text(text)
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
         settings = ["-p", "conftest", "-c", ROOT / "pyproject.toml", f"--rootdir={ROOT}"]
-        command = [sys.executable, "-m", "pytest", "-q", *settings, tmp_path / "test_a.py"]
+        command = [sys.executable, "-m", "pytest", "-q", *settings, file]
         done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
         return done.returncode, done.stdout + done.stderr
 

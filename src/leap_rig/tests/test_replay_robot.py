@@ -25,7 +25,7 @@ def ros(virtual_graph, monkeypatch):
     return virtual_graph
 
 
-def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path, monkeypatch):
+def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path):
     import rospy
     from controller_rig import MOVE_S, Node, home_tool, run_robot, set_params, shifted
     from std_msgs.msg import String
@@ -57,8 +57,8 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path,
     assert np.all(np.diff(run.goal_times) >= 0.0)
 
     def replay(answers, expected):
-        monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
         ended = ros.run("leap_rig", "replay.py", f"{tmp_path}/run", "--robot")
+        ended.stdin = io.StringIO(answers)
         assert ended.wait(120.0) == expected, ended.log
         return ended.log
 
