@@ -151,6 +151,8 @@ HELD_AT_ENDS_S = 1.0
 starts and stops gently, the more so at a reduced override [s]."""
 
 
+AT_GOAL_RAD = float(np.radians(0.1))  # joints this near to the goal are there
+HELD_AT_GOAL_S = 2.0  # the same there: where an answer was lost, the client takes 1 s to tell the end by the joints [s]
 END_S = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
 SAMPLES_AT_END = 3  # a verdict needs more readings than this
 
@@ -207,6 +209,8 @@ class PtpSupervision:
         approach = self._approach
         approach.observe(measured, now)
         allowed = HELD_S if approach.begun and approach.remaining > AWAY_RAD else HELD_AT_ENDS_S
+        if approach.remaining <= AT_GOAL_RAD:
+            allowed = HELD_AT_GOAL_S
         before, self.held = self.held, approach.still > allowed and approach.samples > SAMPLES
         self.was_held |= self.held
         if self.held == before:
