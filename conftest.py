@@ -33,7 +33,6 @@ sys.path.extend([*SOURCES, str(ROOT)])
 
 from common import clock  # noqa: E402 - needs the path above
 from common.ports import free_port  # noqa: E402
-from tools.fork_server import ForkServer  # noqa: E402
 
 # On a busy machine one example of a law may take long. Each run tries the same ones: what one finds is due to a change.
 # `HYPOTHESIS_SEARCH=1 make test-fast` tries others.
@@ -42,8 +41,6 @@ hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, de
 hypothesis.settings.load_profile("tests")
 
 
-GOES_BY_THE_CLOCK = {"wait_until", "processes", "ros_master"}
-"""Fixtures of tests whose threads or programs have times to keep."""
 OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
 OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
 """Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
@@ -60,8 +57,6 @@ def pytest_collection_modifyitems(items):
         ]
         if hidden:  # tools/test.sh finds the files of a part by it
             raise pytest.UsageError(f"{item.nodeid}: its file must name the mark {hidden[0]!r}")
-        if item.get_closest_marker("rig") or GOES_BY_THE_CLOCK & set(getattr(item, "fixturenames", ())):
-            item.add_marker("clock")
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
 
@@ -117,7 +112,7 @@ def pytest_runtest_teardown(item, nextitem):
     yield
     if nextitem is not None and nextitem.parent is item.parent:  # else fixtures of other tests end, too
         mine = seen
-    if mine and not any(item.get_closest_marker(mark) for mark in ("clock", "real", "long")):
+    if mine and not any(item.get_closest_marker(mark) for mark in ("real", "long")):
         pytest.fail(f"it raised {sorted(mine)}: let it run in virtual time, or mark it `real`", pytrace=False)
 
 
@@ -155,31 +150,21 @@ def application():
 class Process(subprocess.Popen):
     """A program that a test started; its output goes to the file `log_path`."""
 
-    _server: ForkServer | None = None
-
-    def __init__(self, command: list[str], log_path: Path, environment: dict[str, str], fork: bool) -> None:
-        self.log_path, self._environment, self._fork = log_path, environment, fork
-        if Process._server is None:
-            Process._server = ForkServer(ENVIRONMENT)
+    def __init__(self, command: list[str], log_path: Path, environment: dict[str, str]) -> None:
+        self.log_path = log_path
         with open(log_path, "wb") as log:
             super().__init__(command, stdout=log, stderr=subprocess.STDOUT, start_new_session=True, env=environment)
 
-    def _execute_child(self, command, *others) -> None:
-        """Forks a Python program from the process that has imported its modules; anything else starts plainly."""
-        server = Process._server
-        if not (self._fork and server.fits(command, self._environment)):
-            super()._execute_child(command, *others)
-            return
-        self.pid = server.start(command, self._environment, self.log_path)
-        self._child_created = True
-
     def wait(self, timeout: float | None = None) -> int:
-        """Waits for its end and returns the exit code.
+        """Waits for its end and returns the exit code; `timeout` as for wait_until.
 
         Raises:
-            subprocess.TimeoutExpired: it lasts longer than PATIENCE times `timeout` seconds.
+            subprocess.TimeoutExpired: it lasts longer.
         """
-        return super().wait(None if timeout is None else PATIENCE * timeout)
+        return super().wait(None if timeout is None else max(timeout, LONGEST_S))
+
+
+END_S = 60.0  # after which a program that does not end is killed
 
 
 class Processes:
@@ -189,23 +174,23 @@ class Processes:
         self._log_folder = log_folder
         self._running: list[Process] = []
 
-    def start(self, *command: str, env: dict[str, str] | None = None, fork: bool = True) -> Process:
-        """Starts a command; a program of the workspace by tools.fork_server, unless its imports are what is tested."""
+    def start(self, *command: str, env: dict[str, str] | None = None) -> Process:
+        """Starts a command, its output into a file."""
         command = _without_search(command)
         log_path = self._log_folder / f"{len(self._running)}-{Path(command[0]).name}.log"
-        if fork and command[0] in ("roslaunch", "roscore"):
+        if command[0] in ("roslaunch", "roscore"):
             command = (sys.executable, str(ROOT / "tools" / "launcher.py"), *command)
-        process = Process([*command], log_path, with_sources(env or {}), fork)
+        process = Process([*command], log_path, with_sources(env or {}))
         self._running.append(process)
         return process
 
-    def end(self, process: Process, timeout: float = 15.0) -> int:
+    def end(self, process: Process) -> int:
         """Interrupts a process as Ctrl-C does, kills its group if that does not help, returns its exit code."""
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
             process.send_signal(signal.SIGCONT)  # a test may have suspended it
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(timeout)
+                subprocess.Popen.wait(process, END_S)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         return process.wait(5.0)
@@ -220,9 +205,6 @@ def with_sources(changes: dict[str, str]) -> dict[str, str]:
     """Returns this process's environment with these changes, in which the packages are found without a build."""
     paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **changes}
-
-
-ENVIRONMENT = with_sources({})
 
 
 def _without_search(command: tuple[str, ...]) -> tuple[str, ...]:
@@ -311,22 +293,14 @@ class Graph:
     def __init__(self, processes: Processes) -> None:
         self._processes = processes
 
-    def run(self, package: str, executable: str, *args: str, fork: bool = True) -> Process:
+    def run(self, package: str, executable: str, *args: str) -> Process:
         """Starts a node as `rosrun` does."""
-        return self._processes.start("rosrun", package, executable, *args, fork=fork)
+        return self._processes.start("rosrun", package, executable, *args)
 
     def launch(self, package: str, file: str, **args) -> Process:
         """Starts a launch file as `roslaunch` does, all nodes at the same priority."""
         arguments = [f"{k}:={v}" for k, v in args.items()]
         return self._processes.start("roslaunch", "--wait", package, file, *arguments, env={"LEAP_RIG_NICENESS": "0"})
-
-    def names(self, node: str) -> dict[str, set[str]]:
-        """Returns the topics that a node publishes and hears, and its services, but for those that every node has."""
-        import rosgraph
-
-        kinds = dict(zip(("publishes", "hears", "offers"), rosgraph.Master("/test").getSystemState()))
-        mine = {kind: {name for name, nodes in found if node in nodes} for kind, found in kinds.items()}
-        return {kind: {n for n in names if n != "/rosout" and not n.startswith(node)} for kind, names in mine.items()}
 
     def record(self, topic: str, message_type) -> list:
         """Returns a list that grows by every message on the topic, with `list.wait(count, timeout)`."""
@@ -342,8 +316,8 @@ SHARED_TOPICS = {"/tf", "/tf_static", "/diagnostics", "/clock"}
 
 
 def names_on_the_page(node: str, namespace: str = "") -> dict[str, set[str]]:
-    """Returns as `Graph.names` does what the handbook's page of the ROS graph says of a node of the only arm, with the
-    names that it has in a namespace, such as /left.
+    """Returns as the `names` of a virtual graph what the handbook's page of the ROS graph says of a node of the only
+    arm, with the names that it has in a namespace, such as /left.
     """
     columns = {"publishes": ("topic", 2), "hears": ("topic", 3), "offers": ("service", 2)}
     found: dict[str, set[str]] = {kind: set() for kind in columns}
@@ -373,23 +347,22 @@ class Recording(list):
         return self
 
 
-PATIENCE = 4.0
-"""Waits are this many times longer than a quiet machine needs: a busy one must not fail a test."""
+LONGEST_S = 240.0
+"""Longest wait for what happens by the real clock: no time that a busy machine needs, but before pytest's own limit."""
 
 
 def wait_until(condition, timeout: float, what: str, poll: float = 0.02):
-    """Waits until the condition returns something true, and returns that.
+    """Waits until the condition returns something true, and returns that, as that of a virtual graph does.
 
-    Fails the test after PATIENCE times `timeout` seconds.
+    `timeout` is what a quiet machine needs [s]; here the test fails after LONGEST_S at the earliest.
     """
-    timeout *= PATIENCE
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + max(timeout, LONGEST_S)
     while time.monotonic() < deadline:
         result = condition()
         if result:
             return result
         time.sleep(poll)
-    pytest.fail(f"waited {timeout} s in vain for {what}")
+    pytest.fail(f"waited in vain for {what}")
 
 
 @pytest.fixture(name="wait_until")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 import struct
-import threading
-import time
 from pathlib import Path
 
 import rospy
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from campaign.trial import SHIFTED, SIMULATED
+from common import clock
 
 PERIOD_S = 0.01  # of /clock
 
@@ -64,14 +63,14 @@ class SimulatedTime(Clock):
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
         self._offset = 0.0
-        self._running = threading.Event()
+        self._running = clock.Event()
         self._publisher: rospy.Publisher | None = None
 
     def start(self) -> None:
         rospy.set_param("/use_sim_time", True)  # for nodes that start later, not for this one
         self._publisher = rospy.Publisher("/clock", ClockMessage, queue_size=10, tcp_nodelay=True)
         self._running.set()
-        threading.Thread(target=self._run, daemon=True).start()
+        clock.Thread(target=self._run, daemon=True).start()
 
     def stop(self) -> None:
         self._publisher = None
@@ -87,8 +86,8 @@ class SimulatedTime(Clock):
     def _run(self) -> None:
         while self._publisher is not None:
             if self._running.wait(0.1):
-                self._publisher.publish(rospy.Time.from_sec(time.time() + self._offset))
-                time.sleep(PERIOD_S)
+                self._publisher.publish(rospy.Time.from_sec(clock.time() + self._offset))
+                clock.sleep(PERIOD_S)
 
 
 def clock_of(variant: str, folder: Path) -> Clock:

@@ -241,7 +241,7 @@ def mount(trial: Any, x: float, y: float, z: float, name: str = "campaign_mount"
         yield process
     finally:
         if process.poll() is None:
-            process.kill()
+            process.send_signal(signal.SIGKILL)
 
 
 def _said(rig: Any, pattern: str, since: float) -> bool:

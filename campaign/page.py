@@ -31,8 +31,10 @@ rows.
 
 Joint speeds are fractions of the data sheet's, accelerations those of joint 1, of the faster joints in proportion, as
 means over 20 ms. They are the largest from the fault to the end of the row, recovery included. A goal that comes late
-is caught up with by the drives, at up to 17.2 rad/s²; over 80 ms no row may exceed 14.5 rad/s². A row is *slow* if the
-machine that ran it paused for too long to judge a time or a condition.
+is caught up with by the drives, at up to 17.2 rad/s²; over 80 ms no row may exceed 14.5 rad/s².
+
+*virtual* is the reaction time in virtual time, in which tests run the rows, too (`python -m campaign.virtual`): it is
+exact, and judged there. On the real rig it depends on the machine.
 """
 CATALOGUE = 80  # faults; a row has the number of its fault
 
@@ -41,6 +43,13 @@ def as_json(results: dict[str, dict]) -> str:
     """Returns the results by row as JSON, a row on a line."""
     ordered = sorted(results.items(), key=lambda item: int(item[0]))
     lines = (f'"{number}": {json.dumps(_rounded(result), sort_keys=True)}' for number, result in ordered)
+    return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def times_as_json(times: dict[str, float | None]) -> str:
+    """Returns reaction times by row as JSON, a row on a line."""
+    ordered = sorted(times.items(), key=lambda item: int(item[0]))
+    lines = (f'"{number}": {json.dumps(time and round(time, 3))}' for number, time in ordered)
     return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
@@ -67,27 +76,29 @@ def table(entries: dict[int, Row], results: dict[int, dict]) -> str:
     return "\n".join([*rows, ", ".join(f"{count} {what}" for what, count in sorted(counts.items()))])
 
 
-def page(entries: dict[int, Row], results: dict[str, dict]) -> str:
-    """Returns the handbook's page."""
+def page(entries: dict[int, Row], results: dict[str, dict], times: dict[str, float | None]) -> str:
+    """Returns the handbook's page, with the reaction times in virtual time [s]."""
     lines = [
         HEAD.format(catalogue=CATALOGUE, rows=len(entries)),
-        "| row | fault | reaction | result | time [s] | joint speed | acceleration [rad/s²] | tool [m/s] | named by |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| row | fault | reaction | result | time [s] | virtual [s] | joint speed | "
+        "acceleration [rad/s²] | tool [m/s] | named by |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for number, entry in entries.items():
         result = _rounded(results[str(number)]) if str(number) in results else None
         if result is None:
-            cells = ["not run", "", "", "", "", ""]
+            cells = ["not run", "", _time(times.get(str(number))), "", "", "", ""]
         else:
-            reaction = result.get("reaction_s")
             cells = [
                 result["result"],
-                "" if reaction is None else f"{reaction:.2f}",
+                _time(result.get("reaction_s")),
+                _time(times.get(str(number))),
                 *(f"{result.get(key, 0.0):.2f}" for key in ("joint_speed", "joint_acceleration", "tool_speed")),
                 _quoted(result.get("named", "")),
             ]
         lines.append("| " + " | ".join([str(number), entry.fault, " ".join(entry.expected.reactions), *cells]) + " |")
     notes = [f"- Row {entry.number}: {entry.instead}" for entry in entries.values() if entry.instead]
+    notes += [f"- Row {entry.number} has no virtual time: {entry.real}." for entry in entries.values() if entry.real]
     notes += [
         f"- Row {entry.number} differs from the catalogue: [why](../decisions/{entry.argued})."
         for entry in entries.values()
@@ -98,6 +109,10 @@ def page(entries: dict[int, Row], results: dict[str, dict]) -> str:
         lines += ["", "## Notes", "", *notes]
     lines += ["", "## The most dangerous rows", "", "`make campaign ONLY=dangerous` runs these:", "", *dangerous]
     return "\n".join(lines) + "\n"
+
+
+def _time(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds:.2f}"
 
 
 def _quoted(text: str) -> str:

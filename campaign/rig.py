@@ -7,8 +7,10 @@ import os
 import re
 import signal
 import socket
+import subprocess
 import sys
 import xmlrpc.client
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +25,12 @@ from tf2_msgs.msg import TFMessage
 
 from campaign.arm_trace import ArmTrace
 from campaign.clocks import Clock
+from campaign.crowd import bound, burners
 from campaign.hand_puppet import PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
-from campaign.trial import ENGAGEMENTS, runs
+from campaign.sockets import DeafSubscriber
+from campaign.trial import runs
 from common import clock
 from common.frames import BASE
 from common.ros.action_client import ActionClient
@@ -43,7 +47,7 @@ HAND, HAND_DRIVER = "leap_hand_node", "reflex_takktile_driver"
 PROGRAMS = {
     CONTROLLER: ("kuka_control", "real_time_controller.py"),
     DRIVER: ("leap_motion", "leap_driver.py"),
-    TELEOP: ("leap_rig", "patient_leap_kuka_node.py"),
+    TELEOP: ("leap_kuka", "leap_kuka_node.py"),
     HAND: ("leap_hand", "leap_hand_node.py"),
     HAND_DRIVER: ("reflex", "reflex_takktile_driver.py"),
 }
@@ -68,6 +72,8 @@ class RigUnderTest:
         stream: what leap_kuka said of its stream, as (state, reason).
         said: what any node said since the last `calm`, as (monotonic time [s], topic, text).
         statuses: mode of the controller and whether control was on, as (monotonic time [s], mode, on).
+        entered: when it entered each mode, as (monotonic time [s], mode).
+        exact: whether its times are virtual.
 
     Args:
         shared: the module conftest of the project, for its processes and waits.
@@ -76,6 +82,8 @@ class RigUnderTest:
         core: the ROS master (worker.Core), for rows that kill it.
         arguments: of rig.launch, besides the ports.
     """
+
+    exact = False
 
     def __init__(self, shared, folder: Path, wire: Wire | None = None, core: Any = None, **arguments: str) -> None:
         self.wire, self.core = wire, core
@@ -99,6 +107,7 @@ class RigUnderTest:
         self.stream_state = ""
         self.said: list[tuple[float, str, str]] = []
         self.statuses: list[tuple[float, str, bool]] = []
+        self.entered: list[tuple[float, str]] = []
         self._last_said: dict[str, str] = {}
 
     def bring_up(self) -> None:
@@ -124,7 +133,7 @@ class RigUnderTest:
         self.launch()
         self.arm = ArmTrace(robot_host, robot)
         self.robot_hand = ControlClient("127.0.0.1", hand)
-        self.wait(lambda: self.mode == "home", "the arm at home", START_S)
+        self.wait(lambda: self.mode in ("home", "stopped"), "the arm at home, or latched by a pause", START_S)
         if self._sees:
             self.camera = ControlClient("127.0.0.1", self._arguments["camera_control_port"])
             self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
@@ -198,11 +207,7 @@ class RigUnderTest:
         self.wait(lambda: self.mode not in ("", "starting"), "the controller", MOVE_S)
         self.gripper(False)
         self.control(False)
-        if self.mode == "stopped":
-            self.control(True)
-            self.wait(lambda: self.mode != "stopped", "the controller to leave `stopped`", MOVE_S)
-            self.control(False)
-        self.wait(lambda: self.mode == "home" and not self.status.control_on, "the arm at home", MOVE_S)
+        self.wait(self._comes_home, "the arm at home", MOVE_S)
         self.wait(lambda: self.stream_state == "waiting", "the stream to end")
         for record in (
             self.modes,
@@ -212,11 +217,20 @@ class RigUnderTest:
             self.stream,
             self.said,
             self.statuses,
+            self.entered,
             self._last_said,
         ):
             record.clear()
         self.mark()
         self.arm.forget()
+
+    def _comes_home(self) -> bool:
+        """Returns whether the arm is at home, control off; brings it there as the operator does if it is latched."""
+        if self.mode == "stopped":
+            self.control(True)
+        elif self.status.control_on:
+            self.control(False)
+        return self.mode == "home" and not self.status.control_on
 
     def mark(self) -> None:
         """From now on `log_since_calm` counts."""
@@ -265,14 +279,7 @@ class RigUnderTest:
         self.set(**parameters)
         if name == CONTROLLER:
             self.mode = ""
-        self._started[name] = self._processes.start("rosrun", *self.program_of(name), f"__name:={name}")
-
-    def program_of(self, name: str) -> tuple[str, str]:
-        """Returns the package of a node, and its program."""
-        package, program = PROGRAMS[name]
-        if name == TELEOP and not self._arguments.get("teleop", program).startswith("patient"):
-            return "leap_kuka", self._arguments["teleop"]
-        return package, program
+        self._started[name] = self.run(*PROGRAMS[name], f"__name:={name}")
 
     def run(self, package: str, program: str, *arguments: str) -> Any:
         """Starts a program with rosrun and returns its process, which has the attribute log_path."""
@@ -290,6 +297,21 @@ class RigUnderTest:
     def end_program(self, process: Any) -> int:
         """Interrupts a program as Ctrl-C does and returns its exit code."""
         return self._processes.end(process)
+
+    def answer(self, text: str, *command: str) -> Any:
+        """Lets a program end that asks and gets this text as its input; returns code and output."""
+        return subprocess.run(command, input=text, text=True, capture_output=True, timeout=90.0, check=False)
+
+    def deaf(self, topic: str, node: str) -> Any:
+        """Subscribes to a topic of a node, and never reads a message."""
+        return DeafSubscriber(topic, node)
+
+    @contextlib.contextmanager
+    def crowded(self, name: str) -> Iterator[None]:
+        """Lets a node share its processor with many programs."""
+        pid, core = self.pid(name), min(os.sched_getaffinity(0))
+        with burners(16, core), bound(pid, core):
+            yield
 
     def set(self, **parameters) -> None:
         """Changes parameters under kuka/, for controllers that are started later."""
@@ -388,37 +410,16 @@ class RigUnderTest:
         self.engage(**at)
 
     def engage(self, **at: float) -> None:
-        """Brings a hand in until the arm stands where it has sent it; again where the stream ended for a pause, or the
-        controller saw the hand before it saw that control is on.
-        """
-
-        def lost() -> bool:
-            return self.stream_state != "running" or "take the hand out" in self.status.reason
-
-        for _ in range(ENGAGEMENTS):
-            self.bring_hand(**at)
-            self.wait(lambda: lost() or self.mode == "servo", "servo mode", MOVE_S)
-            self.wait(lambda: lost() or self.hand.still, "the hand to stand still", MOVE_S)
-            self.see(20)
-            self.wait(lambda: lost() or self._stands_in_servo_mode(), "the arm to stand still in servo mode", MOVE_S)
-            if not lost():
-                return
-            self.hand.hide()
-        pytest.fail(f"no hand was followed to where it is{self.situation}")
+        """Brings a hand in, and waits until the arm stands where it has sent it."""
+        self.bring_hand(**at)
+        self.wait_for_mode("servo")
+        self.settle()
 
     def bring_hand(self, **at: float) -> None:
-        """Brings a hand in until it is followed: on a busy machine its way in may be among the frames left behind."""
-        until = 0.0
-
-        def followed():
-            nonlocal until
-            if clock.monotonic() > until:
-                self.hand.show(**at)
-                until = clock.monotonic() + 6.0
-            return self.stream_state == "running"
-
+        """Brings a hand in, and waits until it is followed."""
         self.wait(lambda: self.stream_state != "running", "the end of the stream before")
-        self.wait(followed, "a hand to be followed", MOVE_S)
+        self.hand.show(**at)
+        self.wait(lambda: self.stream_state == "running", "a hand to be followed", MOVE_S)
 
     def settle(self) -> None:
         """Waits until the hand, its mean and the arm in servo mode stand still."""
@@ -515,6 +516,7 @@ class RigUnderTest:
     def _take_mode(self, message: String) -> None:
         self.mode = message.data
         self.modes.append(message.data)
+        self.entered.append((clock.monotonic(), message.data))
 
     def _take_stream(self, message: DiagnosticStatus) -> None:
         self.stream_state = {v.key: v.value for v in message.values}["state"]

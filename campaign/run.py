@@ -28,6 +28,7 @@ from tools.options import is_written, new_file, new_folder, number
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "handbook" / "campaign.md"
+TIMES = ROOT / "docs" / "campaign-times.json"  # reaction times in virtual time
 START_S, ROW_S = 240.0, 180.0
 """Longest waits [s], for a rig and for a row, on a busy machine."""
 INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
@@ -119,7 +120,7 @@ class KeptRig:
     """A rig that is kept for rows of the same variant until one spoils it; else a new one is made."""
 
     def __init__(self, traces: Path | None = None) -> None:
-        self._traces = traces
+        self.traces = traces
         self._rig: Rig | None = None
         self._stopped = False
 
@@ -135,7 +136,7 @@ class KeptRig:
                 self.close()
             used = self._rig is not None
             try:
-                self._rig = self._rig or Rig(entry.variant, self._traces)
+                self._rig = self._rig or Rig(entry.variant, self.traces)
                 if self._stopped:
                     self._rig.stop()
                 result = self._rig.judge(entry)
@@ -240,11 +241,13 @@ def main(argv: list[str] | None = None) -> int:
     return int(not kept or any(result["result"] == "failed" for result in results.values()))
 
 
-def store(results: dict[str, dict]) -> None:
-    """Adds results to the stored ones and makes the handbook's page from all."""
+def store(results: dict[str, dict], virtual: dict[str, float | None] | None = None) -> None:
+    """Adds results, and reaction times in virtual time [s], to the stored ones; makes the handbook's page from all."""
     stored = {**json.loads(RESULTS.read_text()), **results}
+    times = {**json.loads(TIMES.read_text()), **(virtual or {})}
     RESULTS.write_text(page.as_json(stored))
-    PAGE.write_text(page.page(rows.load(), stored))
+    TIMES.write_text(page.times_as_json(times))
+    PAGE.write_text(page.page(rows.load(), stored, times))
 
 
 def chosen(entries: dict[int, Row], only: str) -> list[Row]:

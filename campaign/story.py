@@ -17,7 +17,6 @@ def story(seen: dict) -> list[str]:
     fault, steps = seen["fault"], np.array(seen["steps"])
     lines = [(when, f"{who}: {text}") for when, who, text in seen["said"]]
     lines += [(when, f"the arm {text}") for when, text in seen["events"]]
-    lines += [(when, f"the watch paused for {duration:.2f} s") for when, duration in seen["pauses"]]
     lines += [(seen[name], f"--- {name} ---") for name in ("fault", "mended", "operator", "end") if seen[name]]
     before = None
     for when, mode, on in seen["statuses"]:

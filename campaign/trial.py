@@ -19,7 +19,7 @@ import contextlib
 import json
 import re
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,37 +33,22 @@ from common import clock
 
 SHIFTED, SIMULATED = "shifted", "simulated"  # clocks of a rig
 VARIANTS: dict[str, dict[str, str]] = {
-    "patient": {},
-    "tracker": {"teleop": "leap_kuka_node.py", "overrides": str(Path(__file__).with_name("rig.yaml"))},
-    "shipped": {"teleop": "leap_kuka_node.py"},
+    "shipped": {},
     "seeing": {"world": "true"},
     SHIFTED: {},
     SIMULATED: {},
     "deaf": {"robot_args": "--deaf-after-lost-client"},
 }
-"""The rigs that rows run on, as arguments of rig.launch: with long time-outs for a busy machine, only leap_kuka as
-shipped, all as shipped, or patient: with objects, a camera and the nodes that propose grasps, with another clock
-(campaign.clocks), or with a server that is deaf after it has lost its client, as the published one is.
+"""The rigs that rows run on, as arguments of rig.launch, all with the parameters as shipped: with objects, a camera and
+the nodes that propose grasps, with another clock (campaign.clocks), or with a server that is deaf after it has lost its
+client, as the published one is.
 
-Behind a slash a variant names a wire, such as "patient/arm": its link may become bad, see Trial.link.
+Behind a slash a variant names a wire, such as "shipped/arm": its link may become bad, see Trial.link.
 """
 
 STOOD_S, CREEPS = 0.2, 0.03
 """An arm that rests so long has stopped [s], one that turns back on its way rests for less; in servo mode it creeps to
 its goal, its fastest joint below this speed [rad/s]."""
-
-
-ENGAGEMENTS = 3  # a busy machine's pauses may end so many streams, less one, before what is to be seen has happened
-STARVED = "no tracking frames come in"
-"""Why a stream ends of which the tracker, or this machine, delivers no frames."""
-
-
-def why_it_ended(changes: Sequence[tuple[str, str]]) -> str:
-    """Returns why the last stream ended, of the changes of its state as (state, reason); else an empty text."""
-    reason = ""
-    for (before, _), (state, why) in zip(changes, changes[1:]):
-        reason = why if before == "running" != state else reason
-    return reason
 
 
 @dataclass(frozen=True)
@@ -74,11 +59,12 @@ class Row:
     fault: str
     expected: Expected
     provoke: Callable[[Trial], None]
-    variant: str = "patient"
+    variant: str = "shipped"
     instead: str = ""  # why the fault itself cannot be provoked here, and what stands for it
     dangerous: str = ""  # why it is among the most dangerous ones
     spoils: bool = False  # whether the rig is of no use afterwards
     argued: str = ""  # page of docs/decisions which says why the reaction differs from the catalogue's
+    real: str = ""  # what of the operating system it needs; else it runs in virtual time, too (simulated.rig)
 
 
 ROWS: dict[int, Row] = {}
@@ -121,7 +107,6 @@ class Trial:
     _mended: float | None = None
     _operator: float | None = None
     _failed: list[str] = field(default_factory=list)
-    _doubts: list[str] = field(default_factory=list)
 
     def follow(self, sway: bool = True) -> None:
         """Lets the arm follow a hand: one that moves for ever, or one that stands still."""
@@ -138,22 +123,6 @@ class Trial:
         ask("fault", name=name, **{key: number for key, number in options.items() if number is not None})
         if duration is not None:
             self._mended = began + duration
-
-    def tracker_fault(
-        self, name: str, duration: float, follow: Callable[[], None], says: str = "", value: float | None = None
-    ) -> None:
-        """Lets the arm `follow` a hand, then the tracker fails so long [s], until the stream ends. Anew if the stream
-        ended because this machine paused: then nobody can say what the row expects, `says`.
-        """
-        for _ in range(ENGAGEMENTS):
-            follow()
-            self.fault("leap", name, value=value, duration=duration)
-            self.rig.wait(lambda: self.rig.stream_state != "running", "the end of the stream")
-            if re.search(says, STARVED) or STARVED not in why_it_ended(self.rig.stream):
-                return
-            self.rig.calm()
-            self._fault = self._mended = None
-        pytest.fail(f"pauses of this machine ended {ENGAGEMENTS} streams")
 
     def mend(self, device: str, name: str) -> None:
         """Switches a fault off."""
@@ -221,9 +190,8 @@ class Trial:
 
     def part(self, name: str, expected: Expected) -> None:
         """Judges what was seen since the fault as one of the row's parts; the next fault begins the next part."""
-        verdict = judge(expected, replace(self.evidence([]), failed=[], doubts=[]))
-        for fault in verdict.faults:
-            self.fail(f"{name}: {fault}", doubtful=verdict.result == "slow")
+        for fault in judge(expected, replace(self.evidence([]), failed=[])).faults:
+            self.fail(f"{name}: {fault}")
         self._fault = self._mended = self._operator = None
 
     def stays_away(self, seconds: float) -> None:
@@ -261,17 +229,15 @@ class Trial:
         rig.modes.clear()
         rig.engage(right=-0.04)
 
-    def check(self, what: str, good: bool, detail: object = "", doubtful: bool = False) -> None:
-        """Notes a condition of this row alone, as a sentence of what is to be; a false one fails the row, a `doubtful`
-        one makes it slow.
-        """
+    def check(self, what: str, good: bool, detail: object = "") -> None:
+        """Notes a condition of this row alone, as a sentence of what is to be; a false one fails the row."""
         if not good:
             text = str(detail)
-            self.fail(f"not so: {what} ({text})" if text else f"not so: {what}", doubtful)
+            self.fail(f"not so: {what} ({text})" if text else f"not so: {what}")
 
-    def fail(self, what: str, doubtful: bool = False) -> None:
+    def fail(self, what: str) -> None:
         """Notes what went wrong."""
-        (self._doubts if doubtful else self._failed).append(what)
+        self._failed.append(what)
 
     def call(self, name: str, kind: Any, *values: Any) -> Any:
         """Calls a service and takes note of its answer."""
@@ -293,11 +259,11 @@ class Trial:
             operator=self._operator,
             said=list(self.rig.said),
             statuses=list(self.rig.statuses),
+            entered=list(self.rig.entered),
             events=list(arm.events),
             died=died,
-            pauses=list(arm.pauses),
             failed=list(self._failed),
-            doubts=list(self._doubts),
+            exact=self.rig.exact,
         )
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import conftest as shared
 from campaign import rows, trial
 from campaign.clocks import clock_of
-from campaign.network.cells import CELLS, SHORT, Cell
+from campaign.network.cells import CELLS, Cell
 from campaign.network.measure import run_cell
 from campaign.network.wire import Wire
 from campaign.rig import RigUnderTest
@@ -35,7 +35,7 @@ def main(variant: str, traces: Path | None = None) -> None:
     os.dup2(2, 1)  # whatever else prints does not disturb the verdicts
     with contextlib.suppress(OSError):
         bring_up()
-    entries = {str(number): entry for number, entry in {**rows.load(), **CELLS, **SHORT}.items()}
+    entries = {str(number): entry for number, entry in {**rows.load(), **CELLS}.items()}
     kind, _, name = variant.partition("/")
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="campaign-"))

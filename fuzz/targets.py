@@ -458,11 +458,11 @@ def shipped_values() -> list[dict]:
 
 
 def _parameters() -> st.SearchStrategy[Any]:
-    seeds = []
+    seeds, shipped = [], shipped_values()
     for key, schema in schemas().items():
         fields = {field.name: field.metadata["absent"] for field in dataclasses.fields(schema)}
         plain = {name: value for name, value in fields.items() if isinstance(value, (int, float, str, bool))}
-        known = [values for values in shipped_values() if len(fields.keys() & values.keys()) > len(fields) // 2]
+        known = [values for values in shipped if len(fields.keys() & values.keys()) > len(fields) // 2]
         for values in known[:2] or [{}]:
             given = {name: value for name, value in values.items() if name in fields}
             seeds.append((key, {**dict.fromkeys(fields, 0.5), **plain, **given}))

@@ -14,6 +14,7 @@ the oldest. The thread that made the graph is a node, /test.
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import re
 import runpy
@@ -28,6 +29,7 @@ import pytest
 import rosgraph
 import rospy
 import yaml
+from rosgraph_msgs.msg import Clock
 
 from common import clock
 from simulated.clock import virtual_time
@@ -38,6 +40,7 @@ from tools import launched
 
 ROOT = Path(__file__).parents[1]
 OWN = "/test"
+FOREIGN = {"robot_state_publisher", "rviz", "tf2_ros"}
 
 
 class Node:
@@ -59,6 +62,10 @@ class Node:
         self.log_path, self.output = _Log(self), NodeOutput(self)
         self.returncode: int | None = None
         self.initialized = self.shutting = self.shut = False
+        self.logs: Callable[[Any], bool] = lambda record: True  # which of its log; see stand_in
+        self.is_known = True  # to the master, which may have been started anew
+        self.ros_time: rospy.Time | None = None  # if it is simulated
+        self.stdin = io.StringIO()
         self.hooks: list[Callable[[], None]] = []
         self.handlers: dict[int, Any] = {}
         self.topics: list[GraphPublisher | GraphSubscriber] = []
@@ -91,6 +98,12 @@ class Node:
                 other.say("WARN", f"shutdown request: [{self.name}] Reason: new node registered with same name")
                 other.interrupt()
         self.initialized = True
+        if self.graph.parameters.tree.get("use_sim_time"):
+            self._take_time(Clock())
+            rospy.Subscriber("/clock", Clock, self._take_time)
+
+    def _take_time(self, message: Clock) -> None:
+        self.ros_time = rospy.rostime._rostime_current = message.clock
 
     def say(self, level: str, text: str) -> None:
         """Writes a line of the log."""
@@ -183,10 +196,11 @@ class Graph:
         nodes: all that were started.
         on_log: called with the name of a node and each sentence that it logs.
         master_answers: whether a node that asks the master learns something; topics and services go on without.
+        master_hangs: whether the answer does not come.
     """
 
     def __init__(self, seed: int = 0, trace: bool = False) -> None:
-        self.master_answers = True
+        self.master_answers, self.master_hangs = True, False
         self.scheduler = virtual_time(seed, trace)
         self.wires = Wires(self.scheduler)
         self.parameters = Parameters()
@@ -216,6 +230,7 @@ class Graph:
             self._patch.undo()
             for handle in self.handles:
                 handle.impl = None  # whose owner may unregister it when it is destroyed
+            self.wires.forget()
 
     @property
     def here(self) -> Node:
@@ -228,7 +243,10 @@ class Graph:
         return self.start(executable, lambda: runpy.run_path(str(script), run_name="__main__"), str(script), *args)
 
     def launch(self, package: str, file: str, **args: Any) -> Launch:
-        """Sets the parameters of a launch file, and starts its nodes; without a package, `file` is its path."""
+        """Sets the parameters of a launch file, and starts its nodes; without a package, `file` is its path.
+
+        Those that are not this project's, such as RViz and robot_state_publisher, are no Python, and are left out.
+        """
         loaded = launched.config(package, file, tuple(f"{key}:={value}" for key, value in args.items()))
         for name in loaded.clear_params:
             with contextlib.suppress(KeyError):
@@ -237,6 +255,8 @@ class Graph:
             self.parameters.set(name, parameter.value)
         nodes = []
         for each in loaded.nodes:
+            if each.package in FOREIGN:
+                continue
             remaps = [f"{a}:={b}" for a, b in each.remap_args]
             words = [f"__name:={each.name}", f"__ns:={each.namespace}", *shlex.split(each.args), *remaps]
             nodes.append(self.run(each.package, each.type, *words))

@@ -10,6 +10,7 @@ import traceback
 import xmlrpc.client
 from collections import deque
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import genpy
@@ -239,7 +240,9 @@ class GraphSubscriber:
             self.callback(message, *([] if self.callback_args is None else [self.callback_args]))
         except Exception:
             if not self.node.shut:
-                self.node.say("ERROR", f"bad callback: {self.callback}\n{traceback.format_exc()}")
+                text = f"bad callback: {self.callback}\n{traceback.format_exc()}"
+                if self.node.logs(SimpleNamespace(msg=text)):
+                    self.node.say("ERROR", text)
 
     def close(self) -> None:
         if not self.closed:
@@ -321,7 +324,7 @@ class GraphMaster:
         """The address of a node; raises rosgraph.MasterError if no node has that name."""
         resolved = self._graph.here.resolve(name)
         for number, each in reversed(list(enumerate(self._graph.nodes, 1))):
-            if each.name == resolved and each.initialized and not each.shut:
+            if each.name == resolved and each.initialized and each.is_known and not each.shut:
                 return f"http://localhost:{number}/"
         raise rosgraph.MasterError(f"unknown node [{resolved}]")
 
@@ -352,6 +355,8 @@ class MasterProxy:
 
     def __getattr__(self, name: str) -> Callable[..., tuple[int, str, Any]]:
         def ask(*args: Any) -> tuple[int, str, Any]:
+            while self._graph.master_hangs:
+                clock.sleep(DELAY_S)
             if not self._graph.master_answers:
                 raise ConnectionRefusedError("no master")
             try:

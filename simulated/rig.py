@@ -10,21 +10,32 @@ It has the methods of campaign.rig.RigUnderTest, so rows of the campaign and tes
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
+import runpy
 import signal
+import sys
+from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import rospy
 
 from campaign import rig as real
 from campaign.arm_trace import ArmTrace
+from campaign.clocks import SimulatedTime
 from campaign.hand_puppet import HandPuppet
+from campaign.trial import SHIFTED, SIMULATED, VARIANTS
+from common import clock
 from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.operator.sources import Playback
 from simulated.graph import Graph, Node
 from simulated.hand_wire import HandNetwork
-from simulated.leap_wire import LeapDevice
+from simulated.rig_parts import BadLink, Core, WallClocks
 
 LAUNCH = Path(real.__file__).with_name("rig.launch")
 HOST = "127.0.0.1"
@@ -49,13 +60,20 @@ class Hand(HandPuppet):
 
 
 class VirtualRig(real.RigUnderTest):
-    """A rig on a graph; what stands for the number of a process is its node."""
+    """A rig on a graph, a variant of campaign.trial.VARIANTS; what stands for the number of a process is its node."""
 
-    def __init__(self, graph: Graph, **arguments: str) -> None:
-        super().__init__(None, Path(), **arguments)
+    exact = True
+
+    def __init__(self, graph: Graph, variant: str = "shipped", **arguments: str) -> None:
+        kind, _, wire = variant.partition("/")
+        super().__init__(None, Path(), BadLink(graph, wire) if wire else None, **{**VARIANTS[kind], **arguments})
         self.graph = graph
         self._resources = contextlib.ExitStack()
         self._programs: list[Any] = []
+        if kind == SHIFTED:
+            self.clock = WallClocks(graph)
+        elif kind == SIMULATED:
+            self.clock = SimulatedTime(Path())
 
     def __enter__(self) -> VirtualRig:
         try:
@@ -73,11 +91,20 @@ class VirtualRig(real.RigUnderTest):
         """Starts everything; waits until the arm is at home and the robot hand is steered."""
         enter = self._resources.enter_context
         enter(HandNetwork())
+        self.core = Core(self.graph, enter(pytest.MonkeyPatch.context()))
+        if self.clock is not None:
+            self.clock.start()
         self.graph.on_log = lambda node, text: self.hear("rosout", f"{node}: {text}")
         self.hand = Hand()
-        made: list[LeapDevice] = []
-        self.graph.start("leapd", lambda: made.append(LeapDevice(Playback(self.hand))) or made[0].run())
+        made: list[SimulatedLeapService] = []
+
+        def serve() -> None:
+            made.append(SimulatedLeapService(Playback(self.hand), HOST, 0, 0))
+            made[0].run()
+
+        tracker = self.graph.start("leapd", serve)
         leap = self.wait(lambda: made and made[0], "the Leap service")
+        self._resources.callback(lambda: (leap.stop(), tracker.wait(real.SOON_S)))  # else its coroutines are left over
         self.leap = ControlClient(HOST, leap.control_port)
         self.listen()
         robot, hand = next(PORTS), next(PORTS)
@@ -86,10 +113,17 @@ class VirtualRig(real.RigUnderTest):
             **{"hand_port": next(PORTS), "hand_control_port": hand},
             **self._arguments,
         }
+        if self._sees:
+            self._arguments.update(world_port=next(PORTS), camera_control_port=next(PORTS))
+        if self.wire is not None:
+            self.wire.port = self._arguments[{"arm": "robot_port", "leap": "leap_port"}[self.wire.name]]
         self.launch()
         self.arm = ArmTrace(HOST, robot)
         self.robot_hand = ControlClient(HOST, hand)
         self.wait(lambda: self.mode == "home", "the arm at home", real.START_S)
+        if self._sees:
+            self.camera = ControlClient(HOST, self._arguments["camera_control_port"])
+            self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", real.START_S)
         self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", real.START_S)
 
     def launch(self, devices: bool = True) -> None:
@@ -98,20 +132,49 @@ class VirtualRig(real.RigUnderTest):
         self._launch = self.graph.launch("", str(LAUNCH), **arguments)
         self._programs += self._launch.nodes
 
-    def start(self, name: str, **parameters: Any) -> None:
-        """Starts a node again that has ended; `parameters` are those under kuka/ that are changed first."""
-        self.set(**parameters)
-        if name == real.CONTROLLER:
-            self.mode = ""
-        package, program = self.program_of(name)
-        self._started[name] = self.run(package, program, f"__name:={name}")
-
     def run_command(self, *command: str) -> Node:
-        """Starts a program of the workspace."""
-        assert command[0] == "rosrun", command
-        node = self.graph.run(*command[1:])
+        """Starts a program of the workspace, or a module."""
+        if command[:2] == (sys.executable, "-m"):
+            path = str(find_spec(command[2]).origin)
+            node = self.graph.start(command[2], lambda: runpy.run_path(path, run_name="__main__"), *command[2:])
+        else:
+            assert command[0] == "rosrun", command
+            node = self.graph.run(*command[1:])
         self._programs.append(node)
         return node
+
+    def answer(self, text: str, *command: str) -> Any:
+        """Lets a program end that asks and gets this text as its input; returns code and output."""
+        node = self.run_command(*command)
+        node.stdin = io.StringIO(text)
+        self.finish(node, 90.0)
+        return SimpleNamespace(returncode=node.returncode, stdout=node.log, stderr=node.log)
+
+    def deaf(self, topic: str, node: str) -> Any:
+        """Subscribes to a topic of a node, and never returns from a message."""
+        over = clock.Event()
+        subscriber = rospy.Subscriber(topic, rospy.AnyMsg, lambda _: over.wait())
+        return SimpleNamespace(close=lambda: (subscriber.unregister(), over.set()))
+
+    @contextlib.contextmanager
+    def crowded(self, name: str) -> Iterator[None]:
+        """Lets a node run now and then only, as on a processor that it shares with many programs."""
+        node, over = self.pid(name), clock.Event()
+
+        def share() -> None:
+            while not over.is_set():
+                node.send_signal(signal.SIGSTOP)
+                clock.sleep(self.graph.scheduler.drawn(0.12))
+                node.send_signal(signal.SIGCONT)
+                clock.sleep(self.graph.scheduler.drawn(0.02))
+
+        thread = clock.Thread(target=share, name="crowd", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
     program = run_command
 
@@ -149,7 +212,7 @@ class VirtualRig(real.RigUnderTest):
     def exit_code(self, name: str) -> int:
         """Waits until a node ends and returns its exit code."""
         nodes = [node for node in self._programs if node.name == f"/{name}"]
-        return nodes[-1].wait(real.MOVE_S)
+        return self._started.get(name, *nodes[-1:]).wait(real.MOVE_S)
 
     def wait(self, condition: Any, what: str, timeout: float = real.SOON_S) -> Any:
         """Waits until the condition is true and returns its value; fails the test if that takes too long."""

@@ -79,6 +79,7 @@ class Scheduler:
         on_crash: called with what threading.excepthook takes, by each thread that an exception ends.
         crashed: name and exception of each thread that an exception has ended.
         trace: time and thread of each turn, if it was asked for.
+        ahead: by how much the wall clock of a group is ahead [s].
     """
 
     def __init__(self, seed: int = 0, trace: bool = False, in_place: dict[str, Any] | None = None) -> None:
@@ -87,6 +88,7 @@ class Scheduler:
         self.suspended: set[str] = set()
         self.on_turn: Callable[[str], None] = lambda group: None
         self.on_crash: Callable[[Any], None] = lambda args: threading.excepthook(args)
+        self.ahead: Callable[[str], float] = lambda group: 0.0
         self.crashed: list[tuple[str, BaseException]] = []
         self.trace: list[tuple[float, str]] | None = [] if trace else None
         self._random = random.Random(seed)
@@ -154,7 +156,7 @@ class Scheduler:
 
     def time(self) -> float:
         """Virtual time [s], since 1970."""
-        return WALL_S + self.monotonic()
+        return WALL_S + self.monotonic() + self.ahead(self.current.group)
 
     def time_ns(self) -> int:
         """Virtual time [ns], since 1970."""

@@ -23,6 +23,7 @@ import tf2_ros
 
 from common import clock
 from common.ros import master, node, publishing, service_calls
+from leap_kuka.ros.hand_to_arm import DelayMonitor
 from simulated.graph_parts import (
     DELAY_S,
     GraphMaster,
@@ -71,15 +72,17 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     """Lets rospy work on the graph."""
     scheduler = graph.scheduler
 
-    real = sys.argv, sys.stdout, sys.stderr
+    real = sys.argv, sys.stdin, sys.stdout, sys.stderr
 
     def turned(group: str) -> None:
         """Gives the thread what its process would have of its own."""
         nonlocal real
         if not isinstance(sys.stdout, NodeOutput):
-            real = sys.argv, sys.stdout, sys.stderr
+            real = sys.argv, sys.stdin, sys.stdout, sys.stderr
         node = graph._by_group[group]
-        sys.argv, sys.stdout, sys.stderr = (node.argv, node.output, node.output) if group else real
+        own = node.argv, node.stdin, node.output, node.output
+        sys.argv, sys.stdin, sys.stdout, sys.stderr = own if group else real
+        rospy.rostime._rostime_current = node.ros_time
 
     scheduler.on_turn = turned
     log = logging.getLogger("rosout")
@@ -147,7 +150,15 @@ def _parameters(graph: Graph) -> dict[str, Any]:
         get_param(name)
         parameters.delete(graph.here.resolve(name))
 
-    return {
+    def asked(function: Any) -> Any:
+        def ask(*args: Any) -> Any:
+            while graph.master_hangs:
+                clock.sleep(DELAY_S)
+            return function(*args)
+
+        return ask
+
+    functions = {
         "get_param": get_param,
         "get_param_cached": get_param,
         "get_param_names": parameters.names,
@@ -156,6 +167,7 @@ def _parameters(graph: Graph) -> dict[str, Any]:
         "delete_param": delete_param,
         "search_param": lambda name: parameters.search(name, graph.here.name),
     }
+    return {name: asked(function) for name, function in functions.items()}
 
 
 def _waits(graph: Graph) -> dict[str, Any]:
@@ -330,7 +342,9 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(signal, "signal", handle)
     patch.setattr(sys, "setswitchinterval", lambda seconds: None)  # it is that of all nodes
     graph.wires.stand_in(patch)
-    for name in ("prepare_process", "prepare_log", "end_closed_servers", "hide_closed_connections"):
+    patch.setattr(DelayMonitor, "_looked", {})  # it is that of one process
+    patch.setattr(node, "prepare_log", lambda: setattr(graph.here, "logs", node.RepeatedExceptions().filter))
+    for name in ("prepare_process", "end_closed_servers", "hide_closed_connections"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
     patch.setattr(master, "watch", SimpleNamespace(start=lambda: None, fault=None, lost=[]))

@@ -10,7 +10,7 @@ import ast
 import functools
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -91,13 +91,23 @@ def in_ros(path: Path) -> bool:
 
 @functools.lru_cache(maxsize=None)
 def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text())
+    return parsed(path.read_text())
+
+
+def parsed(code: str) -> ast.Module:
+    """Parses as Python 3.8 does, whose newest syntax the files may have."""
+    return ast.parse(code, feature_version=(3, 8))
+
+
+@functools.lru_cache(maxsize=None)
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree_of(path)))
 
 
 @functools.lru_cache(maxsize=None)
 def imports(path: Path) -> set[str]:
     names = set()
-    for node in ast.walk(tree_of(path)):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -133,16 +143,16 @@ def test_pure_files_are_pure():
         if path.stem in EDGES:
             continue
         wrong += [f"{path}: {name} belongs into ros/ or into an edge file" for name in tops(path) & IMPURE]
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in EFFECTS:
                 wrong.append(f"{path}:{node.lineno} calls {node.func.id}")
     assert not wrong
 
 
-def own_times(code: str) -> set[str]:
+def own_times(nodes: Iterable[ast.AST]) -> set[str]:
     """Returns the modules of time and threads of which a file takes more than what measures and names times."""
     found = set()
-    for node in ast.walk(ast.parse(code)):
+    for node in nodes:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and not {alias.name for alias in node.names} <= MEASURES:
@@ -157,7 +167,7 @@ class TestTime:
         files = {"/".join(path.parts[-3:]): path for path in FILES}
         assert all(any(file.endswith(edge) for file in files) for edge in TIMED_EDGES)
         others = {name: path for name, path in files.items() if not name.endswith(tuple(TIMED_EDGES))}
-        own = {name: own_times(path.read_text()) for name, path in others.items()}
+        own = {name: own_times(nodes_of(path)) for name, path in others.items()}
         assert not {name: modules for name, modules in own.items() if modules}
 
     def test_is_looked_up_when_it_is_used(self):
@@ -177,7 +187,7 @@ class TestTime:
         ],
     )
     def test_is_found(self, code, found):
-        assert own_times(code) == found
+        assert own_times(ast.walk(parsed(code))) == found
 
 
 def test_libraries_stand_alone():
@@ -195,14 +205,14 @@ def test_simulation_keeps_ros_in_its_ros_folder():
     assert pure and not {path: tops(path) & ROS for path in pure if tops(path) & (ROS - {"rospkg"})}
 
 
-def needed_at_import(code: str) -> set[str]:
+def needed_at_import(file: ast.Module) -> set[str]:
     """Returns the packages of ROS that a file of tests imports at its top without pytest.importorskip before, or
     messages of this workspace for which it skips although not all its tests are marked `ros`: they would never run.
     """
     needed: set[str] = set()
     skips: set[str] = set()
     marked = False
-    for node in ast.parse(code).body:
+    for node in file.body:
         names = {name for module in imported_by(node) for name in ros_of(module)}
         needed |= set() if skips & BUILT else names & BUILT if skips else names
         call = getattr(node, "value", None)
@@ -218,7 +228,7 @@ class TestFilesOfTests:
 
     def test_import_no_ros_that_may_be_absent(self):
         files = (file for file in PYTHON if file.name.startswith("test_") or file.name == "conftest.py")
-        needed = {str(file.relative_to(ROOT)): needed_at_import(file.read_text()) for file in files}
+        needed = {str(file.relative_to(ROOT)): needed_at_import(tree_of(file)) for file in files}
         assert not {file: names for file, names in needed.items() if names}
 
     MARK = "import pytest\npytestmark = [pytest.mark.ros]\n"
@@ -242,7 +252,7 @@ class TestFilesOfTests:
         ],
     )
     def test_are_found(self, code, found):
-        assert needed_at_import(code) == found
+        assert needed_at_import(parsed(code)) == found
 
 
 def imports_at_top(path: Path) -> set[str]:
@@ -282,10 +292,10 @@ def test_every_module_has_a_docstring():
     assert not [path for path in FILES if not ast.get_docstring(tree_of(path)) and path.read_text().strip()]
 
 
-def newer_than_38(code: str) -> set[str]:
+def newer_than_38(nodes: Iterable[ast.AST]) -> set[str]:
     """Returns what a file uses of the lists above."""
-    tree = ast.parse(code, feature_version=(3, 8))
-    nodes = list(ast.walk(tree))
+    nodes = list(nodes)
+    tree = nodes[0]
     unread = {part for node in nodes for part in _annotation(node)} if "annotations" in _future(tree) else set()
     found = set()
     for node in nodes:
@@ -319,7 +329,7 @@ class TestPython38:
     """ROS Noetic on Ubuntu 20.04 has Python 3.8."""
 
     def test_has_what_is_used(self):
-        used = {str(path.relative_to(ROOT)): newer_than_38(path.read_text()) for path in PYTHON}
+        used = {str(path.relative_to(ROOT)): newer_than_38(nodes_of(path)) for path in PYTHON}
         assert not {path: names for path, names in used.items() if names}
 
     @pytest.mark.parametrize(
@@ -337,14 +347,15 @@ class TestPython38:
         ],
     )
     def test_finds(self, code, found):
-        assert newer_than_38(code) == {found}
+        assert newer_than_38(ast.walk(parsed(code))) == {found}
 
     def test_annotations_may_be_newer_where_nobody_reads_them(self):
-        assert not newer_than_38("from __future__ import annotations\ndef f(a: list[int]) -> dict[str, int]: pass")
+        code = "from __future__ import annotations\ndef f(a: list[int]) -> dict[str, int]: pass"
+        assert not newer_than_38(ast.walk(parsed(code)))
 
     def test_refuses_newer_syntax(self):
         with pytest.raises(SyntaxError):
-            newer_than_38("match a:\n    case 1:\n        pass")
+            parsed("match a:\n    case 1:\n        pass")
 
 
 def test_every_package_has_a_layer():

@@ -13,8 +13,6 @@ from hypothesis import strategies as st
 from campaign.network.link import CONDITIONS, Link, Way, direction, exchanged
 from campaign.network.wire import ROOT, in_own_network
 
-pytestmark = pytest.mark.clock
-
 times = st.floats(0.0, 0.2)
 fractions = st.floats(0.0, 1.0)
 
@@ -185,6 +183,7 @@ print("whole")
 """
 
 
+@pytest.mark.real
 def test_tcp_gets_everything_through_a_bad_link():
     command = in_own_network([sys.executable, "-c", "from campaign.network.wire import Wire; Wire('arm').close()"])
     if subprocess.run(command, cwd=ROOT, capture_output=True, timeout=240.0).returncode:

@@ -14,7 +14,7 @@ from bench import bench_kinematics, compare, run
 from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
 
 
-@pytest.mark.clock
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name",
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import re
 import xml.etree.ElementTree as ElementTree
 
@@ -95,36 +96,45 @@ def test_every_picture_says_where_it_comes_from():
     assert not [file.name for file in folder.iterdir() if f"`{file.name}`" not in said and file.suffix != ".md"]
 
 
-@pytest.mark.parametrize("page", pages.pages(), ids=lambda page: str(page.relative_to(pages.ROOT)))
-class TestPage:
-    def test_links_lead_somewhere(self, page):
-        text = page.read_text()
-        for link in pages.links(text):
-            if "://" in link or link.startswith("mailto:"):
-                continue
-            path, _, anchor = link.partition("#")
-            target = (page.parent / path).resolve() if path else page
-            assert target.exists(), f"{link} leads nowhere"
-            assert pages.ROOT in target.parents, f"{link} leads out of the project"
-            if anchor and target.suffix == ".md":
-                assert anchor in pages.anchors(target.read_text()), f"{link}: no such heading"
+class TestPages:
+    """All pages in one test for each rule: it names every page that breaks it."""
 
-    def test_commands_exist(self, page):
-        wrong = [f"line {block.line}: {fault}" for block in pages.code(page) for fault in commands.faults(block.text)]
+    PAGES = tuple(pages.pages())
+    BLOCKS = tuple(block for page in PAGES for block in pages.blocks(page))
+
+    def test_links_lead_somewhere(self):
+        assert len(self.PAGES) > 50
+        wrong = []
+        for page in self.PAGES:
+            for link in pages.links(page.read_text()):
+                if "://" in link or link.startswith("mailto:"):
+                    continue
+                path, _, anchor = link.partition("#")
+                target = (page.parent / path).resolve() if path else page
+                known = target.exists() and pages.ROOT in target.parents
+                if not known or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
+                    wrong.append(f"{page}: {link} leads nowhere, or out of the project")
         assert not wrong
 
-    def test_blocks_say_how_they_are_run(self, page):
-        for block in pages.blocks(page):
-            for mark in block.marks:
-                if mark.startswith(pages.ELSEWHERE):
-                    assert pages.runs(mark, block), f"{block.where}: that is not in {mark[len(pages.ELSEWHERE) :]}"
-                else:
-                    assert mark in pages.MARKS, f"{block.where}: no test knows {mark!r}"
+    def test_commands_exist(self):
+        code = ((page, block) for page in self.PAGES for block in pages.code(page))
+        wrong = [f"{page}, line {b.line}: {fault}" for page, b in code for fault in commands.faults(b.text)]
+        assert not wrong
 
-    def test_what_may_move_a_real_arm_says_so(self, page):
-        for block in pages.blocks(page):
-            real = commands.for_a_real_rig(block.text)
-            assert not real or pages.REAL_HARDWARE in block.marks, f"{block.where}: {real} without the mark"
+    def test_blocks_say_how_they_are_run(self):
+        def known(mark, block):
+            return pages.runs(mark, block) if mark.startswith(pages.ELSEWHERE) else mark in pages.MARKS
+
+        assert not [f"{b.where}: {mark!r}" for b in self.BLOCKS for mark in b.marks if not known(mark, b)]
+
+    def test_what_may_move_a_real_arm_says_so(self):
+        unmarked = [block for block in self.BLOCKS if pages.REAL_HARDWARE not in block.marks]
+        assert not [block.where for block in unmarked if commands.for_a_real_rig(block.text)]
+
+
+@functools.lru_cache(maxsize=None)
+def anchors(page) -> set[str]:
+    return pages.anchors(page.read_text())
 
 
 class TestChecker:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import socket
 import subprocess
@@ -23,15 +22,12 @@ pytestmark = [
     needs_a_screen,
     pytest.mark.timeout(1500),
     pytest.mark.xdist_group("pages"),
-    pytest.mark.clock,
+    pytest.mark.long,
 ]
 
 BLOCKS = [block for page in pages.pages() for block in pages.blocks(page) if not block.why_not]
 BESIDE = sorted({block.page for block in BLOCKS if BESIDE_RIG in block.marks})
-ALONE = {block.page: [] for block in BLOCKS if BESIDE_RIG not in block.marks}
-for block in BLOCKS:
-    if block.page in ALONE:
-        ALONE[block.page].append(block.text)
+ALONE = list(dict.fromkeys(block.page for block in BLOCKS if BESIDE_RIG not in block.marks))
 USUAL_PORTS = (11311, 6437, 30001, 30011, 30021)
 
 
@@ -64,22 +60,11 @@ def walked_beside_the_rig(walk):
     walk("--beside-rig", *BESIDE)
 
 
-@pytest.mark.rig
 def test_beside_the_running_rig(walked_beside_the_rig):
     pass
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(
-            page,
-            marks=[pytest.mark.rig] if page in BESIDE or re.search("make demo|leap_rig ", "\n".join(texts)) else [],
-        )
-        for page, texts in ALONE.items()
-    ],
-    ids=lambda page: str(page.relative_to(pages.ROOT)),
-)
+@pytest.mark.parametrize("page", ALONE, ids=lambda page: str(page.relative_to(pages.ROOT)))
 def test_page(page, walk, request):
     if page in BESIDE:
         request.getfixturevalue("walked_beside_the_rig")  # whose files it uses

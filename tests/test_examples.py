@@ -1,76 +1,46 @@
-"""Every program of examples/ runs against the simulated devices."""
+"""Every program of examples/ runs against the simulated devices, in virtual time."""
 
 from __future__ import annotations
 
-import os
+import functools
 import re
+import runpy
 import signal
-import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-pytestmark = pytest.mark.clock
+from common import clock
+from leap_motion.client import LeapClient
+from reflex import ReflexHand
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-SIMULATORS = ROOT / "src" / "modules" / "rig_simulation" / "scripts"
-DEVICES = {
-    "arm": ("sunrise_controller.py", "127.0.0.1:"),
-    "hand": ("reflex_hand.py", "UDP port "),
-    "leap": ("leapd.py", "127.0.0.1:"),
-}
-PATIENT = """
-import functools, runpy, sys
-from kst import KstTiming
-from reflex import HandSettings
-for kind, waits in ((KstTiming, {"reply": 20.0, "servo_reply": 20.0}), (HandSettings, {"silence_time": 5.0})):
-    kind.__init__ = functools.partialmethod(kind.__init__, **waits)
-sys.argv = sys.argv[1:]
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
-"""Runs an example whose devices may take long to answer: this machine may be busy."""
+DEVICES = {"arm": "sunrise_controller.py", "hand": "reflex_hand.py", "leap": "leapd.py"}
+PORT, CONTROL_PORT = "26000", "26001"
 
 
-@pytest.fixture(scope="module")
-def port_of(tmp_path_factory):
-    """Starts each simulated device at its first use, once; returns its port."""
-    running: dict[str, tuple[subprocess.Popen, str]] = {}
+@pytest.fixture
+def start(virtual_graph, monkeypatch, tmp_path):
+    """Starts an example by its number; returns its node."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    names = {name: lambda *args, name=name: getattr(clock, name)(*args) for name in ("monotonic", "sleep")}
+    monkeypatch.setitem(sys.modules, "time", SimpleNamespace(**{**vars(time), **names}))
+    for client in (LeapClient, ReflexHand):  # by default they wait in real time
+        monkeypatch.setattr(client, "__init__", functools.partialmethod(client.__init__, runtime=clock))
 
-    def port(device: str) -> str:
-        if device not in running:
-            program, before_port = DEVICES[device]
-            command = [sys.executable, str(SIMULATORS / program), "--port", "0", "--control-port", "0"]
-            process = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True)
-            ready = process.stdout.readline()
-            running[device] = process, re.search(before_port + r"(\d+), control port", ready)[1]
-        return running[device][1]
+    def start(number, *arguments):
+        (example,) = (path for path in EXAMPLES if path.name.startswith(number))
+        words = (str(example), *arguments)
+        return virtual_graph.start(example.name, lambda: runpy.run_path(str(example), run_name="__main__"), *words)
 
-    yield port
-    for process, _ in running.values():
-        process.terminate()
-        process.communicate(timeout=120.0)
+    return start
 
 
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-
-
-def run(number: str, home: Path, *arguments: str) -> str:
-    (example,) = (path for path in EXAMPLES if path.name.startswith(number))
-    done = subprocess.run(
-        [sys.executable, "-c", PATIENT, str(example), *arguments],
-        env={**environment(), "HOME": str(home)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=200,
-    )
-    assert done.returncode == 0, done.stdout
-    return done.stdout
-
-
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("number", "device", "arguments", "prints"),
     [
@@ -85,25 +55,32 @@ def run(number: str, home: Path, *arguments: str) -> str:
         ("09", None, (), r"position before the camera \[m\]: \[.* 0\.[67]\d* *\]\nangle"),
     ],
 )
-def test_runs(port_of, tmp_path, number, device, arguments, prints):
-    options = ("--port", port_of(device)) if device else ()
-    output = run(number, tmp_path, *options, *arguments)
-    assert re.search(prints, output), output
+def test_runs(virtual_graph, start, number, device, arguments, prints):
+    from simulated.hand_wire import HandNetwork
+
+    with HandNetwork():
+        options = ()
+        if device:
+            options = ("--port", PORT)
+            virtual_graph.run("rig_simulation", DEVICES[device], *options, "--control-port", CONTROL_PORT)
+            clock.sleep(0.1)
+        example = start(number, *options, *arguments)
+        assert example.wait(60.0) == 0, example.log
+    assert re.search(prints, example.log), example.log
 
 
 @pytest.mark.ros
-def test_the_subscriber_hears_the_rig(ros, processes, wait_until):
+def test_the_subscriber_hears_the_rig(virtual_graph, start):
     import rospy
     from sensor_msgs.msg import JointState
 
     publisher = rospy.Publisher("joint_states", JointState, queue_size=1, latch=True)
     publisher.publish(JointState(name=["A1"], position=[0.25]))
-    (example,) = (path for path in EXAMPLES if path.name.startswith("10"))
-    process = processes.start(sys.executable, str(example), "--seconds", "1000")
-    wait_until(lambda: "A1 0.250" in process.log_path.read_text(), 20.0, "the joints")
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    assert process.wait(10.0) == 0
+    example = start("10", "--seconds", "1000")
+    clock.sleep(1.0)
+    assert "A1 0.250" in example.log and example.poll() is None
+    example.send_signal(signal.SIGINT)
+    assert example.wait(1.0) == 0
 
 
 def test_all_are_listed_and_short():

@@ -30,12 +30,12 @@ from leap_rig.recording import recording_files
 from reflex import codec as reflex_codec
 from rig_simulation.faults import injection
 
-EXAMPLES = 250  # of a target whose cost is 1
+EXAMPLES = 100  # of a target whose cost is 1
 
 
 def marks_of(target: str) -> list:
     """The marks of a target's tests: some need messages, one opens sockets."""
-    return [pytest.mark.ros] * TARGETS[target].ros + [pytest.mark.clock] * (target == "control_port")
+    return [pytest.mark.ros] * TARGETS[target].ros + [pytest.mark.long] * (target == "control_port")
 
 
 NAMES = [pytest.param(name, marks=marks_of(name)) for name in TARGETS]
@@ -134,7 +134,7 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
 
 
-@pytest.mark.clock
+@pytest.mark.long
 def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
     results: dict[str, dict] = {}
     fuzz(["kst_answers", "no such target"], 2.0, 0, tmp_path, results)
@@ -176,7 +176,7 @@ def test_an_exception_in_a_node_is_a_finding(tmp_path):
     assert not _tracebacks(log)
 
 
-@pytest.mark.clock
+@pytest.mark.long
 def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
     monkeypatch.setattr(fuzz_run, "HANGS_S", 1.0)
     says = 'import json, time; print(json.dumps({"examples": 3, "rss": 1.0}), flush=True); time.sleep(60.0)'

@@ -1,20 +1,20 @@
-"""Recorded hands through the nodes with time handed in, compared with what is stored of the pure chain, by bounds.
+"""Recorded hands through the nodes in virtual time, compared with what is stored of the pure chain, by bounds.
 
-The nodes are those of the rig, in this process: driver's message, leap_kuka_node, leap_hand_node, and a controller from
-the tf messages to the goals. Messages between them pass as bytes; no time passes, and no device is simulated.
+The nodes run on a graph whose messages take no time: leap_kuka_node, leap_hand_node and the controller, whose cycles
+and drives are those of the pure chain. Whether the arm can come is asked there directly, as the answer of a service
+comes some frames later.
 """
 
 from __future__ import annotations
 
-import contextlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from common import clock
-from common.frames import ONE_ARM
-from golden.chain import BEGIN_S, CLOCK_S, Trace, World
+from common.frames import ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP
+from golden.chain import BEGIN_S, SWITCHED_ON, Trace, World
 from golden.runs import RUNS, Missing
 from golden.stored import Stored, differences, stored
 
@@ -23,207 +23,194 @@ pytestmark = pytest.mark.ros
 BOUNDS = {"tools": 1e-6, "hands": 1e-5, "goals": 1e-4}
 """m and no unit, rad, rad: messages hold confidence and bone centres as float32, and stamps in nanoseconds."""
 LATE_S = 0.0041  # of a change of state: a cycle
-
-
-class Done(Exception):
-    """The run is over, or a loop has gone round once."""
-
-
-class HandedIn:
-    """Stands for common.clock; it is set."""
-
-    def __init__(self) -> None:
-        self.now, self._set = BEGIN_S, None
-
-    def __getattr__(self, name):
-        return getattr(clock, name)
-
-    def monotonic(self):
-        import rospy
-
-        if self.now != self._set:  # it is asked five times a step
-            self._set = self.now
-            rospy.rostime._set_rostime(rospy.Time.from_sec(CLOCK_S + self.now))
-        return self.now
-
-    def sleep(self, _seconds):
-        raise Done
+ON_S = max(at for at, _, _ in SWITCHED_ON)  # before, the hand opens when the controller first says that it is off
+FRAMES, FRAMES_OF_HAND = "leap_motion/leap_device", "leap_motion/leap_device_of_hand"
+"""A frame comes to the hand's node once that of the arm has said whose hand it follows; else it hears that too late."""
+START_S = 1.0  # until all have connected, a multiple of the period of the nodes' watches
+SOON_S, BEFORE_S = 1e-9, 1e-8  # until what was sent is done, and all that is sent at a time
 
 
 class NodeChain:
-    """The nodes, in lockstep with the world."""
+    """The nodes, and what the world brings them."""
 
-    def __init__(self, world, patch):
+    def __init__(self, graph, patch, run):
         import rospy
+        from tf2_msgs.msg import TFMessage
 
-        from kuka_control.ros import controller_node, desired_tool, services, state_publisher
-        from leap_hand.force_limit import ForceLimit
-        from leap_hand.ros import teleop_node as hand
-        from leap_hand.teleop import HandTeleop
-        from leap_kuka.ros import hand_to_arm, stream_status
-        from leap_kuka.ros import teleop_node as arm
-        from leap_kuka.teleop import ArmTeleop
-        from leap_motion.ros.tracking import FramesHere
+        from kuka_control.ros import controller_node
+        from kuka_msgs.srv import setGripperControl, setKukaControl, setScalingFactor
+        from leap_motion.ros.human import Human
+        from reflex_msgs.msg import Hand, RadianServoCommands
+        from rig_msgs.msg import KukaStatus, OperatorInput
+        from simulated import graph_parts
 
-        self.world, self.clock = world, HandedIn()
-        for module in (controller_node, desired_tool, arm, stream_status, hand_to_arm, hand, state_publisher):
-            if hasattr(module, "clock"):
-                patch.setattr(module, "clock", self.clock)
-        self.clock.monotonic()
-        nothing = SimpleNamespace(move=None, show=lambda *_: None, collision=lambda _: None, shutdown=lambda *_: None)
-        for owner, name in ((rospy, "Service"), (arm, "Diagnostics"), (hand, "Diagnostics"), (services, "Services"),
-                            (controller_node, "Services"), (controller_node, "MoveServer"),
-                            (controller_node, "GuardView"), (controller_node, "HandOpening"),
-                            (controller_node, "Switches")):  # fmt: skip
-            patch.setattr(owner, name, lambda *_, **__: nothing)
-        self.frames, self.tool, self.command, self.last = FramesHere(), None, None, None
-
-        def subscribe(on_frame, kind):
-            self.frames.subscribe(on_frame, kind)
-
-        teleop = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
-        self.arm = arm.ArmTeleopNode(teleop, SimpleNamespace(scale=1.0), world.leap.engagement, subscribe)
-        self.arm._tf = SimpleNamespace(publish=self._on_tf)
-        self.hand = hand.HandTeleopNode(HandTeleop(world.hand, False), ForceLimit(world.hand))
-        self.hand._commands = SimpleNamespace(
-            publish=lambda message: setattr(self, "command", np.array(message.radian_commands))
-        )
-        self.hand._state_received.set()
-        self.first = self.hand._result
-        with contextlib.suppress(Done):
-            self.hand.run(subscribe)
-        self.arm._status._status = SimpleNamespace(publish=self._on_stream)
-
-        link = SimpleNamespace(arm=world.arm, goals=SimpleNamespace(publish=lambda: None), close=lambda: None)
-        from kuka_control.loop import algorithms
-
-        self.controller = controller_node._Node(
-            world.config, world.rig, link, lambda: algorithms.real_time_loop(world.config, world.rig), ONE_ARM
-        )
-        self.desired, self.controller._desired = self.controller._desired, self
-        self.controller._opening = SimpleNamespace(at=lambda _: world.opening)
-        self.controller._switches = self
-        self.show, self.controller._show = self.controller._show, self._show
-        self.stamp = None
+        patch.setattr(graph_parts, "DELAY_S", 0.0)
+        self.start = BEGIN_S - START_S
+        self.world, self.graph = World(run), graph
+        self.tool = self.command = self.last = None
+        graph.start("leap_kuka_node", self.arm_node)
+        graph.start("leap_hand_node", self.hand_node, "leap_hand_node", f"{FRAMES}:={FRAMES_OF_HAND}")
+        patch.setattr(controller_node.DesiredTool, "wait", lambda desired, _: self.wait(desired))
+        patch.setattr(controller_node, "HandOpening", lambda: SimpleNamespace(at=lambda _: self.world.opening))
+        self.controller = graph.start("kuka_real_time_node", self.controller_node)
+        rospy.Subscriber("/tf", TFMessage, self.on_tf)
+        rospy.Subscriber("reflex_takktile/radian_hand_command", RadianServoCommands, self.on_command)
+        kinds = {
+            **{FRAMES: Human, FRAMES_OF_HAND: Human, "reflex_takktile/hand_state": Hand},
+            **{"kuka/status": KukaStatus, "leap_kuka/operator_input": OperatorInput},
+        }
+        self.publishers = {name: rospy.Publisher(name, kind, queue_size=10) for name, kind in kinds.items()}
+        self.services = {
+            "control": rospy.ServiceProxy("kuka/kuka_control", setKukaControl),
+            "gripper": rospy.ServiceProxy("kuka/gripper_control", setGripperControl),
+            "scale": rospy.ServiceProxy("kuka/scaling_factor", setScalingFactor),
+        }
 
     def run(self) -> Trace:
-        with contextlib.suppress(Done):
-            self.controller._run_loop()
+        assert self.controller.wait(1e4) == 0, self.controller.log
         return self.world.trace
 
-    # What the controller asks: its input, and its switches.
+    # The nodes.
 
-    def wait(self, _deadline):
+    def begin(self, name):
+        import rospy
+
+        rospy.init_node(name)
+        clock.sleep(self.start - clock.monotonic())
+
+    def arm_node(self):
+        from leap_kuka.ros.teleop_node import ArmTeleopNode
+        from leap_kuka.teleop import ArmTeleop
+        from leap_motion.ros.tracking import subscribe
+
+        self.begin("leap_kuka_node")
+        world = self.world
+        teleop = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
+        self.arm = ArmTeleopNode(teleop, SimpleNamespace(scale=1.0), world.leap.engagement, subscribe)
+        self.arm.watch()
+
+    def hand_node(self):
+        from leap_hand.force_limit import ForceLimit
+        from leap_hand.ros.teleop_node import HandTeleopNode
+        from leap_hand.teleop import HandTeleop
+        from leap_motion.ros.tracking import subscribe
+
+        self.begin("leap_hand_node")
+        self.hand = HandTeleopNode(HandTeleop(self.world.hand, False), ForceLimit(self.world.hand))
+        self.first = self.hand._result
+        self.hand._state_received.set()
+        self.hand.run(subscribe)
+
+    def controller_node(self):
+        from kuka_control.loop import algorithms
+        from kuka_control.ros.controller_node import _Node
+        from kuka_control.ros.state_publisher import GoalPublisher
+
+        self.begin("kuka_real_time_node")
+        world = self.world
+        link = SimpleNamespace(arm=world.arm, goals=GoalPublisher(), close=lambda: None)
+        loop = algorithms.real_time_loop(world.config, world.rig)
+        self.node = _Node(world.config, world.rig, link, lambda: loop, ONE_ARM)
+        self.node.spin(None)
+
+    def wait(self, desired):
+        """In place of DesiredTool.wait: until the next cycle of the world."""
+        self.see()
         if not self.world.advance(self):
-            raise Done
-        self._at(self.world.now)
-        self.desired._look()
-        self.stamp = self.desired.stamp
-        return self.desired._newest
+            raise SystemExit
+        self.at(self.world.now)
+        clock.sleep(max(self.world.now - clock.monotonic(), 0.0))
+        self.graph.scheduler.now = self.world.now  # in floats, as a time-out ends after a number of cycles
+        self.see()
+        desired._look()
+        return desired._newest
 
-    @property
-    def now(self):
-        return self.world.switches
-
-    def report(self, *_):
-        pass
-
-    def _show(self, step):
-        self.show(step)
-        if step.mode is not self.world.mode:
-            self.world.mode = step.mode
-            self._status(self.world.now)
-        self.world.trace.say(self.world.now, "kuka", step.mode.value)
+    def see(self):
+        """Notes what has changed."""
+        world, step = self.world, self.node._step
+        newest = self.arm._status._newest
+        if newest is not None:
+            world.trace.say(world.now, "leap_kuka", newest.state.value)
+        if self.hand._result is not self.first:
+            world.trace.say(world.now, "leap_hand", self.hand._result.state.value)
+        if step is not None:
+            world.trace.say(world.now, "kuka", step.mode.value)
+            if step.mode is not world.mode:
+                world.mode = step.mode
+                self.status()
 
     # What the world brings.
 
+    @staticmethod
+    def at(now):
+        """Waits until just before a time, at which what follows is done."""
+        clock.sleep(max(now - BEFORE_S - clock.monotonic(), 0.0))
+
+    def send(self, name, message):
+        self.publishers[name].publish(message)
+        clock.sleep(SOON_S)
+
     def switched(self, what, value, now):
-        from std_msgs.msg import Bool
+        import rospy
 
         from rig_msgs.msg import OperatorInput
 
-        self._at(now)
-        if what == "gripper":
-            self.hand._on_gripper(Bool(value))
-        elif what == "input":
+        if what == "input":  # at once, as frames of this cycle are still to come
             message = OperatorInput(enabled=value[0], clutch=value[1], source="service")
-            message.header.stamp = self._stamp(now)
-            message._connection_header = {"callerid": "operator"}
-            self.arm._on_input(message)
+            message.header.stamp = rospy.Time.now()
+            self.send("leap_kuka/operator_input", message)
         else:
-            self._status(now)
+            assert self.services[what](value).success
+            self.status()
 
     def frame(self, text, now):
+        import rospy
+
         from leap_motion.codec import LeapProtocolError, read_message
         from leap_motion.frames import LeapFrame
         from leap_motion.ros.human import FrameMessage
 
-        self._at(now)
+        self.at(now)
         self.tool = self.command = None
-        with contextlib.suppress(LeapProtocolError):
+        try:
             frame = read_message(text)
-            if isinstance(frame, LeapFrame) and (frame.id, frame.timestamp_us) != self.last:
-                self.last = frame.id, frame.timestamp_us
-                self.frames.pass_on(FrameMessage(frame, self._stamp(now)))
-                self._say_states(now)
+        except LeapProtocolError:
+            return None, None
+        if isinstance(frame, LeapFrame) and (frame.id, frame.timestamp_us) != self.last:
+            self.last = frame.id, frame.timestamp_us
+            message = FrameMessage(frame, rospy.Time.now())
+            self.send(FRAMES, message)
+            self.send(FRAMES_OF_HAND, message)
+            self.see()
         return self.tool, self.command
 
     def look(self, now):
-        self._at(now)
-        self.hand._force_limit.update(self.world.feedback, now)
-        self._status(now)
-        with contextlib.suppress(Done):
-            self.arm.watch()
-        self.hand._carry_out(self.hand._teleop.silence(now))
-        self._say_states(now)
+        from reflex_msgs.msg import Finger, Hand, Motor
 
-    def _say_states(self, now):
-        newest = self.arm._status._newest
-        if newest is not None:
-            self.world.trace.say(now, "leap_kuka", newest.state.value)
-        if self.hand._result is not self.first:
-            self.world.trace.say(now, "leap_hand", self.hand._result.state.value)
+        felt = self.world.feedback
+        fingers = [Finger(pressure=pressures) for pressures in felt.pressures]
+        motors = [Motor(joint_angle=angle, load=load) for angle, load in zip(felt.angles, felt.loads)]
+        self.send("reflex_takktile/hand_state", Hand(fingers, [*motors, Motor()]))
+        self.status()
 
-    def _at(self, now):
-        self.clock.now = now
-        self.clock.monotonic()
-
-    def _stamp(self, now):
-        import rospy
-
-        return rospy.Time.from_sec(CLOCK_S + now)
-
-    def _status(self, now):
+    def status(self):
         from rig_msgs.msg import KukaStatus
 
-        self._at(now)
-        switches = self.world.switches
-        self.arm._on_status(
-            KukaStatus(mode=self.world.mode.value, control_on=switches.control_on, scaling_factor=switches.scale)
-        )
+        world = self.world
+        on, scale = world.switches.control_on, world.switches.scale
+        self.send("kuka/status", KukaStatus(mode=world.mode.value, control_on=on, scaling_factor=scale))
 
-    def _on_tf(self, message):
-        import io
+    # What they send.
 
-        from common.frames import TOOL_DESIRED, VIRTUAL_LEAP
+    def on_tf(self, message):
         from common.ros.conversions import pose_from_transform
-        from kuka_control.ros.tf_message import RawTfMessage
 
-        buffer = io.BytesIO()
-        message.serialize(buffer)
-        raw = RawTfMessage().deserialize(buffer.getvalue())
-        raw._connection_header = {"callerid": "/leap_kuka_node"}
-        self.desired.callback(raw)
         poses = {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms}
         if TOOL_DESIRED in poses:
             self.tool = np.asarray(poses[VIRTUAL_LEAP] @ poses[TOOL_DESIRED])
 
-    def _on_stream(self, message):
-        import io
-
-        buffer = io.BytesIO()
-        message.serialize(buffer)
-        self.hand._on_stream(type(message)().deserialize(buffer.getvalue()))
+    def on_command(self, message):
+        self.command = np.array(message.radian_commands)
 
 
 def states(events):
@@ -239,23 +226,23 @@ def states(events):
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_the_nodes_make_of_it_what_the_pure_chain_makes(ros, monkeypatch, name):
-    import rospy
+def test_the_nodes_make_of_it_what_the_pure_chain_makes(monkeypatch, name):
+    from simulated import graph, scheduler
 
     try:
         run = RUNS[name]()
     except Missing as missing:
         pytest.skip(str(missing))
     old = Stored.read(name)
-    try:
-        trace = NodeChain(World(run), monkeypatch).run()
-    finally:
-        rospy.rostime.switch_to_wallclock()
+    monkeypatch.setattr(scheduler, "START_S", BEGIN_S - 2.0 * START_S)
+    with graph.Graph() as virtual:
+        trace = NodeChain(virtual, monkeypatch, run).run()
     new = stored(trace)
     expected, found = states(old.events), states(new.events)
     for who in ("kuka:", "leap_kuka:", "leap_hand:"):
         of_old, of_new = ([change for change in changes if change[1] == who] for changes in (expected, found))
         assert [state for _, _, state in of_new] == [state for _, _, state in of_old], who
-        assert max(abs(a[0] - b[0]) for a, b in zip(of_old, of_new)) <= LATE_S, who
+        late = [abs(a[0] - b[0]) for a, b in zip(of_old, of_new) if a[0] > ON_S]
+        assert max(late) <= LATE_S, who
     found = differences(old, Stored(new.means, new.counts, old.events), BOUNDS)
     assert not found, f"{name}: {' '.join(found)}"

@@ -9,9 +9,10 @@ import pytest
 
 from tools.reference.sources import REFERENCE, ROOT
 
-pytestmark = [pytest.mark.ros, pytest.mark.rig]
+pytestmark = pytest.mark.ros
 
 
+@pytest.mark.long
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("part", ["rig", "ptp", "vision"])
 def test_the_page_is_as_the_graph(part):

@@ -46,9 +46,11 @@ def device(processes, wait_until):
 @pytest.mark.parametrize(
     ("name", "simulator", "port", "prints"),
     [
-        ("kst", "sunrise_controller.py", "30001", r"joints \[rad\]: \[ *0\. +0\.2 "),
-        ("leap_motion", "leapd.py", "6437", "Leap service"),
-        ("reflex", "reflex_hand.py", "11333", r"joints \[rad\]: \[2\.[45]"),
+        pytest.param(
+            "kst", "sunrise_controller.py", "30001", r"joints \[rad\]: \[ *0\. +0\.2 ", marks=pytest.mark.real
+        ),
+        pytest.param("leap_motion", "leapd.py", "6437", "Leap service", marks=pytest.mark.long),
+        pytest.param("reflex", "reflex_hand.py", "11333", r"joints \[rad\]: \[2\.[45]", marks=pytest.mark.long),
     ],
 )
 def test_installs_alone_and_the_readme_runs(tmp_path, device, name, simulator, port, prints):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
-from tools.mutate import places
+from tools.mutate import places, times
+
+SRC = Path(__file__).parents[1] / "src"
 
 SOURCE = '''"""A docstring, 3 - 1."""
 from typing import TYPE_CHECKING
@@ -82,13 +85,33 @@ def test_two_statements_of_one_form_are_not_taken_for_each_other():
     assert not same
 
 
-@pytest.mark.clock
+def test_each_of_the_times_is_there_and_its_mutants_are_other_numbers():
+    for file, names in times.TIMES.items():
+        source = (SRC / file).read_text()
+        found = times.find(source, "package", f"src/{file}", names)
+        assert [place.statement for place in found] == [name for name in names.split() for _ in times.FACTORS]
+        for place in found:
+            number, other = float(place.before), float(place.after)
+            assert number > 0.0 and f"x{other / number:g}" == place.operator
+            assert place.mutated(source).count("\n") == source.count("\n")
+
+
+def test_a_time_is_used_where_its_name_stands():
+    place = times.find("A_S, B_S = 0.5, 2\nwait(A_S)\n", "arm", "src/arm/src/arm/waits.py", "A_S")[0]
+    sources = {
+        place.file: "A_S, B_S = 0.5, 2\nwait(A_S)\n",
+        "src/arm/src/arm/a.py": "from arm.waits import B_S, A_S\n\nwait(B_S)\nwait(2.0 * A_S)\n",
+        "src/arm/src/arm/b.py": "A_S = 3.0\n",
+    }
+    assert times.uses(place, sources) == {place.file: {1, 2}, "src/arm/src/arm/a.py": {1, 4}}
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--count", "0"], "'0' is not a number from 1"),
         (["--limit", "nan"], "'nan' is not a number from 1"),
-        (["--root", "."], "'.' is no tree with a commit of git"),
+        pytest.param(["--root", "."], "'.' is no tree with a commit of git", marks=pytest.mark.long),
         (["--places", "nowhere.json"], "'nowhere.json' holds no result"),
         (["--places", "wrong.json"], "'wrong.json' holds no result"),
     ],

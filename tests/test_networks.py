@@ -1,15 +1,13 @@
-"""The table of bad networks: its page, the choice of cells, and two short cells on a running rig."""
+"""The table of bad networks: its page, the choice of cells, and the arm's cells in virtual time."""
 
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 
 from campaign.network import cells
-from campaign.network.wire import ROOT, in_own_network
+from campaign.network.wire import ROOT
 
 STORED = json.loads((ROOT / "docs" / "bad-networks.json").read_text())
 RESULT = {
@@ -67,14 +65,20 @@ def test_a_page_shows_faults_what_was_not_measured_and_what_was_not_run():
     assert "the machine paused for 0.5 s" in cells.line("arm:loss_5", {**RESULT, "pause_s": 0.5})
 
 
-@pytest.mark.ros
-@pytest.mark.rig
-def test_the_arm_keeps_its_limits_on_a_link_that_loses_packets_or_freezes():
-    device = [sys.executable, "-c", "from campaign.network.wire import Wire; Wire('arm').close()"]
-    if subprocess.run(in_own_network(device), cwd=ROOT, capture_output=True).returncode:
-        pytest.skip("this machine lets nobody make a network device")
-    from campaign.run import Campaign
+MODELLED = ("delay_5", "delay_20", "delay_100", "jitter_50", "loss_1", "loss_10", "reordering")
 
-    results = Campaign(list(cells.SHORT.values()), 1, None, lambda *_: None).run()
-    assert {name: result["faults"] for name, result in results.items()} == {name: [] for name in cells.SHORT}
-    assert results["arm:loss_5:short"]["lost"] > 0
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    "condition",
+    ["loss_5", "freezes_300", *(pytest.param(name, marks=pytest.mark.long) for name in MODELLED)],
+)
+def test_the_arm_keeps_its_limits_on_a_bad_link(virtual_graph, condition):
+    from campaign.network.measure import run_cell
+    from simulated.rig import VirtualRig
+
+    cell = cells.CELLS[f"arm:{condition}"]
+    with VirtualRig(virtual_graph, cell.variant) as rig:
+        rig.calm()
+        found = run_cell(rig, cell)
+    assert found.faults == [], found

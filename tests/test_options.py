@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import threading
 
@@ -184,13 +185,14 @@ def test_results_that_the_disk_does_not_take_are_a_sentence(monkeypatch, capsys,
     assert "/dev/full: No space left on device" in capsys.readouterr().err
 
 
-@pytest.mark.clock
 @ros
 def test_the_folder_of_the_logs_of_a_campaign_is_made(tmp_path, monkeypatch):
     from campaign import run
 
+    worker = argparse.Namespace(returncode=0, stdin=io.StringIO(), stdout=io.StringIO(), wait=lambda _: 0)
     monkeypatch.setattr(run, "ROOT", tmp_path)
-    monkeypatch.setattr(run, "in_own_network", lambda command: ["true"])
+    for name in ("run", "Popen"):
+        monkeypatch.setattr(run.subprocess, name, lambda *_, **__: worker)
     rig = run.Rig("shipped", None)
     assert list((tmp_path / "build").glob("campaign-*.log"))
     rig.close()

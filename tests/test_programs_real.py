@@ -1,6 +1,6 @@
 """Each node as a process of its own: it has the topics and services of the handbook's page, and ends on Ctrl-C.
 
-What it does is tested in virtual time, in its package.
+What it does is tested in virtual time, in its package. The nodes of a package run side by side.
 """
 
 from __future__ import annotations
@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
-
-pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[1]
 NODE = re.compile(r'\brun\(("|NAME|name\b|node)|\binit_node\(')
@@ -112,49 +110,69 @@ class Program:
     code: int = 0
 
 
-PROGRAMS = [
-    Program("collect.py", "grasp_collection", ("grasping", "collect.launch"), needs=(tool,)),
-    Program("ggcnn.py", "ggcnn", ("leap_rig", "grasping.launch"), needs=(tool,)),
-    Program("grasp_execution.py", "grasp_execution", ("grasping", "execution.launch"), needs=(tool,)),
-    Program("grasp_picture.py", "grasp_picture", package="grasping", options=("grasp.png",),
-            sign="/ggcnn/out/grasps", code=1),
-    Program("gui.py", "kuka_panel", package="kuka_control"),
-    Program("ptp_controller.py", "kuka_ptp_node", ("kuka_control", "ptp_controller.launch"), needs=(world,)),
-    Program(
-        "real_time_controller.py", "kuka_real_time_node", ("kuka_control", "real_time_controller.launch"),
-        needs=(world,),
-    ),
-    Program("leap_hand_node.py", "leap_hand_node", ("leap_hand", "leap_hand.launch"), needs=(hand,)),
-    Program("arm_choice_node.py", "arm_choice",
-            ("leap_rig", "two_arms.launch", "arm_choice:=service", "one_process:=false"), sign="/leap_kuka/choose_arm"),
-    Program("leap_kuka_node.py", "leap_kuka_node", ("leap_kuka", "leap_kuka.launch"), needs=(tool,)),
-    Program("operator_input_node.py", "operator_input_node", package="leap_kuka", sign="/leap_kuka/operator_input"),
-    Program("leap_teleop.py", "leap_teleop", ("leap_rig", "two_arms.launch"), sign="/leap_motion/leap_device"),
-    Program("operator_view_node.py", "operator_view", ("leap_rig", "demo.launch"), needs=(viewer,)),
-    Program("tutorial.py", "tutorial", ("leap_rig", "demo.launch", "tutorial:=true"), sign="/kuka/status"),
-    Program("leap_driver.py", "leap_driver", ("leap_motion", "leap_driver.launch")),
-    Program("visualizer.py", "leap_motion_visualizer", ("leap_motion", "visualization.launch"),
-            sign="/leap_motion/visualization_marker_array"),
-    Program("reflex_takktile_driver.py", "reflex_takktile_driver", ("leap_rig", "demo.launch")),
-    Program("apriltag_ros_continuous_node.py", "apriltag_ros_continuous_node", ("vision", "camera_apriltag.launch")),
-    Program("apriltag_ros_single_image_server_node.py", "apriltag_ros_single_image_server", package="apriltag_ros",
-            options=("_standalone_tags:=[{id: 0, size: 0.1}]",), sign="/single_image_tag_detection"),
-    Program("camera_node.py", "camera/driver", ("leap_rig", "camera.launch"), needs=(world,)),
-    Program("camera_truth_node.py", "camera_truth", ("leap_rig", "camera.launch"), needs=(world,)),
-    Program("operator_node.py", "operator", ("leap_rig", "demo.launch"), needs=(tool,)),
-    Program("simulation_node.py", "simulation", ("leap_rig", "demo.launch"), needs=(world,)),
-    Program("camera_frames_node.py", "camera/frames", ("vision", "camera.launch")),
-    Program("camera_place_node.py", "camera_place", ("vision", "camera_apriltag.launch")),
-    Program("camera_watchdog_node.py", "camera/watchdog", ("vision", "camera.launch"),
-            later=frozenset({"/camera/depth/image_raw", "/camera/rgb/image_raw"})),
-    Program("plane_pose_node.py", "plane_pose", ("vision", "plane_pose.launch")),
-    Program("register_rgbd_start.py", "camera/register_rgbd", ("leap_rig", "camera.launch")),
-    Program("stereo_view_node.py", "stereo_view", ("vision", "camera_oculus.launch")),
-    Program("xtion_node.py", "camera/driver", ("vision", "camera.launch", "sim:=false"), sign="/camera/depth/image_raw",
-            needs=(camera,)),
-]  # fmt: skip
+PROGRAMS = {
+    "grasping": [
+        Program("collect.py", "grasp_collection", ("grasping", "collect.launch"), needs=(tool,)),
+        Program("ggcnn.py", "ggcnn", ("leap_rig", "grasping.launch"), needs=(tool,)),
+        Program("grasp_execution.py", "grasp_execution", ("grasping", "execution.launch"), needs=(tool,)),
+        Program("grasp_picture.py", "grasp_picture", package="grasping", options=("grasp.png",),
+                sign="/ggcnn/out/grasps", code=1),
+        Program("image_viewer.py", "image_viewer", package="grasping", options=("image:=/viewer/red",),
+                sign="/viewer/red"),
+    ],
+    "kuka_control": [
+        Program("gui.py", "kuka_panel", package="kuka_control"),
+        Program("real_time_controller.py", "kuka_real_time_node", ("kuka_control", "real_time_controller.launch"),
+                needs=(world,)),
+    ],
+    "kuka_control's other controller": [
+        Program("ptp_controller.py", "kuka_ptp_node", ("kuka_control", "ptp_controller.launch"), needs=(world,)),
+    ],
+    "leap_hand and leap_kuka": [
+        Program("leap_hand_node.py", "leap_hand_node", ("leap_hand", "leap_hand.launch"), needs=(hand,)),
+        Program("arm_choice_node.py", "arm_choice",
+                ("leap_rig", "two_arms.launch", "arm_choice:=service", "one_process:=false"),
+                sign="/leap_kuka/choose_arm"),
+        Program("leap_kuka_node.py", "leap_kuka_node", ("leap_kuka", "leap_kuka.launch"), needs=(tool,)),
+        Program("operator_input_node.py", "operator_input_node", package="leap_kuka",
+                sign="/leap_kuka/operator_input"),
+    ],
+    "leap_rig and reflex": [
+        Program("leap_teleop.py", "leap_teleop", ("leap_rig", "two_arms.launch"), sign="/leap_motion/leap_device"),
+        Program("operator_view_node.py", "operator_view", ("leap_rig", "demo.launch"), needs=(viewer,)),
+        Program("reflex_takktile_driver.py", "reflex_takktile_driver", ("leap_rig", "demo.launch")),
+        Program("tutorial.py", "tutorial", ("leap_rig", "demo.launch", "tutorial:=true"), sign="/kuka/status"),
+    ],
+    "the Leap and the camera": [
+        Program("leap_driver.py", "leap_driver", ("leap_motion", "leap_driver.launch")),
+        Program("visualizer.py", "leap_motion_visualizer", ("leap_motion", "visualization.launch"),
+                sign="/leap_motion/visualization_marker_array"),
+        Program("xtion_node.py", "camera/driver", ("vision", "camera.launch", "sim:=false"),
+                sign="/camera/depth/image_raw", needs=(camera,)),
+    ],
+    "rig_simulation": [
+        Program("operator_node.py", "operator", ("leap_rig", "demo.launch"), needs=(tool,)),
+        Program("camera_node.py", "camera/driver", ("leap_rig", "camera.launch"), needs=(world,)),
+        Program("camera_truth_node.py", "camera_truth", ("leap_rig", "camera.launch"), needs=(world,)),
+        Program("simulation_node.py", "simulation", ("leap_rig", "demo.launch"), needs=(world,)),
+    ],
+    "vision and apriltag_ros": [
+        Program("apriltag_ros_continuous_node.py", "apriltag_ros_continuous_node",
+                ("vision", "camera_apriltag.launch")),
+        Program("apriltag_ros_single_image_server_node.py", "apriltag_ros_single_image_server",
+                package="apriltag_ros", options=("_standalone_tags:=[{id: 0, size: 0.1}]",),
+                sign="/single_image_tag_detection"),
+        Program("camera_frames_node.py", "camera/frames", ("vision", "camera.launch")),
+        Program("camera_place_node.py", "camera_place", ("vision", "camera_apriltag.launch")),
+        Program("camera_watchdog_node.py", "camera/watchdog", ("vision", "camera.launch"),
+                later=frozenset({"/camera/depth/image_raw", "/camera/rgb/image_raw"})),
+        Program("plane_pose_node.py", "plane_pose", ("vision", "plane_pose.launch")),
+        Program("register_rgbd_start.py", "camera/register_rgbd", ("leap_rig", "camera.launch")),
+        Program("stereo_view_node.py", "stereo_view", ("vision", "camera_oculus.launch")),
+    ],
+}  # fmt: skip
 ELSEWHERE = {
-    "collect_shown_grasp.py", "image_viewer.py", "move.py", "simple_controller.py", "hand_wizard.py", "demo.py",
+    "collect_shown_grasp.py", "move.py", "simple_controller.py", "hand_wizard.py", "demo.py",
     "record.py", "replay.py", "calibrate_camera.py", "register_rgbd_node.py", "stereo_web_node.py",
 }  # fmt: skip
 """Programs that talk with a person, or need a device or a recording: the tests of their packages start them."""
@@ -177,11 +195,8 @@ def command(program: Program) -> tuple[str, list[str]]:
     return node.package, [f"__name:={node.name}", f"__ns:={node.namespace}", *shlex.split(node.args), *remaps]
 
 
-def names_of(node: str) -> dict[str, set[str]]:
+def names_of(node: str, state: list) -> dict[str, set[str]]:
     """The topics and services of a node, without those that rospy and tf2 give to each."""
-    import rosgraph
-
-    state = rosgraph.Master("/test").getSystemState()
     found = {
         kind: {name for name, nodes in offered if node in nodes}
         for kind, offered in zip(("publishes", "hears", "offers"), state)
@@ -190,38 +205,61 @@ def names_of(node: str) -> dict[str, set[str]]:
     return {kind: names - of_each for kind, names in found.items()}
 
 
-@pytest.mark.parametrize("program", PROGRAMS, ids=[program.script for program in PROGRAMS])
-def test_it_has_the_names_of_its_page_and_ends_on_ctrl_c(
-    ros, program, wait_until, names_on_the_page, monkeypatch, tmp_path
+def has_its_names(program: Program, found: dict[str, set[str]], page: dict[str, set[str]]) -> bool:
+    """Whether a node has the names of its page; without a page, its sign."""
+    if program.sign:
+        return program.sign in set().union(*found.values())
+    assert any(page.values()), f"{program.script} is not on the page"
+    return all(names - program.later <= found[kind] <= names for kind, names in page.items())
+
+
+@pytest.mark.ros
+@pytest.mark.real
+@pytest.mark.parametrize("programs", PROGRAMS.values(), ids=PROGRAMS)
+def test_they_have_the_names_of_their_pages_and_end_on_ctrl_c(
+    ros, programs, wait_until, names_on_the_page, monkeypatch, tmp_path
 ):
-    package, options = command(program)
-    for need in program.needs:
+    import rosgraph
+
+    commands = [command(program) for program in programs]
+    for need in dict.fromkeys(need for program in programs for need in program.needs):
         need(Bench(ros, wait_until, monkeypatch, tmp_path))
-    process = ros.run(package, program.script, *options)
-    own = f"/{program.node}"
-    page = {kind: names - program.later for kind, names in names_on_the_page(program.node).items()}
-    assert program.sign or any(page.values())
+    started = [
+        (program, ros.run(package, program.script, *options))
+        for program, (package, options) in zip(programs, commands)
+    ]  # fmt: skip
+    faults: dict[str, Any] = {}  # what a failure shows
 
-    def has_its_names():
-        assert process.poll() is None, process.log_path.read_text()
-        found = names_of(own)
-        return program.sign in set().union(*found.values()) if program.sign else found == page
+    def all_have_their_names():
+        state = rosgraph.Master("/test").getSystemState()
+        faults.clear()
+        for program, process in started:
+            assert process.poll() is None, f"{program.script} has ended: {process.log_path.read_text()}"
+            found = names_of(f"/{program.node}", state)
+            if not has_its_names(program, found, names_on_the_page(program.node)):
+                faults[program.script] = found
+        return not faults
 
-    wait_until(has_its_names, 30.0, f"{program.sign or page}")
-    process.send_signal(signal.SIGINT)
-    assert process.wait(20.0) == program.code, process.log_path.read_text()
-    assert "Traceback" not in process.log_path.read_text(), process.log_path.read_text()
+    wait_until(all_have_their_names, 30.0, faults)
+    for _, process in started:
+        process.send_signal(signal.SIGINT)
+    for program, process in started:
+        process.wait(20.0)
+        said = process.log_path.read_text()
+        if process.returncode != program.code or "Traceback" in said:
+            faults[program.script] = process.returncode, said
+    assert not faults
 
 
 def test_every_node_is_here_or_named():
-    scripts = [path for path in ROOT.glob("src/**/scripts/*.py") if _is_node(path)]
-    listed = {program.script for program in PROGRAMS}
-    assert {path.name for path in scripts} == listed | ELSEWHERE and not listed & ELSEWHERE
+    modules = {str(path).rpartition("/src/")[2]: path.read_text() for path in ROOT.glob("src/**/src/**/*.py")}
 
+    def is_node(script: Path) -> bool:
+        text = script.read_text()
+        names = re.findall(r"^from (\w[\w.]+) import", text, re.MULTILINE)
+        files = {f"{name.replace('.', '/')}.py" for name in names if not name.endswith(".node")}
+        return any(NODE.search(each) for each in (text, *(modules.get(file, "") for file in files)))
 
-def _is_node(script: Path) -> bool:
-    text = script.read_text()
-    modules = re.findall(r"^from (\w[\w.]+) import", text, re.MULTILINE)
-    files = [found for name in modules for found in ROOT.glob(f"src/**/src/{name.replace('.', '/')}.py")]
-    files = [file for file in files if file.name != "node.py"]
-    return any(NODE.search(each) for each in (text, *(file.read_text() for file in files)))
+    scripts = {path.name for path in ROOT.glob("src/**/scripts/*.py") if is_node(path)}
+    listed = {program.script for programs in PROGRAMS.values() for program in programs}
+    assert scripts == listed | ELSEWHERE and not listed & ELSEWHERE

@@ -51,9 +51,7 @@ def set_up_and_said(project: Path, noetic: Path) -> tuple[list[str], str]:
     """Runs the script; returns how programs were called, and what it printed."""
     calls = project / "calls"
     environment = {"PATH": f"{project}/bin:{os.defpath}", "CALLS": str(calls), "LEAP_RIG_NOETIC": str(noetic)}
-    done = subprocess.run(
-        [project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True
-    )
+    done = subprocess.run([project / "tools" / "setup.sh"], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return calls.read_text().splitlines(), done.stdout
 

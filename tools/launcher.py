@@ -1,4 +1,4 @@
-"""`launcher.py roslaunch|roscore ARGUMENTS`: ROS's program as one of this Python, which tests start as a fork.
+"""`launcher.py roslaunch|roscore ARGUMENTS`: ROS's program as one of this Python, as tests start it.
 Its XML-RPC server ends when it is closed; that of the installed program takes a processor until all has ended.
 """
 

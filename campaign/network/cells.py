@@ -13,32 +13,26 @@ WIRES = {
     "leap": "the WebSocket of the Leap service",
     "ros": "every connection between two nodes, and to the ROS master",
 }
-CELL_S, SHORT_S = 20.0, 5.0
+CELL_S = 20.0  # how long a condition lasts [s]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A condition on a wire; a short one, on a rig that is patient with a busy machine, is a test."""
+    """A condition on a wire."""
 
     wire: str
     condition: str
-    short: bool = False
     spoils: bool = False
 
     @property
     def number(self) -> str:
         """Its name, such as arm:loss_5."""
-        return f"{self.wire}:{self.condition}{':short' if self.short else ''}"
+        return f"{self.wire}:{self.condition}"
 
     @property
     def variant(self) -> str:
         """The rig that it needs; see trial.VARIANTS."""
-        return f"{'patient' if self.short else 'shipped'}/{self.wire}"
-
-    @property
-    def seconds(self) -> float:
-        """How long the condition lasts [s]."""
-        return SHORT_S if self.short else CELL_S
+        return f"shipped/{self.wire}"
 
 
 def unprovoked(condition: str, packets: int, lost: int) -> list[str]:
@@ -50,7 +44,6 @@ def unprovoked(condition: str, packets: int, lost: int) -> list[str]:
 
 
 CELLS = {cell.number: cell for cell in (Cell(wire, condition) for wire in WIRES for condition in CONDITIONS)}
-SHORT = {cell.number: cell for cell in (Cell("arm", name, short=True) for name in ("loss_5", "freezes_300"))}
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from campaign.judge import Evidence, Expected, Limits, judge
-from campaign.network.cells import Cell, CellResult, unprovoked
+from campaign.network.cells import CELL_S, Cell, CellResult, unprovoked
 from campaign.network.link import CLEAR, CONDITIONS
 from common import clock
 
@@ -54,7 +54,7 @@ def run_cell(rig, cell: Cell) -> CellResult:
 def _let_pass(wire, cell: Cell) -> dict[str, int]:
     """Lets the condition pass; returns how many packets came and how many were lost."""
     total = {"packets": 0, "lost": 0}
-    end = clock.monotonic() + cell.seconds
+    end = clock.monotonic() + CELL_S
     wire.set(CLEAR)
     for duration, link in (*CONDITIONS[cell.condition].phases, (0.0, CLEAR)):
         for phase in (link,) if clock.monotonic() < end else (CLEAR,):

@@ -315,7 +315,7 @@ def spikes(trial):
     trial.recovers()
 
 
-@row(14, "1 % / 10 % loss, reordering, 50 ms jitter", "", within=1.0, variant="patient/arm", limits=ROBOT_BRAKES,
+@row(14, "1 % / 10 % loss, reordering, 50 ms jitter", "", within=1.0, variant="shipped/arm", limits=ROBOT_BRAKES,
      dangerous="bursts of late goals could make the arm faster than its limits")  # fmt: skip
 def bad_link(trial):
     rig = trial.rig
@@ -343,7 +343,7 @@ def bad_link(trial):
 
 
 # No limit of the stream's 12 rad/s^2: on a busy machine too few goals leave.
-@row(15, "Nagle / delayed ACK stalls", "", within=1.0, limits=ROBOT_BRAKES)
+@row(15, "Nagle / delayed ACK stalls", "", within=1.0, limits=ROBOT_BRAKES, real="the options are the kernel's")
 def nagle(trial):
     rig = trial.rig
     trial.follow()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from dataclasses import replace
 
 import numpy as np
 import rospy
@@ -15,13 +14,12 @@ from campaign.rig import TELEOP
 from campaign.trial import row
 from rig_msgs.msg import OperatorInput
 
-PLANNED = replace(Limits.of_the_drives(), joint_speed=0.3, tool_speed=0.45)
-"""A planned motion runs at a quarter of the full joint speeds, and the hands here are slow. The arm follows them, too:
-goals that come late from a busy machine make its drives brake between them."""
+PLANNED = Limits(joint_speed=0.3, tool_speed=0.45)
+"""A planned motion runs at a quarter of the full joint speeds, and the hands here are slow."""
 
 
 @row(54, "Axis convention or scale file wrong", "R", within=3.0, named_by="axes are mirrored|millimetres", still=True,
-     argued="axes-of-the-tracker.md", variant="tracker",
+     argued="axes-of-the-tracker.md",
      dangerous="an arm that moves to the wrong side, or ten times as far")  # fmt: skip
 def wrong_axes(trial):
     rig = trial.rig
@@ -45,8 +43,7 @@ def wrong_axes(trial):
     rig.wait_for_modes("servo")
 
 
-@row(55, "Engage while hand moves fast", "R", within=6.0, named_by="moves too fast for a start", still=True,
-     variant="tracker")  # fmt: skip
+@row(55, "Engage while hand moves fast", "R", within=6.0, named_by="moves too fast for a start", still=True)
 def fast_hand(trial):
     rig = trial.rig
     trial.check("control is on", rig.control(True).success)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import tempfile
 from pathlib import Path
+from typing import Any
 
-from campaign.rows.limits import FOLLOWS
 from campaign.trial import row
 from leap_rig.recording.recording_files import MANIFEST
 
@@ -21,16 +20,15 @@ OTHERS = {
 """What may differ between two rigs: model, tool, calibration and limits."""
 
 
-def replay(trial, folder: Path) -> subprocess.CompletedProcess:
+def replay(trial, folder: Path) -> Any:
     """Replays on the robot, with an operator who agrees to all; what it says is heard."""
-    command = ["rosrun", "leap_rig", "replay.py", str(folder), "--robot"]
-    ended = subprocess.run(command, input="yes\nno\n", text=True, capture_output=True, timeout=90.0, check=False)
+    ended = trial.rig.answer("yes\nno\n", "rosrun", "leap_rig", "replay.py", str(folder), "--robot")
     for line in ended.stderr.splitlines():
         trial.rig.hear("replay.py", line)
     return ended
 
 
-@row(80, "Replay of a recording on another robot/tool", "R", within=60.0, limits=FOLLOWS,
+@row(80, "Replay of a recording on another robot/tool", "R", within=60.0,
      named_by="this is not the robot of the recording",
      dangerous="the path was free for another robot, another tool and other limits")  # fmt: skip
 def replay_on_another_robot(trial):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from std_srvs.srv import Empty
 
-from campaign.rows.limits import FOLLOWS, stays_in_servo
+from campaign.rows.limits import stays_in_servo
 from campaign.trial import row
 
 INDEX, MIDDLE = 0, 1
@@ -41,7 +41,7 @@ def opens(trial) -> None:
     trial.rig.wait(lambda: max(angles(trial)[:3]) < 0.15, "the fingers to open", 10.0)
 
 
-@row(67, "Hand (gripper) unplugged", "", named_by="state of the robot hand is unknown", limits=FOLLOWS)
+@row(67, "Hand (gripper) unplugged", "", named_by="state of the robot hand is unknown")
 def unplugged(trial):
     rig = trial.rig
     grips(trial, 0.4)
@@ -63,7 +63,7 @@ def unplugged(trial):
     stays_in_servo(trial)
 
 
-@row(68, "Hand motor overload / hot", "", named_by="Motor f1 is overloaded", limits=FOLLOWS,
+@row(68, "Hand motor overload / hot", "", named_by="Motor f1 is overloaded",
      dangerous="fingers that keep closing crush what they hold, or a person's fingers")  # fmt: skip
 def overloaded(trial):
     rig = trial.rig
@@ -85,7 +85,7 @@ def overloaded(trial):
     stays_in_servo(trial)
 
 
-@row(69, "Tactile sensor stuck / drift", "", named_by="index is not closed further", limits=FOLLOWS)
+@row(69, "Tactile sensor stuck / drift", "", named_by="index is not closed further")
 def taxel_stuck(trial):
     rig = trial.rig
     grips(trial, 0.4)

@@ -7,7 +7,6 @@ import signal
 
 import numpy as np
 
-from campaign.judge import Limits
 from campaign.rig import DRIVER
 from campaign.trial import row
 
@@ -16,8 +15,6 @@ LEFT = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
 TOOL_SPEED = 0.65  # limit of the stream as shipped [m/s]
 FULL_SPEED_HZ = 60.0  # down to this frame rate it holds
 DRIVES = 1.1  # what drives that lag unevenly add to the speed of the tool
-BUSY = Limits.of_the_drives()
-"""Of an arm that follows a hand: goals that come late from a busy machine make its drives brake between them."""
 
 
 def follow_up_and_down(trial):
@@ -53,7 +50,8 @@ def fastest(trial, since):
 
 def loses_its_hand(trial, fault, lasts, away, stands=0.5, says=""):
     """The arm follows a hand, the tracker fails for so long, and nothing follows in the time `away` [s]."""
-    trial.tracker_fault(fault, lasts, trial.follow, says)
+    trial.follow()
+    trial.fault("leap", fault, duration=lasts)
     trial.stands(stands)
     if says:
         trial.says(says)
@@ -63,14 +61,9 @@ def loses_its_hand(trial, fault, lasts, away, stands=0.5, says=""):
 
 def sees_another_hand(trial, fault, says, value=None):
     """The arm follows a hand up and down, for which the tracker takes another one; the arm must not go sideways."""
-    since = 0.0
-
-    def follow():
-        nonlocal since
-        follow_up_and_down(trial)
-        since = trial.rig.arm.now.time
-
-    trial.tracker_fault(fault, 2.5, follow, says, value=value)
+    follow_up_and_down(trial)
+    since = trial.rig.arm.now.time
+    trial.fault("leap", fault, value=value, duration=2.5)
     trial.stands(0.5)
     sideways = way(tools(trial, since), LEFT)
     trial.check("the arm does not go to the other hand", sideways < 0.005, f"{sideways:.3f} m sideways")
@@ -79,8 +72,7 @@ def sees_another_hand(trial, fault, says, value=None):
     trial.recovers()
 
 
-@row(43, "Tracker service not running", "R", within=10.0, named_by="No Leap service answers", still=True,
-     variant="tracker")  # fmt: skip
+@row(43, "Tracker service not running", "R", within=10.0, named_by="No Leap service answers", still=True)
 def not_running(trial):
     rig = trial.rig
     trial.killed.add(f"/{DRIVER}")
@@ -102,31 +94,30 @@ def not_running(trial):
     rig.wait_for_modes("servo")
 
 
-@row(44, "Tracker unplugged while tracking", "D", within=1.6, named_by="unplugged|no tracking frames", operator=True,
-     limits=BUSY, variant="tracker")  # fmt: skip
+@row(44, "Tracker unplugged while tracking", "D", within=1.6, named_by="unplugged|no tracking frames", operator=True)
 def unplugged(trial):
     loses_its_hand(trial, "unplugged", 2.5, away=4.0, says="unplugged|no tracking frames")
 
 
-@row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker",
+@row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True,
      dangerous="the commonest end of a stream, in any motion")  # fmt: skip
 def hand_leaves(trial):
     loses_its_hand(trial, "hand_lost", 2.0, away=3.5, says="was lost")
 
 
 @row(46, "Hand re-appears with a new id elsewhere", "D", within=1.6, named_by="was lost", operator=True,
-     limits=BUSY, variant="tracker", dangerous="an arm that goes to where the new hand is")  # fmt: skip
+     dangerous="an arm that goes to where the new hand is")  # fmt: skip
 def hand_elsewhere(trial):
     sees_another_hand(trial, "hand_moved", "out of the box and back in", value=100.0)
 
 
-@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True, limits=BUSY, variant="tracker")
+@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True)
 def swapped(trial):
     sees_another_hand(trial, "hand_swapped", "left hand .*out of the box and back in")
 
 
 @row(48, "Second hand or another person appears", "D", within=1.6, named_by="was lost", operator=True,
-     limits=BUSY, variant="tracker", dangerous="an arm that follows a person who does not expect it")  # fmt: skip
+     dangerous="an arm that follows a person who does not expect it")  # fmt: skip
 def another_person(trial):
     rig = trial.rig
     follow_up_and_down(trial)
@@ -153,7 +144,7 @@ def glitches(sizes):
     return [{axis: hand[axis] + sign * size} for size in sizes for axis, sign in signs.items()]
 
 
-@row(49, "One-frame outlier of 20 cm", "", limits=BUSY, variant="tracker")
+@row(49, "One-frame outlier of 20 cm", "")
 def outliers(trial):
     rig = trial.rig
     trial.follow(sway=False)
@@ -183,13 +174,13 @@ def outliers(trial):
 
 
 @row(50, "Tracker frozen: same frame repeated", "D", within=1.6, named_by="came twice|repeats frame|no tracking frames",
-     operator=True, limits=BUSY, variant="tracker")  # fmt: skip
+     operator=True)  # fmt: skip
 def frozen(trial):
     loses_its_hand(trial, "frozen", 2.5, away=4.0)
 
 
-@row(51, "Tracker rate drops to 10 Hz", "H", within=1.0, named_by="frames per second", limits=BUSY,
-     variant="tracker", dangerous="between two frames nobody sees the hand, and the arm moves on")  # fmt: skip
+@row(51, "Tracker rate drops to 10 Hz", "H", within=1.0, named_by="frames per second",
+     dangerous="between two frames nobody sees the hand, and the arm moves on")  # fmt: skip
 def low_rate(trial):
     rig, leap = trial.rig, trial.rig.leap
     rig.follow(right=-0.08)
@@ -226,8 +217,7 @@ def capped(trial, since, rate):
     trial.check(f"at {rate:g} Hz the tool keeps below {cap:.2f} m/s", speed <= cap, f"{speed:.3f} m/s")
 
 
-@row(52, "Bursts: 0 then 10 frames at once", "D", within=2.0, named_by="no tracking frame", operator=True,
-     limits=BUSY, variant="tracker")  # fmt: skip
+@row(52, "Bursts: 0 then 10 frames at once", "D", within=2.0, named_by="no tracking frame", operator=True)
 def bursts(trial):
     rig, leap = trial.rig, trial.rig.leap
     trial.follow()
@@ -255,7 +245,7 @@ def bursts(trial):
     trial.recovers()
 
 
-@row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True, limits=BUSY,
-     variant="tracker", argued="poorly-seen-hand.md")  # fmt: skip
+@row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True,
+     argued="poorly-seen-hand.md")  # fmt: skip
 def low_confidence(trial):
     loses_its_hand(trial, "low_confidence", 2.0, away=3.5, stands=0.6, says="confidence is 0.0")

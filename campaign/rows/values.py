@@ -9,7 +9,6 @@ import numpy as np
 
 from campaign import hostile
 from campaign.hostile import Frame, by_frames, by_message, by_move, by_service, pose_of
-from campaign.judge import Limits
 from campaign.rig import CONTROLLER
 from campaign.trial import row
 from kuka_msgs.srv import setPayload, setScalingFactor
@@ -21,8 +20,6 @@ NAN, INF = math.nan, math.inf
 DOWN = (-math.sin(math.pi / 8.0), math.cos(math.pi / 8.0), 0.0, 0.0)  # the tool as at home: z down
 HOME = (0.42, -0.42, 0.45)
 HUGE = 1e9
-ON_ITS_WAY = Limits.of_the_drives()
-"""The arm follows on: where a busy machine makes fewer goals, its drives bring it to each as fast as they may."""
 
 
 def hand_at(x: float, y: float, z: float, **fields: float) -> Human:
@@ -37,7 +34,7 @@ def hand_at(x: float, y: float, z: float, **fields: float) -> Human:
     return human
 
 
-@row(18, "NaN or infinity in any input", "R", within=2.0, named_by="finite", still=True, limits=ON_ITS_WAY,
+@row(18, "NaN or infinity in any input", "R", within=2.0, named_by="finite", still=True,
      dangerous="a number that compares as neither too large nor too small passes every limit")  # fmt: skip
 def not_finite(trial):
     hostile.at_home_and_while_following(trial, [
@@ -73,7 +70,7 @@ def garbled(trial) -> None:
 
 
 @row(19, "Huge but finite value (1e9, mm vs m mix-up)", "R", within=2.0, named_by="metres|millimetres|outside",
-     still=True, limits=ON_ITS_WAY)  # fmt: skip
+     still=True)  # fmt: skip
 def huge(trial):
     millimetres = tuple(1e3 * x for x in HOME)
     hostile.at_home_and_while_following(trial, [
@@ -103,7 +100,7 @@ def scaled(trial) -> None:
     trial.rig.leap.ask("fault", name="scaled", on=False)
 
 
-@row(20, "Quaternion not unit / zero", "R", within=2.0, named_by="instead of 1", still=True, limits=ON_ITS_WAY)
+@row(20, "Quaternion not unit / zero", "R", within=2.0, named_by="instead of 1", still=True)
 def quaternions(trial):
     zero, long, half = (0.0,) * 4, tuple(1.5 * x for x in DOWN), tuple(0.998 * x for x in DOWN)
     attacks = [
@@ -124,7 +121,7 @@ def quaternions(trial):
     trial.check("a quaternion within 1e-3 is normalised", almost.success, almost.message)
 
 
-@row(21, "Non-rigid matrix (scale, mirror)", "R", within=4.0, named_by="mirrored", still=True, limits=ON_ITS_WAY)
+@row(21, "Non-rigid matrix (scale, mirror)", "R", within=4.0, named_by="mirrored", still=True)
 def not_rigid(trial):
     """Matrices come as axes of the tracker, and as the tool's pose with the controller's parameters."""
     rig = trial.rig

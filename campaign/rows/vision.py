@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from apriltag_ros.msg import AprilTagDetection, AprilTagDetectionArray
 from campaign.arm_trace import T_FLANGE_TOOL
-from campaign.rows.limits import FOLLOWS, stays_in_servo
+from campaign.rows.limits import stays_in_servo
 from campaign.trial import row
 from common import clock
 from common.camera_model import pinhole
@@ -73,7 +73,7 @@ def refused(trial, reason: str) -> None:
     trial.check("it is refused for this reason", reason in answer.message, answer.message)
 
 
-@row(70, "Camera stream stops", "R", variant="seeing", within=10.0, named_by="depth camera is silent", limits=FOLLOWS)
+@row(70, "Camera stream stops", "R", variant="seeing", within=10.0, named_by="depth camera is silent")
 def camera_stops(trial):
     rig = trial.rig
     with contextlib.closing(Proposals(trial)) as proposals:
@@ -211,7 +211,7 @@ class Board:
         self._detections.publish(AprilTagDetectionArray(header, [tags]))
 
 
-@row(71, "AprilTag ambiguous/moved", "R", within=20.0, named_by="Nothing was stored", limits=FOLLOWS,
+@row(71, "AprilTag ambiguous/moved", "R", within=20.0, named_by="Nothing was stored",
      instead="a whole calibration has the robot to itself, so no rig runs beside it; what it refuses, with residuals, "
      "is tested with the program (test_calibrate_program.py). Here the running rig's camera pose is stored from "
      "detections that a board on the arm would give")  # fmt: skip

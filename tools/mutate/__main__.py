@@ -1,4 +1,4 @@
-"""`python -m tools.mutate`: mutates places of the source and prints which mutants the tests that need no ROS find.
+"""`python -m tools.mutate`: mutates places of the source and prints which mutants the tests without real time find.
 
 It works on a copy of the last commit and can be interrupted: the next call with the same folder continues.
 """
@@ -14,14 +14,14 @@ from collections import Counter
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from tools.mutate import places
+from tools.mutate import places, times
 from tools.mutate.places import Place
 from tools.mutate.trials import CoverageTable, Trials
 from tools.options import number
 
 ROOT = Path(__file__).parents[2]
-LEFT_OUT = {"ros", "gui", "tests", "scripts", "programs", "lab", "training", "evaluation"}
-"""Folders whose code has no tests without ROS or a screen, and the programs of the laboratory."""
+LEFT_OUT = {"tests", "scripts", "lab", "training", "evaluation"}
+"""Folders with tests, and the programs of the laboratory."""
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -40,20 +40,24 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--limit", type=number(1.0, 86_400.0), default=120.0, help="longest tests of one place [s] (default: 120)"
     )
+    parser.add_argument("--times", action="store_true", help="double and quadruple the times of times.py")
+    parser.add_argument("--tests", nargs="+", default=["src", "tests"], help="files and folders (default: all)")
     arguments = parser.parse_args(argv)
 
     arguments.folder.mkdir(parents=True, exist_ok=True)
-    trials = Trials(arguments.root.resolve(), arguments.folder.resolve())
+    trials = Trials(arguments.root.resolve(), arguments.folder.resolve(), arguments.tests)
     trials.record_coverage()
     table = trials.covering(arguments.limit)
-    file = arguments.result or arguments.folder / "result.json"
+    file = arguments.result or arguments.folder / ("times.result.json" if arguments.times else "result.json")
     result = json.loads(file.read_text()) if file.is_file() else {}
     if result.get("commit") != trials.commit:
-        result = {"commit": trials.commit, "seed": arguments.seed, "mutants": _chosen(arguments, trials, table)}
+        mutants = _times(trials) if arguments.times else _chosen(arguments, trials, table)
+        result = {"commit": trials.commit, "seed": arguments.seed, "mutants": mutants}
+    sources = {file: trials.source(file) for file in trials.files()}
     for mutant in result["mutants"]:
         if mutant["found"] is None:
             place, begin = _place(mutant), time.monotonic()
-            covering = table.of(place)
+            covering = table.of(place, times.uses(place, sources) if arguments.times else None)
             mutant["found"] = bool(covering.tests) and trials.is_found(place, covering)
             mutant["tests"], mutant["seconds"] = len(covering.tests), round(time.monotonic() - begin, 1)
             file.write_text(json.dumps(result, indent=1))
@@ -82,8 +86,7 @@ def result_file(text: str) -> dict:
 
 def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable) -> list[dict]:
     candidates = []
-    for path in sorted(arguments.root.glob("src/**/src/*/**/*.py")):
-        file = path.relative_to(arguments.root)
+    for file in map(Path, trials.files()):
         inner = file.parts[len(file.parts) - 1 - file.parts[::-1].index("src") + 1 :]
         if not LEFT_OUT & set(inner[1:-1]):
             found = places.find(trials.source(str(file)), inner[0], str(file))
@@ -93,6 +96,19 @@ def _chosen(arguments: argparse.Namespace, trials: Trials, table: CoverageTable)
         chosen = places.find_again(saved, candidates, arguments.seed)
     else:
         chosen = [(place, True) for place in places.choose(candidates, arguments.count, arguments.seed)]
+    return _untried(chosen)
+
+
+def _times(trials: Trials) -> list[dict]:
+    found = []
+    for file, names in times.TIMES.items():
+        path = f"src/{file}"
+        package = path.split("/src/")[0].rpartition("/")[2]
+        found += times.find(trials.source(path), package, path, names)
+    return _untried([(place, True) for place in found])
+
+
+def _untried(chosen: list[tuple[Place, bool]]) -> list[dict]:
     return [{**asdict(place), "same": same, "found": None, "tests": 0, "seconds": 0.0} for place, same in chosen]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import sqlite3
@@ -13,52 +14,79 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
 from coverage.numbits import numbits_to_nums, register_sqlite_functions
 
 from tools.mutate import plugin
 from tools.mutate.places import Place
 
-START_S, PATIENCE = 90.0, 5.0
+GOLDEN = "tests/test_golden.py"
+MARKS = "not (real or long)"
+SOURCED = (
+    'command=("$@"); set --; [ ! -d devel ] || . devel/setup.bash; PYTHONPATH="$PYTHONPATH:$0" exec "${command[@]}"'
+)
+UNSOURCED = ("ROS", "PYTHONPATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PKG_CONFIG_PATH")
+START_S, PATIENCE = 60.0, 4.0
 """A trial may take as long as pytest needs to start, and this many times the recorded duration of its tests."""
 
 
 @dataclass(frozen=True)
 class Covering:
-    """The tests that reach a place, file by file with the cheapest file first, and the sum of their durations [s]."""
+    """The tests that reach a place, and the sum of their durations [s]: file by file, those of the package first."""
 
     tests: list[str]
     duration: float
 
 
 class Trials:
-    """The copy of a tree, and what is known about its tests.
+    """The copy of a tree's last commit with its build, and what is known about its tests.
 
     Args:
-        root: the tree; only files that git tracks are copied.
+        root: the tree.
         folder: the copy and the records; they are used again if they are of the same commit.
+        tests: files and folders with tests.
     """
 
-    def __init__(self, root: Path, folder: Path) -> None:
-        self._tree, self._folder = folder / "tree", folder
+    def __init__(self, root: Path, folder: Path, tests: list[str]) -> None:
+        self._tree, self._folder, self._tests = folder / "tree", folder, tests
         commit = _git(root, "rev-parse", "HEAD").strip()
         stamp = folder / "commit"
         if not (stamp.is_file() and stamp.read_text() == commit):
             shutil.rmtree(self._tree, ignore_errors=True)
-            for name in _git(root, "ls-files", "-z").split("\0"):
-                if name and (root / name).is_file():
-                    (self._tree / name).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(root / name, self._tree / name)
+            self._tree.mkdir(parents=True)
+            archive = ["git", "-C", str(root), "archive", commit]
+            files = subprocess.run(archive, check=True, capture_output=True).stdout
+            subprocess.run(["tar", "-x", "-C", str(self._tree)], input=files, check=True)
+            self._copy_build(root)
             (folder / "times.json").unlink(missing_ok=True)
             stamp.write_text(commit)
         shutil.copy(plugin.__file__, folder / "mutate_plugin.py")  # an older tree may have none
         self.commit = commit
+
+    def _copy_build(self, root: Path) -> None:
+        """Copies the built workspace, whose files name the folder that they are in; links the environment and data."""
+        for file in (root / "devel").rglob("*"):
+            if file.is_file() and file.suffix != ".pyc":
+                copy, data = self._tree / file.relative_to(root), file.read_bytes()
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(file, copy)
+                for name in ("src", "devel"):
+                    data = data.replace(f"{root}/{name}".encode(), f"{self._tree}/{name}".encode())
+                copy.write_bytes(data)
+        for link, target in ((self._tree / ".venv", root / ".venv"), (self._folder / "shared", root.parent / "shared")):
+            link.unlink(missing_ok=True)
+            link.symlink_to(target)
+
+    def files(self) -> list[str]:
+        """Returns the sources of the packages in the copy."""
+        return sorted(str(path.relative_to(self._tree)) for path in self._tree.glob("src/**/src/*/**/*.py"))
 
     def source(self, file: str) -> str:
         """Returns the text of a file of the copy."""
         return (self._tree / file).read_text()
 
     def record_coverage(self) -> None:
-        """Runs all tests that need no ROS with coverage, unless this was done before."""
+        """Runs all tests that compute or are in virtual time with coverage, unless this was done before."""
         if (self._folder / "times.json").is_file():
             return
         settings = self._folder / "coverage.ini"
@@ -66,7 +94,7 @@ class Trials:
         (self._folder / "coverage.db").unlink(missing_ok=True)
         command = [sys.executable, "-m", "coverage", "run", f"--rcfile={settings}", "-m"]
         times = self._folder / "times.partial"
-        self._pytest([*command, *_pytest("src")], {plugin.TIMES: str(times)}, None)
+        self._pytest([*command, *_pytest(*self._tests)], {plugin.TIMES: str(times)}, None)
         times.rename(self._folder / "times.json")
 
     def covering(self, limit: float) -> CoverageTable:
@@ -91,15 +119,15 @@ class Trials:
         finally:
             file.write_text(source)
             self._forget_compiled(file)
-        return code != 0
+        return code not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
 
     def _pytest(self, command: list[str], environment: dict[str, str], timeout: float | None) -> int:
-        kept = {name: value for name, value in os.environ.items() if not name.startswith(("ROS", "PYTHONPATH"))}
+        kept = {name: value for name, value in os.environ.items() if not name.startswith(UNSOURCED)}
         with open(self._folder / "pytest.log", "wb") as log:
             process = subprocess.Popen(
-                command,
+                ["bash", "-c", SOURCED, str(self._folder), *command],
                 cwd=self._tree,
-                env={**kept, **environment, "PYTHONPATH": str(self._folder)},
+                env={**kept, **environment},
                 stdout=log,
                 stderr=log,
                 start_new_session=True,
@@ -136,16 +164,22 @@ class CoverageTable:
             self._lines[place.file] = {line for (bits,) in rows for line in numbits_to_nums(bits)}
         return place.line in self._lines[place.file]
 
-    def of(self, place: Place) -> Covering:
-        """Returns the tests of a place.
+    def of(self, place: Place, lines: dict[str, set[int]] | None = None) -> Covering:
+        """Returns the tests of a place, or of lines by their files.
 
-        What runs when the module is imported, such as a constant, belongs to no test: then those of the whole file
-        are taken.
+        What runs when the module is imported, such as a constant, belongs to no test or to the first one: then those
+        of the whole file are taken. Those of a file of parameters are the tests of its package, and the golden ones.
         """
-        found = self._tests(place.file, place.line) or self._tests(place.file, None)
+        if lines is None:
+            lines = {place.file: {place.line}} if place.function else {}
+        found = set().union(*(self._tests(file, line) for file, numbers in lines.items() for line in numbers))
+        own = re.split("/src/|/config/", place.file)[0] + "/tests/"
+        if place.file.endswith(".yaml"):
+            found = {test for test in self._times if test.startswith((own, GOLDEN))}
+        found = found or self._tests(place.file, None)
         tests: list[str] = []
         duration = 0.0
-        for test in sorted(found & self._times.keys(), key=lambda name: self._times[name]):
+        for test in sorted(found & self._times.keys(), key=lambda name: (not name.startswith(own), self._times[name])):
             if tests and duration + self._times[test] > self._limit:
                 break
             tests.append(test)
@@ -153,7 +187,7 @@ class CoverageTable:
         of_file: dict[str, float] = {}
         for test in tests:
             of_file[_file(test)] = of_file.get(_file(test), 0.0) + self._times[test]
-        tests.sort(key=lambda test: (of_file[_file(test)], self._order[test]))
+        tests.sort(key=lambda test: (not test.startswith(own), of_file[_file(test)], self._order[test]))
         return Covering(tests, duration)
 
     def _tests(self, file: str, line: int | None) -> set[str]:
@@ -163,7 +197,7 @@ class CoverageTable:
             f"JOIN context ON context.id = line_bits.context_id WHERE file.path = ? {condition}"
         )
         values = (str(self._tree / file), *(() if line is None else (line,)))
-        return {name for (name,) in self._database.execute(query, values)}
+        return {name for (name,) in self._database.execute(query, values) if name}
 
 
 def _file(test: str) -> str:
@@ -171,7 +205,7 @@ def _file(test: str) -> str:
 
 
 def _pytest(*arguments: str) -> list[str]:
-    return ["pytest", "-q", "-p", "mutate_plugin", "-p", "no:cacheprovider", "-m", "not ros", *arguments]
+    return ["pytest", "-q", "-p", "mutate_plugin", "-p", "no:cacheprovider", "-m", MARKS, *arguments]
 
 
 def _git(root: Path, *arguments: str) -> str:

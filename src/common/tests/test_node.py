@@ -1,32 +1,37 @@
-"""The life of a node: how it ends when it is interrupted."""
+"""The life of a node as a process: how it ends when it is interrupted, and what it does meanwhile."""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
-import subprocess
 import sys
 import xmlrpc.client
 
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
+
+END_S = 30.0
+"""Longest wait for the end of a node."""
 
 
 @pytest.fixture
 def start(processes, tmp_path):
-    """Starts a program, given its text."""
+    """Starts a program, given its text, as a node of this name."""
 
-    def run(text):
-        file = tmp_path / "program.py"
+    def run(name, text, **env):
+        file = tmp_path / f"{name}.py"
         file.write_text(text)
-        return processes.start(sys.executable, str(file))
+        return processes.start(sys.executable, str(file), f"__name:={name}", env=env)
 
     return run
 
 
 PUBLISHING = """
-import os, signal, sys
+import os, signal
 import rospy
 from std_msgs.msg import String
 from common.ros.node import run
@@ -34,7 +39,7 @@ from common.ros.node import run
 class InterruptedQueue(list):
     def append(self, item):  # called while the lock of the queue is held
         super().append(item)
-        os.kill(os.getpid(), {signal})
+        os.kill(os.getpid(), signal.{signal})
 
 def main():
     publisher = rospy.Publisher("chatter", String, queue_size=10)
@@ -47,21 +52,8 @@ def main():
 
 run("talker", main)
 """
-
-
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_node_that_is_interrupted_while_it_publishes_ends(ros, start, wait_until, name):
-    from std_msgs.msg import String
-
-    ros.record("chatter", String)
-    process = start(PUBLISHING.format(signal=int(getattr(signal, name))))
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    log = process.log_path.read_text()
-    assert process.returncode == 0 and "Traceback" not in log, log
-
-
 STARTING = """
-import os, threading
+import os, signal, threading
 import rospy
 from rospy.core import _LockedServerProxy
 from common.ros.node import run
@@ -71,35 +63,65 @@ request = _LockedServerProxy._ServerProxy__request
 def interrupted_request(proxy, method, parameters):
     if method == "{method}" and threading.current_thread() is threading.main_thread():
         with proxy._lock:  # as while it waits for the master's answer
-            os.kill(os.getpid(), {signal})
+            os.kill(os.getpid(), signal.{signal})
     return request(proxy, method, parameters)
 
 _LockedServerProxy._ServerProxy__request = interrupted_request
 run("starter", rospy.spin)
 """
-
-
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("method", ["getParam", "registerService"])
-def test_a_node_that_is_interrupted_while_it_starts_ends(ros, start, wait_until, name, method):
-    number = int(getattr(signal, name))
-    process = start(STARTING.format(signal=number, method=method))
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    log = process.log_path.read_text()
-    assert process.returncode in (0, 1) and "Traceback" not in log, log
-
-
-THREADS = """
-import socket, threading
+ASKED = ("getParam", "registerService")
+ANY_THREAD = """
+import signal, threading, time
 import rospy
-from common.ros.node import run
+from common.ros.node import run, run_together
+
+def job():
+    signal.pthread_kill(threading.get_ident(), signal.{signal})
+    while not rospy.is_shutdown():
+        time.sleep(0.05)
+
+run("together", lambda: run_together(job))
+"""
+
+
+@pytest.mark.real
+def test_a_node_ends_wherever_a_signal_reaches_it(ros, start):
+    """While it publishes, while it asks the master, and in another thread than the main one."""
+    from std_msgs.msg import String
+
+    ros.record("chatter", String)
+    places = {"publishing": PUBLISHING, "thread": ANY_THREAD}
+    places.update((method, STARTING.replace("{method}", method)) for method in ASKED)
+    started = {}
+    for number in ("SIGINT", "SIGTERM"):
+        for place, text in places.items():
+            started[place, number] = start(f"{place}_{number}", text.replace("{signal}", number))
+    for (place, number), process in started.items():
+        code, log = process.wait(END_S), process.log_path.read_text()
+        assert code == 0 or (code == 1 and place in ASKED), (place, number, log)
+        assert "Traceback" not in log, (place, number, log)
+
+
+LIFE = """
+import ctypes, gc, json, os, socket, sys, threading, time, traceback
+import rospy
+from std_msgs.msg import String
+from common.ros.node import run, run_program
+
+found = {{}}
 
 def main():
     for error in (OSError(9, "early socket"), rospy.ROSException("early topic"), ValueError("other")):
         raises(error)
-    rospy.core.signal_shutdown("the end")
+    if rospy.get_name() == "/node":
+        found["heaps"], found["left open"] = heaps(), left_open()
+    found["served"] = serves()
+    rospy.signal_shutdown("the node ends, and has still to do")
+    wait(lambda: not serves())
+    found["serves"] = serves()
     for error in (OSError(9, "late"), rospy.ROSException("late"), OSError(28, "full"), ValueError("defect")):
         raises(error)
+    print(json.dumps(found))
 
 def raises(error):
     def job():
@@ -108,132 +130,7 @@ def raises(error):
     thread.start()
     thread.join()
 
-run("threads", main)
-"""
-
-
-def test_only_a_socket_or_topic_that_is_closed_at_the_end_ends_its_thread_in_silence(ros, start, wait_until):
-    process = start(THREADS)
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    log = process.log_path.read_text()
-    said = ("early socket", "early topic", "other", "full", "defect")
-    assert "late" not in log and all(word in log for word in said), log
-
-
-ANY_THREAD = """
-import signal, threading, time
-import rospy
-from common.ros.node import run, run_together
-
-def job():
-    while not rospy.is_shutdown():
-        time.sleep(0.05)
-
-def interrupt():
-    (thread,) = (thread for thread in threading.enumerate() if thread.name == "job")
-    signal.pthread_kill(thread.ident, signal.SIGINT)
-
-def main():
-    threading.Timer(1.0, interrupt).start()
-    run_together(job)
-
-run("together", main)
-"""
-
-
-def test_an_interrupt_that_reaches_another_thread_ends_the_node(ros, start, wait_until):
-    process = start(ANY_THREAD)
-    wait_until(lambda: process.poll() is not None, 10.0, "the end of the node")
-    assert process.returncode == 0 and "Traceback" not in process.log_path.read_text()
-
-
-TOPICS = """
-import gc, os, time
-import rospy
-from std_msgs.msg import String
-from common.ros.node import run
-
-def watches():
-    files = [f"/proc/self/fd/{name}" for name in os.listdir("/proc/self/fd")]
-    return sum(os.path.lexists(file) and "eventpoll" in os.readlink(file) for file in files)
-
-def main():
-    gc.disable()
-    before = watches()
-    chatter, listener = publisher("chatter"), subscriber("images")
-    for _ in range(20):
-        opened_and_closed(subscriber, "chatter")
-        opened_and_closed(publisher, "images")
-        wait(lambda: not listener.get_num_connections())  # or rospy takes the next publisher for this one
-    wait(lambda: watches() - before <= 4)  # connections that are just ending
-    print(f"left: {watches() - before}")
-
-def opened_and_closed(make, name):
-    topic = make(name)
-    wait(topic.get_num_connections)
-    topic.unregister()
-
-def wait(condition):
-    end = time.monotonic() + 30.0
-    while not condition() and time.monotonic() < end:
-        rospy.sleep(0.01)
-
-def publisher(name):
-    return rospy.Publisher(name, String, queue_size=1)
-
-def subscriber(name):
-    return rospy.Subscriber(name, String, lambda message: None)
-
-run("listener", main)
-"""
-
-
-def test_a_topic_that_is_closed_leaves_no_open_file(ros, start, wait_until):
-    process = start(TOPICS)
-    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
-    log = process.log_path.read_text()
-    left = int(log.partition("left: ")[2].split()[0])
-    assert left <= 4, log  # the two that stay, and those whose connections are just ending
-
-
-SERVER = """
-import sys, time, traceback
-import rospy
-from common.ros.node import run, run_program
-
-def serves():
-    stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
-    return any(frame.f_code.co_name == "serve_forever" for stack in stacks for frame, _ in stack)
-
-def main():
-    assert serves()
-    rospy.signal_shutdown("the node ends, and has still to do")
-    until = time.monotonic() + 20.0
-    while serves() and time.monotonic() < until:
-        time.sleep(0.05)
-    print("serves:", serves())
-
-def program():
-    rospy.init_node("worker", disable_signals=True)
-    main()
-
-{start}
-"""
-
-
-@pytest.mark.parametrize("how", ['run("worker", main)', 'run_program("worker", program, "")'])
-def test_the_server_of_a_node_ends_with_it(ros, start, wait_until, how):
-    """Else its thread takes a processor, and Python's lock, from what the node does at its end."""
-    process = start(SERVER.format(start=how))
-    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
-    assert "serves: False" in process.log_path.read_text()
-
-
-HEAPS = """
-import ctypes, threading
-from common.ros.node import run
-
-def main():
+def heaps():
     together = threading.Barrier(8)
 
     def work():
@@ -246,26 +143,78 @@ def main():
         thread.start()
     for thread in threads:
         thread.join()
-    libc = ctypes.CDLL(None)
+    libc, path = ctypes.CDLL(None), f"{folder}/{{os.getpid()}}.xml"
     libc.fopen.restype, libc.fclose.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
     libc.malloc_info.argtypes = [ctypes.c_int, ctypes.c_void_p]
-    file = libc.fopen(b"{path}", b"w")
+    file = libc.fopen(path.encode(), b"w")
     libc.malloc_info(0, file)
     libc.fclose(file)
+    return open(path).read().count("<heap nr=")
 
-run("worker", main)
+def left_open():
+    gc.disable()
+    before = watches()
+    chatter, listener = publisher("~chatter"), subscriber("~images")
+    for _ in range(20):
+        opened_and_closed(subscriber, "~chatter")
+        opened_and_closed(publisher, "~images")
+        wait(lambda: not listener.get_num_connections())  # or rospy takes the next publisher for this one
+    wait(lambda: watches() - before <= 4)  # connections that are just ending
+    return watches() - before
+
+def watches():
+    files = [f"/proc/self/fd/{{name}}" for name in os.listdir("/proc/self/fd")]
+    return sum(os.path.lexists(file) and "eventpoll" in os.readlink(file) for file in files)
+
+def opened_and_closed(make, name):
+    topic = make(name)
+    wait(topic.get_num_connections)
+    topic.unregister()
+
+def publisher(name):
+    return rospy.Publisher(name, String, queue_size=1)
+
+def subscriber(name):
+    return rospy.Subscriber(name, String, lambda message: None)
+
+def serves():
+    stacks = [traceback.walk_stack(frame) for frame in sys._current_frames().values()]
+    return any(frame.f_code.co_name == "serve_forever" for stack in stacks for frame, _ in stack)
+
+def wait(condition):
+    end = time.monotonic() + 60.0
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+
+def program():
+    rospy.init_node("worker", disable_signals=True)
+    main()
+
+{start}
 """
 
 
-def test_the_threads_of_a_node_share_one_heap(ros, start, wait_until, tmp_path):
-    found = tmp_path / "heaps.xml"
-    process = start(HEAPS.format(path=found))
-    wait_until(lambda: process.poll() is not None, 40.0, "the end of the node")
-    assert found.read_text().count("<heap nr=") == 1, process.log_path.read_text()
+@pytest.mark.real
+def test_what_is_closed_is_silent_and_leaves_nothing_and_threads_share_one_heap(start, ros, tmp_path):
+    """Only a thread whose socket or topic is closed at the end ends in silence. A node's server that went on would take
+    a processor, and Python's lock, from what the node does at its end.
+    """
+    ways = {"node": 'run("worker", main)', "program": 'run_program("worker", program, "")'}
+    started = {name: start(name, LIFE.format(start=how, folder=tmp_path)) for name, how in ways.items()}
+    for name, process in started.items():
+        code, log = process.wait(END_S), process.log_path.read_text()
+        assert code == 0, log
+        said = ("early socket", "early topic", "other", "full", "defect")
+        assert "late" not in log and all(word in log for word in said), log
+        found = json.loads(log.splitlines()[-1])
+        assert (found["served"], found["serves"]) == (True, False), (name, found)
+        if name == "node":
+            # Open are the two that stay, and those whose connections are just ending.
+            assert found["heaps"] == 1 and found["left open"] <= 4, found
 
 
 DISPOSABLE = """
-import atexit, sys, threading
+import atexit, threading
 import rospy
 from common.errors import RigError
 from common.ros.node import run
@@ -280,36 +229,26 @@ run("worker", main, disposable=True)
 """
 
 
-def start_disposable(processes, work):
+@pytest.mark.real
+def test_a_disposable_node_ends_wherever_it_is_and_when_it_has_done_its_work(ros, start, wait_until):
+    busy = "rospy.set_param('~busy', True)\n    while True: sum(range(10000))"
+    works = {
+        "SIGINT": (busy, 0, ""), "SIGTERM": (busy, 0, ""), "passes": ("pass", 0, ""),
+        "shuts_down": ("rospy.signal_shutdown('enough'); rospy.spin()", 0, ""),
+        "fails": ("raise RigError('There is no rig.')", 1, "/fails: There is no rig.\n"),
+    }  # fmt: skip
     # Without PYTHONUNBUFFERED, as users run it: what was printed must not be lost.
-    return processes.start(sys.executable, "-c", DISPOSABLE.format(work=work), env={"PYTHONUNBUFFERED": ""})
-
-
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-def test_a_disposable_node_ends_wherever_it_is(ros, processes, wait_until, name):
-    busy = "rospy.set_param('busy', True)\n    while True: sum(range(10000))"
-    process = start_disposable(processes, busy)
-    wait_until(lambda: ros_has("/busy"), 20.0, "work")
-    process.send_signal(getattr(signal, name))
-    process.send_signal(signal.SIGINT)
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    assert (process.returncode, process.log_path.read_text()) == (0, "works\nsaved\n")
-
-
-@pytest.mark.parametrize(
-    ("work", "code", "said"),
-    [
-        ("pass", 0, ""),
-        ("rospy.signal_shutdown('enough'); rospy.spin()", 0, ""),
-        ("raise RigError('There is no rig.')", 1, "/worker: There is no rig.\n"),
-    ],
-)
-def test_a_disposable_node_that_has_done_its_work_ends(ros, processes, wait_until, work, code, said):
-    process = start_disposable(processes, work)
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    log = process.log_path.read_text()
-    assert process.returncode == code, log
-    assert "works\n" in log and "saved\n" in log and said in log and "Traceback" not in log
+    started = {n: start(n, DISPOSABLE.format(work=work), PYTHONUNBUFFERED="") for n, (work, _, _) in works.items()}
+    for name in ("SIGINT", "SIGTERM"):
+        wait_until(lambda name=name: ros_has(f"/{name}/busy"), END_S, "work")
+        started[name].send_signal(getattr(signal, name))
+        started[name].send_signal(signal.SIGINT)
+    for name, process in started.items():
+        _, code, said = works[name]
+        assert process.wait(END_S) == code, (name, process.log_path.read_text())
+        log = process.log_path.read_text()
+        assert "works\n" in log and "saved\n" in log and said in log and "Traceback" not in log, log
+        assert name not in ("SIGINT", "SIGTERM") or log == "works\nsaved\n"
 
 
 def ros_has(name):
@@ -336,6 +275,18 @@ def test_the_exception_of_a_callback_is_logged_once_in_a_while_and_all_else_alwa
     assert passes(bad.format("a")) and not passes(bad.format("a"))
 
 
+def test_simulated_time_without_a_clock_is_said(virtual_graph):
+    import rospy
+
+    from common.ros.node import run
+
+    rospy.set_param("use_sim_time", True)
+    begun = clock.monotonic()
+    node = virtual_graph.start("timeless", lambda: run("timeless", lambda: None))
+    assert node.wait(20.0) == 1 and clock.monotonic() - begun == pytest.approx(10.0, abs=0.1)
+    assert "use_sim_time is true, but nobody publishes /clock within 10 s" in node.log and "Traceback" not in node.log
+
+
 LOGGING = """
 import rospy
 from common.ros.node import run
@@ -347,15 +298,6 @@ def main():
 
 run("talkative", main)
 """
-
-
-def test_a_node_whose_log_the_full_disk_does_not_take_works_on(ros, processes, wait_until):
-    """No file may grow beyond 2 kB."""
-    process = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the node")
-    assert process.returncode == 0 and ros_has("went_on"), process.log_path.read_text()
-
-
 LEAVING = """
 import rospy
 from common.ros.node import run
@@ -370,21 +312,28 @@ run("twin", main)
 """
 
 
-def test_of_two_nodes_with_one_name_the_newer_one_stays(ros, start, wait_until):
-    """What the older one logs at its end is no reason for the master to end the newer one."""
+@pytest.mark.real
+def test_a_log_ends_no_node(ros, start, processes, wait_until):
+    """Neither on a full disk: no file may grow beyond 2 kB. Nor what an older node of the same name logs at its end: it
+    is no reason for the master to end the newer one.
+    """
     import rospy
 
+    talkative = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
     twins = []
     for number in (1, 2):
-        twins.append(start(LEAVING))
-        wait_until(lambda number=number: rospy.get_param("/started", 0) == number, 20.0, "the node")
-    older, newer = twins
-    wait_until(lambda: older.poll() is not None, 20.0, "the end of the older one")
-    assert older.returncode == 0 and "The node has ended." in older.log_path.read_text()
-    with pytest.raises(subprocess.TimeoutExpired):
-        newer.wait(0.5)
+        twins.append(start("twin", LEAVING))
+        wait_until(lambda number=number: rospy.get_param("/started", 0) == number, END_S, "the node")
+    codes = [twins[0].wait(END_S)]
+    twins[1].send_signal(signal.SIGINT)
+    codes.append(twins[1].wait(END_S))
+    older, newer = (twin.log_path.read_text() for twin in twins)
+    assert codes == [0, 0] and all("The node has ended." in log for log in (older, newer))
+    assert "new node registered with same name" in older and "new node registered" not in newer
+    assert talkative.wait(END_S) == 0 and ros_has("went_on"), talkative.log_path.read_text()
 
 
+@pytest.mark.real
 def test_a_node_logs_while_the_master_hangs(ros_master, processes, tmp_path, free_port, suspend, wait_until):
     """Else a controller would hang with it, in the midst of a motion."""
     uri = f"http://localhost:{free_port()}"

@@ -7,15 +7,17 @@ import pytest
 
 from common import ports
 
-pytestmark = pytest.mark.clock
 
-KINDS = [socket.SOCK_STREAM, socket.SOCK_DGRAM]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_port_can_be_opened(kind):
-    with socket.socket(socket.AF_INET, kind) as s:
-        s.bind(("127.0.0.1", ports.free_port(kind)))
+@pytest.mark.real
+def test_a_free_port_can_be_opened_and_one_in_use_is_not_returned(monkeypatch):
+    for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+        with monkeypatch.context() as patch, socket.socket(socket.AF_INET, kind) as used:
+            used.bind(("127.0.0.1", ports.free_port(kind)))
+            port = used.getsockname()[1]
+            patch.setattr(ports, "FIRST", port)
+            patch.setattr(ports, "LAST", port)
+            with pytest.raises(OSError):
+                ports.free_port(kind)
 
 
 def test_the_system_gives_none_of_them_away():
@@ -23,14 +25,3 @@ def test_the_system_gives_none_of_them_away():
     if not file.exists():
         pytest.skip("the range is known on Linux only")
     assert int(file.read_text().split()[0]) > ports.LAST
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_port_in_use_is_not_returned(monkeypatch, kind):
-    with socket.socket(socket.AF_INET, kind) as used:
-        used.bind(("127.0.0.1", ports.free_port(kind)))
-        port = used.getsockname()[1]
-        monkeypatch.setattr(ports, "FIRST", port)
-        monkeypatch.setattr(ports, "LAST", port)
-        with pytest.raises(OSError):
-            ports.free_port(kind)

@@ -78,6 +78,7 @@ def test_a_closed_connection_is_an_error():
         outbox.write(message(2, 10))
 
 
+@pytest.mark.real
 def test_messages_reach_subscribers_that_come_early_and_late(ros, wait_until):
     import rospy
     from std_msgs.msg import UInt32

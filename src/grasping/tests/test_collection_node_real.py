@@ -55,6 +55,7 @@ def write_bag(path: Path, began: float) -> None:
                     bag.write(topic, message, now)
 
 
+@pytest.mark.long
 def test_a_recording_makes_the_same_episodes(ros, folder, tmp_path):
     write_bag(tmp_path / "operator.bag", 1.6e9)
     arguments = {"bag": str(tmp_path / "operator.bag"), "folder": str(folder), "object": "cup", "operator": "puppet"}
@@ -68,6 +69,7 @@ def test_a_recording_makes_the_same_episodes(ros, folder, tmp_path):
     assert len(made[0]) >= 2 and np.all(np.diff(made[0].stamp) > 0.0)
 
 
+@pytest.mark.real
 def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(folder, processes, virtual_graph):
     from grasping.lab.ros.episode_files import EpisodeFiles
 
@@ -89,6 +91,7 @@ def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(fo
     assert decode(whole.read_bytes()).held
 
 
+@pytest.mark.real
 def test_the_revision_is_asked_of_git_and_git_writes_nothing(folder, processes):
     from grasping.lab.ros.collection_setup import revision
 

@@ -94,6 +94,7 @@ def test_a_folder_without_episodes_is_said(info, tmp_path):
     assert code == 2 and "is not a folder" in text
 
 
+@pytest.mark.long
 def test_the_script_starts(processes, folder):
     process = processes.start(sys.executable, str(SCRIPT), str(folder))
     assert process.wait(120.0) == 0

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import signal
+import xmlrpc.client
 
 import pytest
 from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 LONG_S = 60.0
 
@@ -20,6 +21,7 @@ def rig_of_the_test(ros):
 
 
 def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, rig_of_the_test, wait_until):
+    import rosgraph
     import rospy
     from std_srvs.srv import Trigger
 
@@ -32,6 +34,9 @@ def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, rig_of_the_test, wai
     process = ros.run("grasping", "grasp_execution.py")
     rospy.wait_for_service("grasping/execute", LONG_S)
     wait_until(lambda: rospy.ServiceProxy("grasping/execute", Trigger)().success or rig.held, LONG_S, "an execution")
+    node = xmlrpc.client.ServerProxy(rosgraph.Master("/test").lookupNode("/grasp_execution"))
+    listened = ["o", "TCPROS", "/grasping/outcome"]
+    wait_until(lambda: any(bus[2:5] == listened for bus in node.getBusInfo("/test")[2]), LONG_S, "the connection")
     process.send_signal(signal.SIGINT)
     assert process.wait(LONG_S) == 0
     wait_until(lambda: outcomes, LONG_S, "the outcome")

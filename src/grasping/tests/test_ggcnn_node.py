@@ -191,8 +191,8 @@ def test_what_it_publishes(ros, camera, calibrated):
         side = 600 if name == "img/heat_map" else 300
         assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
         assert np.isfinite(np.asarray(array_from_image(message), float)).all()
-    grippers = [m for m in got["markers"][-1].markers if m.ns == "grasps" and m.points]
-    assert [len(m.points) for m in grippers] == [8] * len(grippers)
+    grippers, labels = ([m for m in got["markers"][-1].markers if m.ns == ns and m.id] for ns in ("grasps", "labels"))
+    assert {len(m.points) for m in grippers} == {8} and [m.id for m in labels] == [m.id for m in grippers]
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
     assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))
@@ -241,8 +241,10 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
     says("the depth image is 640 x 240, but its camera_info says 640 x 480")
-    camera.depth, camera.late = depth, 5.0
-    says("the depth image is 5.0 s old")
+    camera.depth, camera.late = depth, 0.9
+    newest(ros, lists, lambda m: m.grasps, "an image that is not too old")
+    camera.late = 1.1
+    says("the depth image is 1.1 s old")
     camera.late = -5.0
     says("the depth image is 5.0 s in the future")
     camera.late = 0.0
@@ -250,13 +252,15 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     camera.depth = None
     clock.sleep(LATER_S)
     last, before = lists[-1], len(targets)
+    known = max(grasp.id for message in lists for grasp in message.grasps)
     silent = says("the depth camera is silent: no image for 1 s", 1.3)
     again = says("the depth camera is silent", 0.8)
     assert 1.0 < seconds_between(last, silent) < 1.2 + LATER_S
     assert 0.5 <= seconds_between(silent, again) < 0.7 + LATER_S
     assert len(targets) == before
     camera.depth = depth
-    newest(ros, lists, lambda m: m.grasps, "the camera came back")
+    back = newest(ros, lists, lambda m: m.grasps, "the camera came back")
+    assert min(grasp.id for grasp in back.grasps) > known, "what was seen before the silence does not count"
     log = process.log_path.read_text()
     assert log.count("nothing stands on the table") == 1
     assert process.poll() is None and "Traceback" not in log
@@ -338,6 +342,26 @@ def test_a_controller_that_comes_late_and_hangs_counts_as_silent_in_time(ros, ca
     rospy.Service("kuka/check_tool_pose", CheckToolPose, lambda _: clock.sleep(60.0))
     silent = newest(ros, lists, lambda m: m.grasps[0].reason == SILENT, "that it says so", 0.5)
     assert 0.5 <= seconds_between(first, silent) < 0.5 + 2 * PERIOD_S + LATER_S
+
+
+def test_a_controller_that_is_absent_is_waited_for_as_long_as_an_answer_and_asked_again_after_a_second(
+    ros, camera, calibrated
+):
+    import rospy
+
+    from grasp_msgs.msg import GraspList
+    from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
+
+    lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
+    start(ros, reach__timeout=0.5)
+    newest(ros, lists, lambda m: m.grasps, "a grasp")
+    first = clock.monotonic()
+    clock.sleep(0.7)
+    rospy.Service(
+        "kuka/check_tool_pose", CheckToolPose, lambda _: asked.append(clock.monotonic()) or CheckToolPoseResponse()
+    )
+    clock.sleep(1.0)
+    assert asked[0] - first == pytest.approx(1.0 + PERIOD_S / 2.0, abs=PERIOD_S), "not at 0.7 s"
 
 
 @pytest.mark.parametrize(

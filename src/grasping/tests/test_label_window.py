@@ -102,6 +102,7 @@ def test_a_label_file_that_cannot_be_read_is_kept_as_it_is(window, drag, key, fo
 
 
 @pytest.mark.ros
+@pytest.mark.long
 @pytest.mark.skipif(not (shutil.which("Xvfb") and shutil.which("xdotool")), reason="xvfb and xdotool are not installed")
 def test_the_program_on_a_screen(folder, processes, wait_until):
     server = processes.start("Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-noreset", "-nolisten", "tcp")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 
 import numpy as np
 import pytest
@@ -126,10 +125,8 @@ class Keyboard:
 
 
 @pytest.fixture
-def keyboard(ros, monkeypatch):
-    keyboard = Keyboard()
-    monkeypatch.setattr(sys, "stdin", keyboard)
-    return keyboard
+def keyboard():
+    return Keyboard()
 
 
 @pytest.fixture
@@ -148,7 +145,13 @@ def program(ros, keyboard, folder, monkeypatch):
     monkeypatch.setattr("tqdm.std.time", lambda: clock.time())
     rospy.set_param("kuka", yaml.safe_load(KUKA.read_text()))
     words = ("cup", "--view", "camera", "--folder", str(folder))
-    return lambda *more: ros.run("grasping", "collect_shown_grasp.py", *words, *more)
+
+    def run(*more):
+        node = ros.run("grasping", "collect_shown_grasp.py", *words, *more)
+        node.stdin = keyboard
+        return node
+
+    return run
 
 
 @pytest.fixture
@@ -172,13 +175,20 @@ def rig(ros):
 
 
 @pytest.mark.ros
-def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(ros, program, keyboard, rig, arm, folder):
+def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(
+    ros, program, keyboard, rig, arm, folder, monkeypatch
+):
+    from grasping.lab.ros.frame_reader import FrameReader
+
     def files():
         return sorted(folder.glob("*.npz"))
 
+    looked, look = [], FrameReader.look
+    monkeypatch.setattr(FrameReader, "look", lambda reader, placed: looked.append(placed) or look(reader, placed))
     one = program("--maps", "3", "--poses", "25")
     clock.sleep(1.0)
     assert "the arm is not at home: starting" in one.log and "silent" not in one.log
+    assert not looked, "the network has no work away from home"
     arm("")
     clock.sleep(0.9)  # 0.5 s until it counts as silent, and at 5 Hz every second image is looked at
     assert "the arm's controller is silent" in one.log and "1/3" not in one.log

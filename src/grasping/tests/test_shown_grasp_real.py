@@ -7,20 +7,18 @@ import os
 import pytest
 
 pytest.importorskip("rospy")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 LONG_S = 60.0
 
 
-def test_without_a_master_it_ends_with_a_sentence(processes):
+def test_without_a_master_it_ends_with_a_sentence_and_enter_comes_through_a_pipe(processes, wait_until):
+    from grasping.lab.ros.shown_grasp_program import Enters
+
     command = ("rosrun", "grasping", "collect_shown_grasp.py", "cup")
     process = processes.start(*command, env={"ROS_MASTER_URI": "http://localhost:9"})
     assert process.wait(LONG_S) == 1
     assert "does not answer" in process.log_path.read_text() and "Traceback" not in process.log_path.read_text()
-
-
-def test_enter_comes_through_a_pipe_until_that_ends(wait_until):
-    from grasping.lab.ros.shown_grasp_program import Enters
 
     reader, writer = os.pipe()
     with os.fdopen(reader) as keyboard:

@@ -178,7 +178,7 @@ def between(arms, made, joints):
     return min(hppfcl.distance(*one, *other, request, result) for one in first for other in second)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(standing(0.35, 40.0), st.lists(st.floats(-1.0, 1.0), min_size=14, max_size=14), st.sampled_from(OPENINGS))
 def test_where_each_guard_lets_its_arm_be_the_arms_are_apart(sides, parts, opening):
     arms = arms_from(sides)
@@ -191,7 +191,7 @@ def test_where_each_guard_lets_its_arm_be_the_arms_are_apart(sides, parts, openi
 reaches = st.tuples(st.floats(-0.15, 0.05), st.floats(0.25, 0.5), st.floats(-0.1, 0.1))
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 @example(TWO, [(-0.05, 0.45, 0.0)], [(-0.05, 0.45, 0.0)], OPENINGS[0])
 @given(
     standing(0.45, 15.0),

@@ -85,7 +85,7 @@ def stream(around, q):
     return limits, made
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(postures, turns, obstacles())
 def test_a_distance_is_that_of_the_bodies_and_its_bounds_hold(q, turn, post):
     made = guard(post)
@@ -111,7 +111,7 @@ def test_a_distance_is_that_of_the_bodies_and_its_bounds_hold(q, turn, post):
             assert then.distance >= min(again.distance, MARGIN + SOFT_M) - 2e-6, "what is too near does not come nearer"
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(postures, turns, obstacles())
 def test_far_stays_far(q, turn, post):
     made = guard(post)
@@ -171,7 +171,7 @@ def path(waypoints):
     return targets
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(
     st.lists(obstacles(spread=0.3), min_size=2, max_size=5),
     st.lists(st.tuples(*[st.floats(-0.25, 0.25)] * 3), min_size=1, max_size=2),
@@ -297,7 +297,7 @@ def hand(v):
     return np.linalg.pinv(ARM.jacobian(HOME.q)) @ np.array([*v, 0.0, 0.0, 0.0])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @example(-2.220446049250313e-16, 1.0, None, -1)  # they touch, and by rounding overlap
 @example(-2.220446049250313e-16, 1.0, None, 1)
 @given(
@@ -376,7 +376,7 @@ def test_a_calibrated_arm_keeps_what_it_may_differ_by_besides():
     assert made.nearest_at(at).distance == pytest.approx(plain.nearest_at(at).distance - 0.008, abs=2.0 * NOISE_M)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(postures, postures, obstacles(middle=np.zeros(3), spread=0.9))
 def test_a_motion_that_is_free_is_free_between_its_samples(start, goal, post):
     if path_fault(guard(post), start, goal) is not None:

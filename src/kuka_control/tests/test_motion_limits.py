@@ -93,7 +93,7 @@ def test_the_stream_of_a_controller_reaches_and_keeps_the_limits_of_its_paramete
     assert reached == pytest.approx(limit, rel=0.05)
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(joints, joints)
 def test_the_tool_keeps_its_speed_limit(start, target):
     tool = np.array([tool_position(q) for q in run(limits(start), target, 1.0)])
@@ -105,7 +105,7 @@ def test_the_tool_keeps_its_speed_limit(start, target):
 @given(joints, joints)
 def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
     follower = limits(start)
-    goals = run(follower, target, 20.0)
+    goals = run(follower, target, 8.0)
     assert np.all(goals >= np.minimum(start, target) - 3e-4) and np.all(goals <= np.maximum(start, target) + 3e-4)
     step = follower.step(target, target, DT)
     np.testing.assert_array_equal(step.q, target)
@@ -181,7 +181,7 @@ def test_after_a_gap_the_goal_starts_from_rest(dt, rests):
     assert np.max(speeds(goals)) == pytest.approx(SPEEDS[6], rel=0.01)
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(joints)
 def test_the_goal_waits_for_an_arm_that_stands(target):
     follower = limits()
@@ -203,7 +203,7 @@ def test_a_share_of_the_limits():
     assert np.max(v[:, 6]) == pytest.approx(0.5 * SPEEDS[6])
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.lists(st.tuples(joints, st.floats(-3.0, 3.0), st.integers(1, 60)), min_size=1, max_size=6))
 def test_no_goal_leaves_the_joint_ranges_also_when_the_target_rushes_at_them(targets):
     follower = limits()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 FAKE = str(Path(__file__).with_name("fake_controller.py"))
 
@@ -37,7 +37,16 @@ def see(application, wait_until):
     return lambda condition, what: wait_until(lambda: (application.processEvents(), condition())[1], 20.0, what)
 
 
-def test_emergency_stop_ends_a_controller_that_hangs(link, processes, see, suspend):
+def test_emergency_stop_ends_a_controller_that_hangs_and_no_other_process(link, processes, see, suspend):
+    other = processes.start("sleep", "600")
+    liar = processes.start(sys.executable, FAKE, "--pid", str(other.pid))
+    see(link.panel.control.isEnabled, "the controller")
+    suspend(liar.pid)
+    link.panel.emergency.click()
+    see(lambda: "did not confirm it" in link.panel.answer.full, "the sentence")
+    assert other.poll() is None and liar.poll() is None
+    liar.kill()
+    see(lambda: not link.panel.control.isEnabled(), "the silence")
     controller = processes.start(sys.executable, FAKE)
     see(link.panel.control.isEnabled, "the controller")
     suspend(controller.pid)
@@ -45,16 +54,6 @@ def test_emergency_stop_ends_a_controller_that_hangs(link, processes, see, suspe
     see(lambda: controller.poll() is not None, "the end of the process")
     assert controller.returncode == -signal.SIGKILL
     see(lambda: "hung and its process was ended" in link.panel.answer.full, "the sentence")
-
-
-def test_emergency_stop_never_ends_a_process_that_is_no_controller(link, processes, see, suspend):
-    other = processes.start("sleep", "600")
-    process = processes.start(sys.executable, FAKE, "--pid", str(other.pid))
-    see(link.panel.control.isEnabled, "the controller")
-    suspend(process.pid)
-    link.panel.emergency.click()
-    see(lambda: "did not confirm it" in link.panel.answer.full, "the sentence")
-    assert other.poll() is None and process.poll() is None
 
 
 def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, see, monkeypatch, free_port):

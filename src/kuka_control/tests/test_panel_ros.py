@@ -5,11 +5,13 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
 import sys
 import threading
 from types import SimpleNamespace
 
 import pytest
+from controller_rig import MOVE_S, PTP, REAL_TIME, quick_params, run_robot, set_params
 
 from common import clock
 
@@ -18,6 +20,8 @@ pytestmark = pytest.mark.ros
 
 PERIOD_S = 0.05
 """Of a controller's status, and of what the panel shows."""
+PROGRAM_PERIOD_S = 0.1
+"""Of the program's look whether it is to end."""
 LATE_S = 0.01
 """What connections and messages may take."""
 
@@ -45,11 +49,12 @@ def timers(monkeypatch):
     running = []
 
     class Timer:
-        def __init__(self, _parent):
+        def __init__(self, parent=None):
             self.timeout = SimpleNamespace(connect=lambda slot: setattr(self, "slot", slot))
+            self.period_ms = 1000.0 * (PROGRAM_PERIOD_S if parent is None else PERIOD_S)
 
         def start(self, period_ms):
-            assert period_ms == 1000.0 * PERIOD_S
+            assert period_ms == self.period_ms
             running.append(self)
 
         def stop(self):
@@ -261,8 +266,21 @@ def test_without_a_master_it_says_so_until_one_answers(ros, application, timers,
     assert see(panel.control.isEnabled, "the controller") <= 2 * PERIOD_S + LATE_S
     ros.master_answers = False
     assert see(lambda: "does not answer; this controller still does" in panel.status.full, "it") <= 1.0 + PERIOD_S
-    assert panel.control.isEnabled()
+    click(panel.control)
+    see(panel.control.isChecked, "green")
     link.close()
+
+
+def test_at_a_master_that_was_started_anew_it_subscribes_again_once_no_controller_is_heard(ros, panel, controller, see):
+    before = list(panel.link._subscribers)
+    ros.here.is_known = False
+    see(lambda: clock.sleep(3.0) or True, "three looks at the master")
+    assert panel.link._subscribers == before
+    controller.send_signal(signal.SIGUSR1)
+    see(lambda: panel.link._subscribers not in ([], before), "new subscriptions")
+    ros.here.is_known = True
+    controller.send_signal(signal.SIGUSR1)
+    see(panel.control.isEnabled, "the controller again")
 
 
 def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controller, see):
@@ -368,6 +386,187 @@ def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more
     said = panel.operator.accessibleDescription
     see(lambda: publisher.publish(rows) or "flat yes" in said(), "the rows")
     assert is_after(1.5, see(lambda: "no news" in said(), "the silence") + PERIOD_S)
+
+
+def test_the_panel_of_the_real_controller(ros, panel, see, monkeypatch):
+    from kuka_control.ros import emergency
+
+    def run():
+        node = ros.run("kuka_control", REAL_TIME, "gui:=false")
+        monkeypatch.setattr(emergency, "_is_controller", lambda pid: True)
+        monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if node.poll() is None else None)
+        monkeypatch.setattr(os, "kill", lambda pid, number: node.send_signal(number))
+        return node
+
+    robot = run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0")
+    quick_params(REAL_TIME, robot.port)
+    controller = run()
+    see(lambda: panel.status.full.startswith("home: "), "the arm at home", MOVE_S)
+    click(panel.control)
+    see(panel.control.isChecked, "control in green")
+    assert call("gripper_control", "setGripperControl", True).success
+    see(panel.gripper.isChecked, "the gripper in green")
+    click(panel.control)
+    see(lambda: not panel.control.isChecked(), "control in grey")
+    click(panel.exit)
+    see(lambda: controller.poll() is not None, "the end of the controller", MOVE_S)
+    assert controller.returncode == 0
+    see(lambda: not panel.control.isEnabled(), "the lock")
+    clock.sleep(2.0)  # both have the number of this process
+    controller = run()
+    see(lambda: panel.status.full.startswith("home: "), "the second controller at home", MOVE_S)
+    controller.send_signal(signal.SIGSTOP)
+    click(panel.emergency)
+    assert is_after(0.5, see(lambda: controller.poll() is not None, "the end of the process"))
+    assert controller.returncode == -signal.SIGKILL
+    see(lambda: not panel.control.isEnabled(), "the lock")
+
+
+@pytest.fixture
+def program(ros, application, failures, see, monkeypatch, capsys):
+    """Runs the program; `during` is called while its window is there. Returns its exit code, and what it said."""
+    from kuka_control.gui.panel import ControlPanel
+    from kuka_control.ros import panel_link
+
+    def run(*arguments, during=None):
+        class Application:
+            over = False
+
+            def __init__(self, _argv):
+                pass
+
+            def quit(self):
+                self.over = True
+
+            def exec_(self):
+                (panel,) = (window for window in application.topLevelWidgets() if isinstance(window, ControlPanel))
+                assert panel.isVisible() and bool(panel.windowFlags() & Qt.WindowStaysOnTopHint) == (
+                    "--on-top" in arguments
+                )
+                during(panel)
+                see(lambda: self.over, "the end")
+                return 0
+
+        from python_qt_binding.QtCore import Qt
+
+        monkeypatch.setattr(panel_link, "QApplication", Application)
+        ros.here.argv = ["gui.py", *arguments]
+        with pytest.raises(SystemExit) as end:
+            panel_link.main()
+        said = "".join(capsys.readouterr())
+        return (1, end.value.code) if isinstance(end.value.code, str) else (end.value.code, said)
+
+    return run
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("master", ["there", "never there", "ended", "hanging"])
+def test_interrupted_it_ends_well(ros, program, see, monkeypatch, master, number):
+    import rospy
+
+    def signal_shutdown(reason, shut_down=rospy.signal_shutdown):  # which asks the master
+        while ros.master_hangs:
+            clock.sleep(0.1)
+        shut_down(reason)
+
+    def leave(code):
+        raise SystemExit(code)
+
+    monkeypatch.setattr(rospy, "signal_shutdown", signal_shutdown)
+    monkeypatch.setattr(os, "_exit", leave)
+    ros.master_answers = master != "never there"
+    begun = []
+
+    def during(panel):
+        lost = "Waiting for the ROS master" if master == "never there" else "Waiting for the controller"
+        see(lambda: panel.status.full.startswith(lost), "the window")
+        clock.sleep(1.0)
+        ros.master_answers, ros.master_hangs = master == "there", master == "hanging"
+        ros.here.handlers[number](number, None)
+        begun.append(clock.monotonic())
+
+    assert program("--on-top", during=during) == (0, "")
+    assert clock.monotonic() - begun[0] == pytest.approx(2.0 if master == "hanging" else 0.0, abs=PROGRAM_PERIOD_S)
+    ros.master_hangs = False
+
+
+def test_it_ends_with_its_node(ros, program):
+    import rospy
+
+    assert program(during=lambda _: rospy.signal_shutdown("another panel")) == (0, "")
+
+
+@pytest.mark.parametrize(("display", "said"), [("", "neither DISPLAY nor"), (":98765", "the screen :98765 (DISPLAY)")])
+@pytest.mark.parametrize(("option", "code"), [("--if-possible", 0), ("--on-top", 1)])
+def test_a_screen_that_is_not_there_is_one_sentence_and_beside_a_controller_no_fault(
+    program, monkeypatch, display, said, option, code
+):
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.setenv("QT_QPA_PLATFORM", "")
+    ended, text = program(option)
+    assert ended == code and said in text and len(text.splitlines()) == 1
+
+
+def test_a_second_panel_is_not_opened_beside_the_first(ros, program, monkeypatch):
+    import rospy
+
+    ros.start("first", lambda: (rospy.init_node("kuka_panel"), rospy.spin()))
+    clock.sleep(0.1)
+    code, text = program("--if-possible")
+    assert code == 0 and "open already" in text
+
+
+@pytest.fixture
+def beside(ros, monkeypatch):
+    """Starts a controller that has neither parameters nor a robot, on a screen or without one; the commands that it
+    starts, and what becomes of these, are in `commands` and `ends`.
+    """
+    from kuka_control.ros import panel_process
+
+    def start(program, *arguments, display=":0"):
+        def popen(command, **_):
+            start.commands.append(" ".join(command))
+            return SimpleNamespace(terminate=lambda: start.ends.append("terminated"), wait=start.ends.append)
+
+        stand_in = SimpleNamespace(Popen=popen, DEVNULL=None, TimeoutExpired=subprocess.TimeoutExpired)
+        monkeypatch.setattr(panel_process, "subprocess", stand_in)
+        monkeypatch.setenv("DISPLAY", display)
+        node = ros.run("kuka_control", program, *arguments)
+        clock.sleep(1.0)
+        return node
+
+    start.commands, start.ends = [], []
+    return start
+
+
+@pytest.mark.parametrize("program", [REAL_TIME, PTP])
+def test_the_panel_comes_and_goes_with_each_controller(beside, program):
+    controller = beside(program)
+    assert beside.commands == ["rosrun kuka_control gui.py --on-top --if-possible"] and not beside.ends
+    controller.send_signal(signal.SIGINT)
+    assert controller.wait(1.0) == 0 and beside.ends == ["terminated", 3.0]
+
+
+def test_the_panel_stays_after_a_fault_of_its_controller(beside):
+    import rospy
+
+    controller = beside(REAL_TIME)
+    set_params(REAL_TIME, robot="none")
+    assert controller.wait(5.0) == 1 and beside.commands and not beside.ends
+    assert rospy.get_param("kuka/robot") == "none"
+
+
+@pytest.mark.parametrize(
+    ("argument", "display", "said"), [("gui:=false", ":0", ""), ("gui:=true", "", "there is no screen")]
+)
+def test_a_controller_runs_without_the_panel(beside, argument, display, said):
+    controller = beside(REAL_TIME, argument, display=display)
+    assert controller.poll() is None and not beside.commands and said in controller.log
+
+
+def test_a_request_for_the_control_panel_that_is_no_truth_value_is_refused(beside):
+    controller = beside(PTP, "gui:=perhaps")
+    assert controller.wait(1.0) == 1 and "gui:=perhaps" in controller.log
 
 
 @pytest.fixture

@@ -37,7 +37,7 @@ def test_factors_of_the_range_are_accepted(factor):
 
 @pytest.mark.parametrize("typed", [0.1, 0.7, 1.5])
 def test_factor_that_came_as_a_32_bit_number_is_accepted(typed):
-    check_scaling_factor(float(np.float32(typed)))
+    assert check_scaling_factor(float(np.float32(typed))) == pytest.approx(typed)
 
 
 @pytest.mark.parametrize("factor", [0.0999, 1.5001, 0.0, -1.0, float("nan"), float("inf")])

@@ -110,18 +110,20 @@ def run_badly(law, arm_s, slowed, fastest, noise, late, freezes, stalls, random)
     raise AssertionError("the identification does not end")
 
 
-@pytest.mark.parametrize("seed", range(300))
-def test_however_bad_the_conditions_a_straight_arm_is_never_taken_for_the_lts_law(seed):
-    result = run_badly(lambda e: e, **bad_luck(seed))
-    assert result.law in ("none", None) and not verdict(result, "auto").lts
+@pytest.mark.parametrize("seeds", [range(60), pytest.param(range(60, 300), marks=pytest.mark.long)], ids=str)
+def test_however_bad_the_conditions_a_straight_arm_is_never_taken_for_the_lts_law(seeds):
+    for seed in seeds:
+        result = run_badly(lambda e: e, **bad_luck(seed))
+        assert result.law in ("none", None) and not verdict(result, "auto").lts, seed
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_the_lts_law_is_seldom_missed_and_never_taken_for_the_other_one(seed):
-    luck = {**bad_luck(seed), "slowed": 1.0, "fastest": np.inf}
-    assert run_badly(lts, **luck).law in ("lts", None)
-    quiet = {**luck, "noise": 2e-5, "freezes": 0.0, "stalls": 0.0, "arm_s": 0.02 + 0.02 * luck["random"].uniform()}
-    assert run_badly(lts, **quiet).law == "lts"
+@pytest.mark.parametrize("seeds", [range(20), pytest.param(range(20, 60), marks=pytest.mark.long)], ids=str)
+def test_the_lts_law_is_seldom_missed_and_never_taken_for_the_other_one(seeds):
+    for seed in seeds:
+        luck = {**bad_luck(seed), "slowed": 1.0, "fastest": np.inf}
+        assert run_badly(lts, **luck).law in ("lts", None), seed
+        quiet = {**luck, "noise": 2e-5, "freezes": 0.0, "stalls": 0.0, "arm_s": 0.02 + 0.02 * luck["random"].uniform()}
+        assert run_badly(lts, **quiet).law == "lts", seed
 
 
 @pytest.mark.parametrize("law", ["lts", "none", None])

@@ -8,31 +8,23 @@ import pty
 import select
 import signal
 import subprocess
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from controller_rig import MOVE_S, run_robot
 
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
-NEAR, QUICK = [0, 5, 0, -10, 0, 5, 0], ("--velocity", "0.2")
-
-
-class Programs:
-    """Starts programs as a graph does, without a master."""
-
-    def __init__(self, processes):
-        self._processes = processes
-
-    def run(self, *command):
-        return self._processes.start("rosrun", *command)
+NEAR = [0, 5, 0, -10, 0, 5, 0]
 
 
 @pytest.fixture
 def robot(processes, wait_until, monkeypatch, free_port):
     """Starts the simulated robot, without a master."""
     monkeypatch.setenv("ROS_MASTER_URI", f"http://localhost:{free_port()}")
-    robot = run_robot(Programs(processes), wait_until, "--port", "0", "--control-port", "0")
+    programs = SimpleNamespace(run=lambda *command: processes.start("rosrun", *command))
+    robot = run_robot(programs, wait_until, "--port", "0", "--control-port", "0")
     robot.here = ("--ip", "127.0.0.1", "--port", robot.port)
     return robot
 
@@ -102,25 +94,19 @@ def person(without_search):
         one.leaves()
 
 
-def test_asks_and_moves_on_yes_with_a_live_bar(robot, person):
-    somebody = person(*NEAR, *QUICK, *robot.here)
-    somebody.reads_until("Move the arm to the given angles? [y/N]")
-    assert "Largest step" in somebody.seen
-    np.testing.assert_allclose(np.degrees(robot.joints), 0.0, atol=1e-6)
-    somebody.types("y\n")
-    assert somebody.reads_to_the_end() == 0
-    assert somebody.seen.count("\r[") >= 1 and "100 %" in somebody.seen
-    np.testing.assert_allclose(np.degrees(robot.joints), NEAR, atol=0.1)
-
-
-@pytest.mark.parametrize(("answer", "code"), [("n\n", 1), ("\x04", 1), ("\x03", 130)])
-def test_without_a_yes_nothing_moves(robot, person, answer, code):
+def test_it_asks_and_only_on_yes_it_moves_with_a_live_bar(robot, person):
+    for answer, code in (("n\n", 1), ("\x04", 1), ("\x03", 130)):
+        somebody = person(*NEAR, *robot.here)
+        somebody.reads_until("Move the arm to the given angles? [y/N]")
+        assert "Largest step" in somebody.seen
+        if answer == "\x03":
+            somebody.interrupts()
+        else:
+            somebody.types(answer)
+        assert somebody.reads_to_the_end() == code
+        assert "Nothing was moved." in somebody.seen and "Traceback" not in somebody.seen
+        np.testing.assert_allclose(np.degrees(robot.joints), 0.0, atol=1e-6)
     somebody = person(*NEAR, *robot.here)
     somebody.reads_until("[y/N]")
-    if answer == "\x03":
-        somebody.interrupts()
-    else:
-        somebody.types(answer)
-    assert somebody.reads_to_the_end() == code
-    assert "Nothing was moved." in somebody.seen and "Traceback" not in somebody.seen
-    np.testing.assert_allclose(np.degrees(robot.joints), 0.0, atol=1e-6)
+    somebody.types("y\n")
+    somebody.reads_until("\r[")

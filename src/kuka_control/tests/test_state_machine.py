@@ -462,5 +462,5 @@ class AnyOrder(RuleBasedStateMachine):
             assert self.world.state is State.ENDED
 
 
-AnyOrder.TestCase.settings = settings(max_examples=60, stateful_step_count=12)
+AnyOrder.TestCase.settings = settings(max_examples=25, stateful_step_count=12)
 TestAnyOrder = AnyOrder.TestCase

@@ -76,7 +76,7 @@ def run(follower, targets):
     return np.array([follower.step(target, follower.goal, DT).q for target in targets])
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.lists(st.tuples(speeds, st.integers(5, 60)), min_size=1, max_size=6))
 def test_no_desired_velocity_carries_the_tool_out(wishes):
     change, brake = guard()
@@ -112,26 +112,38 @@ class FullGuard(StoppingGuard):
         return False
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
     rng = np.random.default_rng(seed)
-    change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
-    bounds = room(rng.choice([WORKSPACE, None]), tool_speed=rng.choice([0.2, 0.7, 2.0]))
-    quick, full = (kind(change, bounds, ACCELERATION) for kind in (StoppingGuard, FullGuard))
     near = HOME + rng.choice([0.0, 0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7)
     q = rng.uniform(MODEL.lower, MODEL.upper) if rng.random() < 0.2 else np.clip(near, MODEL.lower, MODEL.upper)
-    v, a = (rng.choice([0.0, 0.2, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most for most in (MODEL.max_speed, ACCELERATION))
+    moving = rng.permutation(7) < rng.choice([1, 7])  # with one joint the estimate is close
+    v, a = (
+        rng.choice([0.0, 0.2, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most * moving
+        for most in (MODEL.max_speed, ACCELERATION)
+    )
+    own = float(np.abs(v) @ ARM.tool_point(q.tolist())[1])
+    tool_speed = rng.choice([0.2, 0.7, 2.0, max(0.9 * own, 0.05), max(own, 0.05)])
+    workspace = rng.choice([WORKSPACE, None])
+    if rng.random() < 0.5:  # a joint that can just stop before its limit, or just not
+        tool_speed, workspace = 9.0, None
+        joint = np.argmax(np.abs(v))
+        v[joint] = abs(v[joint])
+        q[joint] = MODEL.upper[joint] - rng.uniform(0.2, 1.2) * v[joint] ** 2 / (2.0 * ACCELERATION[joint])
+    change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
+    bounds = room(workspace, tool_speed)
+    quick, full = (kind(change, bounds, ACCELERATION) for kind in (StoppingGuard, FullGuard))
     now = JointState(q.tolist(), v.tolist(), a.tolist())
     for _ in range(10):
-        desired = (rng.choice([0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7) * MODEL.max_speed).tolist()
+        desired = (rng.choice([0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7) * MODEL.max_speed * moving).tolist()
         dt = rng.uniform(0.001, 0.03)
         (now, held), (expected, expected_held) = quick.step(now, desired, dt), full.step(now, desired, dt)
         assert held == expected_held
         assert (now.q, now.v, now.a) == (expected.q, expected.v, expected.a)
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_bounds(seed):
     rng = np.random.default_rng(seed)
@@ -146,7 +158,7 @@ def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_boun
     assert np.all(np.sum(np.abs(np.diff(q, axis=0)), axis=0) <= np.array(lengths) + 1e-9)
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
 def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):
     targets = [HOME + np.array([a, b, 0, a, 0, b, a]) for a, b in turns for _ in range(40)]
@@ -253,7 +265,7 @@ def feasible(T, shift):
     return x - y > 0.1 and z > 0.02
 
 
-@settings(max_examples=6)
+@settings(max_examples=4)
 @given(st.lists(shifts, min_size=2, max_size=6), st.floats(0.2, 1.5), st.sampled_from([74.0, 115.0]))
 def test_whatever_the_hand_does_the_goals_stay_in_the_workspace(moves, speed, rate):
     rig = simulated()

@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 pytest.importorskip("matplotlib")
 
 

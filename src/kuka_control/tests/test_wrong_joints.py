@@ -195,7 +195,7 @@ def check(goals, readings, age=2.0 * DT):
     return wrong
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(st.floats(-1.5, 1.5), st.floats(0.03, 0.15), st.integers(1, 10), st.sampled_from([1, 2, 5]))
 def test_an_arm_that_follows_is_believed_also_when_readings_are_old_and_rare(speed, lag, delay, every):
     q, goal, joints = np.zeros(7), np.zeros(7), JointCheck(FULL_SPEED)

@@ -361,8 +361,6 @@ def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker):
             {},
             ["leap/min_confidence is 'high'", "leap/run_tol_yav is not"],
         ),
-        ({"buffer_size": None}, {}, ["leap/buffer_size is missing"]),
-        ({}, {"center_line": [0, 0, 0]}, ["kuka/center_line is the zero vector"]),
         ({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]}, ["leap/z_clearance"]),
     ],
 )

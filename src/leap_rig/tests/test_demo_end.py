@@ -2,57 +2,57 @@
 
 from __future__ import annotations
 
-import threading
-
 import pytest
+
+from common import clock
 
 pytestmark = pytest.mark.ros
 
 
-@pytest.mark.parametrize("hangs", [True, False])
-def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(ros, monkeypatch, wait_until, hangs):
+@pytest.mark.parametrize(("hangs", "seconds"), [(True, 60.0), (False, 0.0)])
+def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(virtual_graph, hangs, seconds):
     import rospy
 
     from kuka_msgs.srv import exitApp
     from leap_rig.ros import demo
 
-    monkeypatch.setattr(demo, "EXIT_TIMEOUT_S", 3.0 if hangs else 0.5)  # in which even a busy one is called
-    resume, called, deaths = threading.Event(), threading.Event(), demo.Deaths()
-
-    def answer(_):
-        called.set()
-        resume.wait(60.0)
-
-    service = rospy.Service("kuka/exit_app", exitApp, answer) if hangs else None
-    ended = threading.Thread(target=demo.end_in_order, args=(deaths,), daemon=True)
-    try:
-        ended.start()
-        wait_until(lambda: not ended.is_alive(), 30.0, "the demo to go on without the controller's answer")
-        assert called.is_set() == hangs
-        assert len(deaths.sentences) == 1 and "did not accept the request to exit" in deaths.sentences[0]
-    finally:
-        resume.set()
-        if service is not None:
-            service.shutdown()
+    called, deaths = [], demo.Deaths()
+    if hangs:
+        rospy.Service("kuka/exit_app", exitApp, lambda _: called.append(True) or clock.sleep(1e3))
+    begun = clock.monotonic()
+    demo.end_in_order(deaths)
+    assert clock.monotonic() - begun == pytest.approx(seconds, abs=0.2)
+    assert called == [True] * hangs
+    assert len(deaths.sentences) == 1 and "did not accept the request to exit" in deaths.sentences[0]
 
 
-def test_all_of_several_controllers_are_asked_to_exit(ros, monkeypatch):
+def test_a_controller_that_accepts_and_does_not_end_is_named(virtual_graph):
     import rospy
 
     from kuka_msgs.srv import exitApp
     from leap_rig.ros import demo
 
-    monkeypatch.setattr(demo, "EXIT_TIMEOUT_S", 5.0)
+    deaths = demo.Deaths()
+    rospy.Service("kuka/exit_app", exitApp, lambda _: (True, "the arm goes"))
+    begun = clock.monotonic()
+    demo.end_in_order(deaths)
+    assert clock.monotonic() - begun == pytest.approx(60.0, abs=0.2)
+    assert deaths.sentences == ["kuka_real_time_node did not end within 60 s after exit_app"]
+
+
+def test_all_of_several_controllers_are_asked_to_exit(virtual_graph):
+    import rospy
+
+    from kuka_msgs.srv import exitApp
+    from leap_rig.ros import demo
+
     deaths = demo.Deaths()
 
     def answer(_):
         deaths.process_died("right/kuka_real_time_node-3", 0)
         return True, "the arm goes"
 
-    service = rospy.Service("right/kuka/exit_app", exitApp, answer)
-    try:
-        demo.end_in_order(deaths, ("left", "right"))
-    finally:
-        service.shutdown()
+    rospy.Service("right/kuka/exit_app", exitApp, answer)
+    demo.end_in_order(deaths, ("left", "right"))
     (fault,) = deaths.sentences
     assert fault.startswith("left/kuka_real_time_node did not accept the request to exit")

@@ -65,15 +65,14 @@ def test_the_workspace_is_lifted_only_where_it_is_asked_for_and_never_on_a_real_
     assert ("--lift-workspace" in words) is asked and "--i-know" not in words
 
 
-@pytest.mark.clock
-@pytest.mark.parametrize(("what", "said"), [("rig", ("sim:=false", "robot_ip")), ("camera", ("sim:=false", "Xtion"))])
-def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments(what, said):
+@pytest.mark.real
+def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments():
     script = ROOT / "src/common/shell/simulated.sh"
-    lines = subprocess.run(
-        [script, what, "printf", "%s|", "a b", "c"], check=True, capture_output=True, text=True, timeout=30
-    ).stdout.splitlines()
-    assert len(lines) == 2 and "simulated" in lines[0] and all(word in lines[0] for word in said)
-    assert lines[1] == "a b|c|"
+    for what, word in (("rig", "robot_ip"), ("camera", "Xtion")):
+        command = [script, what, "printf", "%s|", "a b", "c"]
+        lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
+        assert len(lines) == 2 and all(part in lines[0] for part in ("simulated", "sim:=false", word))
+        assert lines[1] == "a b|c|"
 
 
 @pytest.mark.parametrize(
@@ -162,7 +161,6 @@ def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():
     assert there <= set(values)
 
 
-@pytest.mark.clock
 def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own():
     from tools import launched
 
@@ -173,10 +171,8 @@ def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own()
     of_a_camera = ("leapd", "tracker:=webcam", "camera_device:=/dev/video2", "gui:=false")
     line = " ".join(launched.command_line("leap_rig", "demo.launch", *of_a_camera))
     assert "--headless" in line and "--camera /dev/video2" in line
-    of_a_film = ("tracker:=webcam", "video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7")
-    command = ["roslaunch", "--args", "/leapd", "leap_rig", "demo.launch", *of_a_film]
-    line = subprocess.run(command, check=True, capture_output=True, text=True, timeout=60).stdout
-    assert "webcam_leapd.py" in line
+    of_a_film = ("leapd", "tracker:=webcam", "video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7")
+    line = " ".join(launched.command_line("leap_rig", "demo.launch", *of_a_film))
     assert all(part in line for part in ("--video /a b.mp4", "--setup above", "--port 7"))
 
 
@@ -230,15 +226,12 @@ def test_what_is_for_two_arms_ends_the_launch_of_one_with_a_sentence(given):
     assert nodes(given, "rviz:=false", "gui:=false") == {"/arguments"}
 
 
-@pytest.mark.clock
-def test_the_sentence_about_misplaced_arguments_names_them():
-    command = subprocess.run(
-        ["rosrun", "leap_rig", "misplaced_arguments.py", "2", "recording:=/a.gz", "offset:=0", "1", "0", "__name:=x"],
-        capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
-    assert command.returncode == 1
+def test_the_sentence_about_misplaced_arguments_names_them(virtual_graph):
+    words = ("2", "recording:=/a.gz", "offset:=0", "1", "0", "__name:=x")
+    program = virtual_graph.run("leap_rig", "misplaced_arguments.py", *words)
+    assert program.wait(0.1) == 1
     sentence = "Nothing was started: recording:=/a.gz offset:=0 1 0 would have no effect with robots:=2"
-    assert command.stderr.startswith(sentence)
+    assert program.log.startswith(sentence)
 
 
 def test_one_hand_that_chooses_gets_relative_engagement_for_both_arms_and_any_hand():

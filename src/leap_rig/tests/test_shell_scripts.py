@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 SHELL = Path(__file__).resolve().parents[1] / "shell"
 
@@ -30,6 +30,7 @@ def log(process):
     return process.log_path.read_text()
 
 
+@pytest.mark.long
 def test_run_leapd_starts_the_simulated_leap_service(bare, wait_until):
     process = bare("run_leapd.sh", "--sim", "--port", "0", "--control-port", "0")
     wait_until(lambda: "leapd: listening on" in log(process) or process.poll() is not None, 30.0, "the ready line")
@@ -37,55 +38,61 @@ def test_run_leapd_starts_the_simulated_leap_service(bare, wait_until):
     assert process.wait(20) == 0, log(process)
 
 
-@pytest.mark.parametrize(
-    ("installed", "running", "said", "started"),
-    [
-        (("leapd",), False, "Leap service 2.3", ["leapd --config=x"]),
-        (
-            *(("leapd", "leapctl", "Ultraleap-Tracking-WS"), False, "Today's Ultraleap software"),
-            ["systemctl start ultraleap-hand-tracking-service", "Ultraleap-Tracking-WS --config=x"],
-        ),
-        (("leapd", "leapctl", "Ultraleap-Tracking-WS"), True, "Today's", ["Ultraleap-Tracking-WS --config=x"]),
-        (("leapd", "leapctl"), True, "not its WebSocket server", []),
-        (("Ultraleap-Tracking-WS",), None, "does not start", []),
-        ((), False, "No Leap service is installed", []),
-    ],
-)
-def test_run_leapd_starts_the_service_that_is_installed_and_says_which(tmp_path, installed, running, said, started):
+INSTALLED = [
+    (("leapd",), False, "Leap service 2.3", ["leapd --config=x"]),
+    (
+        *(("leapd", "leapctl", "Ultraleap-Tracking-WS"), False, "Today's Ultraleap software"),
+        ["systemctl start ultraleap-hand-tracking-service", "Ultraleap-Tracking-WS --config=x"],
+    ),
+    (("leapd", "leapctl", "Ultraleap-Tracking-WS"), True, "Today's", ["Ultraleap-Tracking-WS --config=x"]),
+    (("leapd", "leapctl"), True, "not its WebSocket server", []),
+    (("Ultraleap-Tracking-WS",), None, "does not start", []),
+    ((), False, "No Leap service is installed", []),
+]
+
+
+def test_run_leapd_starts_the_service_that_is_installed_and_says_which(tmp_path):
     """`running`: whether the tracking service runs already, None: it does not start."""
-    active, start = (0, 0) if running else (3, 1) if running is None else (3, 0)
-    programs = {name: f'echo "{name} $*" >> "$LOG"' for name in installed}
-    programs["systemctl"] = f'[ "$1" = is-active ] && exit {active}; [ {start} = 0 ] && echo "systemctl $*" >> "$LOG"'
-    programs["sudo"] = '"$@"'
-    for name, body in programs.items():
-        (tmp_path / name).write_text(f"#!/bin/sh\n{body}\n")
-        (tmp_path / name).chmod(0o755)
-    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin", "LOG": str(tmp_path / "log")}
-    (tmp_path / "log").touch()
-    done = subprocess.run(
-        [SHELL / "run_leapd.sh", "--config=x"], env=environment, capture_output=True, text=True, timeout=30
-    )
-    assert said in done.stdout + done.stderr
-    assert (tmp_path / "log").read_text().splitlines() == started
-    assert (done.returncode == 0) == bool(started)
+    for number, (installed, running, said, started) in enumerate(INSTALLED):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        active, start = (0, 0) if running else (3, 1) if running is None else (3, 0)
+        programs = {name: f'echo "{name} $*" >> "$LOG"' for name in installed}
+        programs["systemctl"] = (
+            f'[ "$1" = is-active ] && exit {active}; [ {start} = 0 ] && echo "systemctl $*" >> "$LOG"'
+        )
+        programs["sudo"] = '"$@"'
+        for name, body in programs.items():
+            (folder / name).write_text(f"#!/bin/sh\n{body}\n")
+            (folder / name).chmod(0o755)
+        environment = {"PATH": f"{folder}:/usr/bin:/bin", "LOG": str(folder / "log")}
+        (folder / "log").touch()
+        done = subprocess.run([SHELL / "run_leapd.sh", "--config=x"], env=environment, capture_output=True, text=True)
+        assert said in done.stdout + done.stderr
+        assert (folder / "log").read_text().splitlines() == started
+        assert (done.returncode == 0) == bool(started)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("words", [("--sim",), ("sim:=true",), ("sim:=false", "--sim")])
 def test_run_leap_control_refuses_a_busy_leap_port_in_a_sentence(words):
     with socket.create_server(("127.0.0.1", 0)) as busy:
         port = busy.getsockname()[1]
         done = subprocess.run(
-            [SHELL / "run_leap_control.sh", *words, f"leap_port:={port}"], capture_output=True, text=True, timeout=60
+            [SHELL / "run_leap_control.sh", *words, f"leap_port:={port}"], capture_output=True, text=True
         )
     assert done.returncode == 1 and f"Port {port} is busy" in done.stderr and done.stdout == ""
 
 
-@pytest.mark.parametrize(
-    ("words", "launched"),
-    [((), "sim:=false"), (("gui:=false", "robot_ip:=10.0.0.1"), "sim:=false gui:=false robot_ip:=10.0.0.1"),
-     (("--sim", "leap_port:=1"), "sim:=true leap_port:=1"), (("sim:=true", "sim:=false"), "sim:=false")],
-)  # fmt: skip
-def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path, words, launched):
+WORDS = [
+    ((), "sim:=false"),
+    (("gui:=false", "robot_ip:=10.0.0.1"), "sim:=false gui:=false robot_ip:=10.0.0.1"),
+    (("--sim", "leap_port:=1"), "sim:=true leap_port:=1"),
+    (("sim:=true", "sim:=false"), "sim:=false"),
+]
+
+
+def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path):
     """With programs of ROS that only note how they are called."""
     folder = tmp_path / "src" / "leap_rig" / "shell"
     folder.mkdir(parents=True)
@@ -98,15 +105,17 @@ def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path, w
     for name, first in (("roslaunch", ""), ("rosrun", f'until grep -qs roslaunch "{log}"; do sleep 0.05; done\n')):
         (tmp_path / name).write_text(f'#!/bin/sh\n{first}echo "{name} $*" >> "{log}"\n')
         (tmp_path / name).chmod(0o755)
-    done = subprocess.run(["bash", script, *words], env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, timeout=60)
-    assert done.returncode == 0
-    assert sorted(log.read_text().splitlines()) == [
-        f"roslaunch leap_rig leap_rig.launch {launched}",
-        "rosrun kuka_control real_time_controller.py gui:=false",
-    ]
+    for words, launched in WORDS:
+        log.unlink(missing_ok=True)
+        done = subprocess.run(["bash", script, *words], env={"PATH": f"{tmp_path}:/usr/bin:/bin"})
+        assert done.returncode == 0
+        assert sorted(log.read_text().splitlines()) == [
+            f"roslaunch leap_rig leap_rig.launch {launched}",
+            "rosrun kuka_control real_time_controller.py gui:=false",
+        ]
 
 
-@pytest.mark.rig
+@pytest.mark.long
 @pytest.mark.timeout(300)
 def test_run_leap_control_starts_the_rig_and_the_real_time_controller_and_ends_both(bare, free_port, wait_until):
     ports = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")

@@ -8,7 +8,7 @@ pytest.importorskip("rospy")
 from leap_rig.cues import Sound
 from leap_rig.ros import speaker
 
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
@@ -31,12 +31,14 @@ def play(tmp_path, monkeypatch):
     return made
 
 
+@pytest.mark.long
 def test_without_a_sound_card_it_says_so_once_and_is_silent(play):
     said, folder = play("echo call >> calls\necho 'no soundcards found' >&2\nexit 1")
     assert said == ["No sounds: no soundcards found. The rig works without them."]
     assert (folder / "calls").read_text() == "call\n"
 
 
+@pytest.mark.real
 def test_the_program_gets_a_sound(play):
     said, folder = play("cat > heard")
     with wave.open(str(folder / "heard")) as heard:

@@ -56,7 +56,7 @@ def test_the_covariance_is_that_of_small_changes_of_both_calibrations(seed):
 def test_the_errors_are_as_large_as_stated():
     """The squared error in its own standard deviations has the mean 6."""
     squares, points = [], []
-    for seed in range(60):
+    for seed in range(30):
         _, first, views = scene(seed, 12, SD)
         _, second, others = scene(1000 + seed, 12, SD)
         found, truth = register(solve(views), solve(others)), first @ inverse(second)

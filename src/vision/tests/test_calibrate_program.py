@@ -1,10 +1,8 @@
 """The program calibrate_camera on the simulated arm: it asks, visits, refuses or stores, and ends with a sentence."""
 
-import builtins
-import contextlib
+import io
 import re
 import signal
-import sys
 from dataclasses import replace
 
 import hand_eye_scene
@@ -12,8 +10,9 @@ import numpy as np
 import pytest
 from board_scene import T_FLANGE_BOARD, BoardScene, parameters
 
+from common import clock
 from common.config import parse
-from common.poses import inverse, pose
+from common.poses import inverse, pose, translation
 from common.rotations import rotation_about, rotation_angle, unit
 from vision.calibration.acceptance import CalibrationConfig, judge
 from vision.calibration.record import by_views
@@ -27,120 +26,76 @@ T_BASE_CAMERA = pose(np.column_stack((RIGHT, np.cross(AHEAD, RIGHT), AHEAD)), (1
 
 T_BASE_FLANGE = T_BASE_CAMERA @ pose(rotation_about(0, 2.7), (0.05, 0.02, 0.9)) @ inverse(T_FLANGE_BOARD)
 
-PROGRAM = ("rosrun", "vision", "calibrate_camera.py", "--ip", "127.0.0.1", "--velocity", "0.5")
-
 
 class SimulatedArm:
     """The simulated controller, and where its flange is."""
 
-    def __init__(self, processes, wait_until):
+    def __init__(self, program, wait_until):
         from rig_simulation.control_port import ControlClient
 
-        program = processes.start(
-            "rosrun", "rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0"
-        )
-        line = wait_until(
-            lambda: re.search(r"127.0.0.1:(\d+), control port 127.0.0.1:(\d+)", program.log_path.read_text()),
-            30.0,
-            "it",
-        )
-        self.port, control = int(line[1]), int(line[2])
-        self.client = ControlClient("127.0.0.1", control, 30.0)
+        ready = r"127.0.0.1:(\d+), control port 127.0.0.1:(\d+)"
+        line = wait_until(lambda: re.search(ready, program.log_path.read_text()), 30.0, "the simulated robot")
+        self.port = line[1]
+        self._client = ControlClient("127.0.0.1", int(line[2]), 30.0)
+
+    @property
+    def options(self):
+        """Those with which the program finds it."""
+        return ("--ip", "127.0.0.1", "--velocity", "0.5", "--port", self.port)
 
     def flange(self):
-        return np.array(self.client.ask("state")["flange"])
+        return np.array(self._client.ask("state")["flange"])
 
     def moved(self):
-        return np.abs(self.client.ask("state")["joints"]).max() > 1e-3
+        return np.abs(self._client.ask("state")["joints"]).max() > 1e-3
 
 
-@pytest.fixture(scope="module")
-def arms(tmp_path_factory, pytestconfig):
-    """Returns a function that gives an arm that has not moved: the last one, or a new one."""
-    shared = pytestconfig.pluginmanager.get_plugin(str(pytestconfig.rootpath / "conftest.py"))
-    processes = shared.Processes(tmp_path_factory.mktemp("arm"))
-    arms = []
-
-    def unmoved():
-        if not arms or arms[-1].moved():
-            processes.end_all()
-            arms.append(SimulatedArm(processes, shared.wait_until))
-        return arms[-1]
-
-    yield unmoved
-    processes.end_all()
+ROBOT = ("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "0")
 
 
 @pytest.fixture
-def arm(arms):
-    return arms()
+def arm(virtual_graph):
+    return SimulatedArm(virtual_graph.run(*ROBOT), virtual_graph.wait_until)
 
 
-@contextlib.contextmanager
 def board_scene(folder, flange):
     import rospy
 
     values = parameters(folder, count=9, tries=300)
     values["limits"].update(pictures=4, photometric=False)
     rospy.set_param("camera_calibration", values)
-    scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, flange, measured=False)
+    return BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, flange, measured=False)
+
+
+@pytest.fixture
+def scene(arm, tmp_path):
+    scene = board_scene(tmp_path / "store", arm.flange)
     yield scene
     scene.close()
-    rospy.delete_param("camera_calibration")
 
 
 @pytest.fixture
-def scene(ros, arm, tmp_path):
-    with board_scene(tmp_path / "store", arm.flange) as scene:
-        yield scene
-
-
-@pytest.fixture
-def still_scene(ros, tmp_path):
+def still_scene(virtual_graph, tmp_path):
     """The same without an arm."""
-    with board_scene(tmp_path / "store", lambda: T_BASE_FLANGE) as scene:
-        yield scene
+    scene = board_scene(tmp_path / "store", lambda: T_BASE_FLANGE)
+    yield scene
+    scene.close()
 
 
 @pytest.fixture
-def calibrate(ros, capsys, monkeypatch):
-    """Runs the program within this process, and returns its exit code and its output.
-
-    A start of Python with all that the program imports would take longer than most cases.
-    """
-    import rospy
+def calibrate(virtual_graph):
+    """Runs the program, and returns its exit code and its output; `seconds` is how long it ran."""
 
     def run(*options, answers=()):
-        from vision.ros.calibration import calibrate_program
-
-        left = iter(answers)
-
-        def answer(question):
-            print(question)
-            try:
-                return next(left)
-            except StopIteration:
-                raise EOFError from None
-
-        handler = signal.getsignal(signal.SIGTERM)
-        with monkeypatch.context() as patch:
-            patch.setattr(rospy, "init_node", lambda *args, **kwargs: None)  # this process is a node already
-            patch.setattr(rospy, "signal_shutdown", lambda reason: None)
-            patch.setattr(sys, "argv", [PROGRAM[2], *options])
-            patch.setattr(builtins, "input", answer)
-            try:
-                with pytest.raises(SystemExit) as end:
-                    calibrate_program.main()
-            finally:
-                signal.signal(signal.SIGTERM, handler)
-        return end.value.code, "".join(capsys.readouterr())
+        program = virtual_graph.run("vision", "calibrate_camera.py", *options)
+        begun = clock.monotonic()
+        program.stdin = io.StringIO("".join(f"{answer}\n" for answer in answers))
+        code = program.wait(600.0)
+        run.seconds = clock.monotonic() - begun
+        assert "Traceback" not in program.log, program.log
+        return code, program.log
 
     return run
-
-
-def robot(arm):
-    """The options for the simulated arm."""
-    return ("--ip", "127.0.0.1", "--velocity", "0.5", "--port", str(arm.port))
 
 
 def stored(tmp_path):
@@ -148,14 +103,15 @@ def stored(tmp_path):
     return sorted(folder.iterdir()) if folder.exists() else []
 
 
-def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, arm, tmp_path, processes):
+def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, arm, tmp_path):
     from vision.ros.calibration.calibration_setup import read
 
-    program = processes.start(*PROGRAM, "--port", str(arm.port), "--yes")
-    assert program.wait(240.0) == 0, program.log_path.read_text()
+    code, log = calibrate(*arm.options, "--yes")
+    assert code == 0, log
     (file,) = stored(tmp_path)
-    log = program.log_path.read_text()
     assert "The calibration is good" in log and str(file) in log
+    distances = [float(text) for text in re.findall(r"marker board at ([\d.]+) m", log)]
+    assert len(distances) == 9 and all(0.55 <= distance <= 1.1 for distance in distances)
     record = read(file)
     assert len(record.views) >= 8
     assert (record.camera, record.robot, record.panel) == ("1234", "LBR7R800", "tag_frame")
@@ -181,22 +137,27 @@ def test_views_of_another_rig_are_refused(calibrate, still_scene, tmp_path):
     code, log = calibrate("--again", str(file), "--yes")
     assert code == 1
     assert "another rig" in log and all(f"{key} {value}, not" in log for key, value in others.items())
-    assert "Traceback" not in log
     assert stored(tmp_path) == []
 
 
-def test_a_refused_calibration_is_shown_before_the_program_ends(ros, processes, still_scene, tmp_path):
+def test_a_refused_calibration_is_shown_before_the_program_ends(virtual_graph, calibrate, still_scene, tmp_path):
     import rospy
     from visualization_msgs.msg import MarkerArray
 
     rospy.set_param("camera_calibration/limits/max_point_sd_mm", 0.001)
-    markers = ros.record("camera_calibration/markers", MarkerArray)
-    file = file_of_views(tmp_path)
-    program = processes.start("rosrun", "vision", "calibrate_camera.py", "--again", str(file), "--yes")
-    assert program.wait(60.0) == 1
-    assert "Nothing was stored" in program.log_path.read_text()
-    (marker,) = markers.wait(1)[0].markers
+    markers = virtual_graph.record("camera_calibration/markers", MarkerArray)
+    code, log = calibrate("--again", str(file_of_views(tmp_path)), "--yes")
+    assert code == 1 and "Nothing was stored" in log
+    (marker,) = markers.wait(1, 0.1)[0].markers
     assert marker.ns == "new"
+
+
+def test_a_viewer_that_does_not_connect_is_waited_for(virtual_graph, calibrate, still_scene, tmp_path):
+    from std_msgs.msg import String
+
+    virtual_graph.record("camera_calibration/markers", String)
+    code, _ = calibrate("--again", str(file_of_views(tmp_path)))
+    assert code == 1 and calibrate.seconds == pytest.approx(5.0, abs=0.1)
 
 
 def file_of_views(tmp_path, board=T_FLANGE_BOARD, **head):
@@ -225,17 +186,16 @@ def test_a_board_that_is_not_as_drawn_is_refused(calibrate, still_scene, tmp_pat
 def test_a_board_that_is_seen_nowhere(calibrate, scene, arm, tmp_path, monkeypatch):
     from vision.ros.calibration import calibrate_program
 
-    monkeypatch.setattr(calibrate_program, "VIEW_TIMEOUT_S", 1.0)
     monkeypatch.setattr(calibrate_program, "FIRST_VIEWS", 2)
     scene.visible = False
-    code, log = calibrate(*robot(arm), "--yes")
+    code, log = calibrate(*arm.options, "--yes")
     assert code == 1
     assert "saw the marker board at none of 3 arm poses" in log
     assert stored(tmp_path) == []
 
 
 def test_without_yes_and_terminal_nothing_moves(calibrate, scene, arm):
-    code, log = calibrate(*robot(arm))
+    code, log = calibrate(*arm.options)
     assert code == 1
     assert "Without a terminal" in log
     assert not arm.moved()
@@ -248,6 +208,20 @@ def test_by_hand_with_nobody_moving_the_arm(calibrate, still_scene):
     assert "taken, 4 images, by the corners" in log
     assert "not taken: the flange is only 0.0 mm and 0.0 deg" in log
     assert "1 views are too few" in log
+
+
+def test_by_hand_a_board_that_is_not_seen_is_waited_for(calibrate, still_scene):
+    still_scene.measured, still_scene.visible = True, False
+    _, log = calibrate("--by-hand", answers=("", "q"))
+    assert "not taken" in log and calibrate.seconds == pytest.approx(6.2, abs=0.2)
+
+
+def test_by_hand_an_arm_that_moves_gives_no_view(calibrate, still_scene):
+    begun = clock.monotonic()
+    still_scene.measured = True
+    still_scene.flange = lambda: translation(1e-2 * (clock.monotonic() - begun), 0.0, 0.0) @ T_BASE_FLANGE
+    _, log = calibrate("--by-hand", answers=("", "q"))
+    assert "not taken: the arm moved; hold it still" in log
 
 
 def test_poses_cannot_be_refined_without_the_images(calibrate, still_scene):
@@ -264,10 +238,11 @@ def test_by_hand_without_a_controller(calibrate, still_scene):
     code, log = calibrate("--by-hand", answers=("", "q"))
     assert code == 1
     assert "calibrate_camera: tf has no path from kuka/base_frame" in log and "--ip" in log
+    assert calibrate.seconds == pytest.approx(3.0, abs=0.1)
 
 
 def test_by_hand_the_program_asks_the_arm_itself(calibrate, scene, arm):
-    code, log = calibrate("--by-hand", *robot(arm), answers=("", "q"))
+    code, log = calibrate("--by-hand", *arm.options, answers=("", "q"))
     assert code == 1
     assert "taken, 4 images, by the corners" in log
     assert "The connection is closed" in log
@@ -288,27 +263,23 @@ def test_an_arm_on_a_ceiling_is_known_as_one(scene, arm, calibrate, mounting, se
     import rospy
 
     rospy.set_param("kuka/mounting", mounting)
-    try:
-        code, log = calibrate(*robot(arm), "--yes")
-    finally:
-        rospy.delete_param("kuka")
+    code, log = calibrate(*arm.options, "--yes")
     assert code == 1
     assert all(sentence in log for sentence in sentences), log
     assert not arm.moved()
 
 
-def test_no_robot(calibrate, still_scene, free_port):
-    code, log = calibrate("--ip", "127.0.0.1", "--port", str(free_port()), "--yes")
+def test_no_robot(calibrate, still_scene):
+    code, log = calibrate("--ip", "127.0.0.1", "--port", "9", "--yes")
     assert code == 1
     assert "There is no connection to the robot" in log
 
 
-def test_a_controller_that_has_the_robot_is_named(processes, scene, calibrate, arm, wait_until, tmp_path):
-    node = tmp_path / "node.py"
-    node.write_text("import rospy; rospy.init_node('kuka_ptp_node'); print('here', flush=True); rospy.spin()")
-    holder = processes.start("python3", str(node))
-    wait_until(lambda: "here" in holder.log_path.read_text(), 20.0, "the node")
-    code, log = calibrate(*robot(arm), "--yes")
+def test_a_controller_that_has_the_robot_is_named(virtual_graph, scene, calibrate, arm):
+    import rospy
+
+    virtual_graph.start("controller", lambda: (rospy.init_node("kuka_ptp_node"), rospy.spin()))
+    code, log = calibrate(*arm.options, "--yes")
     assert code == 1
     assert "The node kuka_ptp_node has the robot's only connection" in log
     assert not arm.moved()
@@ -335,10 +306,18 @@ def test_it_refuses_wrong_options_and_parameters(calibrate, still_scene, options
     assert sentence in log
 
 
-def test_an_interrupt_stores_nothing(scene, arm, processes, wait_until, tmp_path):
-    program = processes.start(*PROGRAM, "--port", str(arm.port), "--yes")
-    wait_until(lambda: "Move to" in program.log_path.read_text(), 60.0, "the tour")
-    assert processes.end(program, 30.0) == 130
+@pytest.mark.real
+def test_an_interrupt_stores_nothing(ros, wait_until, tmp_path):
+    """As the process of a real graph."""
+    arm = SimulatedArm(ros.run(*ROBOT), wait_until)
+    scene = board_scene(tmp_path / "store", arm.flange)
+    try:
+        program = ros.run("vision", "calibrate_camera.py", *arm.options, "--yes")
+        wait_until(arm.moved, 60.0, "the first motion")
+        program.send_signal(signal.SIGINT)
+        assert program.wait(30.0) == 130
+    finally:
+        scene.close()
     log = program.log_path.read_text()
     assert "Interrupted; nothing was stored" in log and "Traceback" not in log
     assert stored(tmp_path) == []

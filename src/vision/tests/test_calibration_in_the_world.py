@@ -8,7 +8,7 @@ import pytest
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
 
-pytestmark = [pytest.mark.ros, pytest.mark.rig]
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 
 
 def optical_frame_in_the_world():

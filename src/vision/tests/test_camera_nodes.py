@@ -286,6 +286,30 @@ def test_the_watchdog_takes_images_only_while_others_do_and_sees_that_they_stay_
         clock.sleep(1.23)
 
 
+def test_an_image_that_comes_after_the_last_listener_is_gone_does_not_count(ros):
+    """Else a camera whose images nobody takes any more would freeze with the next two."""
+    import rospy
+    from sensor_msgs.msg import CameraInfo
+
+    from common.config import parse
+    from common.ros.images import image_message
+    from vision.camera.stream_watch import WatchConfig
+    from vision.ros.camera.watchdog_node import WatchedStream
+
+    values = yaml.safe_load((CONFIG / "camera_watchdog.yaml").read_text())
+    stream = WatchedStream("rgb", parse(WatchConfig, values, ""))
+    late = stream._on_image
+    stream.subscribe(True)
+    stream.subscribe(False)
+    for _ in range(20):
+        message = CameraInfo(height=2, width=2)
+        message.header.stamp = rospy.Time.now()
+        stream._on_info(message)
+        late(image_message(np.zeros((2, 2, 3), np.uint8), "rgb8", "f", message.header.stamp))
+        clock.sleep(0.1)
+    assert stream.report()[0].state == "alive"
+
+
 def test_the_watchdog_refuses_bad_limits(ros):
     process = start_watchdog(ros, silence=0.0)
     assert process.wait(1.0) == 1

@@ -1,7 +1,8 @@
-"""Hands from the headset's page to the desired tool: browser with an emulated headset, socket, bridge, driver, rig."""
+"""Hands from the headset to the desired tool: socket, bridge, driver, rig in virtual time; the page in a browser."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
@@ -13,13 +14,15 @@ import pytest
 import yaml
 from chromium import browser
 from depth_scene import load
+from websockets.sync.client import connect
 
+from common import clock
 from common.frames import TOOL_DESIRED
 from leap_motion.headset.placement import FROM_XR
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
 pytest.importorskip("rospy")
-pytestmark = [pytest.mark.ros, pytest.mark.clock]
+pytestmark = pytest.mark.ros
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
@@ -76,14 +79,13 @@ offer();
 """
 
 
-def start_rig(ros, free_port, wait_until, tmp_path):
-    """Starts page, bridge, driver and teleoperation; returns the node of the page, its address and its log."""
+def start_rig(ros, port, wait_until):
+    """Starts page, bridge, driver and teleoperation; returns the node of the page, and what it said after words."""
     import rospy
 
     shipped = yaml.safe_load((HERE.parents[1] / "leap_kuka" / "config" / "leap_params.yaml").read_text())
-    rospy.set_param("leap", shipped)
+    rospy.set_param("leap", {**shipped, "z_clearance": shipped["z_clearance"] + 0.05})  # higher than the page assumes
     rospy.set_param("kuka", {"robot": "LBR7R800", **ARM})
-    port = free_port()
     web = {"host": "127.0.0.1", "port": 0, "page": PAGE, "certificate": "", "key": "", "hands": True, "leap_port": port}
     rospy.set_param("stereo_web", {"view": {**load("stereo_view.yaml"), "lens": "none"}, "web": web})
     node = ros.run("vision", "stereo_web_node.py")
@@ -129,13 +131,84 @@ class Rig:
         return bool(self.stream) and any(v.key == "state" and v.value == "running" for v in self.stream[-1].values)
 
 
+class Page:
+    """As the page: sends a message for each frame of the headset while it `plays`, and keeps the newest answer."""
+
+    def __init__(self, address, origin, frames):
+        self._socket, self._begun = connect(address.replace("http", "ws") + "hands"), clock.monotonic()
+        self._frames = [(np.reshape(frame, (25, 3)) + origin).ravel().tolist() for frame in frames]
+        self.plays, self.answer = False, {}
+
+    def says(self, **message):
+        self._socket.send(json.dumps(message))
+        return json.loads(self._socket.recv(timeout=1.0))
+
+    def play(self):
+        self.plays = True
+        clock.Thread(target=self._play, daemon=True).start()
+
+    def _play(self):
+        for frame in itertools.cycle(self._frames):
+            if not self.plays:
+                return
+            now = 1e3 * (clock.monotonic() - self._begun)
+            head = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
+            self.answer = self.says(t=now, place=1, head=head, left=None, right=frame)
+            clock.sleep(1.0 / RATE_HZ)
+
+    def close(self):
+        self._socket.close()
+
+
+def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken_off(virtual_graph, monkeypatch):
+    monkeypatch.setattr("vision.ros.stereo.web_node.own_certificate", lambda _: ("", ""))  # wires know no TLS
+    rig = Rig(virtual_graph)
+    node, said = start_rig(virtual_graph, 6437, virtual_graph.wait_until)
+    box = rig.boxes.wait(1, 3.0)[0].markers[0].pose.position
+    origin = [0.0, 1.6 - 0.35 - box.y, -0.4]
+    address, frames = said("The view is at "), recording(np.array([0.0, 1e3 * box.y, 0.0]))
+    wrong = "000000" if said("next headset is ") != "000000" else "000001"
+    stranger = Page(address, origin, frames)
+    assert "not the code" in stranger.says(secret=wrong)["refused"]
+    clock.sleep(0.5)
+    (driver,) = (each for each in virtual_graph.nodes if each.name == "/leap_driver")
+    assert not rig.humans and "not plugged in" in driver.log
+    page = Page(address, origin, frames)
+    assert page.says(secret=said("next headset is "))["drives"]
+    page.play()
+    clock.sleep(3.5)  # in which the hand comes to rest in the box
+    assert page.answer["leap"] == pytest.approx([*origin, 0.0], abs=1e-3) and page.answer["note"] == ""
+    assert rig.humans[-1].right_hand.is_present and rig.runs()
+    before = rig.moved()
+    clock.sleep(3.0)
+    assert rig.moved() > before + 0.05 and rig.runs() and len(page.answer["tool"]) == 7
+    page.plays = False
+    clock.sleep(0.1)
+    page.says(away=True)
+    clock.sleep(0.2)
+    assert not rig.runs()
+    count = len(rig.humans)
+    clock.sleep(0.3)
+    assert len(rig.humans) == count
+    page.play()
+    clock.sleep(1.0)
+    assert len(rig.humans) > count + 40
+    page.plays = False  # silent, as a page without focus
+    clock.sleep(0.5)
+    count = len(rig.humans)
+    clock.sleep(0.5)
+    assert len(rig.humans) == count
+    page.close()
+    clock.sleep(0.1)
+    assert "No headset drives" in node.log
+
+
+@pytest.mark.long
 @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
 @pytest.mark.skipif(not shutil.which("openssl"), reason="openssl is not installed")
-def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken_off(
-    ros, free_port, wait_until, tmp_path, iwer
-):
+def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, free_port, wait_until, tmp_path, iwer):
     rig = Rig(ros)
-    node, said = start_rig(ros, free_port, wait_until, tmp_path)
+    node, said = start_rig(ros, free_port(), wait_until)
     address = said("The view is at ")
     assert address.startswith("https://127.0.0.1:")
     box = rig.boxes.wait(1, 30.0)[0].markers[0].pose.position
@@ -185,7 +258,7 @@ def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken
         wait_until(lambda: "No headset drives" in node.log_path.read_text(), 30.0, "the end of the drive")
 
 
-def test_the_code_stands_on_the_terminal_and_not_in_the_log(monkeypatch, capsys):
+def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monkeypatch, capsys):
     """The log goes to /rosout, and with it into every recording."""
     from vision.ros.stereo import headset_hands
     from vision.stereo.view import WebConfig

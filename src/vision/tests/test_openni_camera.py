@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from common import clock
 from common.camera_model import pinhole
 from common.config import parse
 from common.errors import DeviceError
+from simulated.clock import virtual_time
 from vision.camera.openni_camera import OpenniCamera, XtionConfig
 
 FAKES = Path(__file__).parent / "fake_openni"
@@ -34,8 +36,14 @@ def fake(monkeypatch, tmp_path):
         sys.modules.pop(name, None)
 
 
-@pytest.mark.clock
-def test_both_streams_come_as_they_are(fake):
+@pytest.fixture
+def virtual():
+    """Virtual time."""
+    with virtual_time():
+        yield
+
+
+def test_both_streams_come_as_they_are(fake, virtual):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     assert camera.connect() == "Fake Camera"
     assert camera.serial() == "1207290099"
@@ -93,12 +101,12 @@ def test_a_camera_that_is_missing_or_unable_is_refused(fake, does, sentence):
     assert fake[1] == ([] if does == "absent" else [("open", None), ("close", "colour"), "close device"])
 
 
-@pytest.mark.clock
-def test_silence_is_no_image_and_a_camera_pulled_out_an_error(fake):
+def test_silence_is_no_image_and_a_camera_pulled_out_an_error(fake, virtual):
     camera = OpenniCamera(CONFIG, MODEL, MODEL)
     camera.connect()
     fake[0].write_text("silent")
-    assert camera.read(0.01) is None
+    began = clock.monotonic()
+    assert camera.read(0.5) is None and clock.monotonic() - began == pytest.approx(0.5)
     fake[0].write_text("absent")
     with pytest.raises(DeviceError, match="device is gone"):
         camera.read(0.01)
@@ -116,6 +124,7 @@ def test_a_missing_package_is_named(monkeypatch):
         OpenniCamera(CONFIG, MODEL, MODEL)
 
 
+@pytest.mark.long
 def test_the_librarys_own_dummy_device_sends_depth_and_colour(processes, wait_until):
     """In a process of its own: the dummy driver often crashes when its streams end."""
     pytest.importorskip("openni")

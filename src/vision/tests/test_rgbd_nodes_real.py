@@ -6,7 +6,7 @@ from depth_scene import RGB
 from rgbd_scene import MODELS, TRUTH, Camera
 
 pytest.importorskip("rospy")
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.long]
 
 
 @pytest.fixture

@@ -34,6 +34,13 @@ class Window:
         pass
 
 
+class Held:
+    """In place of a publisher, keeps the message."""
+
+    def publish(self, message):
+        self.message = message
+
+
 @pytest.fixture
 def sentence(ros):
     """Starts the drawing as the node does; returns a function that gives the sentence of its last status."""
@@ -86,6 +93,17 @@ def test_both_eyes_see_the_camera_and_the_age_when_it_stops(camera, shown, sente
     assert sentence() == "Shows images." and middle(shown[-1])[0][0] == 200
 
 
+def test_an_image_that_comes_before_its_camera_info_is_shown_once_that_is_there(camera, shown, sentence):
+    info = camera.publishers["rgb/camera_info"]
+    camera.publishers["rgb/camera_info"] = held = Held()
+    camera.publish()
+    clock.sleep(0.5)
+    assert not shown
+    info.publish(held.message)
+    clock.sleep(0.1)
+    assert shown[-1].header.stamp == held.message.header.stamp
+
+
 @pytest.mark.parametrize("how", [{"depth": False}, {"gap": 0.17}])
 def test_without_depth_of_its_time_it_shows_the_image_twice_and_says_so(camera, sentence, how):
     publish(camera, 0.6, gap=0.03)
@@ -106,6 +124,16 @@ def test_torn_images_are_not_shown_and_do_not_count_as_new(ros, camera, shown, s
     assert "5 bytes" in node.log_path.read_text()
     publish(camera, 0.6)
     assert sentence() == "Shows images."
+
+
+def test_a_page_hears_after_half_a_second_that_no_image_came(ros):
+    from vision.ros.stereo.web_node import StereoWeb
+
+    pages = object.__new__(StereoWeb)
+    pages._change, pages._number, pages._frame = clock.Condition(), 3, None
+    begin = clock.monotonic()
+    assert pages._after(2) == (3, None) and clock.monotonic() == begin
+    assert pages._after(3) == (3, None) and clock.monotonic() - begin == pytest.approx(0.5)
 
 
 def test_wrong_parameters_end_the_node_with_a_sentence(ros):

@@ -124,7 +124,7 @@ def test_without_deviations_kinematics_of_is_the_closed_form_itself(model):
 
 @models
 @pytest.mark.parametrize("degrees", [0.5, 3.0, 15.0])
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(seed=seeds)
 def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
     rng = np.random.default_rng(seed)
@@ -138,7 +138,7 @@ def test_every_pose_near_the_present_one_is_reached(model, degrees, seed):
 def test_poses_all_over_are_reached_from_home_or_refused_but_never_missed(model):
     rng = np.random.default_rng(1)
     refused = 0
-    for k in range(400):
+    for k in range(200):
         if k % 20 == 0:
             arm = random_arm(model, rng, most=0.4)
         T = arm.forward(rng.uniform(model.lower, model.upper))
@@ -163,7 +163,7 @@ def test_a_tool_that_stands_still_leaves_the_joints_where_they_are(model, seed):
 
 
 @models
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(seeds)
 def test_paths_are_followed_with_small_steps_and_the_elbow_of_the_closed_form(model, seed):
     """As a hand moves the tool; the arm of the data sheet on the same way sets the measure."""

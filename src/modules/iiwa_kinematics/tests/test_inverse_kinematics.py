@@ -97,7 +97,7 @@ def present_circle(arm, q, seed):
 
 
 @arms
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_near_the_seed_the_elbow_is_chosen_as_among_all_that_the_limits_leave_free(arm, seed):
     rng = np.random.default_rng(seed)
@@ -118,7 +118,7 @@ def test_near_the_seed_the_elbow_is_chosen_as_among_all_that_the_limits_leave_fr
 
 
 @arms
-@settings(max_examples=100)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_branches_that_cannot_be_quicker_are_left_out_and_no_others(arm, seed):
     rng = np.random.default_rng(seed)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.clock
+pytestmark = pytest.mark.long
 
 PACKAGE = Path(__file__).parents[1]
 

@@ -1,12 +1,12 @@
 """What the client says, refuses and reports, against a scripted server."""
 
+import itertools
 import math
-import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from common import clock
 from common.poses import translation
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback
@@ -23,12 +23,11 @@ from kst.errors import (
     WrongMode,
 )
 from kst.session import KstTiming
-
-pytestmark = pytest.mark.clock
+from simulated.wires import DELAY_S
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 GOAL = "jp_-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_"
-BRIEF = KstTiming(connect_settle=0.0, tool_settle=0.0, reply=0.4, quiet=0.02, tries=2)
+WAITS = KstTiming()
 
 SERVO_CALLS = {
     Feedback.DONE: ("jp", b"done\n", None),
@@ -47,53 +46,53 @@ MAIN_GETTERS = {
 }
 
 
-def test_connecting_attaches_the_tool_and_closing_says_end(server):
+def test_connecting_attaches_the_tool_and_closing_says_end(server, takes):
     tool = translation(0.0, 0.0, 0.106)
-    with KstClient.connect("127.0.0.1", server.port, tool, timing=KstTiming(connect_settle=0.0)) as client:
+    with takes(WAITS.connect_settle + WAITS.tool_settle):
+        client = KstClient.connect("127.0.0.1", server.port, tool)
+    with takes(0.0), client:
         assert client.mode is KstMode.IDLE
-        assert client.round_trip > 0.0
-    assert server.wait_for_end()
+        assert client.round_trip == pytest.approx(2.0 * DELAY_S)
+    assert server.has_ended()
     assert server.words() == ["TFtrans", "end"]
     assert [float(f) for f in server.lines[0].split("_")[1:-1]] == [0.0, 0.0, 106.0, 0.0, 0.0, 0.0]
 
 
-def test_nobody_listens(free_port):
-    port = free_port()
-    with pytest.raises(NoServer) as caught:
-        KstClient.connect("127.0.0.1", port)
-    assert caught.value.address == f"127.0.0.1:{port}"
+@pytest.mark.parametrize(("host", "seconds"), [("127.0.0.1", 0.0), ("192.0.2.1", 5.0)])
+def test_nobody_listens(wires, takes, host, seconds):
+    with takes(seconds), pytest.raises(NoServer) as caught:
+        KstClient.connect(host, 30001)
+    assert caught.value.address == f"{host}:30001"
 
 
 @pytest.mark.parametrize("reset", [False, True])
-def test_the_server_ends_at_once(server, reset):
+def test_the_server_ends_at_once(server, takes, reset):
     server.answers.clear()
-    ender = threading.Timer(0.1, server.end, [reset])
-    ender.start()
-    with pytest.raises(NoServer):
-        KstClient.connect("127.0.0.1", server.port, timing=KstTiming(connect_settle=0.0, reply=5.0))
-    ender.join()
+    clock.Timer(WAITS.connect_settle + 0.1, server.end, [reset]).start()
+    with takes(WAITS.connect_settle + 0.1), pytest.raises(NoServer):
+        KstClient.connect("127.0.0.1", server.port)
 
 
-def test_an_open_port_that_stays_silent(server):
+def test_an_open_port_that_stays_silent(server, takes):
     server.answers.clear()
-    with pytest.raises(ServerBusy):
-        KstClient.connect("127.0.0.1", server.port, timing=BRIEF, timeout=0.3)
-    assert server.wait_for_end()
+    with takes(WAITS.connect_settle + 5.0), pytest.raises(ServerBusy):
+        KstClient.connect("127.0.0.1", server.port)
+    assert server.has_ended()
 
 
-@pytest.mark.parametrize("answer", [b"", b"nak\n"])
-def test_a_server_that_does_not_attach_the_tool(server, answer):
+@pytest.mark.parametrize(("answer", "seconds"), [(b"", 3 * (WAITS.reply + 2 * WAITS.quiet)), (b"nak\n", 0.0)])
+def test_a_server_that_does_not_attach_the_tool(server, takes, answer, seconds):
     server.answers["TFtrans"] = answer
-    with pytest.raises(ToolNotAttached):
-        KstClient.connect("127.0.0.1", server.port, timing=BRIEF)
-    assert server.wait_for_end()
+    with takes(WAITS.connect_settle + seconds), pytest.raises(ToolNotAttached):
+        KstClient.connect("127.0.0.1", server.port)
+    assert server.has_ended()
     assert server.lines[-1] == "end"
 
 
 def test_something_else_listens_there(server):
     server.answers["TFtrans"] = b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * 50
     with pytest.raises(UnexpectedReply) as caught:
-        KstClient.connect("127.0.0.1", server.port, timing=replace(BRIEF, reply=20.0))
+        KstClient.connect("127.0.0.1", server.port)
     assert caught.value.command == "TFtrans"
 
 
@@ -136,21 +135,21 @@ def test_numbers_the_controller_does_not_know_are_not_passed_on(server, connect)
     assert caught.value.reply.startswith("0.0_NaN")
 
 
-def test_a_ptp_motion_and_its_two_answers(server, connect, wait_until):
+def test_a_ptp_motion_and_its_two_answers(server, connect):
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
     assert client.mode is KstMode.PTP
     assert not client.ptp_arrived()
     assert server.lines[1:] == ["jRelVel_0.25_", GOAL, "doPTPinJS"]
     server.push(b"done\n")
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    assert client.ptp_arrived()
     assert client.mode is KstMode.IDLE
     with pytest.raises(WrongMode):
         client.ptp_arrived()
 
 
 @pytest.mark.parametrize("mixed", [b"done\n%s", b"%sdone\n"])
-def test_the_final_word_may_come_between_or_after_numbers(server, connect, wait_until, mixed):
+def test_the_final_word_may_come_between_or_after_numbers(server, connect, mixed):
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
     np.testing.assert_array_equal(client.joints(), HOME)
@@ -158,12 +157,12 @@ def test_the_final_word_may_come_between_or_after_numbers(server, connect, wait_
     server.once("getJointsPositions", mixed % server.answers["getJointsPositions"])
     np.testing.assert_array_equal(client.joints(), HOME)
     assert client.mode is KstMode.PTP
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    assert client.ptp_arrived()
     np.testing.assert_array_equal(client.joints(), HOME)
     assert client.counts.stray == 0
 
 
-def test_lights_during_a_motion_do_not_end_it(server, connect, wait_until):
+def test_lights_during_a_motion_do_not_end_it(server, connect):
     server.answers["blueOn"] = b"done\n"
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
@@ -171,7 +170,7 @@ def test_lights_during_a_motion_do_not_end_it(server, connect, wait_until):
     assert not client.ptp_arrived()
     server.once("blueOn", b"done\ndone\n")
     client.set_blue(True)
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    assert client.ptp_arrived()
 
 
 def test_a_blocking_motion(server, connect):
@@ -181,13 +180,13 @@ def test_a_blocking_motion(server, connect):
     assert client.mode is KstMode.IDLE
 
 
-def test_a_motion_that_does_not_end_in_time_names_the_joint_that_is_farthest(server, connect, wait_until):
+def test_a_motion_that_does_not_end_in_time_names_the_joint_that_is_farthest(server, connect, takes):
     client = connect()
-    with pytest.raises(ReplyTimeout, match=r"joint 4 .* 5\.73 deg"):
-        client.ptp_joints(HOME + 0.1 * np.eye(7)[3], 0.25, timeout=0.1)
+    with takes(12.0), pytest.raises(ReplyTimeout, match=r"joint 4 .* 5\.73 deg"):
+        client.ptp_joints(HOME + 0.1 * np.eye(7)[3], 0.25, timeout=12.0)
     assert client.mode is KstMode.PTP
     server.push(b"done\n")
-    assert wait_until(client.ptp_arrived, 10.0, "the late arrival")
+    assert client.ptp_arrived()
 
 
 @pytest.mark.parametrize("answer", [b"nak\n", b"done\nnak\n"])
@@ -213,28 +212,30 @@ def test_a_refusal_that_comes_while_the_joints_are_read(server, connect):
     assert client.mode is KstMode.IDLE
 
 
-def test_a_refusal_is_not_made_good_by_a_later_word(server, connect, wait_until):
+def test_a_refusal_is_not_made_good_by_a_later_word(server, connect):
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
     server.push(b"nak\ndone\n")
     with pytest.raises(MotionRefused):
-        wait_until(client.ptp_arrived, 10.0, "the refusal")
+        client.ptp_arrived()
 
 
 def test_a_tool_that_cannot_be_attached_again(server, connect):
-    client = connect(reply=0.4, tries=2, quiet=0.02)
+    client = connect()
     server.answers["TFtrans"] = b""
     server.once("doPTPinJS", b"done\nnak\n")
     with pytest.raises(ToolNotAttached):
         client.ptp_joints(HOME, 0.25, timeout=10.0)
 
 
-def test_the_servo_starts_where_the_arm_stands(server, connect):
+def test_the_servo_starts_where_the_arm_stands(server, connect, takes):
     client = connect()
-    client.start_joint_servo()
+    with takes(WAITS.servo_start):
+        client.start_joint_servo()
     assert client.mode is KstMode.SERVO
     assert server.lines[1:] == ["getJointsPositions", GOAL, "startDirectServoJoints"]
-    client.stop_joint_servo()
+    with takes(WAITS.quiet + WAITS.servo_stop):
+        client.stop_joint_servo()
     assert client.mode is KstMode.IDLE
     assert server.lines[-1] == "stopDirectServoJoints"
 
@@ -262,27 +263,22 @@ def test_goals_without_answer(server, connect):
     assert server.words()[-6:] == ["jf"] * 5 + ["getJointsPositions"]
 
 
-def test_goals_without_answer_notice_the_end_of_the_link(server, connect, wait_until):
+def test_goals_without_answer_notice_the_end_of_the_link(server, connect):
     client = connect()
     client.start_joint_servo()
     server.end()
-
-    def lost():
-        try:
-            client.servo(HOME, Feedback.NOTHING)
-        except ConnectionLost:
-            return True
-
-    wait_until(lost, 10.0, "the loss to be noticed")
+    with pytest.raises(ConnectionLost):
+        client.servo(HOME, Feedback.NOTHING)
 
 
-def test_the_stop_waits_until_the_arm_stands(server, connect):
-    client = connect(rest=5.0)
+@pytest.mark.parametrize(("moving", "readings"), [(4, 6), (100, 10)])
+def test_the_stop_waits_until_the_arm_stands_or_half_a_second(server, connect, moving, readings):
+    client = connect()
     client.start_joint_servo()
-    moving = [b"%f_0.0_0.0_0.0_0.0_0.0_0.0_\n" % (0.1 * i) for i in range(4)]
-    server.once("getJointsPositions", *moving)
+    before = len(server.lines)
+    server.once("getJointsPositions", *(b"%f_0.0_0.0_0.0_0.0_0.0_0.0_\n" % (0.1 * i) for i in range(moving)))
     client.stop_joint_servo()
-    assert server.words()[-7:] == ["getJointsPositions"] * 6 + ["stopDirectServoJoints"]
+    assert server.words()[before:] == ["getJointsPositions"] * readings + ["stopDirectServoJoints"]
 
 
 def test_an_unasked_nak_in_the_servo_mode(server, connect):
@@ -295,12 +291,12 @@ def test_an_unasked_nak_in_the_servo_mode(server, connect):
     assert server.words()[-2:] == ["stopDirectServoJoints", "TFtrans"]
 
 
-def test_goals_without_answer_notice_an_unasked_nak(server, connect, wait_until):
+def test_goals_without_answer_notice_an_unasked_nak(server, connect):
     client = connect()
     client.start_joint_servo()
     server.push(b"nak\n")
     with pytest.raises(MotionRefused):
-        wait_until(lambda: client.servo(HOME, Feedback.NOTHING), 10.0, "the refusal")
+        client.servo(HOME, Feedback.NOTHING)
     assert client.mode is KstMode.IDLE
 
 
@@ -332,11 +328,12 @@ def test_main_thread_getters_are_not_sent_when_nobody_would_answer(server, conne
 
 def test_modes_that_exclude_each_other(server, connect):
     client = connect()
-    for feedback in Feedback:
+    for goal, feedback in itertools.product((client.servo, client.stream), Feedback):
         with pytest.raises(WrongMode):
-            client.servo(HOME, feedback)
-    with pytest.raises(WrongMode):
-        client.stop_joint_servo()
+            goal(HOME, feedback)
+    for of_servo_mode in (client.stop_joint_servo, client.stream_joints):
+        with pytest.raises(WrongMode):
+            of_servo_mode()
     assert server.words() == ["TFtrans"]
     client.start_joint_servo()
     for start in (lambda: client.start_ptp_joints(HOME, 0.5), client.start_joint_servo):
@@ -390,7 +387,7 @@ def test_closing_in_the_servo_mode_stops_it(server, connect):
     client = connect()
     client.start_joint_servo()
     client.close()
-    assert server.wait_for_end()
+    assert server.has_ended()
     assert server.lines[-2:] == ["stopDirectServoJoints", "end"]
     assert client.mode is KstMode.IDLE
     client.close()
@@ -398,18 +395,20 @@ def test_closing_in_the_servo_mode_stops_it(server, connect):
         client.joints()
 
 
-def test_a_server_that_was_given_up_hears_the_farewell(server, connect):
-    client = connect(silence=0.2)
+def test_a_server_that_was_given_up_hears_the_farewell(server, connect, takes):
+    client = connect()
     client.start_joint_servo()
-    server.answers.clear()
-    client._session.timing = replace(client._session.timing, reply=0.05, servo_reply=0.05)
-    with pytest.raises(ReplyTimeout):
-        client.servo(HOME)
-    with pytest.raises(ConnectionLost):
-        while client.silence(0.05):
-            pass
-    client.close()
-    assert server.wait_for_end()
+    server.freeze()
+    with takes(WAITS.silence):
+        with takes(WAITS.servo_reply), pytest.raises(ReplyTimeout):
+            client.servo(HOME)
+        with pytest.raises(ConnectionLost):
+            while client.silence(0.05):
+                pass
+    with takes(WAITS.farewell):
+        client.close()
+    server.freeze(False)
+    assert server.has_ended()
     assert server.lines[-2:] == ["stopDirectServoJoints", "end"]
     client.close()
 
@@ -418,21 +417,21 @@ def test_a_server_that_was_given_up_hears_the_farewell(server, connect):
 def test_a_lost_link_stays_lost_and_closing_is_quiet(server, connect, reset):
     client = connect()
     server.end(reset)
-    assert server.wait_for_end()
+    assert server.has_ended()
     for _ in range(3):
         with pytest.raises(ConnectionLost):
             client.joints()
     client.close()
 
 
-def test_abort_from_another_thread_says_nothing_and_wakes_the_caller(server, connect):
+def test_abort_from_another_thread_says_nothing_and_wakes_the_caller(server, connect, takes):
     client = connect()
     client.start_ptp_joints(HOME, 0.25)
     before = len(server.lines)
-    threading.Timer(0.1, client.abort).start()
-    with pytest.raises(ConnectionLost):
+    clock.Timer(0.1, client.abort).start()
+    with takes(0.1), pytest.raises(ConnectionLost):
         while not client.ptp_arrived():
             client.joints()
-    assert server.wait_for_end()
+    assert server.has_ended()
     assert set(server.lines[before:]) <= {"getJointsPositions"}
     client.close()

@@ -1,21 +1,19 @@
 """Answers that are wiped, late, foreign or doubled: a result is the answer to its own question, or there is none."""
 
-import threading
-
 import numpy as np
 import pytest
 
+from common import clock
 from kst.client import KstMode
 from kst.codec import Feedback
 from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
 from kst.session import KstTiming
-
-pytestmark = pytest.mark.clock
+from simulated.wires import DELAY_S
 
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
 AWAY = HOME + 0.1
 TORQUES = np.arange(1, 8) / 10
-BRIEF = {"reply": 0.3, "servo_reply": 0.3, "quiet": 0.05}
+WAITS = KstTiming()
 
 
 def joints(first):
@@ -25,7 +23,7 @@ def joints(first):
 @pytest.mark.parametrize("wiped", ["TFtrans", "jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
 def test_a_wiped_command_is_sent_again(server, connect, wiped):
     server.once(wiped, b"")
-    client = connect(**BRIEF)
+    client = connect()
     server.once("doPTPinJS", b"done\ndone\n")
     client.ptp_joints(AWAY, 0.25, timeout=10.0)
     np.testing.assert_allclose(client.external_torques(), TORQUES)
@@ -37,14 +35,14 @@ def test_a_wiped_command_is_sent_again(server, connect, wiped):
 
 
 def test_it_looks_at_the_joints_before_it_sends_again(server, connect):
-    client = connect(**BRIEF)
+    client = connect()
     server.once("doPTPinJS", b"")
     client.start_ptp_joints(AWAY, 0.25)
     assert server.words()[3:] == ["doPTPinJS", *["getJointsPositions"] * 4, "doPTPinJS"]
 
 
 def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
-    client = connect(**BRIEF)
+    client = connect()
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
     client.start_ptp_joints(AWAY, 0.25)
@@ -53,21 +51,23 @@ def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
     assert not client.ptp_arrived()
 
 
-def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, connect, wait_until):
-    client = connect(**BRIEF)
+def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, connect, takes):
+    client = connect()
     server.once("doPTPinJS", b"")
     client.start_ptp_joints(HOME, 0.25)
     assert server.words().count("doPTPinJS") == 1
     assert not client.ptp_arrived(), "the words of the motion may still come"
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    with takes(WAITS.reply):
+        while not client.ptp_arrived():
+            clock.sleep(0.001)
     server.push(b"done\ndone\n")
     np.testing.assert_array_equal(client.joints(), HOME)
     client.start_ptp_joints(AWAY, 0.25)
     assert not client.ptp_arrived()
 
 
-def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wait_until):
-    client = connect(**BRIEF)
+def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect):
+    client = connect()
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
     client.start_ptp_joints(AWAY, 0.25)
@@ -75,28 +75,28 @@ def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect, wa
     np.testing.assert_array_equal(client.joints(), HOME)
     assert not client.ptp_arrived()
     server.push(b"done\n")
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    assert client.ptp_arrived()
 
 
 @pytest.mark.parametrize("word", ["jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
-def test_a_dead_main_thread_is_distinguished_from_a_dead_link(server, connect, wait_until, word):
-    client = connect(**BRIEF, tries=2)
+def test_a_dead_main_thread_is_distinguished_from_a_dead_link(server, connect, word):
+    client = connect()
     server.answers[word] = b""
     with pytest.raises(ReplyTimeout) as caught:
         client.start_ptp_joints(AWAY, 0.25)
         server.push(b"done\n")
-        wait_until(client.ptp_arrived, 10.0, "the arrival")
+        assert client.ptp_arrived()
         client.external_torques()
         client.start_joint_servo()
     assert caught.value.command == word
     assert client.mode is KstMode.IDLE
-    assert server.words().count(word) == 2
+    assert server.words().count(word) == WAITS.tries
     np.testing.assert_array_equal(client.joints(), HOME)
 
 
 @pytest.mark.parametrize("late", [b"done\n", b"done\ndone\n"])
-def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, wait_until, late):
-    client = connect(**BRIEF)
+def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, late):
+    client = connect()
     server.once("doPTPinJS", b"")
     server.once("getJointsPositions", late + server.answers["getJointsPositions"])
     client.start_ptp_joints(AWAY, 0.25)
@@ -104,11 +104,11 @@ def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, wait_un
     if late == b"done\n":
         assert not client.ptp_arrived()
         server.push(b"done\n")
-    assert wait_until(client.ptp_arrived, 10.0, "the arrival")
+    assert client.ptp_arrived()
 
 
 def test_a_late_answer_of_the_main_thread_behind_the_probe(server, connect):
-    client = connect(**{**BRIEF, "quiet": 0.3})
+    client = connect()
     server.once("Torques_ext_J", b"")
     server.once("getPin3", b"1\n\n" + server.answers["Torques_ext_J"])
     np.testing.assert_allclose(client.external_torques(), TORQUES)
@@ -117,7 +117,7 @@ def test_a_late_answer_of_the_main_thread_behind_the_probe(server, connect):
 
 @pytest.mark.parametrize("arrives", ["before the next command", "with the probe", "never"])
 def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives):
-    client = connect(**BRIEF)
+    client = connect()
     client.start_joint_servo()
     server.answers["jpJP"] = joints(2.0)
     server.once("jpJP", b"")
@@ -135,7 +135,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives)
 
 
 def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect):
-    client = connect(**BRIEF)
+    client = connect()
     client.start_joint_servo()
     server.once("jp", b"")
     with pytest.raises(ReplyTimeout):
@@ -146,34 +146,40 @@ def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect
         client.servo(HOME)
 
 
-def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect):
-    client = connect(**BRIEF, silence=0.5)
+def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect, takes):
+    client = connect()
     client.start_joint_servo()
     server.answers.clear()
-    with pytest.raises(ReplyTimeout):
-        client.servo(HOME)
-    assert client.silence(0.01) > 0.3
+    with takes(WAITS.silence):
+        with takes(WAITS.servo_reply), pytest.raises(ReplyTimeout):
+            client.servo(HOME)
+        assert client.silence(0.01) == pytest.approx(WAITS.servo_reply + 0.01)
+        with pytest.raises(ConnectionLost):
+            while client.silence(0.05):
+                pass
     with pytest.raises(ConnectionLost):
         client.servo(HOME)
     with pytest.raises(ConnectionLost):
         client.joints()
 
 
-def test_a_probe_whose_answer_is_missing_is_searched_for_like_any_other_answer(server, connect, wait_until):
-    client = connect(**BRIEF, probe=0.1)
+def test_a_probe_whose_answer_is_missing_is_searched_for_like_any_other_answer(server, connect, takes):
+    client = connect()
     client.start_joint_servo()
     server.once("jp", b"")
     with pytest.raises(ReplyTimeout):
         client.servo(HOME)
     server.once("getJointsPositions", b"", joints(1.0))
     server.once("getPin3", joints(0.5) + b"1\n\n")
-    wait_until(lambda: client.silence(0.02) == 0.0, 10.0, "the pairing")
+    with takes(WAITS.probe + WAITS.quiet):
+        while client.silence(0.02):
+            pass
     np.testing.assert_array_equal(client.joints(), HOME)
     assert "getPin3" in server.words()
 
 
 def test_a_flood_of_lines_does_not_hold_a_call_for_ever(server, connect):
-    client = connect(**BRIEF)
+    client = connect()
     server.once("getJointsPositions", b"")
     with pytest.raises(ReplyTimeout):
         client.joints()
@@ -227,32 +233,28 @@ def test_an_answer_in_single_bytes(server, connect):
         for byte in server.answers["getJointsPositions"]:
             server.push(bytes([byte]))
 
-    dripping = threading.Timer(0.1, drip)
-    dripping.start()
+    clock.Timer(0.1, drip).start()
     np.testing.assert_array_equal(client.joints(), HOME)
-    dripping.join()
 
 
-def test_a_pause_follows_every_answer_of_the_main_thread(connect, monkeypatch):
-    client = connect(main_pause=60.0)
-    pauses = []
-    monkeypatch.setattr(client._session.transport, "pause", pauses.append)
+def test_a_pause_follows_every_answer_of_the_main_thread(connect):
+    client = connect()
     client.external_torques()
-    client.external_torques()
-    client.abort()
-    assert len(pauses) == 2
-    assert min(pauses) > 50.0
+    pause = WAITS.main_pause
+    for ask, seconds in ((client.external_torques, pause), (client.joints, pause), (client.joints, 0.0)):
+        begun = clock.monotonic()
+        ask()
+        assert clock.monotonic() - begun == pytest.approx(seconds + 2.0 * DELAY_S)
 
 
-def test_the_shortest_pause_outlasts_the_wiping():
-    assert KstTiming().main_pause >= 0.005
-    assert KstTiming().servo_start >= 0.3
-    assert KstTiming().servo_stop >= 0.1
+def test_the_waits_which_all_tests_use_are_as_shipped():
+    settle = {"connect_settle": 1.0, "tool_settle": 0.4, "main_pause": 0.005, "servo_start": 0.3, "servo_stop": 0.1}
+    answers = {"reply": 1.0, "servo_reply": 0.16, "servo_window": 0.1, "quiet": 0.1, "probe": 1.0, "silence": 10.0}
+    assert KstTiming() == KstTiming(**settle, **answers, rest=0.5, farewell=0.2, tries=3)
 
 
 def test_an_unasked_line_is_not_the_answer_to_the_next_question(server, connect):
     client = connect()
     server.push(joints(1.0))
-    client._session.transport._readable.poll(10_000)
     np.testing.assert_array_equal(client.joints(), HOME)
     assert client.counts.stray == 1

@@ -1,25 +1,19 @@
 """The client against what the published server really said: excerpts here, the whole recordings where they are."""
 
 import ast
-import contextlib
 import re
-import socket
-import threading
 
 import numpy as np
 import pytest
 
+from common import clock
 from common.poses import translation
 from kst.client import KstClient
 from kst.codec import Feedback
 from kst.session import KstTiming
 
-pytestmark = pytest.mark.clock
-
 HOME = np.array([-0.7854, 0.5236, 0.0, -1.39626, 0.0, 1.22173, 0.0])
-WAITS = KstTiming(
-    connect_settle=0.0, tool_settle=0.0, servo_start=0.0, servo_stop=0.0, rest=0.0, reply=10.0, servo_reply=10.0
-)
+WAITS = KstTiming(rest=0.0)  # the client of the recording did not watch the arm before the stop
 
 PTP_EXCERPT = r"""
 1.0 > 'TFtrans_0.0_0.0_106.0_0.0_0.0_0.0_\n'
@@ -45,7 +39,7 @@ PTP_EXCERPT = r"""
 
 def wait_for_arrival(client):
     while not client.ptp_arrived():
-        pass
+        clock.sleep(0.001)
 
 
 CALLS = {
@@ -91,25 +85,22 @@ def spoken(line):
 class Replay:
     """Says the server's part of a recording to one client and checks the client's part."""
 
-    def __init__(self, script):
+    def __init__(self, wires, script):
         self.faults = []
         self._script = script
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(20.0)
+        self._listener = wires.serve(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread = clock.Thread(target=self._serve, name="server", daemon=True)
         self._thread.start()
 
     def finish(self):
-        self._thread.join(20.0)
-        self._listener.close()
+        self._thread.join(1.0)
         assert not self._thread.is_alive()
         assert self.faults == []
 
     def _serve(self):
         connection, _ = self._listener.accept()
-        connection.settimeout(20.0)
-        with connection, connection.makefile("rb") as reader, contextlib.suppress(OSError):
+        with connection, connection.makefile("rb") as reader:
             for direction, text in self._script:
                 if direction == "<":
                     if text != "EOF":
@@ -131,13 +122,12 @@ def steps(script):
             yield "arrival", []
 
 
-def play(script):
+def play(wires, script):
     """Calls the client so that it says its part; returns the client and what its calls returned."""
-    replay = Replay(script)
+    replay = Replay(wires, script)
     said = list(steps(script))
-    client = KstClient.connect(
-        "127.0.0.1", replay.port, translation(*(0.001 * x for x in said[0][1][:3])), timing=WAITS
-    )
+    tool = translation(*(0.001 * x for x in said[0][1][:3]))
+    client = KstClient.connect("127.0.0.1", replay.port, tool, timing=WAITS)
     results = []
     i = 1
     while i < len(said):
@@ -156,8 +146,8 @@ def play(script):
     return client, [result for result in results if result is not None]
 
 
-def test_a_motion_as_recorded():
-    client, (joints, pin, force) = play(events(PTP_EXCERPT))
+def test_a_motion_as_recorded(wires):
+    client, (joints, pin, force) = play(wires, events(PTP_EXCERPT))
     np.testing.assert_allclose(joints[:2], [-1.3405321274206328e-5, 8.936880849470885e-6])
     assert pin is True
     np.testing.assert_array_equal(force, np.zeros(3))
@@ -165,8 +155,8 @@ def test_a_motion_as_recorded():
 
 
 @pytest.mark.parametrize("name", ["ptp", "servo"])
-def test_the_whole_recording(shared_data, name):
-    client, results = play(events((shared_data / "kst" / f"{name}.txt").read_text()))
+def test_the_whole_recording(wires, shared_data, name):
+    client, results = play(wires, events((shared_data / "kst" / f"{name}.txt").read_text()))
     assert all(np.all(np.isfinite(result)) for result in results)
     assert client.counts.stray == client.counts.missed == client.counts.foreign == 0
     last_joints = [result for result in results if np.shape(result) == (7,)][-1]

@@ -1,15 +1,16 @@
 """Client in virtual time against a service that keeps, or breaks, the protocol."""
 
 import json
+import math
+import socket
 
 import pytest
 
 from common import clock
 from leap_motion import client as client_module
 from leap_motion.client import LeapClient, LeapLink
-from simulated.clock import virtual_time
 from simulated.leap_wire import LeapWire
-from simulated.wires import DELAY_S, Wires
+from simulated.wires import DELAY_S
 
 HEADER = '{"version":6,"serviceVersion":"2.3.1+33747"}'
 POLICIES = ['{"background":true}', '{"optimizeHMD":false}', '{"focused":true}']
@@ -31,11 +32,9 @@ def device(serial, attached=True, streaming=True):
 
 
 @pytest.fixture
-def wire():
-    with virtual_time() as scheduler, pytest.MonkeyPatch.context() as patch:
-        Wires(scheduler).stand_in(patch)
-        with LeapWire() as wire:
-            yield wire
+def wire(wires):
+    with LeapWire() as wire:
+        yield wire
 
 
 @pytest.fixture
@@ -195,10 +194,11 @@ def test_a_silence_is_explained_by_the_device_event(start, attached, streaming, 
 
 
 @pytest.mark.parametrize("answers", [True, False])
-def test_a_silent_service_is_left_if_it_does_not_answer_pings(start, answers):
+def test_a_silent_service_is_left_if_it_does_not_answer_pings(start, wires, answers):
     def pauses(service, connection):
         greet(service, connection)
-        connection.hangs = not answers
+        if not answers:
+            wires.connections[-1].up.stalls.append((clock.monotonic(), math.inf))
         service.stay(connection)
 
     _service, client = start(pauses, stream(frame(5)))
@@ -265,6 +265,21 @@ def test_close_from_another_thread_ends_a_wait(start):
     assert clock.monotonic() - began == pytest.approx(0.2)
     client.close()
     assert clock.monotonic() - began < 0.2 + SILENCE_S + GREETED_S and client.status.link is LeapLink.CLOSED
+
+
+def test_a_flood_does_not_keep_a_client_from_closing(start):
+    def floods(service, connection):
+        greet(service, connection)
+        for number in range(10**6):
+            connection.send(frame(number))
+            clock.sleep(1e-4)
+
+    _service, client = start(floods)
+    clock.sleep(0.1)
+    assert client.counts.received > 900
+    began = clock.monotonic()
+    client.close()
+    assert clock.monotonic() - began < GREETED_S and client.status.link is LeapLink.CLOSED
 
 
 @pytest.mark.parametrize(
@@ -337,8 +352,8 @@ def test_the_serial_is_that_of_the_tracker_that_sends(start):
 def test_torn_websocket_frames_end_a_connection_and_the_next_one_is_used(start, torn):
     def tears(service, connection):
         connection.send(HEADER)
-        connection.send_raw(torn)
-        connection.drop()
+        connection.socket.sendall(torn)
+        connection.socket.shutdown(socket.SHUT_WR)
 
     service, client = start(tears, stream(frame(2)))
     assert client.next_frame(RETRY_S + 2 * GREETED_S).frame.id == 2

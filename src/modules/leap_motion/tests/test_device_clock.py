@@ -61,3 +61,10 @@ def test_a_clock_that_drifts_is_followed():
     received = PERIOD * np.arange(2000)
     found = stamps(DeviceClock(), received, 0.999 * received)
     assert np.max(received - found) < 2e-3
+
+
+@pytest.mark.parametrize(("late", "waited"), [(0.09, 0.09), (0.11, 0.1), (0.4, 0.1)])
+def test_no_frame_counts_as_older_than_100_ms(late, waited):
+    taken = PERIOD * np.arange(50)
+    received = np.append(taken[:-1], taken[-1] + late)
+    assert received[-1] - stamps(DeviceClock(), received)[-1] == pytest.approx(waited, abs=1e-5)

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import math
-import threading
-import time
 
 import numpy as np
 import pytest
@@ -18,16 +15,18 @@ from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from leap_motion.headset import transport
+from common import clock
 from leap_motion.headset.access import Access
 from leap_motion.headset.hand_stream import SETTLE_S, HandStream
 from leap_motion.headset.placement import FROM_XR, placement, xr_hand
 from leap_motion.headset.transport import BUSY, MAX_MESSAGE_BYTES, MAX_WAITING, HandsEndpoint, Scene
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
 from leap_motion.service.server import MAX_WRONG_CODES
+from simulated.wires import DELAY_S
 
-pytestmark = pytest.mark.clock
-
+SECRET_S, SILENCE_S, GONE_S, SEND_S = 5.0, 0.3, 10.0, 2.0
+"""After which a page is gone that says no code; a silent one is away, and gone; one is that takes no answers."""
+SOON_S = 10 * DELAY_S
 AHEAD, BELOW, HEIGHT = 0.4, 0.35, 0.35
 LEVEL = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
 CENTRE = np.array([0.0, HEIGHT, 0.0])
@@ -292,7 +291,7 @@ class Rig:
         self.endpoint = HandsEndpoint(stream, self, lambda: Scene(HEIGHT, False, {"box": [1]}), self.said.append)
         options = {"compression": None, "max_size": MAX_MESSAGE_BYTES, "close_timeout": 0.2}
         self.server = serve(self.endpoint.converse, "127.0.0.1", 0, **options)
-        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        clock.Thread(target=self.server.serve_forever, daemon=True).start()
         self.address = f"ws://127.0.0.1:{self.server.socket.getsockname()[1]}/"
 
     offer = property(lambda self: self.frames.append)
@@ -300,7 +299,7 @@ class Rig:
     attached = property(lambda self: self.plugs[-1])
 
     def plug(self, attached):
-        self.plugged_at = time.monotonic()
+        self.plugged_at = clock.monotonic()
         self.plugs.append(attached)
 
     @property
@@ -309,9 +308,7 @@ class Rig:
 
 
 @pytest.fixture
-def rig(monkeypatch):
-    for name in ("SECRET_S", "GONE_S"):  # a page may get no processor for long
-        monkeypatch.setattr(transport, name, 60.0)
+def rig(wires):
     made = Rig()
     yield made
     made.server.shutdown()
@@ -319,54 +316,76 @@ def rig(monkeypatch):
 
 def ask(connection, message):
     connection.send(message if isinstance(message, (str, bytes)) else json.dumps(message))
-    return json.loads(connection.recv(timeout=60.0))
+    return json.loads(connection.recv(timeout=1.0))
+
+
+def open_page(rig):
+    return connect(rig.address, compression=None, close_timeout=1.0)
 
 
 def seat(rig, secret=None):
-    connection = connect(rig.address, compression=None)
+    connection = open_page(rig)
     return connection, ask(connection, {"secret": secret or rig.code})
+
+
+def leave(rig, connection):
+    connection.close()
+    clock.sleep(SOON_S)
+    assert not rig.endpoint.driven and rig.attached is False
 
 
 def message(t, hand=None):
     return {"t": t, "place": 1, "head": LEVEL, "left": None, "right": hand and np.ravel(hand).tolist()}
 
 
-def eventually(condition):
-    end = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 class TestConversation:
     def test_hands_become_frames_until_the_headset_is_taken_off_or_falls_silent(self, rig):
         connection, said = seat(rig)
-        with connection:
-            assert said["drives"] and rig.attached is False
-            for i in range(5):
-                answer = ask(connection, message(10.0 * i))
-                assert answer["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0]) and answer["box"] == [1]
-            assert rig.plugs[:2] == [False, True] and rig.endpoint.driven and rig.frames
-            ask(connection, {"away": True})
-            assert rig.attached is False
-            times = itertools.count(500.0, 100.0)
-
-            def silence():
-                before = len(rig.plugs)
-                ask(connection, message(next(times)))
-                assert rig.plugs[before] is True
-                heard = time.monotonic()
-                eventually(lambda: rig.attached is False)
-                return rig.plugged_at - heard
-
-            eventually(lambda: silence() < 1.5)
-            ask(connection, message(next(times)))
-        eventually(lambda: not rig.endpoint.driven)
+        assert said["drives"] and rig.attached is False
+        for i in range(5):
+            answer = ask(connection, message(10.0 * i))
+            assert answer["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0]) and answer["box"] == [1]
+            clock.sleep(0.01)
+        assert rig.plugs == [False, True] and rig.endpoint.driven and len(rig.frames) == 5
+        ask(connection, {"away": True})
         assert rig.attached is False
+        ask(connection, message(500.0))
+        assert rig.attached is True
+        heard = clock.monotonic() - DELAY_S
+        clock.sleep(1.0)
+        assert rig.attached is False and rig.plugged_at - heard == pytest.approx(SILENCE_S, abs=1e-5)
+        ask(connection, message(600.0))
+        assert rig.attached is True
+        leave(rig, connection)
+
+    def test_who_sends_no_code_or_says_nothing_more_is_gone_after_a_while(self, rig):
+        mute = open_page(rig)
+        begun = clock.monotonic()
+        with pytest.raises(ConnectionClosed):
+            mute.recv(timeout=60.0)
+        assert clock.monotonic() - begun == pytest.approx(SECRET_S, abs=SOON_S)
+        silent, _ = seat(rig)
+        begun = clock.monotonic()
+        with pytest.raises(ConnectionClosed):
+            silent.recv(timeout=60.0)
+        looks = math.ceil(GONE_S / SILENCE_S)
+        assert clock.monotonic() - begun == pytest.approx(looks * SILENCE_S, abs=SOON_S)
+        assert not rig.endpoint.driven
+
+    def test_a_page_that_takes_no_answers_is_gone(self, rig, wires):
+        connection, _ = seat(rig)
+        wires.connections[-1].down.room = 100
+        begun = clock.monotonic()
+        for i in range(3):
+            connection.send(json.dumps(message(10.0 * i)))
+        clock.sleep(begun + SEND_S - clock.monotonic())
+        assert rig.endpoint.driven
+        clock.sleep(SOON_S)
+        assert not rig.endpoint.driven and rig.attached is False
 
     def test_who_has_no_code_gets_nothing_and_is_named(self, rig):
         for secret in ("000000" if rig.code != "000000" else "000001", None, 5, "", "\ud800", "x" * 9999):
-            with connect(rig.address, compression=None) as connection:
+            with open_page(rig) as connection:
                 assert "refused" in ask(connection, {"secret": secret})
                 with pytest.raises(ConnectionClosed):
                     ask(connection, message(0.0))
@@ -377,9 +396,8 @@ class TestConversation:
         second, refused = seat(rig)
         assert said["drives"] and "Another headset" in refused["refused"] and refused["key"] != said["key"]
         assert ask(first, message(0.0))
-        first.close()
         second.close()
-        eventually(lambda: not rig.endpoint.driven)
+        leave(rig, first)
         third, said = seat(rig, refused["key"])
         assert said["drives"]
         third.close()
@@ -387,17 +405,14 @@ class TestConversation:
     def test_another_headset_gets_a_box_of_its_own_though_its_page_counts_alike(self, rig):
         first, said = seat(rig)
         assert ask(first, message(0.0))["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
-        first.close()
-        eventually(lambda: not rig.endpoint.driven)
+        leave(rig, first)
         second, _ = seat(rig)
         turned = {**message(0.0), "head": head_at([0.0, 1.6, 0.0], math.pi / 2)}
         assert ask(second, turned)["leap"] == pytest.approx([-0.4, 0.9, 0.0, math.pi / 2])
-        second.close()
-        eventually(lambda: not rig.endpoint.driven)
+        leave(rig, second)
         third, _ = seat(rig, said["key"])  # the first one after its pause
         assert ask(third, message(0.0))["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
-        third.close()
-        eventually(lambda: not rig.endpoint.driven)
+        leave(rig, third)
         fourth, _ = seat(rig, said["key"])  # its connection was lost: the box stays
         assert ask(fourth, turned)["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])
         fourth.close()
@@ -408,9 +423,8 @@ class TestConversation:
         second, again = seat(rig, said["key"])
         assert again["drives"]
         with pytest.raises(ConnectionClosed):
-            for i in range(100):
-                ask(first, message(10.0 * i + 10.0))
-        eventually(lambda: ask(second, message(0.0)) and rig.attached)  # until it is silent for a moment
+            first.recv(timeout=SOON_S)
+        assert ask(second, message(0.0)) and rig.attached
         second.close()
 
     @pytest.mark.parametrize(
@@ -422,8 +436,8 @@ class TestConversation:
         ask(connection, message(0.0))
         with pytest.raises(ConnectionClosed):
             ask(connection, garbage)
-        eventually(lambda: not rig.endpoint.driven)
-        assert rig.attached is False
+        clock.sleep(SOON_S)
+        assert not rig.endpoint.driven and rig.attached is False
 
     def test_a_page_that_is_gone_before_its_answer_leaves_the_seat_free(self, rig):
         class Gone:
@@ -444,22 +458,18 @@ class TestConversation:
         connection.close()
 
     def test_more_pages_than_may_wait_are_sent_away(self, rig):
-        with contextlib.ExitStack() as pages:
-            waiting = [pages.enter_context(connect(rig.address, compression=None)) for _ in range(MAX_WAITING + 1)]
-            closed = []
-
-            def one_is_closed():
-                for page in waiting:
-                    try:
-                        page.recv(timeout=0.01)
-                    except ConnectionClosed as error:
-                        closed.append(error.rcvd.code)
-                    except TimeoutError:
-                        pass
-                return closed
-
-            eventually(one_is_closed)
-            assert closed == [BUSY]
+        waiting = [open_page(rig) for _ in range(MAX_WAITING)]
+        begun = clock.monotonic()
+        with pytest.raises(ConnectionClosed) as closed:
+            open_page(rig).recv(timeout=1.0)
+        assert closed.value.rcvd.code == BUSY and clock.monotonic() - begun < SOON_S
+        for page in waiting:
+            with pytest.raises(TimeoutError):
+                page.recv(timeout=0.0)
+        assert ask(waiting[-1], {"secret": rig.code})["drives"]
+        clock.sleep(SECRET_S)
+        with open_page(rig) as later:
+            assert "Another headset" in ask(later, {"secret": rig.code})["refused"]
 
     @pytest.mark.parametrize("torn", ["half", "reset", "opcode", "fragment"])
     def test_torn_websocket_frames_end_the_drive(self, rig, torn):
@@ -475,17 +485,17 @@ class TestConversation:
         connection.socket.sendall(pieces[torn])
         if torn in ("half", "reset"):
             connection.socket.shutdown(2)
-        eventually(lambda: not rig.endpoint.driven)
-        assert rig.attached is False and len(rig.frames) == 1
+        clock.sleep(SOON_S)
+        assert not rig.endpoint.driven and rig.attached is False and len(rig.frames) == 1
 
     def test_a_flood_is_thinned_and_answered(self, rig):
         connection, _ = seat(rig)
-        with connection:
-            texts = [json.dumps(message(1.0 * i)) for i in range(500)]
-            reader = threading.Thread(target=lambda: [connection.recv(timeout=60.0) for _ in texts])
-            reader.start()
-            for text in texts:
-                connection.send(text)
-            reader.join(60.0)
-            assert not reader.is_alive() and rig.endpoint.driven
-        assert 1 <= len(rig.frames) <= 110
+        answers = []
+        reader = clock.Thread(target=lambda: answers.extend(connection.recv(timeout=1.0) for _ in range(500)))
+        reader.start()
+        for i in range(500):
+            connection.send(json.dumps(message(1.0 * i)))
+            clock.sleep(1e-3)
+        reader.join()
+        assert len(answers) == 500 and rig.endpoint.driven
+        assert 80 <= len(rig.frames) <= 101, "no two are closer than 5 ms"

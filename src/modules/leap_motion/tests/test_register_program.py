@@ -2,6 +2,7 @@
 
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -91,6 +92,22 @@ def test_a_tilted_tracker_is_registered(leapd, capsys):
     assert "Cancelled" in capsys.readouterr().err
     assert register_program.main([*level, "--force"], Person(leapd)) == 0
     assert tilt_deg(load("desk", datetime.now()).T_desk_leap) == pytest.approx(tilt_deg(T), abs=2.0)
+
+
+class Client:
+    """Gives a frame each 0.1 s, after one that waits."""
+
+    number = 0
+
+    def next_frame(self, timeout):
+        if self.number:
+            clock.sleep(min(timeout, 0.1))
+        self.number += 1
+        return SimpleNamespace(frame=self.number)
+
+
+def test_the_frame_from_before_the_key_does_not_count(ros):
+    assert register_program._frames(Client()) == list(range(2, 12))
 
 
 @pytest.mark.parametrize(

@@ -3,11 +3,13 @@
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+from common import clock
 from leap_motion.client import LeapClient
 from leap_motion.registration import RegistrationRefused, check_serial
 from leap_motion.service.server import LeapServiceError
@@ -16,6 +18,8 @@ from leap_motion.webcam.lens import WebcamError, lens_of_calibration, lens_of_vi
 from leap_motion.webcam.setups import FRONT, placement
 from leap_motion.webcam.video_source import CameraSource, FileSource
 
+RETRY_S, ENTRY_S, SILENCE_S = 1.0, 1.5, 0.5
+"""Between two looks for a camera; of a film's way in; after which a camera counts as unplugged."""
 SCRIPT = Path(__file__).parents[1] / "scripts" / "webcam_leapd.py"
 
 
@@ -117,24 +121,27 @@ def test_a_calibration_gives_the_same_rays_for_every_size():
             lens_of_calibration(broken)
 
 
-def test_a_missing_camera_is_said_and_tried_again(monkeypatch, wait_until):
-    monkeypatch.setattr(video_source, "RETRY_S", 0.01)
-    source = CameraSource("/dev/no_such_camera", mirrored=False)
+@pytest.fixture
+def virtual(wires, monkeypatch):
+    for module in (video_source, webcam_program):
+        for name in ("threading", "time"):
+            monkeypatch.setattr(module, name, clock)
+
+
+def test_a_missing_camera_is_said_and_tried_again(virtual, tmp_path):
+    camera = tmp_path / "video7"
+    source = CameraSource(str(camera), mirrored=False)
     source.start()
-    wait_until(lambda: "There is no camera /dev/no_such_camera" in source.fault, 10.0, "the sentence")
     assert source.newest(0.1) is None
-    source.close()
-
-
-def test_a_camera_that_gives_nothing_is_said(monkeypatch, tmp_path, wait_until):
-    monkeypatch.setattr(video_source, "RETRY_S", 0.01)
-    (tmp_path / "video7").write_text("")
-    source = CameraSource(str(tmp_path / "video7"), mirrored=False)
-    source.start()
-    wait_until(lambda: "another program" in source.fault, 10.0, "the sentence")
-    assert source.newest(0.3) is None
-    (tmp_path / "video7").unlink()
-    wait_until(lambda: "There is no camera" in source.fault, 10.0, "that it is gone")
+    assert f"There is no camera {camera}" in source.fault
+    camera.write_text("")  # that gives nothing
+    clock.sleep(RETRY_S - 0.2)
+    assert "There is no camera" in source.fault
+    clock.sleep(0.2)
+    assert "another program" in source.fault and source.newest(0.3) is None
+    camera.unlink()
+    clock.sleep(RETRY_S)
+    assert "There is no camera" in source.fault
     source.close()
 
 
@@ -147,37 +154,70 @@ def film(path, images, rate=100.0):
     return path
 
 
-def test_a_film_is_played_in_real_time_and_again_after_a_pause(tmp_path, monkeypatch, wait_until):
-    monkeypatch.setattr(video_source, "PAUSE_S", 0.05)
-    monkeypatch.setattr(video_source, "ENTRY_S", 0.03)
+def test_a_film_slides_in_and_is_played_in_real_time_and_again_after_a_pause(virtual, tmp_path):
     bright = [np.full((48, 64, 3), 250, np.uint8)] * 5
     source = FileSource(film(tmp_path / "a.avi", bright), mirrored=False)
+    begun = clock.monotonic()
     source.start()
-    taken = []
-
-    def played():
-        taken.extend(filter(None, [source.newest(2.0)]))
-        levels = "".join("b" if image.image.mean() > 200 else "-" for image in taken)
-        return len(taken) >= 20 and "b-" in levels and "-b" in levels
-
-    wait_until(played, 10.0, "the film, the pause and the film again", poll=0.0)
+    taken = [source.newest(1.0) for _ in range(150 + 5 + 200 + 150)]
     source.close()
-    stamps = [image.stamp for image in taken]
-    assert all(a < b for a, b in zip(stamps, stamps[1:]))
+    assert [image.stamp - begun for image in taken] == pytest.approx(0.01 * np.arange(505), abs=1e-6)
+    levels = [image.image.mean() for image in taken]
+    assert levels[:150] == sorted(levels[:150]) and levels[0] < 200 < levels[149]
+    assert all(level > 240 for level in levels[150:155]) and all(level < 130 for level in levels[155:355])
+    assert levels[355:] == pytest.approx(levels[:150])
     with pytest.raises(WebcamError, match="is not a video"):
         FileSource(Path(__file__), mirrored=False)
 
 
-@pytest.mark.clock
-def test_a_mirrored_camera_is_turned_back(tmp_path, monkeypatch):
+def test_a_mirrored_camera_is_turned_back(virtual, tmp_path):
     image = np.zeros((48, 64, 3), np.uint8)
     image[:, :32] = 255
-    monkeypatch.setattr(video_source, "ENTRY_S", 0.0)
-    source = FileSource(film(tmp_path / "a.avi", [image] * 500), mirrored=True)  # of five seconds
+    source = FileSource(film(tmp_path / "a.avi", [image] * 5), mirrored=True)
     source.start()
-    taken = source.newest(60.0)
+    clock.sleep(ENTRY_S + 0.025)
+    taken = source.newest(0.0)
     source.close()
     assert taken is not None and taken.image[:, 40:].mean() > 200 > taken.image[:, :24].mean()
+
+
+def test_the_program_serves_a_film_as_it_plays_and_ends_in_order(virtual, tmp_path, monkeypatch, capsys):
+    handlers, came = {}, []
+    monkeypatch.setattr(webcam_program, "signal", SimpleNamespace(SIGINT=2, SIGTERM=15, signal=handlers.__setitem__))
+    monkeypatch.setattr(webcam_program, "HandDetector", lambda _: SimpleNamespace(find=lambda *_: []))
+    path = film(tmp_path / "grey.avi", [np.full((120, 160, 3), 128, np.uint8)] * 60, 20.0)
+
+    def watch():
+        clock.sleep(0.1)
+        client = LeapClient(runtime=clock)
+        came.extend(client.next_frame(1.0).frame for _ in range(40))
+        came.append(client.status)
+        client.close()
+        handlers[2]()
+
+    clock.Thread(target=watch).start()
+    assert webcam_program.main(["--video", str(path), "--headless"]) == 0
+    *frames, status = came
+    assert np.diff([frame.timestamp_us for frame in frames]) == pytest.approx(np.full(39, 50_000), abs=2)
+    assert not any(frame.hands for frame in frames)
+    assert status.service == "2.3.1+webcam" and status.serial == "WC-front"
+    out, err = capsys.readouterr()
+    assert "listening on 127.0.0.1:6437, set-up front" in out and "from image to frame" in out
+    assert "No hand is seen." in err
+
+
+def test_without_images_the_tracker_counts_as_unplugged(virtual, monkeypatch, capsys):
+    monkeypatch.setattr(webcam_program, "HandDetector", lambda _: None)
+    tracker = webcam_program.WebcamTracker(webcam_program.parse(["--camera", "/dev/no_such_camera", "--headless"]))
+    tracker.start()
+    client = LeapClient(runtime=clock)
+    clock.sleep(SILENCE_S + 0.09)  # the client looks every 0.1 s
+    assert "not plugged in" not in client.status.sentence
+    clock.sleep(0.1)
+    assert "not plugged in" in client.status.sentence
+    client.close()
+    tracker.stop()
+    assert "There is no camera /dev/no_such_camera" in capsys.readouterr().err
 
 
 def test_a_filmed_hand_is_a_right_one_in_the_box(shared_data):
@@ -200,6 +240,7 @@ def test_a_filmed_hand_is_a_right_one_in_the_box(shared_data):
         assert hand.direction[2] < -0.7 and hand.normal[1] < -0.7
 
 
+@pytest.mark.long
 def test_the_program_serves_empty_frames_of_a_film_without_a_hand_and_ends_in_order(tmp_path, processes, wait_until):
     pytest.importorskip("mediapipe")
     path = film(tmp_path / "grey.avi", [np.full((120, 160, 3), 128, np.uint8)] * 60, 20.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import socket
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,12 +9,10 @@ import pytest
 from reflex.calibration import FingerZeros, TactileOffsets, parse_calibration
 from reflex.hand import HandLogic
 from reflex.settings import HandSettings
-from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.devices.reflex.wire import read_command
 
 CONFIG = Path(__file__).parents[1] / "config"
-HAND = Path(__file__).parents[2] / "rig_simulation" / "scripts" / "reflex_hand.py"
 SOURCE = ("10.99.99.99", 11333)
 
 
@@ -107,29 +103,3 @@ def config_folder():
 def shipped():
     """Zeros and offsets that come with the package."""
     return shipped_calibration()
-
-
-@pytest.fixture
-def simulated_hand(processes, free_port, wait_until):
-    """Starts the simulated hand as a program: (process, UDP port, control client)."""
-    clients = []
-
-    def start(*arguments: str, port: int | None = None):
-        control_port = free_port()
-        port = port or free_port(socket.SOCK_DGRAM)
-        process = processes.start(
-            sys.executable,
-            str(HAND),
-            "--port",
-            str(port),
-            "--control-port",
-            str(control_port),
-            *arguments,
-        )
-        wait_until(lambda: "control port" in process.log_path.read_text(), 20.0, "the simulated hand")
-        clients.append(ControlClient("127.0.0.1", control_port, 60.0))
-        return process, port, clients[-1]
-
-    yield start
-    for client in clients:
-        client.close()

@@ -10,6 +10,8 @@ from common import clock
 from common.config import parse
 from reflex import CommandRefused, HandSettings, HandSilent, HandStatus, ReflexHand
 from reflex.calibration_files import CalibrationFiles
+from reflex.codec import STATE_BYTES, encode_mode
+from reflex.link import PacketCounts
 from reflex.ros.parameters import ReflexDriverConfig
 from simulated.clock import virtual_time
 from simulated.hand_wire import HandWire
@@ -63,6 +65,7 @@ def test_calibrates_closes_feels_and_lets_go(wire, hand_of):
                 bad()
         assert hand.diagnosis()[2]["interface"] == "lo"
     assert len(readings) > 20 and not hand.listening
+    assert hand._logic.link.counts == PacketCounts(packets=len(readings))
     clock.sleep(PACKET_S + LOOP_S)
     assert wire.hand.state()["torque"] == [False] * 4
     with hand_of(hold_at_exit=True) as again:
@@ -135,6 +138,28 @@ def test_a_silent_hand_is_an_error_and_comes_back(wire, hand_of):
         hand.wait_for_packet(PACKET_S + LOOP_S)
 
 
+def test_garbage_and_a_second_host_are_counted_and_do_no_harm(wire, hand_of):
+    with hand_of() as hand:
+        for data in (b"", b"\1", bytes(STATE_BYTES), b"\1" + bytes(4000), encode_mode(2)):
+            hand._transport.packets.put(data)
+        clock.sleep(1.0)
+        counts = hand._logic.link.counts
+        assert (counts.malformed, counts.other_hosts, counts.other_hands) == (4, 1, 0)
+        assert counts.packets == pytest.approx(41, abs=1) and hand.state is not None
+
+
+def test_a_hand_that_was_switched_off_and_on_gets_its_torque_again(wire, hand_of):
+    notes = []
+    with hand_of(on_note=notes.append) as hand:
+        wire.faults.switch("restarted")
+        clock.sleep(SILENCE_S + PACKET_S + LOOP_S)
+        assert hand.status is HandStatus.SILENT
+        wire.faults.switch("restarted", on=False)
+        clock.sleep(0.2)  # in which the speeds are set
+        assert wire.hand.state()["power_cycles"] == 1 and wire.hand.state()["torque"] == [True] * 4
+        assert any("switched off and on" in note.text for note in notes)
+
+
 def test_a_hand_that_hears_no_commands_is_not_moved(wire, hand_of):
     with hand_of() as hand:
         hand.calibrate_fingers()
@@ -174,3 +199,13 @@ def test_the_drivers_parameters_have_the_clients_defaults(config_folder):
     shipped = yaml.safe_load((config_folder / "reflex_takktile.yaml").read_text())
     values = {**shipped, "network_interface": "lo", "port": 1, "calibration_folder": "x"}
     assert parse(ReflexDriverConfig, values).settings() == HandSettings()
+
+
+def test_a_speed_that_is_not_set_is_given_up_after_two_seconds(wire, hand_of, monkeypatch):
+    with hand_of() as hand:
+        monkeypatch.setattr(ReflexHand, "status", HandStatus.CHANGING_SPEED)
+        began = clock.monotonic()
+        with pytest.raises(CommandRefused, match="within 2 s"):
+            hand.set_speed((1.0, 1.0, 1.0, 1.0))
+        assert clock.monotonic() - began == pytest.approx(2.0, abs=LOOP_S)
+        monkeypatch.undo()

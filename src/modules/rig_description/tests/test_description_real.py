@@ -8,12 +8,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 URDF = Path(__file__).parents[1] / "urdf"
 
 
-@pytest.mark.parametrize(("robot", "flange"), [("LBR7R800", "MF_elektrisch"), ("LBR14R820", "MF_touch_pneumatisch")])
+@pytest.mark.parametrize(
+    ("robot", "flange"),
+    [
+        ("LBR7R800", "MF_elektrisch"),
+        pytest.param("LBR14R820", "MF_touch_pneumatisch", marks=pytest.mark.long),
+    ],
+)
 def test_tf_is_the_forward_kinematics_of_the_published_joints(ros, wait_until, robot, flange):
     import rospy
     import tf2_ros

@@ -74,13 +74,13 @@ def take(lens: CameraLens, z: float, count: int = 1, **changes) -> np.ndarray:
     return np.stack([camera.take(wall(lens, z), white(lens)) for _ in range(count)]).astype(float)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(z=st.floats(0.46, 3.49))
 def test_an_ideal_sensor_tells_the_truth_to_the_millimetre(lens, z):
     np.testing.assert_allclose(take(lens, z), 1000.0 * z, atol=0.51)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(nx=st.floats(-0.7, 0.7), ny=st.floats(-0.7, 0.7))
 def test_an_ideal_sensor_sees_slanted_planes_as_they_are(lens, nx, ny):
     """A plane n . p = 1 has the inverse depth n . ray."""
@@ -191,7 +191,7 @@ def plain(lens: CameraLens, camera: DepthSensor, config: DepthConfig, inverse_de
     return np.where((z < config.min_range) | (z > config.max_range) | lost, 0.0, np.rint(1000.0 * z)).astype(int)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), offset=st.sampled_from([0.0, -0.027]))
 def test_the_image_is_that_of_the_formulas(lens, seed, offset):
     """Boxes at random places before a slanted wall."""
@@ -231,7 +231,7 @@ def tilted(lens: CameraLens, angle: float) -> np.ndarray:
     return window_of(lens, lambda x, y: 1.0 + np.tan(np.radians(angle)) * x)
 
 
-@pytest.mark.parametrize("angle, seen", [(60.0, True), (78.0, True), (82.0, False)])
+@pytest.mark.parametrize("angle, seen", [(60.0, True), (79.4, True), (80.6, False)])
 def test_steep_surfaces_are_not_seen(lens, angle, seen):
     centre = sensor(lens, max_angle=80.0).take(tilted(lens, angle), white(lens))[100:140, 158:162]
     assert np.all((centre > 0) == seen)
@@ -287,8 +287,8 @@ def test_the_same_seed_gives_the_same_pictures(lens):
 
 
 def test_the_packages_file_fits_its_schemas():
-    parse(ColourConfig, FILE["colour"])
-    parse(DepthConfig, FILE["depth"])
+    for schema, section in ((ColourConfig, "colour"), (DepthConfig, "depth")):
+        assert vars(parse(schema, FILE[section])).keys() == FILE[section].keys()
 
 
 def test_a_range_without_room_is_refused():

@@ -267,7 +267,6 @@ def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros):
     [
         ({"fault": "slow::99"}, "~fault"),
         ({"fault": "stuck dance:3"}, "~fault"),
-        ({"rate": -1.0}, "~rate"),
         ({"depth": {"quantum": 1.0}}, "~depth/quantum"),
         ({"rgb_calibration": {"distortion_model": "fisheye"}}, "distortion_model"),
     ],

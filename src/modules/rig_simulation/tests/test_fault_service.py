@@ -1,51 +1,56 @@
-"""The service that switches faults of all simulated devices."""
+"""The service that switches faults of all simulated devices, in virtual time."""
 
 from __future__ import annotations
 
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
 
 
+LEAP, ARM, TIMEOUT_S = 16438, 30011, 2.0
+"""Control ports of the Leap service and of an arm that is not there; how long the node waits for an answer."""
+
+
 @pytest.fixture
-def leap():
-    """A control port with the faults of the Leap service."""
+def leap(virtual_graph):
+    """The faults of a Leap service with a control port."""
     from rig_simulation.control_port import ControlPort
     from rig_simulation.faults.injection import Faults
     from rig_simulation.faults.leap import LEAP_FAULTS
 
     faults = Faults(LEAP_FAULTS)
-    with ControlPort(faults.requests) as port:
-        port.faults = faults
-        yield port
+    with ControlPort(faults.requests, port=LEAP):
+        yield faults
 
 
 @pytest.fixture
-def service(ros, leap, free_port):
+def service(virtual_graph, leap):
     import rospy
 
     from rig_msgs.srv import SimulationFault
 
-    ports = f"_leap_port:={leap.port}", f"_arm_port:={free_port()}", "_world_port:=0"
-    ros.run("rig_simulation", "simulation_node.py", *ports)
-    rospy.wait_for_service("simulation/fault", 30.0)
+    ports = f"_leap_port:={LEAP}", f"_arm_port:={ARM}", "_world_port:=0"
+    virtual_graph.run("rig_simulation", "simulation_node.py", *ports)
+    rospy.wait_for_service("simulation/fault", 1.0)
     return rospy.ServiceProxy("simulation/fault", SimulationFault)
 
 
 def test_a_fault_is_switched_on_and_off(service, leap):
     answer = service("leap", "slow", True, 0.5, 0.0)
     assert (answer.success, answer.message) == (True, "on: slow.")
-    assert leap.faults.active() == {"slow": 0.5}
+    assert leap.active() == {"slow": 0.5}
     answer = service("leap", "cut", True, 0.0, 60.0)
     assert answer.message == "on: cut, slow."
     for name in ("slow", "cut"):
         answer = service("leap", name, False, 0.0, 0.0)
     assert (answer.success, answer.message) == (True, "no fault is on.")
-    assert leap.faults.active() == {}
+    assert leap.active() == {}
 
 
 def test_the_faults_of_a_device_are_listed(service, leap):
-    leap.faults.switch("frozen")
+    leap.switch("frozen")
     answer = service("leap", "", True, 0.0, 0.0)
     assert answer.success
     assert "(on)" in answer.message
@@ -67,4 +72,12 @@ def test_nonsense_and_absent_devices_are_refused_in_a_sentence(service, leap, re
     answer = service(*request_fields)
     assert not answer.success
     assert sentence in answer.message
-    assert leap.faults.active() == {}
+    assert leap.active() == {}
+
+
+def test_a_device_that_hangs_is_refused_in_time(virtual_graph, service):
+    virtual_graph.wires.serve(("127.0.0.1", ARM))
+    begin = clock.monotonic()
+    answer = service("arm", "cut", True, 0.0, 0.0)
+    assert not answer.success and "timed out" in answer.message
+    assert clock.monotonic() - begin == pytest.approx(TIMEOUT_S, abs=0.02)

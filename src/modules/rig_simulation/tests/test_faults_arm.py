@@ -2,98 +2,52 @@
 
 from __future__ import annotations
 
-import socket
-import sys
-import threading
-import time
-from pathlib import Path
+import math
 
 import pytest
+from toolbox_client import ToolboxClient
 
+from common import clock
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
-from rig_simulation.files import read_urdf
+from simulated.wires import DELAY_S
 
-pytestmark = pytest.mark.clock
-
-SCRIPT = Path(__file__).parents[1] / "scripts" / "sunrise_controller.py"
-ROBOT = Robot(read_urdf("LBR7R800", "MF_elektrisch"))
+TICK_S = 0.02  # so often the server of an arm at rest looks after its faults
 ZEROS = "0.0_0.0_0.0_0.0_0.0_0.0_0.0_\n"
 TARGET = "jp_0.3_0.3_0.3_0.3_0.3_0.3_0.3_"
-SOON_S = 60.0
-
-
-class Connection:
-    """A client on a real socket."""
-
-    def __init__(self, server):
-        self.socket = socket.create_connection((server.host, server.port), SOON_S)
-        self.socket.settimeout(SOON_S)
-        self.replies = self.socket.makefile("rb")
-
-    def send(self, line):
-        self.socket.sendall(f"{line}\n".encode())
-
-    def ask(self, line="getJointsPositions"):
-        self.send(line)
-        return self.replies.readline().decode("latin-1")
-
-    def silent(self, seconds=0.3):
-        self.socket.settimeout(seconds)
-        try:
-            self.socket.recv(1, socket.MSG_PEEK)
-        except socket.timeout:
-            return True
-        finally:
-            self.socket.settimeout(SOON_S)
-        return False
+BRAKES_S = 0.3
+"""In this time the arm brakes, and the application starts again."""
 
 
 @pytest.fixture
-def server():
-    server = SunriseServer(SimulatedArm(ROBOT, ArmSettings()), ServerSettings(), "127.0.0.1", 0, 0)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    server.control = ControlClient("127.0.0.1", server.control_port, SOON_S)
-    yield server
-    server.stop()
-    thread.join(SOON_S)
-    server.control.close()
-    assert not thread.is_alive()
+def server(serve):
+    return serve()
 
 
 @pytest.fixture
-def connect(server):
-    connections = []
-
-    def connect():
-        connections.append(Connection(server))
-        return connections[-1]
-
-    yield connect
-    for connection in connections:
-        connection.replies.close()
-        connection.socket.close()
+def connect(wires, server):
+    return lambda: ToolboxClient(wires, server)
 
 
 @pytest.fixture
 def fault(server):
+    """Switches a fault, and waits until the server has noticed."""
+
     def fault(name, **fields):
         server.control.ask("fault", name=name, **fields)
+        clock.sleep(TICK_S)
 
     return fault
 
 
 @pytest.fixture
-def moving(server, connect, wait_until):
+def moving(server, connect):
     """A client whose arm is on its way."""
     client = connect()
-    for line in ("jRelVel_0.01_", TARGET, "doPTPinJS"):  # slowly: the test may have to wait long
+    for line in ("jRelVel_0.05_", TARGET, "doPTPinJS"):
         assert client.ask(line) == "done\n"
-    wait_until(lambda: joint(server) > 0.01, SOON_S, "the arm to move")
+    clock.sleep(0.5)
+    assert joint(server) > 0.01
     return client
 
 
@@ -101,77 +55,80 @@ def joint(server):
     return server.control.ask("state")["joints"][0]
 
 
-def reconnected(connect):
-    """Returns whether a new client is served."""
-    try:
-        return connect().ask() != ""
-    except OSError:
-        return False
+def stands(server):
+    clock.sleep(BRAKES_S)
+    return not any(server.control.ask("state")["velocities"])
 
 
-def test_cut(server, connect, moving, fault, wait_until):
+def times_of(client, count):
+    """When so many pieces come [s]."""
+    times = []
+    for _ in range(count):
+        client.socket.recv(4096)
+        times.append(clock.monotonic())
+    return times
+
+
+def test_cut(server, connect, moving, fault):
     fault("cut")
     with pytest.raises(ConnectionResetError):
-        moving.replies.readline()
+        moving.hear()
+    another = connect()
+    clock.sleep(TICK_S)
     with pytest.raises((ConnectionResetError, BrokenPipeError)):
-        connect().ask()
-        connect().ask()
-    wait_until(lambda: not any(server.control.ask("state")["velocities"]), SOON_S, "the arm to brake")
-    assert joint(server) < 0.3
+        another.ask()
+    assert stands(server) and joint(server) < 0.3
     fault("cut", on=False)
-    wait_until(lambda: reconnected(connect), SOON_S, "a new client to be served")
+    assert connect().ask() != ""
 
 
-def test_half_open(server, moving, fault, wait_until):
+def test_half_open(server, moving, fault):
     fault("half_open")
     before = joint(server)
-    moving.send("getJointsPositions")
+    moving.send("getJointsPositions\n")
     assert moving.silent(0.5)
-    wait_until(lambda: joint(server) > before, SOON_S, "the arm to go on")
+    assert joint(server) > before + 0.01, "the arm goes on"
     fault("half_open", on=False)
-    assert moving.replies.readline().count(b"_") == 7, "what was sent meanwhile is answered at the end"
+    assert moving.hear().count("_") == 7, "what was sent meanwhile is answered at the end"
 
 
-def test_silent(server, connect, fault, wait_until):
+def test_silent(server, connect, fault):
     client = connect()
     fault("silent")
-    client.send("blueOn")
-    assert client.silent()
-    wait_until(lambda: server.control.ask("state")["outputs"].get("blue"), SOON_S, "the command to be followed")
-    assert client.silent()
+    client.send("blueOn\n")
+    assert client.silent(1.0)
+    assert server.control.ask("state")["outputs"]["blue"], "the command was followed"
     fault("silent", on=False)
     assert client.ask() == ZEROS
 
 
-def test_silent_for_a_share_of_the_answers(server, connect, fault, wait_until):
+def test_silent_for_a_share_of_the_answers(connect, fault):
     client = connect()
     fault("silent", value=0.5)
-    for _ in range(100):
-        client.send("getPin3")
-    client.send("blueOn")
-    wait_until(lambda: server.control.ask("state")["outputs"], SOON_S, "the commands to be followed")
+    client.send("getPin3\n" * 100)
+    clock.sleep(TICK_S)
     fault("silent", on=False)
-    client.send("getJointsPositions")
+    client.send("getJointsPositions\n")
     answers = 0
-    while client.replies.readline() != ZEROS.encode():
+    while client.hear() != ZEROS:
         answers += 1
-    assert 40 < answers < 160
+    assert 80 < answers < 120, "of 200 lines"
 
 
 def test_slow(connect, fault):
     client = connect()
     assert client.ask() == ZEROS
     fault("slow", value=0.5)
-    begin = time.monotonic()
-    client.send("getJointsPositions")
-    client.send("blueOn")
-    assert client.replies.readline() == ZEROS.encode()
-    assert client.replies.readline() == b"done\n"
-    assert time.monotonic() - begin >= 0.5
-    client.send("getJointsPositions")
+    begin = clock.monotonic()
+    client.send("getJointsPositions\n")
+    clock.sleep(0.05)
+    client.send("blueOn\n")
+    assert client.hear() == ZEROS and clock.monotonic() - begin == pytest.approx(0.5 + 2.0 * DELAY_S)
+    assert client.hear() == "done\n" and clock.monotonic() - begin == pytest.approx(0.55 + 2.0 * DELAY_S)
+    client.send("getJointsPositions\n")
     fault("slow", on=False)
     assert client.ask("blueOn") == ZEROS, "answers keep their order"
-    assert client.replies.readline() == b"done\n"
+    assert client.hear() == "done\n"
 
 
 def test_garbled(connect, fault):
@@ -185,83 +142,70 @@ def test_garbled(connect, fault):
     assert client.ask() == ZEROS
 
 
-def test_torn(connect, fault, wait_until):
+def test_torn(connect, fault):
     client = connect()
-    fault("torn", value=0.02)
-
-    def in_pieces():
-        client.send("getJointsPositions")
-        pieces = [client.socket.recv(4096)]
-        while not pieces[-1].endswith(b"\n"):
-            pieces.append(client.socket.recv(4096))
-        assert b"".join(pieces) == ZEROS.encode()
-        return len(pieces) > 5  # who reads late gets several in one
-
-    wait_until(in_pieces, SOON_S, "an answer in pieces")
+    fault("torn", value=0.01)
+    begin = clock.monotonic()
+    client.send("getJointsPositions\n")
+    times = times_of(client, len(ZEROS))
+    assert [at - begin for at in times] == pytest.approx([2.0 * DELAY_S + 0.01 * i for i in range(len(ZEROS))])
     fault("torn", on=False)
     assert client.ask() == ZEROS
 
 
-def test_bursts(connect, fault, wait_until):
+def test_bursts(connect, fault):
     client = connect()
     fault("bursts", value=0.5)
-
-    def several_in_one_piece():
-        for _ in range(3):
-            client.send("getJointsPositions")
-            time.sleep(0.02)
-        lines = []
-        while sum(lines) < 3:
-            lines.append(client.socket.recv(4096).count(b"\n"))
-        return max(lines) > 1
-
-    wait_until(several_in_one_piece, SOON_S, "several answers in one piece")
+    clock.sleep(math.ceil(2.0 * clock.monotonic()) / 2.0 + 0.1 - clock.monotonic())
+    begin = clock.monotonic()
+    for _ in range(3):
+        client.send("getJointsPositions\n")
+        clock.sleep(0.02)
+    assert client.socket.recv(4096) == 3 * ZEROS.encode()
+    assert clock.monotonic() - begin == pytest.approx(0.4 + DELAY_S)
     fault("bursts", on=False)
-
-
-def test_nagle(server, connect, fault, wait_until):
-    client = connect()
-    assert client.ask() == ZEROS and no_delay(server)
-    fault("nagle")
-    wait_until(lambda: not no_delay(server), SOON_S, "the option to be taken back")
     assert client.ask() == ZEROS
+
+
+def test_nagle(wires, connect, fault):
+    client = connect()
+    assert client.ask() == ZEROS
+    down = wires.connections[-1].down
+    assert not down.nagle
+    fault("nagle")
+    assert down.nagle and client.ask() == ZEROS
     fault("nagle", on=False)
-    wait_until(lambda: no_delay(server), SOON_S, "the option to be set again")
+    assert not down.nagle
 
 
-def no_delay(server):
-    return bool(server._client.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
-
-
-def test_window(server, connect, fault, wait_until):
+def test_window(server, connect, fault):
     client = connect()
     fault("window", value=0.2)
-    assert not client.silent(0.01) or client.ask() == ZEROS, "a client that is there may stay"
-    time.sleep(0.4)
-    assert client.ask() == ZEROS
-    client.send("end")
-    wait_until(lambda: not reconnects(server), SOON_S, "the port to close")
+    clock.sleep(1.0)
+    assert client.ask() == ZEROS, "a client that is there may stay"
+    client.send("end\n")
+    clock.sleep(0.19)
+    connect().close()
+    clock.sleep(0.1)
+    client = connect()
+    assert client.ask() == ZEROS, "so may one that comes in time"
+    client.send("end\n")
+    clock.sleep(0.2 + 2 * TICK_S)
+    with pytest.raises(ConnectionRefusedError):
+        connect()
     fault("window", on=False)
-    wait_until(lambda: reconnected(connect), SOON_S, "a new client to be served on the same port")
+    assert connect().ask() == ZEROS, "the same port"
 
 
-def reconnects(server):
-    try:
-        socket.create_connection((server.host, server.port), SOON_S).close()
-    except OSError:
-        return False
-    time.sleep(0.4)
-    return True
-
-
-def test_restarted(server, connect, moving, fault, wait_until):
+def test_restarted(server, connect, moving, fault):
     fault("restarted")
-    assert moving.replies.read() == b"", "closed in order"
-    wait_until(lambda: not any(server.control.ask("state")["velocities"]), SOON_S, "the arm to brake")
+    assert moving.at_end()
+    assert stands(server)
     with pytest.raises(ConnectionRefusedError):
         connect()
     fault("restarted", on=False)
-    wait_until(lambda: reconnected(connect), SOON_S, "a new client to be served on the same port")
+    clock.sleep(TICK_S)
+    assert connect().ask() != "", "the same port"
 
 
 def test_refused(server, connect, fault):
@@ -270,18 +214,19 @@ def test_refused(server, connect, fault):
         assert client.ask(line) == "done\n"
     fault("refused")
     assert client.ask("doPTPinJS") == "done\n"
-    assert client.replies.readline() == b"nak\n"
+    assert client.hear() == "nak\n"
     assert client.ask("Eef_pos").startswith("0.0_0.0_1301.0"), "the tool is off"
     fault("refused", on=False)
     assert client.ask("doPTPinJS") == "done\n"
-    assert client.replies.readline() == b"done\n"
+    assert client.hear() == "done\n"
     assert joint(server) == 0.3
 
 
-def test_frozen(server, moving, fault, wait_until):
+def test_frozen(server, moving, fault):
     fault("frozen")
     answer, before = moving.ask(), joint(server)
-    wait_until(lambda: joint(server) > before + 0.01, SOON_S, "the arm to go on")
+    clock.sleep(0.5)
+    assert joint(server) > before + 0.01
     assert moving.ask() == answer
     fault("frozen", on=False)
     assert moving.ask() != answer
@@ -300,23 +245,17 @@ def test_the_control_port_lists_faults_and_refuses_unknown_ones(server, fault):
     listed = {entry["name"]: entry for entry in server.control.ask("faults")["faults"]}
     assert {name for name, entry in listed.items() if entry["on"]} == {"slow"}
     assert listed["slow"]["value"] == 0.5
-    assert 0.0 < listed["slow"]["left"] <= 60.0
+    assert listed["slow"]["left"] == pytest.approx(60.0 - TICK_S, abs=4.0 * DELAY_S)
     with pytest.raises(DeviceError):
         fault("dance")
 
 
-def test_faults_of_the_command_line_are_there_from_the_start(processes, wait_until):
-    process = processes.start(
-        sys.executable, str(SCRIPT), "--port", "0", "--control-port", "0", "--fault", "cut", "--fault", "slow:60:0.5"
-    )
-    line = wait_until(process.log_path.read_text, 30.0, "the ready line").splitlines()[0]
-    with ControlClient("127.0.0.1", int(line.rsplit(":", 1)[1]), SOON_S) as control:
-        assert {entry["name"] for entry in control.ask("faults")["faults"] if entry["on"]} == {"cut", "slow"}
-    assert processes.end(process) == 0
-
-
-def test_an_unknown_fault_on_the_command_line_is_one_sentence(processes):
-    program = processes.start(sys.executable, str(SCRIPT), "--fault", "dance")
-    assert program.wait(60) == 1
-    sentence = program.log_path.read_text()
-    assert "'dance'" in sentence and sentence.count("\n") == 1
+@pytest.mark.ros
+def test_faults_of_the_command_line_are_there_from_the_start(virtual_graph):
+    faults = ("--fault", "cut", "--fault", "slow:60:0.5")
+    program = virtual_graph.run("rig_simulation", "sunrise_controller.py", "--control-port", "7001", *faults)
+    clock.sleep(1.0)
+    with ControlClient("127.0.0.1", 7001) as control:
+        active = {entry["name"]: entry["left"] for entry in control.ask("faults")["faults"] if entry["on"]}
+    assert active == {"cut": None, "slow": pytest.approx(59.0, abs=0.01)}
+    assert program.poll() is None

@@ -1,22 +1,24 @@
-"""Every fault of the simulated hand, seen by a plain UDP socket; and that it ends again."""
+"""Every fault of the simulated hand, seen by a plain host on its wire; and that it ends again."""
 
 from __future__ import annotations
 
-import socket
 import struct
-import threading
 from collections import Counter
 
 import numpy as np
 import pytest
 
-from rig_simulation.devices.reflex.hand import SimulatedHand
-from rig_simulation.devices.reflex.program import HandLink, main, run
-from rig_simulation.devices.reflex.wire import GROUP, IDLE, POSITION, STATE_BYTES
+from common import clock
+from rig_simulation.devices.reflex.hand import PERIOD_S
+from rig_simulation.devices.reflex.program import main
+from rig_simulation.devices.reflex.wire import IDLE, POSITION, STATE_BYTES
 from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults
+from simulated import hand_wire
+from simulated.clock import virtual_time
 
-SOON_S = 60.0
+CYCLE_S = PERIOD_S + hand_wire.DELAY_S
+"""After this time the hand has noticed a fault or a command, and its packet is there."""
 TIME, ENCODERS, POSITIONS, LOADS = 4, 160, 170, 186
 PRESSURES_F2 = 44
 
@@ -24,50 +26,29 @@ PRESSURES_F2 = 44
 class Host:
     """The other end of the cable, without our driver."""
 
-    def __init__(self, port):
-        self.address = (GROUP, port)
-        self.inbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.inbox.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.inbox.bind(self.address)
-        membership = socket.inet_aton(GROUP) + socket.inet_aton("127.0.0.1")
-        self.inbox.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
-        self.inbox.settimeout(SOON_S)
-        self.outbox = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.outbox.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
+    def __init__(self, wire):
+        self._transport = wire.connect("lo", 11333)
 
     def packet(self):
-        """Returns the next datagram of the hand."""
-        while True:
-            data = self.inbox.recv(2048)
-            if len(data) != 5:  # the host's own mode command
-                return data
+        """Returns the next packet of the hand."""
+        return self._transport.receive(3.0 * PERIOD_S)[0]
 
-    def fresh(self):
-        """Returns a packet that was sent after this call."""
-        self.inbox.setblocking(False)
-        try:
-            while True:
-                self.inbox.recv(2048)
-        except BlockingIOError:
-            self.inbox.settimeout(SOON_S)
-        return self.packet()
+    def silent(self, seconds=1.0):
+        clock.sleep(seconds)
+        return self._transport.receive(0.0) is None
 
-    def silent(self, seconds=0.3):
-        self.inbox.settimeout(seconds)
-        try:
-            self.packet()
-        except socket.timeout:
-            return True
-        finally:
-            self.inbox.settimeout(SOON_S)
-        return False
+    def fresh(self, offset, count, size="H"):
+        """Returns values of a packet that was sent after this call."""
+        while self._transport.receive(0.0) is not None:
+            pass
+        return values(self.packet(), offset, count, size)
+
+    def send(self, data):
+        self._transport.send(data)
+        clock.sleep(CYCLE_S)
 
     def send_mode(self, mode):
-        self.outbox.sendto(bytes([1, mode, mode, mode, mode]), self.address)
-
-    def close(self):
-        self.inbox.close()
-        self.outbox.close()
+        self.send(bytes([1, mode, mode, mode, mode]))
 
 
 def values(packet, offset, count, size="H"):
@@ -75,168 +56,163 @@ def values(packet, offset, count, size="H"):
 
 
 @pytest.fixture
-def link():
-    link = HandLink("lo", 0)
-    yield link
-    link.close()
+def wire():
+    with virtual_time(), hand_wire.HandWire(seed=4) as wire:
+        yield wire
 
 
 @pytest.fixture
-def hand(link):
-    hand, stop = SimulatedHand(4), threading.Event()
-    thread = threading.Thread(target=run, args=(hand, link, threading.Lock(), stop))
-    thread.start()
-    yield hand
-    stop.set()
-    thread.join(SOON_S)
+def hand(wire):
+    return wire.hand
 
 
 @pytest.fixture
-def host(link, hand):
-    host = Host(link.port)
-    host.packet()
-    yield host
-    host.close()
+def host(wire):
+    return Host(wire)
 
 
-def test_cut(host, hand, link, wait_until):
-    link.faults.switch("cut")
-    wait_until(host.silent, SOON_S, "silence")
+@pytest.fixture
+def fault(wire, host):
+    """Switches a fault, waits until the hand has noticed, and forgets what came before."""
+
+    def fault(name, **fields):
+        wire.faults.switch(name, **fields)
+        clock.sleep(CYCLE_S)
+        while host._transport.receive(0.0) is not None:
+            pass
+
+    return fault
+
+
+def test_cut(host, hand, fault):
+    fault("cut")
     host.send_mode(POSITION)
     assert host.silent()
     assert hand.state()["mode"] == [IDLE] * 4
-    link.faults.switch("cut", on=False)
+    fault("cut", on=False)
     assert len(host.packet()) == STATE_BYTES
     host.send_mode(POSITION)
-    wait_until(lambda: hand.state()["mode"] == [POSITION] * 4, SOON_S, "the command")
+    assert hand.state()["mode"] == [POSITION] * 4
 
 
-def test_silent(host, hand, link, wait_until):
-    link.faults.switch("silent")
-    wait_until(host.silent, SOON_S, "silence")
+def test_silent(host, hand, fault):
+    fault("silent")
     host.send_mode(POSITION)
-    wait_until(lambda: hand.state()["mode"] == [POSITION] * 4, SOON_S, "the command")
-    link.faults.switch("silent", on=False)
+    assert hand.state()["mode"] == [POSITION] * 4
+    assert host.silent()
+    fault("silent", on=False)
     assert len(host.packet()) == STATE_BYTES
 
 
-def test_deaf(host, hand, link, wait_until):
-    link.faults.switch("deaf")
+def test_deaf(host, hand, fault):
+    fault("deaf")
     host.send_mode(POSITION)
     for _ in range(10):
         assert len(host.packet()) == STATE_BYTES
     assert hand.state()["modes_received"] == 0
-    link.faults.switch("deaf", on=False)
+    fault("deaf", on=False)
     host.send_mode(POSITION)
-    wait_until(lambda: hand.state()["modes_received"] == 1, SOON_S, "the command")
+    assert hand.state()["modes_received"] == 1
 
 
-def test_slow(host, hand, link, wait_until):
-    link.faults.switch("slow", value=0.5)
-    wait_until(lambda: host.silent(0.25), SOON_S, "the wait for the first late packet")
-
+def test_slow(host, hand, fault):
     def age():
-        packet = host.fresh()
-        return hand.state()["time"] - values(packet, TIME, 1, "I")[0] * 1e-6
+        seen = host.fresh(TIME, 1, "I")[0]
+        return hand.state()["time"] - 1e-6 * seen
 
-    assert age() > 0.45
-    link.faults.switch("slow", on=False)
-    wait_until(lambda: age() < 0.4, SOON_S, "the end")
+    fault("slow", value=0.51)
+    assert host.silent(0.5 - 2 * PERIOD_S)
+    clock.sleep(1.0)
+    assert age() == pytest.approx(21 * PERIOD_S, abs=1e-5)
+    fault("slow", on=False)
+    clock.sleep(0.5)
+    assert age() == pytest.approx(0.0, abs=1e-5)
 
 
-def test_garbled(host, link, wait_until):
-    link.faults.switch("garbled")
-    kinds = set()
-
-    def several():
+def test_garbled(host, fault):
+    def kind():
         packet = host.packet()
-        kinds.add((np.sign(len(packet) - STATE_BYTES), packet[0] == 1))
-        return {(0, False), (-1, True), (1, True)} <= kinds
+        return np.sign(len(packet) - STATE_BYTES), packet[0] == 1
 
-    wait_until(several, SOON_S, "garbage of every kind")
-    link.faults.switch("garbled", on=False)
-    wait_until(lambda: all(len(p := host.packet()) == STATE_BYTES and p[0] == 1 for _ in range(5)), SOON_S, "the end")
-
-
-def test_reordered(host, link, wait_until):
-    def backwards():
-        times = [values(host.packet(), TIME, 1, "I")[0] for _ in range(8)]
-        return (np.diff(times) < 0).sum() >= 3
-
-    assert not backwards()
-    link.faults.switch("reordered")
-    wait_until(backwards, SOON_S, "packets in another order")
-    link.faults.switch("reordered", on=False)
-    wait_until(lambda: not backwards(), SOON_S, "the end")
+    fault("garbled")
+    assert {kind() for _ in range(50)} == {(0, False), (-1, True), (1, True)}
+    fault("garbled", on=False)
+    assert {kind() for _ in range(5)} == {(0, True)}
 
 
-@pytest.mark.parametrize(("name", "copies"), [("doubled", 2), ("frozen", 5)])
-def test_the_same_packet_again(host, link, wait_until, name, copies):
-    def again():
-        return max(Counter(host.packet() for _ in range(5)).values()) >= copies
+def test_reordered(host, fault):
+    def steps():
+        times = [values(host.packet(), TIME, 1, "I")[0] for _ in range(9)]
+        return (np.diff(times) / (1e6 * PERIOD_S)).round().tolist()
 
-    assert not again()
-    link.faults.switch(name)
-    wait_until(again, SOON_S, "copies")
-    link.faults.switch(name, on=False)
-    wait_until(lambda: not again(), SOON_S, "the end")
+    assert steps() == [1] * 8
+    fault("reordered")
+    assert steps() in ([-1, 3] * 4, [3, -1] * 4)
+    fault("reordered", on=False)
+    host.packet()
+    assert steps() == [1] * 8
 
 
-def test_restarted(host, hand, link, wait_until):
+@pytest.mark.parametrize(("name", "copies"), [("doubled", 2), ("frozen", 10)])
+def test_the_same_packet_again(host, fault, name, copies):
+    def counts():
+        return set(Counter(host.packet() for _ in range(10)).values())
+
+    assert counts() == {1}
+    fault(name)
+    assert counts() == {copies}
+    fault(name, on=False)
+    assert counts() == {1}
+
+
+def test_restarted(host, hand, fault):
     host.send_mode(POSITION)
-    wait_until(lambda: hand.state()["mode"] == [POSITION] * 4, SOON_S, "the command")
-    link.faults.switch("restarted")
-    wait_until(host.silent, SOON_S, "silence")
-    before = hand.state()["time"]
-    link.faults.switch("restarted", on=False)
-    assert values(host.packet(), TIME, 1, "I")[0] * 1e-6 < before, "its clock begins anew"
+    assert hand.state()["mode"] == [POSITION] * 4
+    fault("restarted")
+    assert host.silent()
+    fault("restarted", on=False)
+    assert host.fresh(TIME, 1, "I")[0] * 1e-6 == pytest.approx(PERIOD_S, abs=1e-5), "its clock begins anew"
     assert hand.state()["mode"] == [IDLE] * 4
     assert hand.state()["power_cycles"] == 1
 
 
-def test_servo_lost(host, link, wait_until):
-    link.faults.switch("servo_lost", value=3)
-    wait_until(lambda: values(host.packet(), POSITIONS, 4)[2] == 0, SOON_S, "the loss")
-    link.faults.switch("servo_lost", value=1)
-    wait_until(lambda: values(host.packet(), POSITIONS, 4)[0] == 0, SOON_S, "the loss of another")
-    assert values(host.packet(), POSITIONS, 4)[2] > 0
-    link.faults.switch("servo_lost", on=False)
-    wait_until(lambda: min(values(host.packet(), POSITIONS, 4)) > 0, SOON_S, "the end")
+def test_servo_lost(host, fault):
+    fault("servo_lost", value=3)
+    assert [position > 0 for position in host.fresh(POSITIONS, 4)] == [True, True, False, True]
+    fault("servo_lost", value=1)
+    assert [position > 0 for position in host.fresh(POSITIONS, 4)] == [False, True, True, True]
+    fault("servo_lost", on=False)
+    assert min(host.fresh(POSITIONS, 4)) > 0
 
 
-def test_overloaded(host, link, wait_until):
-    link.faults.switch("overloaded", value=2)
-    wait_until(lambda: values(host.packet(), LOADS, 4)[1] == 1000, SOON_S, "the load")
-    link.faults.switch("overloaded", on=False)
-    wait_until(lambda: values(host.packet(), LOADS, 4)[1] < 100, SOON_S, "the end")
+def test_overloaded(host, fault):
+    fault("overloaded", value=2)
+    assert host.fresh(LOADS, 4)[1] == 1000
+    fault("overloaded", on=False)
+    assert host.fresh(LOADS, 4)[1] < 100
 
 
-def test_touch_stuck(host, link, wait_until):
-    rest = np.array(values(host.packet(), PRESSURES_F2, 9))
-    link.faults.switch("touch_stuck", value=2)
-    wait_until(lambda: (np.array(values(host.packet(), PRESSURES_F2, 9)) - rest).min() > 50, SOON_S, "the pressure")
-    link.faults.switch("touch_stuck", on=False)
-    wait_until(lambda: (np.array(values(host.packet(), PRESSURES_F2, 9)) - rest).max() < 20, SOON_S, "the end")
+def test_touch_stuck(host, fault):
+    rest = np.array(host.fresh(PRESSURES_F2, 9))
+    fault("touch_stuck", value=2)
+    assert (np.array(host.fresh(PRESSURES_F2, 9)) - rest).min() > 50
+    fault("touch_stuck", on=False)
+    assert (np.array(host.fresh(PRESSURES_F2, 9)) - rest).max() < 20
 
 
-def test_encoder_stuck(host, hand, link, wait_until):
-    def close(ticks):
-        goal = [p + s * ticks for p, s in zip(hand.state()["positions"], (1, -1, 1, 0))]
-        host.outbox.sendto(b"\2" + struct.pack(">4H", *goal), host.address)
-        wait_until(lambda: hand.state()["targets_received"] >= 1, SOON_S, "the target")
+def test_encoder_stuck(host, hand, fault):
+    def moved():
+        return np.abs(np.array(host.fresh(ENCODERS, 3), dtype=int) - before) > 100
 
-    def moved(before):
-        return np.abs(np.array(values(host.fresh(), ENCODERS, 3), dtype=int) - before) > 100
-
-    link.faults.switch("encoder_stuck", value=2)
-    host.fresh(), host.fresh()
-    before = np.array(values(host.fresh(), ENCODERS, 3), dtype=int)
+    fault("encoder_stuck", value=2)
+    before = np.array(host.fresh(ENCODERS, 3), dtype=int)
     host.send_mode(POSITION)
-    close(300)
-    wait_until(lambda: moved(before)[[0, 2]].all(), SOON_S, "the other fingers to close")
-    assert not moved(before)[1]
-    link.faults.switch("encoder_stuck", on=False)
-    wait_until(lambda: moved(before)[1], SOON_S, "the end")
+    goal = [p + s * 300 for p, s in zip(hand.state()["positions"], (1, -1, 1, 0))]
+    host.send(b"\2" + struct.pack(">4H", *goal))
+    clock.sleep(1.0)
+    assert moved().tolist() == [True, False, True]
+    fault("encoder_stuck", on=False)
+    assert moved().tolist() == [True, True, True]
 
 
 def test_a_share_of_packets_and_commands_is_lost():

@@ -1,164 +1,146 @@
-"""Every fault of the simulated Leap service, seen by a plain WebSocket client or socket; and that it ends again."""
+"""Every fault of the simulated Leap service in virtual time, as a plain WebSocket client sees it; and its end."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import math
-import socket
-import sys
-import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidHandshake
 from websockets.sync.client import connect
 
+from common import clock
 from common.errors import DeviceError
 from leap_motion import codec
 from leap_motion.service import wire
 from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.leap.sensing import FRAME_RATE
 from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
+from simulated.wires import DELAY_S
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "leapd.py"
-SOON_S = 60.0
-SOON_FRAMES = 1000
+SEEN_S = 3.0 / FRAME_RATE + 10 * DELAY_S
+"""After which a fault shows: the frame that was made before is sent as it is, and one in many is lost."""
+POLL_S = 0.02
+"""How often the service looks whether a fault of its connections is over."""
+REQUEST = (
+    b"GET /v6.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 
 
 class Client:
-    """A client that asked for frames and got the header."""
+    """A client that asked for frames and got header and event."""
 
     def __init__(self, service):
         self.connection = connect(f"ws://127.0.0.1:{service.port}/v6.json", compression=None, close_timeout=0.5)
         self.connection.send('{"background":true}')
-        self.header = json.loads(self.connection.recv(SOON_S))
+        self.header, self.event = (json.loads(self.connection.recv(1.0)) for _ in range(2))
 
-    def message(self, timeout=SOON_S):
-        return self.connection.recv(timeout)
+    def messages(self, seconds):
+        """What comes in the next so many seconds: when, and what."""
+        end, came = clock.monotonic() + seconds, []
+        with contextlib.suppress(TimeoutError):
+            while True:
+                text = self.connection.recv(max(1e-6, end - clock.monotonic()))
+                came.append((clock.monotonic(), text))
+        return came
 
-    def frame(self, timeout=SOON_S):
-        """Returns the next message that is a frame."""
-        while True:
-            frame = json.loads(self.message(timeout))
-            if "event" not in frame:
-                return frame
-
-    def hand(self):
-        """Returns the first hand of the next frame that holds one."""
-        while True:
-            frame = self.frame()
-            if frame["hands"]:
-                return frame["hands"][0]
-
-    def silent(self, seconds=0.3):
-        try:
-            self.connection.recv(seconds)
-        except TimeoutError:
-            return True
-        return False
+    def frames(self, seconds):
+        """The frames of the next so many seconds."""
+        return [json.loads(text) for _, text in self.messages(seconds)]
 
 
 @pytest.fixture
-def service():
+def service(wires):
     service = SimulatedLeapService(Playback(ScriptedOperator(Script(speed=600.0))), "127.0.0.1", 0, 0)
-    thread = threading.Thread(target=service.run, daemon=True)
+    thread = clock.Thread(target=service.run, daemon=True)
     thread.start()
     yield service
     service.stop()
-    thread.join(SOON_S)
-    assert not thread.is_alive()
+    thread.join()
 
 
 @pytest.fixture
-def new_client(service):
-    with contextlib.ExitStack() as stack:
-
-        def new_client():
-            client = Client(service)
-            stack.callback(client.connection.close)
-            return client
-
-        yield new_client
-
-
-@pytest.fixture
-def client(new_client):
-    return new_client()
+def client(service):
+    client = Client(service)
+    yield client
+    client.connection.close()
 
 
 @pytest.fixture
 def fault(service):
-    with ControlClient("127.0.0.1", service.control_port, SOON_S) as control:
-        yield lambda name, **fields: control.ask("fault", name=name, **fields)
+    """Switches a fault and waits until it shows."""
+    with ControlClient("127.0.0.1", service.control_port) as control:
+
+        def switch(name, after=SEEN_S, **fields):
+            control.ask("fault", name=name, **fields)
+            clock.sleep(after)
+
+        yield switch
 
 
-def served(new_client):
-    """Returns whether a new client gets frames."""
+def served(service):
+    """Whether a new client gets frames at once."""
     try:
-        return "hands" in new_client().frame()
+        new = Client(service)
+        came = new.frames(SEEN_S)
+        new.connection.close()
+        return bool(came)
     except (OSError, ConnectionClosed, InvalidHandshake, EOFError):
         return False
 
 
-def test_cut(client, new_client, service, fault, wait_until):
-    client.frame()
+def test_cut(client, service, fault, wires):
+    assert client.frames(0.1)
     fault("cut")
     with pytest.raises(ConnectionClosed) as closed:
-        for _ in range(SOON_FRAMES):
-            client.frame()
+        client.messages(1.0)
     assert closed.value.rcvd is None, "no close frame came"
-    with socket.create_connection((service.host, service.port), SOON_S) as plain:
-        plain.settimeout(SOON_S)
-        plain.sendall(
-            b"GET /v6.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-        )
+    with wires.connect((service.host, service.port)) as plain:
+        plain.sendall(REQUEST)
         with pytest.raises(ConnectionResetError):
             plain.recv(100)
-    assert not served(new_client)
+    assert not served(service)
     fault("cut", on=False)
-    wait_until(lambda: served(new_client), SOON_S, "a new client to be served")
+    assert served(service)
 
 
-def test_half_open(client, service, fault, wait_until):
-    client.frame()
+def test_half_open(client, service, fault):
     fault("half_open")
-    wait_until(client.silent, SOON_S, "silence")
+    client.messages(0.0)
     pong = client.connection.ping()
-    assert not pong.wait(0.3), "not even pings are answered"
+    assert client.messages(5.0) == [] and not pong.is_set(), "not even pings are answered"
     with pytest.raises(TimeoutError):
         connect(f"ws://127.0.0.1:{service.port}/v6.json", open_timeout=0.3)
-    fault("half_open", on=False)
-    # This client takes no pong while a frame waits to be read.
-    wait_until(lambda: "hands" in client.frame() and pong.is_set(), SOON_S, "frames and the pong")
+    fault("half_open", on=False, after=POLL_S)
+    assert client.frames(SEEN_S) and pong.is_set()
 
 
-def test_silent(client, fault, wait_until):
-    client.frame()
+def test_silent(client, fault):
     fault("silent")
-    wait_until(client.silent, SOON_S, "silence")
-    assert client.connection.ping().wait(SOON_S), "pings are answered"
+    client.messages(0.0)
+    pong = client.connection.ping()
+    assert client.messages(5.0) == [] and pong.is_set(), "pings are answered"
     fault("silent", on=False)
-    assert "hands" in client.frame()
+    assert client.frames(SEEN_S)
 
 
-def test_restarted(client, service, new_client, fault, wait_until):
-    while client.frame()["id"] < 30:
-        pass
+def test_restarted(client, service, fault, wires):
+    assert client.frames(1.0)[-1]["id"] > 100
     fault("restarted")
     with pytest.raises(ConnectionClosed) as closed:
-        for _ in range(SOON_FRAMES):
-            client.frame()
+        client.messages(1.0)
     assert closed.value.rcvd.code == 1001
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((service.host, service.port), SOON_S)
-    fault("restarted", on=False)
-    wait_until(lambda: served(new_client), SOON_S, "a new client to be served on the same port")
+        wires.connect((service.host, service.port))
+    fault("restarted", on=False, after=POLL_S)
+    assert Client(service).frames(SEEN_S)[0]["id"] <= 3, "ids begin anew"
 
 
 def test_ids_and_clock_begin_anew_after_a_restart():
@@ -171,56 +153,55 @@ def test_ids_and_clock_begin_anew_after_a_restart():
     assert again["timestamp"] < first["timestamp"] + 30_000
 
 
-@pytest.mark.clock
 def test_unplugged(client, fault):
-    client.frame()
+    assert client.frames(0.1)
     fault("unplugged")
-    messages = (json.loads(client.message()) for _ in range(SOON_FRAMES))
-    event = next(message for message in messages if "event" in message)
-    assert event["event"]["state"]["attached"] is False
-    assert client.silent()
+    assert client.frames(5.0)[-1]["event"]["state"]["attached"] is False
     fault("unplugged", on=False)
-    assert json.loads(client.message())["event"]["state"]["attached"] is True
-    assert "hands" in client.frame()
+    event, *frames = client.frames(SEEN_S)
+    assert event["event"]["state"]["attached"] is True
+    assert frames and all("hands" in frame for frame in frames)
 
 
-def test_frozen(client, fault, wait_until):
+def test_frozen(client, fault):
     fault("frozen")
-    wait_until(lambda: client.message() == client.message(), SOON_S, "the same frame again")
-    frame = client.message()
-    assert [client.message() for _ in range(5)] == [frame] * 5
+    client.messages(0.0)
+    came = [text for _, text in client.messages(1.0)]
+    assert len(came) > 100 and len(set(came)) == 1
     fault("frozen", on=False)
-    wait_until(lambda: client.message() != client.message(), SOON_S, "other frames")
+    client.messages(0.0)
+    assert len({text for _, text in client.messages(1.0)}) > 100
 
 
-def test_bursts(client, fault, wait_until):
-    client.frame()
+def test_bursts(client, fault):
+    first = client.frames(0.1)[-1]["id"]
     fault("bursts", value=0.5)
-    wait_until(lambda: client.silent(0.25), SOON_S, "the silence between two bursts")
-    held = client.frame()["id"]
-    assert client.frame()["id"] == held + 1, "the frames held back come one behind the other"
+    came = client.messages(3.2)
+    times = np.array([time for time, _ in came])
+    pauses = np.diff(times)[np.diff(times) > 0.1]
+    assert pauses == pytest.approx(np.full(6, 0.5), abs=SEEN_S), "silence between two bursts"
     fault("bursts", on=False)
-    frames = [client.frame() for _ in range(100)]
-    assert [frame["id"] for frame in frames] == sorted({frame["id"] for frame in frames})
+    ids = [json.loads(text)["id"] for _, text in [*came, *client.messages(1.0)]]
+    assert ids == list(range(first + 1, first + 1 + len(ids))), "nothing is lost"
 
 
-def test_garbled(client, fault, wait_until):
+def test_garbled(client, fault):
     fault("garbled")
-    seen = set()
-
-    def kinds():
-        message = client.message()
+    client.messages(0.0)
+    kinds = set()
+    for _, message in client.messages(1.0):
+        assert not _is_frame(message)
         try:
             frame = json.loads(message)
-            seen.add("without hands" if "hands" not in frame else "bad hand" if frame["hands"] else "NaN")
+            whole = "NaN" if math.isnan(frame["timestamp"]) else "bad hand"
+            kinds.add(whole if "hands" in frame else "without hands")
         except ValueError:
-            seen.add("no JSON")
-        return len(seen) >= 3
-
-    wait_until(kinds, SOON_S, "several kinds of garbage")
+            kinds.add("no JSON")
+    assert kinds == {"without hands", "bad hand", "NaN", "no JSON"}
     fault("garbled", on=False)
-    wait_until(lambda: _is_frame(client.message()), SOON_S, "frames")
-    assert all(_is_frame(client.message()) for _ in range(10))
+    client.messages(0.0)
+    came = client.messages(1.0)
+    assert len(came) > 100 and all(_is_frame(text) for _, text in came)
 
 
 def _is_frame(text):
@@ -240,28 +221,19 @@ def _is_frame(text):
         ("low_confidence", lambda frame: frame["hands"][0]["confidence"] == 0.02),
     ],
 )
-def test_faults_of_hands_on_the_wire(client, fault, wait_until, name, changed):
-    client.hand()
+def test_faults_of_hands_on_the_wire(client, fault, name, changed):
+    assert client.frames(1.0)[-1]["hands"]
     fault(name)
-    wait_until(lambda: changed(client.frame()), SOON_S, name)
+    client.messages(0.0)
+    assert all(map(changed, client.frames(0.1)))
     fault(name, on=False)
-    wait_until(lambda: not changed(client.frame()), SOON_S, "its end")
+    client.messages(0.0)
+    assert not any(map(changed, client.frames(0.1)))
 
 
-@pytest.mark.clock
 def test_an_unknown_fault_is_refused(fault):
     with pytest.raises(DeviceError):
         fault("dance")
-
-
-def test_faults_of_the_command_line(processes, wait_until):
-    process = processes.start(
-        sys.executable, str(SCRIPT), "--port", "0", "--control-port", "0", "--fault", "low_rate:60:20"
-    )
-    line = wait_until(process.log_path.read_text, 30.0, "the ready line")
-    with ControlClient("127.0.0.1", int(line.split()[6].rpartition(":")[2]), SOON_S) as control:
-        on = [entry for entry in control.ask("faults")["faults"] if entry["on"]]
-    assert [(entry["name"], entry["value"]) for entry in on] == [("low_rate", 20.0)]
 
 
 PERIOD_S = 1.0 / 128.0

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from websockets.sync.client import connect
 
+from common import clock
 from common.errors import DeviceError
-from leap_motion.codec import read_message
+from leap_motion.client import LeapClient
+from leap_motion.codec import LeapFrame, read_message
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.program import _source, parse
 from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import PERIOD_S, Playback, ScriptedOperator
 
-SCRIPT = Path(__file__).parent.parent / "scripts" / "leapd.py"
 CENTRE = np.array([0.0, 0.35, 0.0])
 NOISE_M = 6e-3
 
@@ -136,25 +134,28 @@ def test_a_reach_at_rest_takes_effect_at_once(guided):
     assert abs(hands(playback, 0.1)[-1].palm[0] - 0.1) < NOISE_M
 
 
-def test_the_program_sends_the_hand_where_its_control_port_says(processes, wait_until):
-    process = processes.start(sys.executable, str(SCRIPT), "--guided", "--port", "0", "--control-port", "0")
-    words = wait_until(process.log_path.read_text, 20.0, "the ready line").replace(",", "").split()
-    port, control_port = (int(word.rpartition(":")[2]) for word in (words[3], words[6]))
-    address = f"ws://127.0.0.1:{port}/v6.json"
-    with ControlClient("127.0.0.1", control_port, 60.0) as control, connect(address) as service:
-        service.send('{"background":true}')
-        header_and_device_event = service.recv(60.0), service.recv(60.0)
-        assert all('"hands"' not in message for message in header_and_device_event)
-        control.ask("show", right=0.05)
-        control.ask("reach", up=0.1, seconds=0.3)
-
-        def arrived():
-            palms = [hand.palm - CENTRE for hand in read_message(service.recv(60.0)).hands]
-            return palms and np.abs(palms[0] - [0.0, 0.1, 0.0]).max() < NOISE_M
-
-        wait_until(arrived, 10.0, "the hand where it was sent", poll=0.0)
-        with pytest.raises(DeviceError):
-            control.ask("reach", height=1.0)
+@pytest.mark.ros
+def test_the_program_sends_the_hand_where_its_control_port_says(virtual_graph):
+    port, control_port = 26437, 26438
+    ports = ("--port", str(port), "--control-port", str(control_port))
+    virtual_graph.run("rig_simulation", "leapd.py", "--guided", *ports)
+    clock.sleep(0.1)
+    control, heard = ControlClient("127.0.0.1", control_port), []
+    client = LeapClient(port=port, runtime=clock, tap=lambda text, _: heard.append(read_message(text)))
+    clock.sleep(1.0)
+    frames = [message for message in heard if isinstance(message, LeapFrame)]
+    assert len(frames) > 100 and not any(frame.hands for frame in frames)
+    control.ask("show", right=0.05)
+    control.ask("reach", up=0.1, seconds=0.3)
+    heard.clear()
+    clock.sleep(0.6)
+    palms = np.array([hand.palm - CENTRE for message in heard for hand in message.hands])
+    assert_allclose(palms[0], [0.05, 0.0, 0.0], atol=1e-3)
+    there = np.linalg.norm(palms - [0.0, 0.1, 0.0], axis=1) < 1e-3
+    assert PERIOD_S * np.argmax(there) == pytest.approx(0.28, abs=0.02) and np.all(there[np.argmax(there) :])
+    with pytest.raises(DeviceError):
+        control.ask("reach", height=1.0)
+    client.close()
 
 
 def test_the_second_hand_comes_beside_the_first_and_closes(guided):

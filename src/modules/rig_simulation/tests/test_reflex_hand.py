@@ -1,23 +1,20 @@
 """The simulated hand: its servos, fingers and firmware, and how the program starts and ends."""
 
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
+import re
+import signal
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common import clock
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "reflex_hand.py"
-PATHS = {"PYTHONPATH": os.pathsep.join(sys.path)}
 CLOSING = np.array([1, -1, 1, -1])
 
 
@@ -152,17 +149,7 @@ def test_a_power_cycle_forgets_the_turn_but_not_the_pose():
     assert after["torque"] == [False] * 4 and after["time"] == 0
 
 
-def start(*arguments):
-    return subprocess.run(
-        [sys.executable, str(SCRIPT), *arguments],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        env={**os.environ, **PATHS},
-    )
-
-
-@pytest.mark.clock
+@pytest.mark.ros
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -172,39 +159,41 @@ def start(*arguments):
         (("--colour", "blue"), "unknown arguments: --colour blue"),
     ],
 )
-def test_ends_with_a_sentence(arguments, sentence):
-    done = start(*arguments)
-    assert done.returncode != 0
-    assert sentence in done.stderr
-    assert "Traceback" not in done.stderr and done.stdout == ""
+def test_ends_with_a_sentence(virtual_graph, arguments, sentence):
+    program = virtual_graph.run("rig_simulation", "reflex_hand.py", *arguments)
+    assert program.wait(1.0) != 0
+    assert sentence in program.log
+    assert "Traceback" not in program.log and "control port 1" not in program.log
 
 
 @pytest.fixture
-def program(processes, wait_until):
-    process = processes.start(
-        sys.executable, str(SCRIPT), "--port", "0", "--control-port", "0", "__name:=hand", env=PATHS
-    )
-    line = wait_until(lambda: process.log_path.read_text(), 20.0, "the ready line")
-    port, control_port = int(line.split("UDP port ")[1].split(",")[0]), int(line.rsplit(":", 1)[1])
-    control = ControlClient("127.0.0.1", control_port, 60.0)
-    yield process, port, control
-    control.close()
+def program(virtual_graph, network):
+    """Starts the program; returns it, its UDP port and a client of its control port."""
+    arguments = ("--port", "0", "--control-port", "0", "__name:=hand")
+    program = virtual_graph.run("rig_simulation", "reflex_hand.py", *arguments)
+    clock.sleep(PERIOD_S)
+    ready = re.fullmatch(r"reflex_hand: on lo, UDP port (\d+), control port 127\.0\.0\.1:(\d+)\n", program.log)
+    return program, ready[1], ControlClient("127.0.0.1", int(ready[2]))
 
 
-def test_one_ready_line_and_a_clean_end(program, processes):
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_ready_line_and_a_clean_end(program, number):
     process, _, control = program
     assert control.ask("state")["targets_received"] == 0
-    assert processes.end(process) == 0
-    assert process.log_path.read_text().count("\n") == 1
+    process.send_signal(number)
+    assert process.wait(PERIOD_S) == 0
+    assert process.log.count("\n") == 1
 
 
-def test_refuses_a_second_hand_on_the_port(program):
-    _, port, _ = program
-    done = start("--port", str(port), "--control-port", "0")
-    assert done.returncode == 1
-    assert f"port {port} of lo" in done.stderr
+@pytest.mark.ros
+def test_refuses_a_second_hand_on_the_port(virtual_graph, program):
+    second = virtual_graph.run("rig_simulation", "reflex_hand.py", "--port", program[1], "--control-port", "0")
+    assert second.wait(1.0) == 1
+    assert second.log == f"reflex_hand: Cannot use port {program[1]} on lo.\n"
 
 
+@pytest.mark.ros
 @pytest.mark.parametrize(
     "request_fields",
     [

@@ -1,9 +1,7 @@
 """Two robots in one physics: names, contacts between them, and their arms and hands on wires of their own."""
 
-import contextlib
 import re
 import signal
-import sys
 from pathlib import Path
 
 import mujoco
@@ -11,10 +9,11 @@ import numpy as np
 import pytest
 import yaml
 
+from common import clock
 from common.errors import ConfigError
 from common.poses import pose
 from common.rotations import rotation_from_zyx
-from kst import KstClient, KstTiming
+from kst import KstClient
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.paths import JointMove
@@ -23,7 +22,7 @@ from rig_simulation.files import read_board, read_scene, read_urdf
 from rig_simulation.world.model import WorldDescription, build_model
 from rig_simulation.world.parts import ArmJoints, CarriedJoints, HandPart
 from rig_simulation.world.physics import World
-from rig_simulation.world.program import _of_robot, _options
+from rig_simulation.world.program import _of_robot, _options, main
 
 ARMS = {
     "margin": 0.3,
@@ -32,9 +31,6 @@ ARMS = {
 }
 KIND, DT = ("LBR7R800", "MF_elektrisch"), 1e-3
 SHIPPED = Path(__file__).parents[3] / "kuka_control" / "config" / "two_arms.yaml"
-SCRIPT = Path(__file__).parents[1] / "scripts" / "world.py"
-FREE_PORTS = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
-PATIENT = KstTiming(reply=20.0, servo_reply=20.0)
 HOME = np.radians([0, 30, 0, -80, 0, 70, 0])
 
 
@@ -198,61 +194,43 @@ def test_the_scene_of_two_arms_has_a_box_within_the_reach_of_each():
         assert there == pytest.approx(y) and 0.5 < x < 0.7  # straight ahead, between the spheres of the workspace
 
 
-@pytest.fixture
-def program(processes, wait_until):
-    """Starts world.py with both arms on free ports; returns clients of its control ports and the arms' own ports."""
-    with contextlib.ExitStack() as resources:
-
-        def start(*arguments):
-            process = processes.start(sys.executable, str(SCRIPT), *FREE_PORTS, "--arms", str(SHIPPED), *arguments)
-            ready = r"^world: scene two_arms, control port 127.0.0.1:(\d+)$"
-            read = process.log_path.read_text
-            found = wait_until(lambda: re.search(ready, read(), re.M) or process.poll() is not None, 60.0, "the world")
-            assert process.poll() is None, read()
-            arms = dict(re.findall(r"^(\w+)/sunrise_controller: listening on \S+:(\d+), control", read(), re.M))
-            controls = dict(re.findall(r"^(\w+/\w+): .*, control port \S+:(\d+)$", read(), re.M))
-            controls["world"] = found[1]
-            clients = {
-                n: resources.enter_context(ControlClient("127.0.0.1", int(at), 60.0)) for n, at in controls.items()
-            }
-            return process, clients, {name: int(at) for name, at in arms.items()}
-
-        yield start
-
-
-def test_each_arm_and_each_hand_answers_on_its_own_wire(program, wait_until):
-    process, clients, ports = program("--scene", "two_arms")
-    assert set(ports) == {"left", "right"}
-    devices = ("sunrise_controller", "reflex_hand")
-    assert set(clients) == {"world", *(f"{side}/{device}" for side in ports for device in devices)}
+@pytest.mark.ros
+def test_each_arm_and_each_hand_answers_on_its_own_wire(virtual_graph, network):
+    ports = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
+    process = virtual_graph.run("rig_simulation", "world.py", *ports, "--arms", str(SHIPPED), "--scene", "two_arms")
+    clock.sleep(0.01)
+    ports = dict(re.findall(r"^(\w+)/sunrise_controller: listening on \S+:(\d+), control", process.log, re.M))
+    controls = re.findall(r"^(\S+):.*, control port (\S+):(\d+)$", process.log, re.M)
+    devices = {name: ControlClient(host, int(port)) for name, host, port in controls}
+    names = ("sunrise_controller", "reflex_hand")
+    assert list(ports) == ["left", "right"]
+    assert set(devices) == {"world", *(f"{side}/{name}" for side in ports for name in names)}
     goals = {"left": HOME, "right": HOME + 0.1}
     for side in ports:
-        client = KstClient.connect("127.0.0.1", ports[side], tool=np.eye(4), timeout=60.0, timing=PATIENT)
-        try:
-            client.ptp_joints(goals[side], 0.25, 60.0)
-            for arm, q in goals.items():
-                state = clients[f"{arm}/sunrise_controller"].ask("state")
-                moved = arm == side or side == "right"
-                np.testing.assert_allclose(state["joints"], q if moved else np.zeros(7), atol=1e-4)
-        finally:
-            client.close()
-    before = {side: clients[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
-    clients["right/reflex_hand"].ask("jump", motor=0, turns=3)
-    after = {side: clients[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
+        client = KstClient.connect("127.0.0.1", int(ports[side]), tool=np.eye(4))
+        client.ptp_joints(goals[side], 0.25, 10.0)
+        for arm, q in goals.items():
+            state = devices[f"{arm}/sunrise_controller"].ask("state")
+            moved = arm == side or side == "right"
+            np.testing.assert_allclose(state["joints"], q if moved else np.zeros(7), atol=1e-4)
+        client.close()
+    steps = devices["right/sunrise_controller"].ask("state")["time"]
+    assert steps == pytest.approx(devices["world"].ask("state")["time"], abs=0.01), (
+        "the right one counts the left one's"
+    )
+    before = {side: devices[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
+    devices["right/reflex_hand"].ask("jump", motor=0, turns=3)
+    after = {side: devices[f"{side}/reflex_hand"].ask("state")["positions"][0] for side in ports}
     assert abs(after["left"] - before["left"]) < 100 < 1000 < abs(after["right"] - before["right"])
-    objects = clients["world"].ask("objects")
+    objects = devices["world"].ask("objects")
     assert objects["frame"] == "world" and set(objects["objects"]) == {"left_box", "right_box"}
     process.send_signal(signal.SIGINT)
-    wait_until(lambda: process.poll() is not None, 20.0, "the end of the world")
-    assert process.returncode == 0, process.log_path.read_text()
+    assert process.wait(0.03) == 0 and "Traceback" not in process.log
 
 
-def test_a_mounting_beside_arms_is_refused(processes, wait_until):
-    process = processes.start(
-        sys.executable, str(SCRIPT), *FREE_PORTS, "--arms", str(SHIPPED), "--mounting", "180", "0", "0"
-    )
-    wait_until(lambda: process.poll() is not None, 60.0, "the end")
-    assert process.returncode == 1 and "--mounting is [180.0, 0.0, 0.0] deg" in process.log_path.read_text()
+def test_a_mounting_beside_arms_is_refused(capsys):
+    assert main(["--arms", str(SHIPPED), "--mounting", "180", "0", "0"]) == 1
+    assert "--mounting is [180.0, 0.0, 0.0] deg" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("given", "second"), [("47001", 47002), ("0", 0)])

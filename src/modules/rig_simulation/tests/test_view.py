@@ -7,8 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -18,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from common import clock
 from common.errors import DeviceError
 from common.poses import inverse
 from rig_simulation.control_port import ControlClient
@@ -36,9 +35,9 @@ from rig_simulation.recording.display import (
 )
 from rig_simulation.recording.films import ContactSheet, FilmError, Mp4, film_for, with_lines
 from rig_simulation.world.model import WorldDescription, build_model
+from simulated.clock import virtual_time
 
 TABLE = read_scene("objects")["table"]
-SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 
 def contact(first, second, force=2.0, position=(0.1, 0.2, 0.3), normal=(0.0, 0.0, -1.0)):
@@ -193,7 +192,7 @@ def test_a_film_has_the_times_of_its_images(tmp_path):
     np.testing.assert_allclose(frames_of(tmp_path / "a.mp4"), [0, 100, 100, 100, 100, 200], atol=12)
 
 
-@pytest.mark.clock
+@pytest.mark.long
 def test_a_film_that_a_full_disk_cut_off_is_named(tmp_path):
     film = tmp_path / "a.mp4"
     program = f"""
@@ -251,71 +250,92 @@ def test_files_that_cannot_be_are_refused(tmp_path, name, sentence):
         film_for(tmp_path / name, 20.0)
 
 
+WORLD_PORT = "26000"
+
+
 @pytest.fixture
-def world_port(processes, wait_until):
-    """Control port of a running world."""
-    ports = ("--port", "0", "--control-port", "0", "--hand-port", "0", "--hand-control-port", "0", "--world-port", "0")
-    process = processes.start(sys.executable, str(SCRIPTS / "world.py"), *ports)
-    wait_until(lambda: "world: scene" in process.log_path.read_text(), 60.0, "the world")
-    return int(process.log_path.read_text().strip().rsplit(":", 1)[1]), process
+def recorder(virtual_graph, monkeypatch):
+    """Starts the recorder in virtual time, with images of 160 by 120."""
+    from mujoco import egl
 
-
-def test_the_recorder_films_a_running_world_and_its_end(processes, world_port, tmp_path, wait_until):
-    port, world = world_port
-    film, sheet = tmp_path / "a.mp4", tmp_path / "a.png"
-    recorder = processes.start(
-        sys.executable, str(SCRIPTS / "record.py"), str(film), str(sheet), "--port", str(port), "--size", "320", "240",
+    monkeypatch.setattr(mujoco.renderer.gl_context, "GLContext", egl.GLContext)
+    monkeypatch.setattr(record.os, "nice", lambda _: None)
+    return lambda *files: virtual_graph.run(
+        "rig_simulation",
+        "record.py",
+        *map(str, files),
+        "--port",
+        WORLD_PORT,
+        "--size",
+        "160",
+        "120",
         "__name:=recorder",
-    )  # fmt: skip
-    wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
-    with ControlClient("127.0.0.1", port, 60.0) as control:
-        start = control.ask("state")["time"]
-        wait_until(lambda: control.ask("state")["time"] > start + 1.0, 60.0, "a second of the world")
-        control.ask("set_scene", scene="empty")
-        wait_until(lambda: control.ask("state")["time"] > start + 2.0, 60.0, "another second")
-    processes.end(world)
-    assert recorder.wait(60.0) == 0
-    assert "images in" in recorder.log_path.read_text()
+    )
+
+
+@pytest.fixture
+def running_world(virtual_graph):
+    """A running world in virtual time."""
+    from simulated.hand_wire import HandNetwork
+
+    names = ("--port", "--control-port", "--hand-port", "--hand-control-port")
+    free = [word for name in names for word in (name, "0")]
+    with HandNetwork():
+        node = virtual_graph.run("rig_simulation", "world.py", *free, "--world-port", WORLD_PORT)
+        clock.sleep(0.1)
+        yield node
+
+
+@pytest.mark.ros
+def test_the_recorder_films_a_running_world_and_its_end(recorder, running_world, tmp_path):
+    film, sheet = tmp_path / "a.mp4", tmp_path / "a.png"
+    program = recorder(film, sheet)
+    clock.sleep(1.0)
+    ControlClient("127.0.0.1", int(WORLD_PORT)).ask("set_scene", scene="empty")
+    clock.sleep(1.0)
+    running_world.send_signal(signal.SIGINT)
+    assert program.wait(1.0) == 0 and "images in" in program.log, program.log
     brightness = frames_of(film)
-    assert len(brightness) > 10
+    assert len(brightness) == pytest.approx(40, abs=2)
     assert min(brightness) > 20.0, "no image is empty"
     assert cv2.imread(str(sheet)).mean() > 10.0
 
 
-def test_the_film_continues_after_a_world_that_hangs(world_port, suspend, wait_until):
-    port, world = world_port
-    with ControlClient("127.0.0.1", port, 1.0) as client:
-        view = record.FilmView(client, (32, 24), (150.0, -20.0, 1.6))
-        assert record._follow(view, threading.Event())
-        suspend(world.pid)
-        before = view.time
-        with pytest.raises(DeviceError):
-            view.follow()
-        threading.Timer(1.5, world.send_signal, [signal.SIGCONT]).start()
-        wait_until(lambda: record._follow(view, threading.Event()) and view.time > before, 10.0, "a later state")
+@pytest.mark.ros
+def test_the_film_continues_after_a_world_that_hangs(running_world):
+    view = record.FilmView(ControlClient("127.0.0.1", int(WORLD_PORT), 1.0), (32, 24), (150.0, -20.0, 1.6))
+    assert record._follow(view, clock.Event())
+    running_world.send_signal(signal.SIGSTOP)
+    before, began = view.time, clock.monotonic()
+    with pytest.raises(DeviceError):
+        view.follow()
+    assert clock.monotonic() - began == pytest.approx(1.0, abs=0.1)
+    clock.Timer(1.5, running_world.send_signal, [signal.SIGCONT]).start()
+    assert record._follow(view, clock.Event()) and view.time > before
+    assert clock.monotonic() - began == pytest.approx(2.5, abs=0.1)
 
 
-def test_a_world_that_hangs_for_too_long_ends_the_film_with_a_sentence(monkeypatch):
-    monkeypatch.setattr(record.display, "PATIENCE_S", 0.1)
-
+def test_a_world_that_hangs_for_too_long_ends_the_film_with_a_sentence():
     class View:
         time = 12.34
 
         def follow(self):
             raise DeviceError("It does not answer: timed out.")
 
-    with pytest.raises(DeviceError):
-        record._follow(View(), threading.Event())
+    with virtual_time():
+        began = clock.monotonic()
+        with pytest.raises(DeviceError, match=r"The film stops at 12\.3 s of the world: It does not answer"):
+            record._follow(View(), clock.Event())
+        assert clock.monotonic() - began == pytest.approx(20.0, abs=0.5)
 
 
-def test_the_recorder_ends_when_it_is_interrupted(processes, world_port, tmp_path, wait_until):
-    port, _ = world_port
-    film = tmp_path / "a.mp4"
-    command = (sys.executable, str(SCRIPTS / "record.py"), str(film), "--port", str(port), "--size", "160", "120")
-    recorder = processes.start(*command)
-    wait_until(lambda: film.exists() and film.stat().st_size > 0, 60.0, "the film to begin")
-    assert processes.end(recorder, 30.0) == 0
-    assert len(frames_of(film)) >= 1
+@pytest.mark.ros
+def test_the_recorder_ends_when_it_is_interrupted(recorder, running_world, tmp_path):
+    program = recorder(tmp_path / "a.mp4")
+    clock.sleep(0.5)
+    program.send_signal(signal.SIGINT)
+    assert program.wait(0.1) == 0, program.log
+    assert len(frames_of(tmp_path / "a.mp4")) == pytest.approx(10, abs=2)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -331,12 +351,9 @@ def test_viewer_and_recorder_stop_at_an_interrupt_and_when_they_are_terminated(n
             signal.signal(one, handler)
 
 
-@pytest.mark.clock
-def test_without_a_world_the_recorder_names_it(tmp_path, free_port, monkeypatch, capsys):
-    monkeypatch.setattr(record.display, "stop_when_interrupted", threading.Event)
-    monkeypatch.setattr(record.os, "nice", lambda _: None)
-    port = str(free_port())
-    assert record.main([str(tmp_path / "a.mp4"), "--port", port, "--wait=0.1"]) == 1
-    complaint = capsys.readouterr().err
-    assert port in complaint
-    assert complaint.count("\n") == 1
+@pytest.mark.ros
+def test_without_a_world_the_recorder_names_it(recorder, tmp_path):
+    began = clock.monotonic()
+    program = recorder(tmp_path / "a.mp4", "--wait=2.0")
+    assert program.wait(5.0) == 1 and clock.monotonic() - began == pytest.approx(2.0, abs=0.2)
+    assert WORLD_PORT in program.log and program.log.count("\n") == 1

@@ -15,16 +15,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from common import clock
 from rig_simulation.control_port import ControlClient
+from rig_simulation.recording import viewer as viewer_program
 from rig_simulation.recording.display import OF_OTHERS
-
-pytestmark = pytest.mark.clock
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 LONG_S = 60.0
 """Longest wait; the machine may be busy."""
 PORTS = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
 
 needs_screen = pytest.mark.skipif(not shutil.which("Xvfb"), reason="the package xvfb is not installed")
 
@@ -94,6 +93,7 @@ def ends(process):
     return process.wait(LONG_S), process.log_path.read_text()
 
 
+@pytest.mark.long
 @needs_screen
 def test_it_shows_the_world_and_its_forces_follows_a_change_of_scene_and_ends_when_it_is_terminated(
     viewer, screen, world, wait_until
@@ -107,6 +107,7 @@ def test_it_shows_the_world_and_its_forces_follows_a_change_of_scene_and_ends_wh
     assert ends(viewer) == (0, "")
 
 
+@pytest.mark.long
 @needs_screen
 @pytest.mark.skipif(not shutil.which("xdotool"), reason="the package xdotool is not installed")
 def test_it_ends_when_its_window_is_closed_and_another_one_with_the_world(viewer, start, screen, world, processes):
@@ -119,24 +120,25 @@ def test_it_ends_when_its_window_is_closed_and_another_one_with_the_world(viewer
     assert ends(another) == (0, "viewer: The world has stopped.\n")
 
 
-def failed(display, *arguments):
-    """Returns the sentence with which the program fails."""
-    command = [sys.executable, str(SCRIPTS / "viewer.py"), *arguments]
-    environment = {name: value for name, value in ENVIRONMENT.items() if name != "DISPLAY"}
-    environment.update({} if display is None else {"DISPLAY": display})
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LONG_S, env=environment)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1), done
-    return done.stderr
-
-
+@pytest.mark.long
 @needs_screen
 def test_without_a_world_it_says_so(screen, free_port):
-    assert "does not answer" in failed(screen.display, "--port", str(free_port()), "--wait", "0.1")
+    command = [sys.executable, str(SCRIPTS / "viewer.py"), "--port", str(free_port()), "--wait", "0.1"]
+    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path), "DISPLAY": screen.display}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LONG_S, env=environment)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1), done
+    assert "does not answer" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("display", "sentence"),
     [(None, "DISPLAY is not set"), (":98765", ":98765")],
 )
-def test_without_a_screen_it_says_so(display, sentence):
-    assert sentence in failed(display)
+def test_without_a_screen_it_says_so(monkeypatch, capsys, display, sentence):
+    monkeypatch.setattr(viewer_program.display, "stop_when_interrupted", clock.Event)
+    monkeypatch.setattr(viewer_program.os, "nice", lambda _: None)
+    if display:
+        monkeypatch.setenv("DISPLAY", display)
+    assert viewer_program.main([]) == 1
+    said = capsys.readouterr().err
+    assert sentence in said and said.count("\n") == 1

@@ -1,58 +1,54 @@
-"""The program world.py on its wires: ready lines, requests, one clock, and a safety stop by what the arm touches."""
+"""The program world.py on its wires in virtual time: requests, one clock, a safety stop by what the arm touches."""
 
-import contextlib
 import re
 import signal
-import socket
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from common import clock
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
 from rig_simulation.files import read_scene
 from rig_simulation.world.program import main
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "world.py"
-FREE_PORTS = [text for name in ("", "control-", "hand-", "hand-control-", "world-") for text in (f"--{name}port", "0")]
 HOME = np.radians([-45, 30, 0, -80, 0, 70, 0])
 INTO_THE_TABLE = np.radians([-45, 60, 0, -80, 0, 70, 0])
 TORQUE_LIMIT = 25.0
+TICK_S = 0.02
+"""How often the server looks after an arm at rest."""
+READY = re.compile(
+    r"sunrise_controller: listening on 127.0.0.1:(\d+), control port 127.0.0.1:(\d+)\n"
+    r"reflex_hand: on lo, UDP port (\d+), control port 127.0.0.1:(\d+)\n"
+    r"world: scene \S+, control port 127.0.0.1:(\d+)\n"
+)
 
 
 class Program:
     """A running world with a client on each of its ports."""
 
-    def __init__(self, process, wait_until, resources):
-        def ready():
-            text = process.log_path.read_text()
-            assert process.poll() is None, text
-            return re.search(r"^world: scene \S+, control port 127.0.0.1:(\d+)$", text, re.MULTILINE)
-
-        world = wait_until(ready, 60.0, "the world")
-        text = process.log_path.read_text()
-        arm = re.search(r"^sunrise_controller: listening on 127.0.0.1:(\d+), control port 127.0.0.1:(\d+)$", text, re.M)
-        hand = re.search(r"^reflex_hand: on lo, UDP port (\d+), control port 127.0.0.1:(\d+)$", text, re.M)
-        self.process = process
-        self.port = int(arm[1])
-        clients = (ControlClient("127.0.0.1", int(p), 60.0) for p in (world[1], arm[2], hand[2]))
-        self.world, self.arm, self.hand = (resources.enter_context(client) for client in clients)
-        self._resources = resources
-        self._wire = None
+    def __init__(self, graph, *arguments):
+        self._graph, self._wire = graph, None
+        names = ("", "control-", "hand-", "hand-control-", "world-")
+        free = [text for name in names for text in (f"--{name}port", "0")]
+        self.process = graph.run("rig_simulation", "world.py", *free, *arguments)
+        clock.sleep(0.01)
+        ready = READY.fullmatch(self.process.log)
+        assert ready, self.process.log
+        self.port, arm, self.hand_port, *others = map(int, ready.groups())
+        self.arm, self.hand, self.world = (ControlClient("127.0.0.1", port) for port in (arm, *others))
 
     def tell(self, line):
         """Sends a line to the toolbox server and returns the line that it answers."""
         if self._wire is None:
-            connection = self._resources.enter_context(socket.create_connection(("127.0.0.1", self.port), 60.0))
-            self._wire = connection.makefile("rw", newline="\n")
-        self._wire.write(line + "\n")
-        self._wire.flush()
+            self._wire = self._graph.wires.connect(("127.0.0.1", self.port), 60.0)
+            self._replies = self._wire.makefile("rb")
+        self._wire.sendall(f"{line}\n".encode())
         return self.hear()
 
     def hear(self):
-        return self._wire.readline().strip()
+        return self._replies.readline().decode().strip()
 
     def step(self, seconds):
         for _ in range(round(seconds / 0.1)):
@@ -70,46 +66,43 @@ def goal(q):
 
 
 @pytest.fixture
-def start(processes, wait_until):
+def start(virtual_graph, network):
     """Starts the program on free ports."""
-    with contextlib.ExitStack() as resources:
-
-        def start(*arguments):
-            process = processes.start(sys.executable, str(SCRIPT), *FREE_PORTS, *arguments)
-            return Program(process, wait_until, resources)
-
-        yield start
+    return lambda *arguments: Program(virtual_graph, *arguments)
 
 
 OTHER_RIG = ("--robot", "LBR14R820", "--flange", "MF_touch_pneumatisch", "--panel", "bundle", "--scene", "objects")
 
 
-def assert_it_ends_without_a_traceback(program, number):
-    program.process.send_signal(number)
-    assert program.process.wait(20.0) == 0
-    assert "Traceback" not in program.process.log_path.read_text()
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_says_when_its_devices_are_ready_and_ends_on_a_signal(start, number):
+    process = start(*OTHER_RIG).process
+    said = process.log
+    process.send_signal(number)
+    assert process.wait(TICK_S + 0.01) == 0 and process.log == said
 
 
-def test_it_says_when_its_devices_are_ready_and_ends_when_it_is_terminated(start):
-    assert_it_ends_without_a_traceback(start(*OTHER_RIG), signal.SIGTERM)
-
-
-def test_one_clock_moves_arm_hand_and_objects_by_itself_until_an_interrupt(start, wait_until):
+@pytest.mark.ros
+def test_one_clock_moves_arm_hand_and_objects_by_itself(start, network):
     program = start("--scene", "objects", "--speed", "2")
-    wait_until(lambda: program.world.ask("state")["time"] > 1.0, 60.0, "a second of the world")
-    state, hand = program.world.ask("state"), program.hand.ask("state")
-    assert not state["stepped"]
-    ages = [program.arm.ask("state")["age"] for _ in range(10)]
-    assert -1e-3 < min(ages) < 0.5, "by the world's clock, which is seconds away from the machine's"
-    assert state["time"] - 5.0 < hand["time"] < program.world.ask("state")["time"] + 5.0
+    host = network.connect("lo", program.hand_port)
+    begin = program.world.ask("state")["time"]
+    clock.sleep(1.0)
+    state, hand, arm = (device.ask("state") for device in (program.world, program.hand, program.arm))
+    assert state["time"] - begin == pytest.approx(2.0, abs=0.01) and not state["stepped"]
+    assert hand["time"] == pytest.approx(state["time"], abs=0.03) and arm["age"] == pytest.approx(0.0, abs=1e-3)
+    assert state["real_time_factor"] == pytest.approx(2.0, abs=0.02)
+    packets = list(iter(lambda: host.packets.get(0.0), None))
+    assert len(packets) == pytest.approx(80, abs=1), "every 25 ms of the world"
     objects = program.world.ask("objects")["objects"]
     assert {name for name, one in objects.items() if one["touches"] == ["table"]} == set(objects)
     assert all("table" in contact["bodies"] for contact in program.world.ask("contacts")["contacts"])
     with pytest.raises(DeviceError):
         program.world.ask("step")
-    assert_it_ends_without_a_traceback(program, signal.SIGINT)
 
 
+@pytest.mark.ros
 def test_time_that_is_stepped_stands_still_otherwise(start):
     program = start("--stepped")
     assert program.world.ask("state")["steps"] == 0
@@ -144,6 +137,7 @@ def session(program):
     return np.array(seen)
 
 
+@pytest.mark.ros
 def test_the_same_commands_in_stepped_time_lead_to_the_very_same_numbers(start):
     first = session(start("--stepped", "--scene", "scattered", "--seed", "5"))
     np.testing.assert_array_equal(session(start("--stepped", "--scene", "scattered", "--seed", "5")), first)
@@ -152,6 +146,7 @@ def test_the_same_commands_in_stepped_time_lead_to_the_very_same_numbers(start):
     np.testing.assert_allclose(other[:, :7], first[:, :7], atol=1e-9, err_msg="the arm goes its way in any scene")
 
 
+@pytest.mark.ros
 def test_pressing_on_the_table_stops_the_arm_and_after_backing_off_it_continues(start):
     program = start("--stepped", "--scene", "empty")
     program.start_motion(HOME, 0.3)
@@ -179,29 +174,31 @@ def test_pressing_on_the_table_stops_the_arm_and_after_backing_off_it_continues(
     assert program.arm.ask("state")["stops"] == 1
 
 
-def test_a_client_sees_the_stop_and_the_release_in_time_that_runs(start, wait_until):
+@pytest.mark.ros
+def test_a_client_sees_the_stop_and_the_release_in_time_that_runs(start):
     kst = pytest.importorskip("kst")
     program = start("--scene", "empty")
-    patient = kst.KstTiming(reply=20.0, servo_reply=20.0)
-    client = kst.KstClient.connect("127.0.0.1", program.port, tool=np.eye(4), timeout=60.0, timing=patient)
-    client.ptp_joints(HOME, 0.3, 60.0)
-    client.start_ptp_joints(INTO_THE_TABLE, 0.15)
-    wait_until(lambda: program.arm.ask("state")["safety_stop"], 60.0, "the safety stop")
-    wait_until(lambda: not np.any(program.arm.ask("state")["velocities"]), 30.0, "the arm to stand")
-    stood = client.joints()
+    client = kst.KstClient.connect("127.0.0.1", program.port, tool=np.eye(4))
+    client.ptp_joints(HOME, 0.3, 5.0)
+    client.start_ptp_joints(INTO_THE_TABLE, 0.3)
+    clock.sleep(1.5)
+    state, stood = program.arm.ask("state"), client.joints()
+    assert state["safety_stop"] and not np.any(state["velocities"])
     assert not client.ptp_arrived()
     program.arm.ask("back_off")
-    wait_until(lambda: client.joints()[1] < stood[1] - 1e-3, 30.0, "the way back")
-    wait_until(lambda: not np.any(program.arm.ask("state")["velocities"]), 30.0, "the arm to stand")
+    clock.sleep(2.0)
+    assert not np.any(program.arm.ask("state")["velocities"]) and client.joints()[1] < stood[1] - 1e-3
     lower = read_scene("empty")
     lower["table"]["top"] = -0.5
     program.world.ask("set_scene", scene=lower)
     program.arm.ask("release")
-    wait_until(client.ptp_arrived, 60.0, "the end of the motion")
+    clock.sleep(2.0)
+    assert client.ptp_arrived()
     np.testing.assert_allclose(client.joints(), INTO_THE_TABLE, atol=1e-9)
     client.close()
 
 
+@pytest.mark.ros
 def test_the_objects_can_be_put_back_and_exchanged(start):
     program = start("--stepped", "--scene", "cup")
     program.step(0.5)
@@ -232,7 +229,7 @@ def test_the_objects_can_be_put_back_and_exchanged(start):
 )
 def test_bad_arguments_are_one_sentence(capsys, arguments, key):
     with pytest.raises(SystemExit) as end:
-        sys.exit(main([*FREE_PORTS, *arguments]))
+        sys.exit(main(arguments))
     assert end.value.code == 1
     text = capsys.readouterr().err
     assert key in text

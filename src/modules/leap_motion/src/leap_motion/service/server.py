@@ -93,7 +93,7 @@ class LeapService:
     ) -> None:
         self._code = AccessCode(code) if code else None
         self._service, self._version, self._serial = service, version, serial
-        self._clients: set[LeapClientLink] = set()
+        self._clients: list[LeapClientLink] = []
         self._attached, self._stopping = True, False
         self._next = 0  # whose turn the frame is, where clients share them
         self.sent = self.lost = 0  # frames, of all clients
@@ -199,14 +199,14 @@ class LeapService:
             return
         client = LeapClientLink(connection, version, self._service)
         sender = asyncio.ensure_future(self._send(client))
-        self._clients.add(client)
+        self._clients.append(client)
         try:
             async for message in connection:
                 self._hear(client, message)
         except ConnectionClosed:
             pass
         finally:
-            self._clients.discard(client)
+            self._clients.remove(client)
             sender.cancel()
 
     def _hear(self, client: LeapClientLink, message: str | bytes) -> None:
