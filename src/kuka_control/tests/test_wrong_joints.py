@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_world import DT, HOME, SLOW, FakeArm, World, ptp, shifted
 
+from kuka_control.loop.commands import End
 from kuka_control.loop.servo_law import lts
 from kuka_control.loop.tracking import BELIEVED_RAD, JointCheck
 from kuka_control.model.config import PtpConfig, RealTimeConfig
@@ -63,6 +64,12 @@ def watch(world, seconds, tool=None):
     return np.array(found)
 
 
+def enable_again(world):
+    world.control_on = False
+    world.run(0.3)
+    world.control_on = True
+
+
 def is_latched(world):
     return world.mode == "stopped" and "not believed" in world.loop.stopped_because
 
@@ -104,14 +111,31 @@ def test_joints_that_are_wrong_when_the_pick_up_ends_start_no_stream(law, offset
 
 @pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 @offsets
-def test_joints_that_become_wrong_at_home_start_nothing_but_a_motion_home(schema, offset):
+def test_joints_that_become_wrong_at_home_start_nothing_until_they_are_right_again(schema, offset):
     world = at_home(schema)
     world.arm.shift = offset
     world.run(2.0 * DT)
     world.control_on = True
-    joints = watch(world, 2.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and world.arm.commands == [ptp(HOME.q, SLOW)]
-    assert np.max(np.abs(joints - HOME.q)) < 1e-3
+    watch(world, 2.0, shifted(0.1, 0.0, 0.0))
+    assert is_latched(world) and not world.arm.commands
+    assert sum("once they are right again" in event for event in world.events) == 1
+    world.arm.shift = 0.0
+    world.run(1.0, shifted(0.1, 0.0, 0.0))
+    assert is_latched(world) and not world.arm.commands, "only the operator opens the latch"
+    enable_again(world)
+    world.run(DT)
+    assert world.arm.commands == [ptp(HOME.q, SLOW)]
+
+
+@pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
+def test_exit_with_joints_in_doubt_leaves_the_arm_where_it_stands(schema):
+    world = at_home(schema)
+    world.arm.shift = 0.1
+    world.run(2.0 * DT)
+    world.exit_requested = True
+    world.run(1.0)
+    assert not world.arm.commands
+    assert isinstance(world.steps[-1].command, End) and "not believed" in world.steps[-1].command.fault
 
 
 @offsets
@@ -122,15 +146,12 @@ def test_joints_that_were_wrong_from_the_beginning_start_nothing_but_the_way_hom
     world.control_on = True
     world.run(4.0, shifted(0.1, 0.0, 0.0))
     assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp"]
-    world.control_on = False
-    world.run(0.3)
-    world.control_on = True
+    enable_again(world)
     world.run(4.0).run(2.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp", "ptp"]
+    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp"]
     world.arm.shift = 0.0
-    world.control_on = False
-    world.run(0.3)
-    world.control_on = True
+    world.run(DT)
+    enable_again(world)
     world.run(6.0).run(4.0, shifted(0.1, 0.0, 0.0))
     assert world.mode == "servo"
 

@@ -19,9 +19,10 @@ angle = st.floats(-180.0, 180.0)
 level = st.floats(-19.0, 19.0)
 offset = st.floats(-0.09, 0.09)
 scale = st.sampled_from([0.5, 1.0, 2.0])
+FORWARD, LEFT = np.array([[1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]) / math.sqrt(2.0)
 home = st.builds(
-    lambda p, a, b, c: pose(rotation_from_zyx(*np.radians([a, b, c])), p),
-    *[st.tuples(*[st.floats(-0.7, 0.7)] * 3), angle, st.floats(-80.0, 80.0), angle],
+    lambda p, a, b, c: pose(rotation_from_zyx(*np.radians([a, b, c])), p[0] * FORWARD + p[1] * LEFT + [0.0, 0.0, p[2]]),
+    *[st.tuples(st.floats(0.5, 0.7), st.floats(-0.7, 0.7), st.floats(0.4, 0.7)), angle, st.floats(-80.0, 80.0), angle],
 )
 
 

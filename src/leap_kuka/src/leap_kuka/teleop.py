@@ -31,6 +31,7 @@ from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLo
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
+from leap_kuka.feasible_side import FeasibleSide
 from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
 from leap_kuka.operator_switches import OperatorSwitches
 from leap_kuka.relative import RelativeMotion, relative_motion, unscaled
@@ -105,7 +106,7 @@ class TeleopResult:
     enabled: bool = True
     clutched: bool = False
     source: str = ""  # what enables or clutches
-    limits: tuple[str, ...] = ()  # angles of the hand that are at their limit
+    limits: tuple[str, ...] = ()  # angles of the hand that are at their limit; "position": see feasible_side
 
     @property
     def follows(self) -> bool:
@@ -166,6 +167,7 @@ class ArmTeleop:
         self._gate = StartGate(leap, self.box)
         self._control_known = False
         self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
+        self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
         self._mean: MeanHand | None = None  # in the newest frame
         self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
         self._name = ""  # of the hand that was followed last
@@ -485,11 +487,16 @@ class ArmTeleop:
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
         if self._relative is not None:
-            return pose(self._relative.rotation(self._attitude.clipped), mean.palm)
-        R_virtual_tool = self._level(self._attitude.clipped, self._heading)
-        if self._hand_over is not None:
-            R_virtual_tool = self._hand_over.rotation(R_virtual_tool, now)
-        return pose(self._as_at_home(R_virtual_tool), mean.palm)
+            R_virtual_tool = self._relative.rotation(self._attitude.clipped)
+        else:
+            R_virtual_tool = self._level(self._attitude.clipped, self._heading)
+            if self._hand_over is not None:
+                R_virtual_tool = self._hand_over.rotation(R_virtual_tool, now)
+            R_virtual_tool = self._as_at_home(R_virtual_tool)
+        R_base_virtual, p_base_virtual = self._T_base_virtual[:3, :3], self._T_base_virtual[:3, 3]
+        out = self._border.back(R_base_virtual @ mean.palm + p_base_virtual, self._scale)
+        self._stopped_by = bool(np.any(out))
+        return pose(R_virtual_tool, mean.palm + R_base_virtual.T @ out if self._stopped_by else mean.palm)
 
     def _level(self, angles: Attitude, heading: float) -> np.ndarray:
         """Returns R_virtual_tool, shape (3, 3), of a tool that points down for a level hand."""
@@ -535,7 +542,7 @@ class ArmTeleop:
         if mean is not None:
             T_virtual_tool = read_only(self._tool(mean, now)) if self._stays is None else self._stays
             self._newest, measured, clipped = T_virtual_tool, self._attitude.measured, self._attitude.clipped
-            limited = self._attitude.limited
+            limited = self._attitude.limited + ["position"] * self._stopped_by
             more["limits"] = tuple(limited)
             reason += f"; {' and '.join(limited)} at the limit" if limited else ""
         elif self._keeps:  # the arm must not go home before the hold begins

@@ -136,8 +136,8 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         stamp = None
         if cycle.fresh is not None:
             q = self._resolve(cycle.observation, cycle.fresh, goals.q_target)
-            if self._exits(cycle):
-                return Fired(Trigger.EXIT)
+            if self._infeasible is not None:
+                return Fired(Trigger.INFEASIBLE, self._infeasible)
             too_far = goals.take(cycle.fresh, q, joints, cycle.now)
             if too_far is not None:
                 if too_far in COUNTED_AS:

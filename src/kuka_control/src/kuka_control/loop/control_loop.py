@@ -25,7 +25,7 @@ from common.poses import read_only
 from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
-from kuka_control.loop.tracking import JointCheck, PtpSupervision
+from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 from kuka_control.model.robot_shape import Opening
@@ -52,6 +52,12 @@ BARRED_BY_MOVE = (
     "The desired tool frame began to move while a program moved the arm and does not count: take the hand out of the "
     "box and bring it in again."
 )
+
+IN_DOUBT = (
+    "The arm does not move while its measured joints are not believed: switch control off and on once they are right "
+    "again, or start the controller anew."
+)
+NOT_TO_ZERO = "The arm stays where it is, as its measured joints are not believed."
 
 COUNTED = (
     *("goals_sent", "limited_goals", "goal_gaps", "workspace_clips", "ik_failures", "refused_frames"),
@@ -159,6 +165,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._joints = JointCheck(settings.joint_speeds)
         self._target: Target | None = None
         self._infeasible: str | None = None
+        self._doubt: tuple[np.ndarray, np.ndarray] | None = None  # where the arm stands whose joints are not believed
         self._target_stamp = 0.0
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
@@ -232,6 +239,7 @@ class ControlLoop(ABC, Generic[Settings]):
         observation, refused = cycle.observation, cycle.observation.refused
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
         if refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
+            self._doubt = self._joints.where
             outcome: Outcome = Fired(Trigger.DISBELIEVED, wrong)
         elif refused is not None and (self._active.state, Trigger.REFUSED) in self._table:
             outcome = Fired(Trigger.REFUSED, refused)
@@ -273,6 +281,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._end_move(row.target, before.trigger if braked else fired.trigger, because)
         if row.target is State.STOPPED:
             enable_count, self.stopped_because = cycle.switches.enable_count, because
+            self._infeasible = None
             self.counts["faults"] += 1
         elif fired.trigger is Trigger.ENABLED_AGAIN:
             self.stopped_because = None
@@ -367,6 +376,7 @@ class ControlLoop(ABC, Generic[Settings]):
                 return Fired(Trigger.ARRIVED_AFTER_HOLD)
             if not leaves and not supervision.is_at_goal(cycle.observation.joints):
                 wrong = supervision.ended_elsewhere(cycle.observation.joints, cycle.now)
+                self._doubt = None if wrong is None else (supervision.q, supervision.q)
                 return Wait() if wrong is None else Fired(Trigger.DISBELIEVED, wrong)
             self._joints.stand(supervision.q)
             return self._arrived(cycle)
@@ -383,15 +393,11 @@ class ControlLoop(ABC, Generic[Settings]):
     def _arrived(self, cycle: Cycle) -> Fired:
         if self._active.state is State.PICK_UP:
             return self._leaves(cycle) or Fired(Trigger.ARRIVED)
-        if self._active.state is State.ZERO and self._infeasible is not None:
-            return Fired(Trigger.ARRIVED_AFTER_FAULT, self._infeasible)
         return Fired(Trigger.ARRIVED)
 
     def _home(self, cycle: Cycle) -> Outcome:
-        if self._exits(cycle):
-            return Fired(Trigger.EXIT)
         self._active = replace(self._active, enable_count=cycle.switches.enable_count)
-        return self._new_move(cycle) or self._new_target(cycle)
+        return self._ends(cycle) or self._new_move(cycle) or self._new_target(cycle)
 
     def _at_goal(self, cycle: Cycle) -> Outcome:
         """The arm stays where a motion for a program ended; no frame is awaited, so none is late."""
@@ -402,11 +408,17 @@ class ControlLoop(ABC, Generic[Settings]):
         return self._leaves(cycle) or self._new_target(cycle)
 
     def _stopped(self, cycle: Cycle) -> Outcome:
-        """A fault holds the loop until control goes off and on again."""
+        """A fault holds the loop until control goes off and on again; no motion begins at joints in doubt."""
+        if self._doubt is not None and is_within(cycle.observation.joints, self._doubt):
+            self._doubt = None
+            self._report("info", "The measured joints are believed again.")
         if self._exits(cycle):
-            return Fired(Trigger.EXIT)
+            return Fired(Trigger.EXIT) if self._doubt is None else Fired(Trigger.EXIT_BLOCKED, NOT_TO_ZERO)
         again = cycle.switches.control_on and cycle.switches.enable_count != self._active.enable_count
-        return Fired(Trigger.ENABLED_AGAIN) if again else Wait()
+        if again and self._doubt is not None:
+            self._active = replace(self._active, enable_count=cycle.switches.enable_count)
+            self._report("error", IN_DOUBT)
+        return Fired(Trigger.ENABLED_AGAIN) if again and self._doubt is None else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:
         if not cycle.switches.control_on or not self._stream.runs or self._stream.number == self._barred:
@@ -496,12 +508,19 @@ class ControlLoop(ABC, Generic[Settings]):
         """Answers a new target at rest, while control is on; `distance` is that of the farthest joint [rad]."""
 
     def _exits(self, cycle: Cycle) -> bool:
-        return cycle.switches.exit_requested or self._infeasible is not None
+        return cycle.switches.exit_requested
+
+    def _ends(self, cycle: Cycle) -> Fired | None:
+        """Returns why the program ends: where the arm stands, if a frame is infeasible."""
+        if self._infeasible is not None:
+            return Fired(Trigger.INFEASIBLE, self._infeasible)
+        return Fired(Trigger.EXIT) if self._exits(cycle) else None
 
     def _switched(self, cycle: Cycle) -> Fired | None:
         """Returns which switch, or which infeasible position, ends what the arm does."""
-        if self._exits(cycle):
-            return Fired(Trigger.EXIT)
+        ends = self._ends(cycle)
+        if ends is not None:
+            return ends
         if not cycle.switches.control_on:
             return Fired(Trigger.CONTROL_OFF)
         if cycle.switches.enable_count != self._active.enable_count:

@@ -35,7 +35,13 @@ class JointCheck:
 
     Args:
         joint_speeds: full speeds of the joints, shape (7,) [rad/s].
+
+    Attributes:
+        where: the least and the greatest joints that the arm can have had at the last reading, shape (7,) each [rad];
+            meaningful once a reading was wrong.
     """
+
+    where: tuple[np.ndarray, np.ndarray]
 
     def __init__(self, joint_speeds: np.ndarray) -> None:
         self._speeds = FASTER * joint_speeds
@@ -68,20 +74,26 @@ class JointCheck:
         if np.all(moved <= STILL_RAD):
             return None
         fast = moved > self._speeds * age + BELIEVED_RAD
+        newest = goals[-1][1]
+        if not fast.any() and is_within(measured, (np.minimum(newest, last), np.maximum(newest, last))):
+            return None  # as nearly always: it would also be within the range of all goals
+        known = np.array([last, *(q for _, q in goals)])
+        self.where = known.min(axis=0), known.max(axis=0)
         if fast.any():
             k = int(np.argmax(moved - self._speeds * age))
             deg = np.degrees((measured[k], last[k]))
             return f"joint {k + 1} is at {deg[0]:.2f} deg, at most {1e3 * age:.0f} ms after {deg[1]:.2f} deg"
-        newest = goals[-1][1]
-        if _beyond(measured, np.minimum(newest, last), np.maximum(newest, last)).max() <= BELIEVED_RAD:
-            return None  # as nearly always: it would also be within the range of all goals
-        where = np.array([q for _, q in goals])
-        beyond = _beyond(measured, np.minimum(where.min(axis=0), last), np.maximum(where.max(axis=0), last))
+        beyond = _beyond(measured, *self.where)
         k = int(np.argmax(beyond))
         if beyond[k] <= BELIEVED_RAD:
             return None
         deg = np.degrees((measured[k], last[k], newest[k]))
         return f"joint {k + 1} is at {deg[0]:.2f} deg, from {deg[1]:.2f} deg on the way to {deg[2]:.2f} deg"
+
+
+def is_within(q: np.ndarray, where: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Returns whether joints, shape (7,) [rad], are believed of an arm that stands there, see JointCheck."""
+    return bool(np.max(_beyond(q, *where)) <= BELIEVED_RAD)
 
 
 def _beyond(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -139,6 +151,8 @@ HELD_AT_ENDS_S = 1.0
 starts and stops gently, the more so at a reduced override [s]."""
 
 
+AT_GOAL_RAD = float(np.radians(0.1))  # joints this near to the goal are there
+HELD_AT_GOAL_S = 2.0  # the same there: where an answer was lost, the client takes 1 s to tell the end by the joints [s]
 END_S = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
 SAMPLES_AT_END = 3  # a verdict needs more readings than this
 
@@ -195,6 +209,8 @@ class PtpSupervision:
         approach = self._approach
         approach.observe(measured, now)
         allowed = HELD_S if approach.begun and approach.remaining > AWAY_RAD else HELD_AT_ENDS_S
+        if approach.remaining <= AT_GOAL_RAD:
+            allowed = HELD_AT_GOAL_S
         before, self.held = self.held, approach.still > allowed and approach.samples > SAMPLES
         self.was_held |= self.held
         if self.held == before:

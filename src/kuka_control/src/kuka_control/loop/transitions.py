@@ -51,8 +51,8 @@ class Trigger(Enum):
     ARRIVED = "arrived"
     ARRIVED_UNIDENTIFIED = "arrived for the first time"
     ARRIVED_AFTER_HOLD = "arrived after something held the arm"
-    ARRIVED_AFTER_FAULT = "arrived after an infeasible position"
-    EXIT = "exit_app or infeasible position"
+    EXIT = "exit_app"
+    INFEASIBLE = "an infeasible position"
     EXIT_WHILE_HELD = "exit_app while the arm is held for 2 s"
     CONTROL_OFF = "control off"
     CONTROL_WAS_OFF = "control off and on again at once"
@@ -72,7 +72,7 @@ class Trigger(Enum):
     DISBELIEVED = "the measured joints cannot be true"
     REFUSED = "refused by the robot"
     BLOCKED = "a body is in the way of the motion"
-    EXIT_BLOCKED = "exit_app, and a body is in the way to zero"
+    EXIT_BLOCKED = "exit_app, and a body is in the way to zero, or the joints are not believed"
     GUARD_FAILED = "the collision guard failed"
     CONFLICT = "the frame has two publishers, or its chain or clock jumped"
     AT_REST_TO_STOP = "the goals are at rest, and the arm is to stay"
@@ -164,8 +164,9 @@ TRANSITIONS = (
     Transition(_AWAY, _T.TIME_OUT, _S.RETURNING, _A.PTP, _SILENCE),
     Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}"),
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
-    Transition((_S.ZERO,), _T.ARRIVED_AFTER_FAULT, _S.ENDED, _A.END, "{detail}"),
-    # Faults.
+    # Faults. None of them starts a motion.
+    Transition((_S.SERVO,), _T.INFEASIBLE, _S.BRAKING, _A.DECIDE, "{detail}"),
+    Transition(_RESTS, _T.INFEASIBLE, _S.ENDED, _A.END, "{detail}"),
     # The measured joints of an arm that does not follow may be wrong or frozen, so the arm is not sent there.
     Transition((_S.SERVO, _S.LINE, _S.LINE_BRAKING), _T.LAG, _S.STOPPED, _A.STOP_SERVO, _LAG),
     Transition((*_STREAMS, _S.IDENTIFYING), _T.DISBELIEVED, _S.STOPPED, _A.STOP_SERVO, _DISBELIEVED),

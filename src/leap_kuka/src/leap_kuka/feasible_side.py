@@ -1,0 +1,32 @@
+"""The side of the base on which a desired tool is feasible: in front of it, along the centre line, and above its foot.
+
+A controller that gets a tool behind the base or below its foot ends. So a hand that is drawn back, or put down, takes
+the tool to a border before that, along which the tool slides. The workspace inside has bounds of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leap_kuka.config import ArmPlacement
+
+AHEAD_M = 0.1  # least distance in front of the base, nearer than the workspace comes; at most half of its centre's
+ABOVE_M = 1e-3  # least height over the foot; the workspace may end at the foot
+
+
+class FeasibleSide:
+    """The borders of one arm, in its base frame."""
+
+    def __init__(self, arm: ArmPlacement) -> None:
+        self._forward = arm.center_line / np.linalg.norm(arm.center_line)
+        self._centre = arm.ws_center
+        self._least = min(AHEAD_M, 0.5 * float(self._forward @ self._centre))
+
+    def back(self, position: np.ndarray, scale: float) -> np.ndarray:
+        """Returns the way from a desired position, shape (3,) [m], to its border, zero on the feasible side; `scale`
+        is the factor by which the controller multiplies the position's distance to the centre of the workspace.
+        """
+        scaled = self._centre + scale * (position - self._centre)
+        ahead = max(self._least - float(self._forward @ scaled), 0.0)
+        above = max(ABOVE_M - float(scaled[2]), 0.0)
+        return (ahead * self._forward + np.array([0.0, 0.0, above])) / scale
