@@ -6,6 +6,8 @@ the tool to a border before that, along which the tool slides. The workspace ins
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from leap_kuka.config import ArmPlacement
@@ -26,6 +28,8 @@ class FeasibleSide:
         """Returns the way from a desired position, shape (3,) [m], to its border, zero on the feasible side; `scale`
         is the factor by which the controller multiplies the position's distance to the centre of the workspace.
         """
+        if not 0.0 < scale < math.inf:
+            scale = 1.0  # the controller has not said it
         scaled = self._centre + scale * (position - self._centre)
         ahead = max(self._least - float(self._forward @ scaled), 0.0)
         above = max(ABOVE_M - float(scaled[2]), 0.0)
