@@ -31,7 +31,7 @@ class Robot:
 
     def __init__(self, process, port, control_port):
         self.process, self.port = process, port
-        self.ask = ControlClient("127.0.0.1", control_port, 5.0).ask
+        self.ask = ControlClient("127.0.0.1", control_port, 60.0).ask
 
     @property
     def joints(self):

