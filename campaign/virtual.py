@@ -37,6 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     failed = False
     for entry in run.chosen(rows.load(), options.only):
         if entry.real:
+            print(f"{entry.number:>10} runs on the real rig only: {entry.real}", flush=True)
             continue
         for seed in range(options.seeds):
             verdict = judged(entry, seed)
@@ -48,4 +49,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(run.INTERRUPTED)

@@ -65,7 +65,8 @@ class Thread(threading.Thread):
         except BaseException as error:
             failure = error
             scheduler.on_crash(threading.ExceptHookArgs((type(error), error, error.__traceback__, self)))
-        scheduler.end(self.task, failure)
+        finally:
+            scheduler.end(self.task, failure)
 
 
 class Timer(Thread):

@@ -20,6 +20,7 @@ import re
 import runpy
 import shlex
 import signal
+import sys
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -160,6 +161,8 @@ class Node:
             self.close()
             self.ended.set()
             self.graph.scheduler.kill(self.group)
+            for service in self.services:
+                service.abandon()
             self.graph.wires.end(self.group)
 
     def poll(self) -> int | None:
@@ -216,11 +219,15 @@ class Graph:
 
     def __enter__(self) -> Graph:
         self.scheduler.__enter__()
-        own = Node(self, "", ["test"])
-        self._by_group[""] = own
-        self.nodes.append(own)
-        own.begin(OWN.lstrip("/"), False)
-        stand_in(self, self._patch)
+        try:
+            own = Node(self, "", ["test"])
+            self._by_group[""] = own
+            self.nodes.append(own)
+            own.begin(OWN.lstrip("/"), False)
+            stand_in(self, self._patch)
+        except BaseException:
+            self.__exit__(*sys.exc_info())
+            raise
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -278,6 +285,8 @@ class Graph:
                 if isinstance(exit.code, str):
                     started.log += f"{exit.code}\n"
             except Exception:
+                if started.returncode is not None:
+                    return  # it was killed: what its ends raise is nobody's
                 started.log += traceback.format_exc()
                 code = 1
             started.shut_down()

@@ -248,9 +248,10 @@ class GraphSubscriber:
         if not self.closed:
             self.closed = True
             self.graph.subscribers.remove(self)
-            for publisher in self.graph.publishers:
-                for connection in publisher.connections:
+            for publisher in list(self.graph.publishers):
+                for connection in list(publisher.connections):
                     if connection.subscriber is self:
+                        publisher.connections.remove(connection)
                         connection.close()
 
 
@@ -258,6 +259,7 @@ class GraphService:
     def __init__(self, graph: Graph, node: Node, name: str, kind: type, handler: Callable[[Any], Any]) -> None:
         self.graph, self.node, self.name, self.kind, self.handler = graph, node, name, kind, handler
         self.closed = False
+        self._calls: list[clock.Event] = []  # that wait for an answer
         node.services.append(self)
         graph.services[name] = self
 
@@ -265,6 +267,11 @@ class GraphService:
         self.closed = True
         if self.graph.services.get(self.name) is self:
             del self.graph.services[self.name]
+
+    def abandon(self) -> None:
+        """The node has ended: nobody answers."""
+        for answered in list(self._calls):
+            answered.set()
 
     def _failed(self, text: str) -> rospy.ServiceException:
         return rospy.ServiceException(f"service [{self.name}] responded with an error: {text.encode()!r}")
@@ -292,7 +299,10 @@ class GraphService:
 
         with self.graph.scheduler.in_group(self.node.group):
             clock.Thread(target=handle, name=f"answers {self.name}", daemon=True).start()
-        answered.wait()
+        self._calls.append(answered)
+        if self.node.returncode is None:
+            answered.wait()
+        self._calls.remove(answered)
         if not answer:
             raise rospy.ServiceException("transport error completing service call: the node has ended")
         if isinstance(answer[0], Exception):

@@ -10,8 +10,7 @@ They stand on simulated.wires: `play` starts the simulated service itself, `serv
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Any
+from typing import Any, Callable
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import ServerConnection, serve

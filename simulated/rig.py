@@ -84,7 +84,6 @@ class VirtualRig(real.RigUnderTest):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.arm.close()
         self._resources.close()
 
     def bring_up(self) -> None:
@@ -104,7 +103,7 @@ class VirtualRig(real.RigUnderTest):
 
         tracker = self.graph.start("leapd", serve)
         leap = self.wait(lambda: made and made[0], "the Leap service")
-        self._resources.callback(lambda: (leap.stop(), tracker.wait(real.SOON_S)))  # else its coroutines are left over
+        self._resources.callback(lambda: (leap.stop(), tracker.ended.wait(real.SOON_S)))  # else coroutines are left
         self.leap = ControlClient(HOST, leap.control_port)
         self.listen()
         robot, hand = next(PORTS), next(PORTS)
@@ -119,6 +118,7 @@ class VirtualRig(real.RigUnderTest):
             self.wire.port = self._arguments[{"arm": "robot_port", "leap": "leap_port"}[self.wire.name]]
         self.launch()
         self.arm = ArmTrace(HOST, robot)
+        self._resources.callback(self.arm.close)
         self.robot_hand = ControlClient(HOST, hand)
         self.wait(lambda: self.mode == "home", "the arm at home", real.START_S)
         if self._sees:

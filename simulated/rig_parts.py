@@ -23,7 +23,8 @@ class WallClocks:
     """As campaign.clocks.ShiftedClock: the wall clocks of all nodes but the test's own."""
 
     def __init__(self, graph: Graph) -> None:
-        self._graph, self._ahead = graph, dict[str, float]()
+        self._graph = graph
+        self._ahead: dict[str, float] = {}
         graph.scheduler.ahead = self._of
 
     def start(self) -> None:
@@ -78,9 +79,8 @@ class BadLink:
         link, now = self._link, self._scheduler.now
         assert not link.duplicated and math.isinf(link.rate) and link.loss < 1.0, link
         way.worsen(DELAY_S + link.delay, link.jitter, link.loss, reordered=link.reordered)
-        way.stalls = [(begin, min(end, now)) for begin, end in way.stalls]
-        if link.held:
-            way.stalls.append((now, math.inf))
+        held = [(now, math.inf)] if link.held else []
+        way.stalls = [(begin, min(end, now)) for begin, end in way.stalls] + held
 
 
 class Core:

@@ -305,7 +305,9 @@ class Scheduler:
             if ready or not self._pass_time():
                 why = f"time has not passed for {SPINS} turns" if ready else "all wait for ever"
                 failed = [f"\n{name} has ended by {error!r}" for name, error in self.crashed]
-                self._fail(Stuck(f"{why}: {'; '.join(map(self._described, self._tasks))}{''.join(failed)}"))
+                waits = "; ".join(map(self._waits, self._tasks))
+                stacks = "".join(f"\n\n{task.name}:\n{_stack(task.thread)}" for task in self._tasks)
+                self._fail(Stuck(f"{why}: {waits}{''.join(failed)}{stacks}"))
                 return None
 
     def _pass_time(self) -> bool:
@@ -376,9 +378,12 @@ class Scheduler:
         self._hand_over(self._main)
 
     def _described(self, task: Task) -> str:
+        return f"{self._waits(task)}\n{_stack(task.thread)}"
+
+    def _waits(self, task: Task) -> str:
         waits = f"waits for {task.waits_for}" if task.waits_for else "is ready" if task is not self._running else "runs"
         standing = ", suspended" if task.group in self.suspended else ""
-        return f"{task.name} {waits}{standing}\n{_stack(task.thread)}"
+        return f"{task.name} {waits}{standing}"
 
     def _watch(self) -> None:
         """Names a thread that waits outside of virtual time."""

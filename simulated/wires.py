@@ -46,7 +46,7 @@ import rig_simulation.devices.sunrise.server
 from common import clock
 from simulated.clock import virtual_time
 from simulated.event_loop import EventLoop, Outcome
-from simulated.scheduler import Scheduler, is_over
+from simulated.scheduler import Killed, Scheduler, is_over
 
 MODULES = (
     *(kst.transport, leap_motion.transport, leap_motion.service.server, leap_motion.headset.transport),
@@ -79,6 +79,7 @@ class Way:
     """
 
     def __init__(self, rng: random.Random) -> None:
+        self.changed: Callable[[], None] = lambda: None  # called where stalls or room are set
         self.stalls: list[tuple[float, float]] = []
         self.sent: Callable[[bytes, float], None] = lambda data, now: None
         self.nagle, self.lost = False, 0
@@ -87,6 +88,11 @@ class Way:
         self._packets: deque[list[Any]] = deque()  # each with the time of its arrival, and of that of its repetition
         self._arrived, self._later, self._confirmed, self._held_until = 0.0, 0, 0.0, 0.0
         self.worsen()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, value)
+        if name in ("stalls", "room"):
+            self.changed()
 
     def worsen(
         self,
@@ -310,15 +316,17 @@ class Socket:
     def __init__(self, wires: Wires, group: str | None = None) -> None:
         self.group = wires.scheduler.current.group if group is None else group
         self.address = ("0.0.0.0", 0)
-        self.incoming = wires.way()
         self.watchers: list[clock.Event] = []
+        self.incoming = wires.way()
+        self.incoming.changed = self._way_changed
         self._wires, self._scheduler = wires, wires.scheduler
         self._peer: Socket | None = None
         self._timeout: float | None = None
         self._longest_send: float | None = None
         self._received, self._ended = b"", False
         self._reset = self._shut = self._said_end = self._closing = self._closed = self._resets = False
-        self._listens, self._waiting, self._files = False, deque[Socket](), 0
+        self._listens, self._files = False, 0
+        self._waiting: deque[Socket] = deque()
         self._number = wires.add(self)
 
     def join(self, peer: Socket) -> None:
@@ -410,6 +418,8 @@ class Socket:
 
     def send(self, data: bytes) -> int:
         """Takes as much as there is room for."""
+        if self._scheduler.current.killed:
+            raise Killed  # what a killed program does at its ends reaches nobody
         if self.writable_at() > self._scheduler.now:
             self._wait(self.writable_at, self._timeout if self._longest_send is None else self._longest_send)
         if self._closed or self._peer is None:
@@ -496,8 +506,12 @@ class Socket:
         if self._closed:
             raise OSError(errno.EBADF, os.strerror(errno.EBADF))
 
+    def _way_changed(self) -> None:
+        for end in filter(None, (self, self._peer)):
+            end._changed()
+
     def _changed(self) -> None:
-        for each in self.watchers:
+        for each in list(self.watchers):  # who wakes up leaves
             each.set()
 
 

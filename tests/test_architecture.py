@@ -64,8 +64,8 @@ NEWER_TYPES = {f"{name}[]" for name in ("dict", "frozenset", "list", "set", "tup
 NEWER_METHODS = {
     "bit_count", "hardlink_to", "is_relative_to", "removeprefix", "removesuffix", "with_stem", "add_note",
 }  # fmt: skip
-FOLDERS = ("src", "tools", "tests", "bench", "campaign", "fuzz", "golden", "examples")
-PYTHON = sorted({file for folder in FOLDERS for file in ROOT.glob(f"{folder}/**/*.py")})
+FOLDERS = ("src", "tools", "tests", "bench", "campaign", "fuzz", "golden", "simulated", "examples")
+PYTHON = sorted({ROOT / "conftest.py", *(file for folder in FOLDERS for file in ROOT.glob(f"{folder}/**/*.py"))})
 
 FILES = sorted(ROOT.glob("src/**/src/*/**/*.py"))
 MODULES = {
@@ -296,6 +296,7 @@ def newer_than_38(nodes: Iterable[ast.AST]) -> set[str]:
     """Returns what a file uses of the lists above."""
     nodes = list(nodes)
     tree = nodes[0]
+    plain = NEWER_TYPES | {f"{name}[]" for name in _imported(nodes, ("collections", "collections.abc"))}
     unread = {part for node in nodes for part in _annotation(node)} if "annotations" in _future(tree) else set()
     found = set()
     for node in nodes:
@@ -307,10 +308,15 @@ def newer_than_38(nodes: Iterable[ast.AST]) -> set[str]:
             found |= {str(node.module)} & NEWER_MODULES
             found |= {f"{node.module}.{alias.name}" for alias in node.names} & NEWER_CALLS
         elif isinstance(node, ast.Subscript) and node not in unread:
-            found |= {f"{dotted(node.value)}[]"} & NEWER_TYPES
+            found |= {f"{dotted(node.value)}[]"} & plain
         elif isinstance(node, ast.Call) and dotted(node.func) == "zip":
             found |= {"zip(strict=)" for keyword in node.keywords if keyword.arg == "strict"}
     return found
+
+
+def _imported(nodes: Iterable[ast.AST], modules: tuple[str, ...]) -> set[str]:
+    found = (node for node in nodes if isinstance(node, ast.ImportFrom) and node.module in modules)
+    return {alias.name for node in found for alias in node.names}
 
 
 def _annotation(node: ast.AST) -> Iterator[ast.AST]:
@@ -343,6 +349,8 @@ class TestPython38:
             ("path.is_relative_to(root)", "is_relative_to"),
             ("zip(a, b, strict=True)", "zip(strict=)"),
             ("def f(a: list[int]): pass", "list[]"),
+            ("from collections import Counter\nCounter[str]()", "Counter[]"),
+            ("from collections.abc import Callable\nReader = Callable[[int], str]", "Callable[]"),
             ("from __future__ import annotations\nNames = dict[str, int]", "dict[]"),
         ],
     )

@@ -307,3 +307,52 @@ def test_a_node_that_waits_outside_of_virtual_time_is_named(ros, monkeypatch):
             ros.start("sleeper", outside.wait).wait(5.0)
     finally:
         outside.set()
+
+
+def test_who_calls_a_node_that_is_killed_learns_that_it_has_ended(ros):
+    import rospy
+    from std_srvs.srv import Trigger
+
+    def main():
+        rospy.init_node("server")
+        rospy.Service("/ask", Trigger, lambda _: (True, ""))
+        rospy.spin()
+
+    server = ros.start("server", main)
+    rospy.wait_for_service("/ask")
+    server.send_signal(signal.SIGSTOP)
+    failed = []
+
+    def call():
+        try:
+            rospy.ServiceProxy("/ask", Trigger)()
+        except rospy.ServiceException as error:
+            failed.append(str(error))
+
+    clock.Thread(target=call, daemon=True).start()
+    clock.sleep(1.0)
+    assert not failed
+    server.send_signal(signal.SIGKILL)
+    clock.sleep(0.1)
+    assert len(failed) == 1 and "has ended" in failed[0]
+
+
+def test_the_ends_of_a_killed_node_reach_nobody(ros):
+    import kst.transport
+
+    listener = kst.transport.socket.socket()
+    listener.bind(("127.0.0.1", 0))
+    listener.listen()
+
+    def main():
+        connection = kst.transport.socket.create_connection(listener.getsockname(), 1.0)
+        try:
+            clock.sleep(100.0)
+        finally:
+            connection.send(b"stop")
+
+    node = ros.start("node", main)
+    far, _ = listener.accept()
+    node.send_signal(signal.SIGKILL)
+    far.settimeout(1.0)
+    assert far.recv(10) == b"" and "Traceback" not in node.log

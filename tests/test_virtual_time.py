@@ -467,7 +467,7 @@ class TestStuck:
 
         with pytest.raises(
             Stuck,
-            match=r"time has not passed for 100000 turns: main (?s:.*); job \d \(\d\) is ready\n(?s:.*)in give_way",
+            match=r"time has not passed for 100000 turns: main (?s:.*); job \d \(\d\) is ready(?s:.*)in give_way",
         ), virtual_time():
             started(give_way, give_way)
             clock.sleep(1.0)

@@ -31,7 +31,7 @@ def load() -> Iterator[None]:
 
 
 def workers(root: int) -> list[int]:
-    """The processes of pytest below a process."""
+    """The Python programs below a process: pytest, and what it starts."""
     parents, names = {}, {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
@@ -50,21 +50,42 @@ def main() -> int:
     """Returns the exit code of the command."""
     parser = argparse.ArgumentParser(prog="tools.under_load", description=__doc__)
     parser.add_argument("--stops", action="store_true", help="let processes of the command stand still now and then")
-    parser.add_argument("command", nargs=argparse.REMAINDER)
+    parser.add_argument("program")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER)
     options = parser.parse_args()
     stops = 0
     with load():
-        process = subprocess.Popen(options.command)
-        while process.poll() is None:
-            time.sleep(random.uniform(0.0, 2.0 * BETWEEN_S) if options.stops else 1.0)
-            for pid in random.sample(found := workers(process.pid), min(len(found), int(options.stops))):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGSTOP)
-                    time.sleep(STOP_S)
-                    os.kill(pid, signal.SIGCONT)
-                    stops += 1
-    print(f"{stops} stops of {STOP_S:g} s" if options.stops else "", flush=True)
-    return process.returncode
+        try:
+            process = subprocess.Popen([options.program, *options.arguments])
+        except OSError as error:
+            parser.error(f"{options.program!r} does not start: {error.strerror}.")
+        while options.stops and not _ends_within(process, random.uniform(0.0, 2.0 * BETWEEN_S)):
+            for pid in random.sample(found := workers(process.pid), min(len(found), 1)):
+                stops += _stop(pid)
+        code = process.wait()
+    if options.stops:
+        print(f"{stops} stops of {STOP_S:g} s", flush=True)
+    return code
+
+
+def _ends_within(process: subprocess.Popen[bytes], seconds: float) -> bool:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(seconds)
+    return process.returncode is not None
+
+
+def _stop(pid: int) -> bool:
+    """Lets a process stand still for STOP_S; returns whether it was still there."""
+    try:
+        os.kill(pid, signal.SIGSTOP)
+    except ProcessLookupError:
+        return False
+    try:
+        time.sleep(STOP_S)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+    return True
 
 
 if __name__ == "__main__":

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Callable, TypeVar
 
 from common.config import flag, number
 from common.operator_rows import BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale

@@ -198,7 +198,7 @@ def test_a_silent_service_is_left_if_it_does_not_answer_pings(start, wires, answ
     def pauses(service, connection):
         greet(service, connection)
         if not answers:
-            wires.connections[-1].up.stalls.append((clock.monotonic(), math.inf))
+            wires.connections[-1].up.stalls = [(clock.monotonic(), math.inf)]
         service.stay(connection)
 
     _service, client = start(pauses, stream(frame(5)))

@@ -361,7 +361,8 @@ def networks(
 ) -> dict[str, Trained]:
     """Returns the networks to be tried by name; raises RigError or OSError if a weight file is not one."""
     given, found = list(given), {}
-    many, met = Counter(name for name, _ in given), Counter[str]()
+    many = Counter(name for name, _ in given)
+    met: Counter[str] = Counter()
     for name, file in given:
         weights.load(Path(file).read_bytes())
         met[name] += 1
