@@ -382,7 +382,7 @@ class TestStuck:
     @pytest.fixture
     def impatient(self, monkeypatch):
         monkeypatch.setattr(scheduling, "POLL_S", 0.02)
-        monkeypatch.setattr(scheduling, "POLLS", 5)
+        monkeypatch.setattr(scheduling, "POLLS", 50)  # who waits for a processor may look asleep
 
     @pytest.mark.parametrize("who", ["main", "job 0"])
     def test_a_thread_that_waits_outside_is_named_with_its_stack(self, impatient, who):
@@ -398,7 +398,7 @@ class TestStuck:
     @pytest.fixture
     def endless(self, impatient, monkeypatch):
         """A job that waits outside where it is to end."""
-        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
+        monkeypatch.setattr(scheduling, "LAST_POLLS", 50)
         outside = threading.Event()
 
         def job():
@@ -599,7 +599,7 @@ class TestEnds:
     def test_a_thread_that_computes_for_ever_ends_with_the_rest(self, monkeypatch):
         """It never gives way: pytest's time is up, and the next test must run."""
         monkeypatch.setattr(scheduling, "POLL_S", 0.02)
-        monkeypatch.setattr(scheduling, "LAST_POLLS", 5)
+        monkeypatch.setattr(scheduling, "LAST_POLLS", 50)
 
         def interrupt(*_):
             raise ZeroDivisionError
