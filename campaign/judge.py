@@ -37,6 +37,8 @@ MOVED_S = 1.0  # an arm that holds has moved at most so long before the fault [s
 STAYS = 5e-3  # and it stays if no joint moves farther than this [rad]
 MOVED_BY_INPUT = 2e-3  # what a refused input may move a joint [rad]
 LEAVES_S = 1.0  # an arm that leaves a hand has come to rest after this time, and then goes home if it does [s]
+LATCHES_S = 0.5  # an arm whose controller is latched has come to rest after this time [s]
+SEEN_S = 0.5  # an arm that was seen for less after it came to rest is not judged: nothing is known of it [s]
 TURNS_BACK = 0.03  # a planned motion turns no joint back by more; a controller that starts tries its servo mode [rad]
 STANDS = 0.05  # at the end no joint is faster than this [rad/s]
 AT_THE_END_S = 0.25  # what was seen no longer before it than this [s]
@@ -221,6 +223,8 @@ def _disengage(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[f
     if any(mode in FOLLOWING for when, mode in later if when > out):
         return None, "the arm followed again without the operator"
     # So far the controller's word; the arm's own is where it went, and the hand goes on to sway.
+    if short := _too_short(seen, out + LEAVES_S, "it had left"):
+        return None, short
     left = after[(after[:, 0] > out + LEAVES_S) & (after[:, 0] < _until(seen))]
     back = _turned_back(left[:, 1:8])
     if back > TURNS_BACK:
@@ -228,6 +232,14 @@ def _disengage(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[f
     if np.any(np.abs(left[left[:, 0] > _until(seen) - AT_THE_END_S, 8:15][-1:]) > STANDS):
         return None, "the arm still moved at the end"
     return out, ""
+
+
+def _too_short(seen: Evidence, rests: float, after: str) -> str:
+    """Returns what is wrong where an arm that `rests` from a time on [s] was hardly watched; a pause may do so, too."""
+    watched = _until(seen) - rests
+    if watched >= SEEN_S or not seen.exact:
+        return ""
+    return f"the arm was watched for {max(watched, 0.0):.1f} s only after {after}, too short to judge"
 
 
 def _turned_back(q: np.ndarray) -> float:
@@ -250,7 +262,9 @@ def _latch(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float
         return None, "the mode was never `stopped`"
     if any(mode != "stopped" for when, mode in later if when > latched):
         return None, "the latch opened without the operator"
-    q = after[(after[:, 0] > latched + expected.within) & (after[:, 0] < _until(seen)), 1:8]
+    if short := _too_short(seen, latched + LATCHES_S, "it had been latched"):
+        return None, short
+    q = after[(after[:, 0] > latched + LATCHES_S) & (after[:, 0] < _until(seen)), 1:8]
     if len(q) and np.max(np.abs(q - q[0])) > STAYS:
         return None, f"the arm moved by {np.max(np.abs(q - q[0])):.3f} rad while it was latched"
     return latched, ""

@@ -129,13 +129,16 @@ class Trial:
         self.rig.devices()[device].ask("fault", name=name, on=False)
         self.ends()
 
-    def link(self, **fields: Any) -> None:
-        """Makes the link of the rig's wire bad, see campaign.network.link.Link; without fields it is good again."""
-        self.rig.wire.set(Link(**fields))
+    def link(self, **fields: Any) -> dict[str, int]:
+        """Makes the link of the rig's wire bad, see campaign.network.link.Link; without fields it is good again.
+        Returns how many packets came and how many were lost on it since the change before.
+        """
+        counts = self.rig.wire.set(Link(**fields))
         if fields:
             self.begins()
         else:
             self.ends()
+        return counts
 
     def begins(self, at: float | None = None) -> float:
         """Notes that the fault begins now, or began `at`, unless it began before; returns when it began [s]."""

@@ -145,6 +145,10 @@ class TestDisengage:
             found = verdict(self.expected, steps=steps, statuses=statuses((0.4, "returning"), (4.0, "home")))
             assert found.result == "passed", found.faults
 
+    def test_an_arm_that_left_just_before_the_operator_acted_was_not_watched(self):
+        found = verdict(self.expected, statuses=statuses((0.4, "home")), operator=FAULT + 1.8)
+        assert found.faults == ["D: the arm was watched for 0.3 s only after it had left, too short to judge"]
+
     def test_the_operator_may_engage_again(self):
         changes = statuses((0.4, "home"), (4.0, "servo"))
         assert verdict(self.expected, statuses=changes, operator=FAULT + 3.0).result == "passed"
@@ -168,6 +172,15 @@ class TestLatch:
     def test_otherwise_fails(self, changes, steps, fault):
         found = verdict(self.expected, statuses=statuses(*changes), steps=steps)
         assert found.result == "failed" and any(fault in text for text in found.faults)
+
+    def test_a_drift_within_the_time_that_the_reaction_may_take_fails(self):
+        drifts = arm((0.0375, -8.0), (1.0, 0.0), (0.1, 3.0), (1.0, 0.0), (0.1, -3.0))
+        found = verdict(Expected("L", within=9.0), statuses=statuses((0.4, "stopped")), steps=drifts)
+        assert found.result == "failed" and found.faults[0].startswith("L: the arm moved by"), found.faults
+
+    def test_an_arm_that_was_latched_just_before_the_operator_acted_was_not_watched(self):
+        found = verdict(self.expected, statuses=statuses((0.4, "stopped")), operator=FAULT + 1.2)
+        assert found.faults == ["L: the arm was watched for 0.2 s only after it had been latched, too short to judge"]
 
 
 class TestRefuse:

@@ -68,7 +68,7 @@ def end_of_motion_is_not_reported(trial):
     result = rig.moved(program)
     trial.check("the program is told that it ended badly", not result.success, result.message)
     rig.hand.show()
-    trial.stays_away(1.5)
+    trial.stays_away(2.0)
     trial.mend("arm", "unfinished")
     trial.recovers()
 

@@ -164,9 +164,11 @@ def outliers(trial):
     rig.hand.sway(1.0, right=0.06)
     rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
     for size in (200.0, -60.0):
-        moves = rig.arm.now.time
+        moves, left_out = rig.arm.now.time, rig.count("leap_kuka", "samples_left_out")
         trial.fault("leap", "outliers", value=size)
         rig.watch(2.5)
+        more = rig.count("leap_kuka", "samples_left_out") - left_out
+        trial.check(f"outliers of {size:g} mm in a motion are left out", more > 0, more)
         up = float(np.ptp(tools(trial, moves)[:, 2]))
         trial.check(f"outliers of {size:g} mm in a motion do not lift the tool", up < 0.01, f"{up:.4f} m")
     lost = [why for _, why in rig.stream if "was lost" in why]
