@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
+import multiprocessing.util
 import os
+import queue
+import select
 import signal
 import subprocess
 import sys
@@ -41,9 +45,15 @@ hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, de
 hypothesis.settings.load_profile("tests")
 
 
-OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "subprocess.Popen", "os.posix_spawn", "os.system"}
-OUTSIDE |= {"os.fork", "os.forkpty", "pty.spawn"}
+OUTSIDE = {"socket.bind", "socket.connect", "socket.sendto", "socket.sendmsg", "subprocess.Popen", "os.posix_spawn"}
+OUTSIDE |= {"os.fork", "os.forkpty", "os.system", "pty.spawn"}
 """Python's audit events (sys.addaudithook) of tests that wait for another thread or program."""
+WAITS = (
+    (time, "sleep", 0), (select, "select", 3),
+    (threading.Condition, "wait", 1), (threading.Event, "wait", 1), (queue.Queue, "get", 2),
+    (multiprocessing.util, "spawnv_passfds", None),
+)  # fmt: skip
+"""What raises no event, and the place of its time-out, where it has one; what waits for ever, waits by no clock."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by marks
@@ -66,19 +76,26 @@ def pytest_collection_modifyitems(items):
 
 
 class Watch:
-    """Sees what leaves the process during a test, and sleeps; Python has no way to remove an audit hook again."""
+    """Sees what leaves the process during a test, or waits by the clock; Python cannot remove an audit hook again."""
 
     def __init__(self) -> None:
         self.seen: set[str] = set()
         sys.addaudithook(self._hear)
-        self._sleep = time.sleep
-        time.sleep = clock.sleep = self.sleep
+        for owner, name, place in WAITS:
+            setattr(owner, name, self._counted(getattr(owner, name), f"{owner.__name__}.{name}", place))
+        clock.sleep = time.sleep
 
-    def sleep(self, seconds: float) -> None:
-        """As time.sleep; counts for the test if its own thread sleeps, as others may be those of a test before."""
-        if seconds > 0 and threading.current_thread() is threading.main_thread() and not _importing():
-            self.seen.add("time.sleep")
-        self._sleep(seconds)
+    def _counted(self, real, name: str, place: int | None):
+        """Returns it, such that it counts if the test's own thread waits: others may be those of a test before."""
+
+        @functools.wraps(real)
+        def counted(*args, **named):
+            seconds = 1 if place is None else args[place] if len(args) > place else named.get("timeout")
+            if (seconds or 0) > 0 and threading.current_thread() is threading.main_thread() and not _importing():
+                self.seen.add(name)
+            return real(*args, **named)
+
+        return counted
 
     def _hear(self, event: str, _) -> None:
         if event in OUTSIDE and not _importing():
@@ -110,7 +127,7 @@ def pytest_runtest_protocol(item):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item, nextitem):
-    """Fails a test that opens sockets, starts programs or sleeps beside tests that only compute, which displace it."""
+    """Fails a test that opens sockets, starts programs or waits beside tests that only compute, which displace it."""
     seen = item.config.stash[WATCH].seen
     mine = set(seen)
     yield

@@ -38,7 +38,7 @@ def test_a_file_that_does_not_name_its_mark_is_refused(ran, mark):
 
 
 LEAVE = """
-import os, socket, subprocess, time
+import multiprocessing, os, queue, select, socket, subprocess, threading, time
 import pytest
 from common import clock
 
@@ -58,6 +58,16 @@ def test_after(after): pass
 def test_spawn(): os.posix_spawn("/bin/true", ["true"], {})
 def test_sleep(): time.sleep(0.001)
 def test_clock(): clock.sleep(0.001)
+def test_message(): socket.socket(type=socket.SOCK_DGRAM).sendmsg([b""], [], 0, ("127.0.0.1", 9))
+def test_select(): select.select([], [], [], 0.001)
+def test_event(): threading.Event().wait(0.001)
+def test_condition():
+    with (condition := threading.Condition()): condition.wait(timeout=0.001)
+def test_queue():
+    with pytest.raises(queue.Empty): queue.Queue().get(timeout=0.001)
+def test_multiprocessing():
+    process = multiprocessing.get_context("spawn").Process(target=print)
+    process.start(), process.join()
 """
 
 
@@ -66,7 +76,10 @@ def test_a_test_that_leaves_its_process_must_be_marked(ran):
     assert code == pytest.ExitCode.TESTS_FAILED
     events = {"bind": "socket.bind", "popen": "subprocess.Popen", "before": "os.system", "after": "os.system"}
     events |= {"spawn": "os.posix_spawn", "sleep": "time.sleep", "clock": "time.sleep"}
-    failed = dict(re.findall(r"ERROR at teardown of test_(\w+) _+\n.*\['(.*)'\]", said))
+    events |= {"message": "socket.sendmsg", "select": "select.select", "condition": "Condition.wait"}
+    events |= {"event": "Condition.wait, Event.wait", "queue": "Condition.wait, Queue.get"}
+    events |= {"multiprocessing": "multiprocessing.util.spawnv_passfds"}
+    failed = dict(re.findall(r"ERROR at teardown of test_(\w+) _+\n.*\[(.*)\]", said.replace("'", "")))
     assert failed == events, said
     for mark in ("real", "long"):
         assert ran(f"{LEAVE}pytestmark = pytest.mark.{mark}\n")[0] == pytest.ExitCode.OK
@@ -74,8 +87,9 @@ def test_a_test_that_leaves_its_process_must_be_marked(ran):
 
 def test_who_only_gives_way_or_sleeps_in_virtual_time_needs_no_mark(ran):
     code, said = ran(
-        "import time\nfrom common import clock\nfrom simulated.clock import virtual_time\n"
-        "def test_a():\n    time.sleep(0)\n    with virtual_time():\n        clock.sleep(1.0)\n"
+        "import threading, time\nfrom common import clock\nfrom simulated.clock import virtual_time\n"
+        "def test_a():\n    time.sleep(0), threading.Event().wait(0)\n"
+        "    with virtual_time():\n        clock.sleep(1.0)\n"
     )
     assert code == pytest.ExitCode.OK, said
 

@@ -137,7 +137,7 @@ class _Rigs:
         self.judged.append(entry.number)
         self.running.set()
         if self._lasts:
-            assert self.stopped.wait(30.0)
+            self.stopped.wait()
         return {"result": "passed", "faults": [], "seconds": 0.0}
 
     def stop(self):
@@ -156,7 +156,7 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
     monkeypatch.setattr(run, "KeptRig", lambda traces: rig)
 
     def completed(working):
-        assert rig.running.wait(30.0)
+        rig.running.wait()
         raise KeyboardInterrupt
 
     def tell(*_):

@@ -326,7 +326,7 @@ def test_locks_and_queues_answer_as_the_standard_library_s(virtual):
         with again, again:
             condition = clock.Condition(again)
             with condition:
-                assert condition.wait(0.001) is False
+                assert condition.wait(0.001 if virtual else 0.0) is False
                 assert condition.wait_for(lambda: 7, 1.0) == 7
         with pytest.raises(RuntimeError):
             again.release()
@@ -596,6 +596,7 @@ class TestEnds:
         finally:
             signal.signal(signal.SIGUSR1, before)
 
+    @pytest.mark.real
     def test_a_thread_that_computes_for_ever_ends_with_the_rest(self, monkeypatch):
         """It never gives way: pytest's time is up, and the next test must run."""
         monkeypatch.setattr(scheduling, "POLL_S", 0.02)

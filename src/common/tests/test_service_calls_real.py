@@ -122,6 +122,7 @@ def test_a_node_that_hangs_costs_one_thread_at_most_and_never_executes_what_was_
     assert not listens(uri)
 
 
+@pytest.mark.real
 def test_a_call_that_is_given_up_after_the_request_ends(monkeypatch):
     from std_srvs.srv import SetBool
 

@@ -53,6 +53,7 @@ def in_process_fixture(monkeypatch):
     monkeypatch.setattr(evaluate, "multiprocessing", threads)
 
 
+@pytest.mark.real
 def test_shards_are_made_once(data, monkeypatch):
     monkeypatch.setattr(make_dataset, "SHARD", 2)
     names = ["train_000000.npz", "train_000002.npz", "validation_000000.npz"]

@@ -318,6 +318,7 @@ def test_nothing_to_test_on_is_refused(data, monkeypatch, capsys, tmp_path):
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.real
 def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
     file = tmp_path / "grasps.json"
     call(monkeypatch, evaluate, "--scenes", "2", "--export", file, "--weights", "GG-CNN2", WEIGHTS)
