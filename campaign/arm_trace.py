@@ -38,7 +38,7 @@ class Sample:
 
 
 class ArmTrace:
-    """What the arm did since the last `forget`, and requests to its control port.
+    """What the arm did since the last `forget`, and requests to its control port, answered within `patience` [s].
 
     Attributes:
         samples: its states; `now` is the last.
@@ -49,8 +49,8 @@ class ArmTrace:
         heard: when the arm last answered [s].
     """
 
-    def __init__(self, host: str, port: int) -> None:
-        self._client = ControlClient(host, port)
+    def __init__(self, host: str, port: int, patience: float = 2.0) -> None:
+        self._client = ControlClient(host, port, patience)
         self.samples: list[Sample] = []
         self.steps: list[list[float]] = []
         self.events: list[tuple[float, str]] = []

@@ -32,6 +32,7 @@ PERIOD_S = 1.0 / 50.0
 
 ENTRY_M, ENTRY_S = 0.25, 0.8
 GONE_FRAMES = 70  # more than the node under test waits for a hand that is missing
+PATIENCE_S = 60.0  # longest wait for an answer: a pause of the machine is no fault of the rig
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
 """Centre of the interaction box with the parameters as shipped, in Leap axes."""
 
@@ -148,7 +149,7 @@ class PuppetClient:
     """The calls of a HandPuppet that runs as a program, for the test's process."""
 
     def __init__(self, port: int) -> None:
-        self._client = ControlClient(HOST, port)
+        self._client = ControlClient(HOST, port, PATIENCE_S)
 
     def show(self, **at: float) -> None:
         self._client.ask("show", at=at)

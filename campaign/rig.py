@@ -26,7 +26,7 @@ from tf2_msgs.msg import TFMessage
 from campaign.arm_trace import ArmTrace
 from campaign.clocks import Clock
 from campaign.crowd import bound, burners
-from campaign.hand_puppet import PuppetClient
+from campaign.hand_puppet import PATIENCE_S, PuppetClient
 from campaign.network.link import CLEAR
 from campaign.network.wire import Wire
 from campaign.sockets import DeafSubscriber
@@ -119,7 +119,7 @@ class RigUnderTest:
             lambda: re.match(r"ready (\d+) (\d+) (\d+)\n", leap.log_path.read_text()), "the Leap service", START_S
         )
         self.hand = PuppetClient(int(ready[3]))
-        self.leap = ControlClient(leap_host, int(ready[2]))
+        self.leap = ControlClient(leap_host, int(ready[2]), PATIENCE_S)
         self.listen()
         robot, hand = self._shared.free_port(), self._shared.free_port()
         self._arguments = {
@@ -131,11 +131,11 @@ class RigUnderTest:
         if self._sees:
             self._arguments.update(world_port=self._shared.free_port(), camera_control_port=self._shared.free_port())
         self.launch()
-        self.arm = ArmTrace(robot_host, robot)
-        self.robot_hand = ControlClient("127.0.0.1", hand)
+        self.arm = ArmTrace(robot_host, robot, PATIENCE_S)
+        self.robot_hand = ControlClient("127.0.0.1", hand, PATIENCE_S)
         self.wait(lambda: self.mode in ("home", "stopped"), "the arm at home, or latched by a pause", START_S)
         if self._sees:
-            self.camera = ControlClient("127.0.0.1", self._arguments["camera_control_port"])
+            self.camera = ControlClient("127.0.0.1", self._arguments["camera_control_port"], PATIENCE_S)
             self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", 2.0 * START_S)
         self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", START_S)
 
@@ -207,8 +207,8 @@ class RigUnderTest:
         self.wait(lambda: self.mode not in ("", "starting"), "the controller", MOVE_S)
         self.gripper(False)
         self.control(False)
-        self.wait(self._comes_home, "the arm at home", MOVE_S)
-        self.wait(lambda: self.stream_state == "waiting", "the stream to end")
+        self.wait(self._comes_home, "the arm at home", START_S)
+        self.wait(lambda: self.stream_state == "waiting", "the stream to end", MOVE_S)
         for record in (
             self.modes,
             self.desired,
@@ -385,7 +385,7 @@ class RigUnderTest:
     def watch(self, seconds: float) -> None:
         """Lets so much time pass on the arm's clock."""
         until = self.arm.now.time + seconds
-        self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + SOON_S)
+        self.wait(lambda: self.arm.now.time >= until, f"{seconds} s on the arm's clock", seconds + PATIENCE_S)
 
     def wait_for_mode(self, *modes: str) -> None:
         """Waits until the controller is in one of these modes."""

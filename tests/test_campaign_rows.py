@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 
 import pytest
 
 pytest.importorskip("rig_msgs.srv")
 from campaign import rows, run, trial
+from campaign.judge import FOLLOWING
 from campaign.rig import RigUnderTest
 from campaign.virtual import judged
 from leap_rig.recording.ros import record_program
@@ -91,10 +93,9 @@ def modes(folder, entry):
 
 
 @pytest.mark.real
-@pytest.mark.xdist_group("real rig")
 class TestRealRig:
-    """Two rows by the real clock. A pause of the machine may end a stream or a link before the fault does, and an
-    operator begins anew. What is asserted is what no pause changes: what came of the fault, in which order.
+    """Two rows by the real clock. A pause of the machine may end a stream or a link, too, and latch the arm. What is
+    asserted is what no pause changes: the arm leaves the hand, and only an operator brings it back.
     """
 
     @pytest.fixture(scope="class")
@@ -113,29 +114,32 @@ class TestRealRig:
         whole_rig.calm()
         operate(whole_rig, lambda: whole_rig.mode == "servo", "servo mode")
         before = whole_rig.pids()
+        del whole_rig.modes[:-1], whole_rig.said[:]
         yield whole_rig
         assert {name: pid for name, pid in before.items() if not whole_rig.runs(pid)} == {}
 
     def test_an_arm_that_is_lost_is_latched_until_the_operator_acts(self, rig):
         rig.arm.ask("fault", name="cut", duration=1.5)
-        rig.wait_for_modes("servo", "stopped")
-        rig.wait(lambda: says(rig, "the link to the controller broke"), "the reason")
-        rig.wait(lambda: says(rig, "connected again"), "the connection", 60.0)
+        rig.wait(lambda: "stopped" in rig.modes, "the latch", 60.0)
+        rig.wait(lambda: says(rig, "link to the controller broke|out of reach|not answer"), "the reason", 60.0)
+        rig.wait(lambda: says(rig, "connected again|answers again"), "the connection", 60.0)
         rig.watch(1.0)
         assert rig.modes[-1] == "stopped" and not rig.status.control_on
         operate(rig, lambda: rig.mode == "servo", "the arm that follows again")
 
     def test_an_arm_whose_hand_is_lost_goes_home_and_follows_no_hand_that_is_there_again(self, rig):
         rig.leap.ask("fault", name="hand_lost", duration=2.0)
-        rig.wait_for_modes("servo", "returning", "home")
-        assert any(says(rig, text) for text in ("was lost", "no tracking frames come in", "No new desired tool frame"))
+        rig.wait(lambda: rig.mode in ("home", "stopped"), "the arm at home, or latched by a pause", 60.0)
+        lost = "was lost|no tracking frames come in|No new desired tool frame|out of reach|not answer"
+        rig.wait(lambda: says(rig, lost), "the reason", 60.0)
         rig.watch(4.0)
-        assert rig.mode == "home"
+        left = next(i for i, mode in enumerate(rig.modes) if mode not in FOLLOWING)
+        assert not set(rig.modes[left:]) & set(FOLLOWING)
         operate(rig, lambda: rig.mode == "servo", "the arm that follows again")
 
 
 def says(rig, text):
-    return any(text in said for _, _, said in list(rig.said))
+    return any(re.search(text, said) for _, _, said in list(rig.said))
 
 
 def operate(rig, condition, what):
