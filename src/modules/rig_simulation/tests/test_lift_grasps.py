@@ -123,6 +123,7 @@ def content(**more):
     return {"schema": 2, "scenes": [{**scene, **more}]}
 
 
+@pytest.mark.real
 def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     file, results = tmp_path / "grasps.json", tmp_path / "results.json"
     file.write_text(json.dumps(content()))
@@ -146,6 +147,7 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     assert "holds trials with --tips 4:" in capsys.readouterr().err
 
 
+@pytest.mark.real
 def test_the_program_lowers_the_hand_as_asked_and_older_files_hold_trials_at_4_mm(tmp_path, capsys):
     file, results = tmp_path / "grasps.json", tmp_path / "results.json"
     T = grasp()
