@@ -300,6 +300,15 @@ def ros(ros_master, processes, monkeypatch):
 
 
 @pytest.fixture
+def wires():
+    """Sockets in memory and in virtual time, see simulated/wires.py."""
+    from simulated.wires import virtual_wires
+
+    with virtual_wires() as made:
+        yield made
+
+
+@pytest.fixture
 def virtual_graph():
     """A ROS graph in this process and in virtual time, see simulated/graph.py."""
     from simulated.graph import Graph

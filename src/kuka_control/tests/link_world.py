@@ -6,7 +6,6 @@ import contextlib
 from functools import partial
 
 import numpy as np
-import pytest
 from loop_world import CLOCK, rig, shifted
 
 from common import clock
@@ -23,8 +22,7 @@ from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 from rig_simulation.files import read_urdf
-from simulated.clock import virtual_time
-from simulated.wires import Wires
+from simulated.wires import virtual_wires
 
 PROBES = {"getPin3", "getJointsPositions"}
 CYCLE_S = 0.004
@@ -127,7 +125,5 @@ class Bench:
 @contextlib.contextmanager
 def bench(seed=0):
     """A bench in virtual time."""
-    with pytest.MonkeyPatch.context() as patch, virtual_time(seed) as scheduler:
-        wires = Wires(scheduler)
-        wires.stand_in(patch)
-        yield Bench(scheduler, wires)
+    with virtual_wires(seed) as wires:
+        yield Bench(wires.scheduler, wires)

@@ -9,7 +9,7 @@ import struct
 import pytest
 
 from common import clock
-from simulated.wires import DELAY_S, Socket, Wires, virtual_wires
+from simulated.wires import DELAY_S, Socket, Wires
 
 HOME = "-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_\n"
 
@@ -88,13 +88,6 @@ class ScriptedServer:
 
     def _answer(self, word: str) -> bytes:
         return self._once[word].pop(0) if self._once.get(word) else self.answers.get(word, b"")
-
-
-@pytest.fixture
-def wires():
-    """Wires in virtual time, with the client's transport on them."""
-    with virtual_wires() as wires:
-        yield wires
 
 
 @pytest.fixture

@@ -11,15 +11,6 @@ sys.path.append(str(Path(__file__).parent))
 
 
 @pytest.fixture
-def wires():
-    """Wires in virtual time."""
-    from simulated.wires import virtual_wires
-
-    with virtual_wires() as wires:
-        yield wires
-
-
-@pytest.fixture
 def serve(wires):
     """Starts a simulated controller, with a client of its control port."""
     from toolbox_client import ROBOT
