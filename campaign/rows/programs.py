@@ -106,7 +106,7 @@ def node_killed(trial):
         trial.signal(name, signal.SIGKILL)
         trial.reads(f"{name}.*process has died")
         rig.wait_for_modes("returning", "home")
-        trial.stays_away(1.0)
+        trial.stays_away(2.0)
         trial.part(name, Expected("D", 4.0, f"{name}.*process has died", operator=True, limits=ROBOT_BRAKES))
         rig.hand.hide()
         rig.start(name)
