@@ -203,7 +203,7 @@ def queue_builds_up(trial):
         pause(rig, TELEOP, 0.9)
         trial.ends()
         rig.wait_for_modes("home")
-        trial.stays_away(1.0)
+        trial.stays_away(2.0)
         old = [age for age in ages if age > STALE_S]
         trial.check("no frame comes out of a queue but the one that was at work", len(old) <= 1, old)
         trial.part("the teleoperation stands still", Expected("D", 0.8, operator=True))
