@@ -89,6 +89,7 @@ class RigUnderTest:
         self.wire, self.core = wire, core
         self.clock: Clock | None = None
         self._shared = shared
+        self._wait_until = shared.wait_until if shared else None
         self._arguments = arguments
         self._sees = arguments.get("world") == "true"
         self.camera: ControlClient | None = None
@@ -359,7 +360,7 @@ class RigUnderTest:
     def wait(self, condition, what: str, timeout: float = SOON_S):
         """Waits until the condition is true and returns its value; fails the test if that takes too long."""
         try:
-            return self._shared.wait_until(condition, timeout, what)
+            return self._wait_until(condition, timeout, what)
         except pytest.fail.Exception as failure:
             pytest.fail(f"{failure.msg}\n{self.situation}")
 

@@ -67,7 +67,7 @@ class VirtualRig(real.RigUnderTest):
     def __init__(self, graph: Graph, variant: str = "shipped", **arguments: str) -> None:
         kind, _, wire = variant.partition("/")
         super().__init__(None, Path(), BadLink(graph, wire) if wire else None, **{**VARIANTS[kind], **arguments})
-        self.graph = graph
+        self.graph, self._wait_until = graph, graph.wait_until
         self._resources = contextlib.ExitStack()
         self._programs: list[Any] = []
         if kind == SHIFTED:
@@ -213,13 +213,6 @@ class VirtualRig(real.RigUnderTest):
         """Waits until a node ends and returns its exit code."""
         nodes = [node for node in self._programs if node.name == f"/{name}"]
         return self._started.get(name, *nodes[-1:]).wait(real.MOVE_S)
-
-    def wait(self, condition: Any, what: str, timeout: float = real.SOON_S) -> Any:
-        """Waits until the condition is true and returns its value; fails the test if that takes too long."""
-        try:
-            return self.graph.wait_until(condition, timeout, what)
-        except pytest.fail.Exception as failure:
-            pytest.fail(f"{failure.msg}\n{self.situation}")
 
     @property
     def log(self) -> str:

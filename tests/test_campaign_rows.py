@@ -27,7 +27,7 @@ VIRTUAL = [entry for entry in ENTRIES.values() if not entry.real]
 DANGEROUS = [entry for entry in VIRTUAL if entry.dangerous]
 TIMES = json.loads(run.TIMES.read_text())
 SPREAD_S, TOLD_S = 0.06, 0.12
-"""What the order of threads and the delays of messages change: some cycles, or the period in which a reason is told."""
+"""How much a time depends on the order of threads and the delays of messages: cycles, or the period of a reason."""
 SEEDS = range(1, 20)
 
 

@@ -65,7 +65,7 @@ class ScriptedServer:
         clock.sleep(DELAY_S)
 
     def freeze(self, frozen: bool = True) -> None:
-        """It stands still, and its kernel keeps the connection; or goes on."""
+        """It stands still, and its kernel keeps the connection; or continues."""
         (self._suspended.add if frozen else self._suspended.discard)("server")
 
     def has_ended(self) -> bool:

@@ -87,7 +87,7 @@ def test_half_open(server, moving, fault):
     before = joint(server)
     moving.send("getJointsPositions\n")
     assert moving.silent(0.5)
-    assert joint(server) > before + 0.01, "the arm goes on"
+    assert joint(server) > before + 0.01, "the arm continues"
     fault("half_open", on=False)
     assert moving.hear().count("_") == 7, "what was sent meanwhile is answered at the end"
 
