@@ -547,6 +547,8 @@ def test_guarded_motion_breaks_at_the_torque():
     wire.ask(HOME_LINE)
     assert wire.last_word("doPTP!inJS")[0] == "done\n"
     assert wire.last_word("doPTP!inJS_7_-5_5_")[0] == "nak\n"
+    for line in ("doPTP!inJS_0_-5", "doPTP!inJS_0_-5_x", f"doPTP!inJS{8 * '_0_-5_5'}"):  # torn or too many: no motion
+        assert wire.ask(line) == ["nak\n"] and not wire.application.busy
     assert wire.ask("doPTP!inJS_0_-5_5_3_-5_5_") == ["done\n"]
     wire.wait(1.0)
     wire.arm.set_external_torque(np.array([0, 0, 0, 6.0, 0, 0, 0]))
@@ -555,6 +557,21 @@ def test_guarded_motion_breaks_at_the_torque():
     wire.arm.set_external_torque(np.zeros(7))
     assert wire.ask("doPTP!inJS_0_-5_5_3_-5_5_") == ["done\n"]
     assert wire.wait_for_reply() == "done\n"
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.15, 0.3])
+def test_a_motion_that_breaks_comes_to_rest_as_fast_as_it_was_planned_to_start(speed):
+    wire = Wire()
+    wire.ask(f"jRelVel_{speed}_")
+    wire.ask(HOME_LINE)
+    wire.ask("doPTP!inJS_0_-5_5_")
+    wire.wait(0.3)
+    braking = np.max(np.abs(wire.arm.v) / wire.arm.motion_acceleration)
+    wire.arm.set_external_torque(np.array([6.0, 0, 0, 0, 0, 0, 0]))
+    wire.wait(braking - 0.003)
+    assert wire.arm.v.any()
+    wire.wait(0.005)
+    assert not wire.arm.v.any()
 
 
 def test_end_stops_the_servo_and_answers_nothing():

@@ -7,6 +7,7 @@ import pytest
 from common.rotations import rotation_from_zyx
 from rig_simulation.devices.reflex.wire import POSITION, ModeCommand, TargetCommand
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.motions import leaves_torque_ranges
 from rig_simulation.devices.sunrise.paths import JointMove
 from rig_simulation.devices.sunrise.robot import Robot
 from rig_simulation.files import read_scene, read_urdf
@@ -183,6 +184,27 @@ def test_a_planned_motion_into_the_table_is_paused_backs_off_along_its_way_and_e
     rig.run(lambda: not rig.arm.in_motion)
     np.testing.assert_allclose(rig.arm.q, goal, atol=1e-9)
     assert rig.arm.safety_stop is None
+
+
+def test_a_post_stands_fast_and_what_the_arm_feels_of_it_ends_a_guarded_motion():
+    """Turned about joint 1 the hand meets it; the guard acts at 10 Nm, the safety stop at 25 Nm."""
+    forces = {}
+    for guard in (None, leaves_torque_ranges(np.array([(joint, -10.0, 10.0) for joint in range(7)]))):
+        rig = Rig()
+        post = {"position": [-0.05, 0.25], "radius": 0.03, "height": 1.0}
+        rig.world.set_scene({**read_scene("empty"), "posts": {"one": post}})
+        goal, greatest = HOME + np.radians([60, 0, 0, 0, 0, 0, 0]), 0.0
+        move = JointMove(rig.arm.q, goal, 0.15 * rig.arm.robot.max_speed, rig.arm.motion_acceleration)
+        rig.arm.start_motion(move, guard)
+        for _ in range(4000):
+            rig.arm.step(DT)
+            touching = [c["force"] for c in rig.world.contacts() if "post/one" in c["bodies"]]
+            greatest = max(greatest, sum(touching))
+        assert touching, "it presses on"
+        assert rig.arm.in_motion == (guard is None), "a safety stop only pauses a motion"
+        forces[guard] = greatest
+    guarded, plain = forces.pop(guard), forces.pop(None)
+    assert 30.0 < guarded < 0.95 * plain, (guarded, plain)
 
 
 def test_without_a_stop_there_is_nothing_to_back_off_from():

@@ -61,6 +61,8 @@ def test_there_is_a_scene_with_one_of_each_kind():
         (lambda s: s["objects"]["bottle"].update(neck_height=0.2), "objects/bottle/the neck must be lower"),
         (lambda s: s["objects"].update({"My Cup": s["objects"]["cup"]}), "objects/My Cup"),
         (lambda s: s.update(objects=[1]), "objects is [1]"),
+        (lambda s: s.update(posts=[1]), "posts is [1]"),
+        (lambda s: s.update(posts={"p": {"position": [0, 0], "radius": 0, "height": 1}}), "posts/p/radius is 0"),
     ],
 )
 def test_the_faults_of_a_scene_are_named(change, sentence):

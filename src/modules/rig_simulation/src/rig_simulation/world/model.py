@@ -4,9 +4,9 @@ Processes that build it from the same description have the same model; a `WorldC
 world frame is upright with its origin in the arm's base; with an upright arm it is `kuka/base_frame`.
 With several robots the origin is that of the frame `world`, and a robot's names have its prefix: left/kuka/link_1.
 Names: bodies and joints of the robot as in its URDF, and `panel` with `panel/plate` and `panel/tag_<id>` on its flange;
-`table`, `floor`; `object/<name>`, each with a free joint of that name; cameras `camera_rgb_optical_frame`,
-`camera_depth_optical_frame`, which look along their own -z with y up, as in MuJoCo: the optical frames turned by half a
-turn about x.
+`table`, `floor`, `post/<name>`; `object/<name>`, each with a free joint of that name; cameras
+`camera_rgb_optical_frame`, `camera_depth_optical_frame`, which look along their own -z with y up, as in MuJoCo: the
+optical frames turned by half a turn about x.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     ET.SubElement(world, "light", pos="0.5 0 2.5", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
     floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
     geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
-    add_table(world, scene.table)
+    add_table(world, scene.table, scene.posts)
     _add_camera(world, scene.camera)
     placements = description.placements
     _check_panel_arm(description, placements)

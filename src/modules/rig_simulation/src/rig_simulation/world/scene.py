@@ -16,7 +16,7 @@ import numpy as np
 
 from common.config import integer, number, parse_part, vector
 from common.errors import ConfigError
-from common.poses import pose
+from common.poses import pose, translation
 from common.rotations import rotation_about
 from common.tag36h11 import CELLS, black_cells
 from rig_simulation.world.mjcf import BOARD, OBJECT, body, geom
@@ -123,6 +123,15 @@ class Bottle(SceneObject):
         return []
 
 
+@dataclasses.dataclass(frozen=True)
+class Post:
+    """A cylinder that stands fast on the table, or at its height beside it."""
+
+    position: np.ndarray = vector(2, "m", doc="from the table's centre along its sides")
+    radius: float = number("m", above=0.005, high=0.2)
+    height: float = number("m", above=0.005, high=2.0, doc="above the table top")
+
+
 KINDS: dict[str, type[SceneObject]] = {"cup": Cup, "box": Cuboid, "ball": Ball, "cylinder": Cylinder, "bottle": Bottle}
 
 
@@ -156,6 +165,7 @@ class WorldScene:
     camera: CameraPose  # its pose
     scatter: float  # largest random offset of objects in x and y [m]; 0 places them exactly
     objects: Mapping[str, SceneObject]  # by name
+    posts: Mapping[str, Post] = dataclasses.field(default_factory=dict)  # by name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -166,17 +176,20 @@ class _Rest:
 def scene_from(values: Any) -> WorldScene:
     """Returns the scene that a yaml mapping describes; raises ConfigError with all faults."""
     faults: list[str] = []
-    rest = parse_part(_Rest, values, "", faults, ("table", "camera", "objects"))
-    sections = values if isinstance(values, Mapping) else {}
-    table_values, camera_values, listed = (_section(sections, key, faults) for key in ("table", "camera", "objects"))
-    if table_values is None or camera_values is None or listed is None:
+    rest = parse_part(_Rest, values, "", faults, ("table", "camera", "objects", "posts"))
+    sections: Mapping[str, Any] = {"posts": {}, **values} if isinstance(values, Mapping) else {}
+    names = ("table", "camera", "objects", "posts")
+    table_values, camera_values, listed, standing = (_section(sections, key, faults) for key in names)
+    if table_values is None or camera_values is None or listed is None or standing is None:
         raise ConfigError(faults)
     table = parse_part(Table, table_values, "table/", faults)
     camera = parse_part(CameraPose, camera_values, "camera/", faults)
     shapes = {name: _object(name, entry, faults) for name, entry in listed.items()}
+    posts = {str(name): parse_part(Post, entry, f"posts/{name}/", faults) for name, entry in standing.items()}
     if faults or rest is None or table is None or camera is None:
         raise ConfigError(faults)
-    return WorldScene(table, camera, rest.scatter, {name: shape for name, shape in shapes.items() if shape is not None})
+    objects = {name: shape for name, shape in shapes.items() if shape is not None}
+    return WorldScene(table, camera, rest.scatter, objects, {name: post for name, post in posts.items() if post})
 
 
 def board_from(values: Any) -> MarkerBoard:
@@ -214,6 +227,7 @@ def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
 
 
 TABLE_THICKNESS, TABLE_COLOUR = 0.03, (0.72, 0.6, 0.45)
+POST_COLOUR = (0.85, 0.65, 0.2)
 WALL_PLATES = 16
 FEET, FOOT_RADIUS, FOOT_OUT = 8, 0.0025, 0.0005
 """A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points."""
@@ -228,11 +242,15 @@ def table_pose(table: Table) -> np.ndarray:
     return pose(rotation_about(2, np.radians(table.yaw)), (*table.centre, table.top))
 
 
-def add_table(world: ET.Element, table: Table) -> None:
-    """Adds the board of the table to the world."""
+def add_table(world: ET.Element, table: Table, posts: Mapping[str, Post]) -> None:
+    """Adds the board of the table to the world, and the posts."""
     look: dict[str, Any] = {"friction": table.friction, "colour": TABLE_COLOUR}
     half = (*(table.size / 2.0), TABLE_THICKNESS / 2.0)
     geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -TABLE_THICKNESS / 2.0), **look)
+    for name, post in posts.items():
+        size = (post.radius, post.height / 2.0)
+        standing = body(world, f"post/{name}", table_pose(table) @ translation(*post.position, post.height / 2.0))
+        geom(standing, f"post/{name}", BOARD, "cylinder", size, friction=table.friction, colour=POST_COLOUR)
 
 
 def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:

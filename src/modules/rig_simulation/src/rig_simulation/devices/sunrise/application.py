@@ -375,7 +375,9 @@ class Application:
         return self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
 
     def _guarded(self, words: list[str], make: Planner, arrived: Condition) -> str:
-        ranges = finite(words[: len(words) // 3 * 3]).reshape(-1, 3)
+        ranges = finite(words).reshape(-1, 3)  # raises ValueError for an incomplete range, too
+        if len(ranges) > 7:
+            raise ValueError(f"{len(ranges)} ranges")
         unknown = [joint for joint in ranges[:, 0] if not 0 <= int(joint) <= 6]
 
         def guarded(arm: SimulatedArm, goals: Goals) -> PlannedMotion | None:

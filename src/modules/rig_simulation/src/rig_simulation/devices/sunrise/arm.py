@@ -20,7 +20,6 @@ from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_T
 
 FULL_SPEED_TIME_S = 0.1  # time until a joint at its acceleration limit reaches full speed; the data sheet has none
 MOTION_FRACTION = 0.4  # of the acceleration limit for planned motions; the rest is reserved for braking on the path
-PAUSE_TIME_S = 0.25  # time in which a planned motion stops, and in which it regains its speed
 SAFETY_PERIOD_STEPS = 4
 MAX_CATCH_UP_S = 1.0
 MAX_CATCH_UP_IN_ENVIRONMENT_S = 0.05  # the arm rather loses time: steps take longer there, and requests wait
@@ -279,7 +278,7 @@ class SimulatedArm:
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
         if self._still_backing_off(self._motion_time > 0.0):
             wanted = -BACK_OFF_FRACTION
-        change = dt / PAUSE_TIME_S
+        change = dt / motion.braking_time  # as fast as it was planned; of a real arm's braking nothing is published
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
         self._motion_rate = rate

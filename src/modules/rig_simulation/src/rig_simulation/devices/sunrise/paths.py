@@ -24,6 +24,7 @@ class SmoothStep:
         self._speed = min(speed, (2.0 * acceleration / np.pi) ** 0.5)
         self._ramp = np.pi * self._speed / (2.0 * acceleration)
         self.duration = 1.0 / self._speed + self._ramp
+        self.braking_time = self._speed / acceleration
 
     def at(self, t: float) -> float:
         """Returns s at time t [s]."""
@@ -51,7 +52,7 @@ class JointMove:
         self._step = SmoothStep(
             float(np.min(speed[moved] / distance[moved])), float(np.min(acceleration[moved] / distance[moved]))
         )
-        self.duration = self._step.duration
+        self.duration, self.braking_time = self._step.duration, self._step.braking_time
 
     def at(self, t: float) -> np.ndarray:
         """Returns the joint angles, shape (7,) [rad], at time t [s]."""
@@ -75,7 +76,7 @@ class PathMove:
         v = np.diff(q, axis=0) / dt
         a = np.diff(v, axis=0) / dt
         self._slower = max(1.0, np.max(np.abs(v) / speed), np.max(np.abs(a) / acceleration) ** 0.5)
-        self.duration = step.duration * self._slower
+        self.duration, self.braking_time = step.duration * self._slower, step.braking_time * self._slower
 
     def at(self, t: float) -> np.ndarray:
         """Returns the joint angles, shape (7,) [rad], at time t [s]."""
@@ -103,7 +104,9 @@ NEGLIGIBLE = 1e-9
 
 
 PlannedMotion = Union[JointMove, PathMove]
-"""`at(t)` returns the joint angles at its own time t up to its `duration` [s], beyond it those of the end."""
+"""`at(t)` returns the joint angles at its own time t up to its `duration` [s], beyond it those of the end.
+`braking_time`: from its greatest speed to rest, at its greatest acceleration [s].
+"""
 
 
 class Unreachable(ValueError):
