@@ -64,13 +64,20 @@ def test_scaling_outside_its_range_is_refused(factor):
     assert not answer.success and "0.1 to 1.5" in answer.message and s.now.scale == 1.0
 
 
-def test_scaling_is_refused_while_control_is_on():
+@pytest.mark.parametrize("on", [False, True])
+def test_scaling_may_change_whether_control_is_on_or_off(on):
     s = switches()
-    s.set_control(True)
-    answer = s.set_scale(0.7)
-    assert not answer.success and "control is on" in answer.message
-    s.set_control(False)
-    assert s.set_scale(np.float32(0.7)).message == "The scaling factor is 0.7."
+    s.set_control(on)
+    assert s.set_scale(np.float32(0.7)) == (True, "The scaling factor is 0.7.") and s.now.scale == 0.7
+
+
+@pytest.mark.parametrize("outlook", [None, "It comes too slowly and is not followed."])
+def test_the_answer_says_what_becomes_of_the_frame_that_comes(outlook):
+    s = switches()
+    s.report("home", None, outlook)
+    answer = s.set_control(True)
+    assert answer.success and answer.message.startswith("Control is on. ")
+    assert (outlook or "once it comes") in answer.message and "home first" not in answer.message
 
 
 def test_exit_switches_everything_off_for_good():

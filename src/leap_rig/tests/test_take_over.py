@@ -22,6 +22,7 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig as KukaRig
 from kuka_control.model.switches import SwitchState
+from kuka_control.model.target import Scaling
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.tool_hold import HoldState
@@ -123,7 +124,7 @@ class Rig:
         self.control_on = True
         self.teleop.control(True)
         self.modes.clear()
-        T_base_desired = self.rig.chain.desired(T_base_tool, self.scale)
+        T_base_desired = self.rig.chain.desired(T_base_tool, Scaling(self.scale))
         assert self.teleop.hold(T_base_desired, seconds, self.now).success
         return self.run(1.0)
 

@@ -7,8 +7,9 @@ has a handler, which answers a command, or the trigger that ends the state. tran
 follows. While a motion runs, desired tool frames are disregarded; afterwards only new ones count.
 
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
-was switched off and on again, with a motion home. And only a stream of desired tool frames that begins while control
-is on is followed, so that the conditions under which a stream starts hold when the arm starts.
+was switched off and on again, with a motion home. A hand is followed only if its stream of desired tool frames begins
+while control is on, so that the conditions under which a stream starts hold when the arm starts. A stream that no hand
+brings is taken over if it is near. And no motion that nobody asked for is repeated at once (own_motions.py).
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ from common.poses import read_only
 from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
+from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
-from kuka_control.model.target import Target, TargetChain
+from kuka_control.model.target import Scaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
 if TYPE_CHECKING:
@@ -73,6 +75,9 @@ MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.TO_GOAL,
 """The states in which a PTP motion runs."""
 BY_PROGRAM = frozenset((State.TO_GOAL, State.LINE, State.LINE_BRAKING))  # the states in which a program moves the arm
 WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED, State.LINE}  # the states that forget the target
+KEEPS_SCALING = frozenset((State.PICK_UP, State.AT_POSE, State.SERVO, State.BRAKING, State.SERVO_LEFT))
+"""The states in which a new scaling factor counts from the present pose on."""
+WAITING = frozenset((State.HOME, State.AT_GOAL, State.AT_POSE, State.SERVO_LEFT))  # from which it begins to
 BRAKES = (State.BRAKING, State.LINE_BRAKING)  # the states that keep the stream of goals, and why it ended
 CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
 STANDS_RAD = 5e-4  # an arm whose joints are no further off still is where the check of a path began
@@ -138,6 +143,8 @@ class ControlLoop(ABC, Generic[Settings]):
         counts: of what happened so far.
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
+        outlook: what becomes of the desired tool frame that comes now, once control goes on, a sentence; None if none
+            comes.
     """
 
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
@@ -147,6 +154,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
+        self.outlook: str | None = None
         self.guard_scale = 1.0
         self._settings = settings
         self._chain = chain
@@ -167,12 +175,18 @@ class ControlLoop(ABC, Generic[Settings]):
         self._infeasible: str | None = None
         self._doubt: tuple[np.ndarray, np.ndarray] | None = None  # where the arm stands whose joints are not believed
         self._target_stamp = 0.0
+        self._scaling = Scaling()
+        self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
         self._blocked: tuple[str, float] | None = None  # why a pick-up motion is refused, and until when [s]
         self._enable_count = 0
         self._barred: int | None = None  # the stream of desired tool frames that does not count
         self._barred_because = BARRED
+        self._early: int | None = None  # the stream that ran before control went on, until the arm follows it
+        self._announced: float | None = None  # when it was said that the arm takes it over [s]
+        self._own = OwnMotions()
+        self._waits: tuple[str, float] | None = None  # why the arm does not repeat a motion, and since when [s]
         self._move: ProgramMotion | None = None  # the last motion for a program that started
         self._q_before = Q_ZERO  # joints where it started
         self._cancelled = False  # whether the program has cancelled it
@@ -192,7 +206,9 @@ class ControlLoop(ABC, Generic[Settings]):
         inputs = observation.inputs
         if inputs.switches.enable_count != self._enable_count:
             self._enable_count = inputs.switches.enable_count
-            self._barred, self._barred_because = self._stream.number if self._stream.runs else None, BARRED
+            self._barred, self._early = None, self._stream.number if self._stream.runs else None
+            self._announced = None
+            self._own.forget()
         move = inputs.move
         self._cancelled = move is None or move.cancelled or self._move is None or move.number != self._move.number
         update = self._stream.take(inputs.desired, inputs.clock, now, self._active.state is State.SERVO)
@@ -201,6 +217,10 @@ class ControlLoop(ABC, Generic[Settings]):
             self._report("warn", update.refused)
         if update.conflict is not None:
             self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
+        elif update.fresh is not None and not update.fresh.foreign and self._stream.number == self._early:
+            self._barred, self._barred_because, self._early = self._early, BARRED, None
+        self._scale(inputs.switches.scale)
+        self._look_out(observation, update.fresh, now)
         command = self._command(Cycle(observation, update.fresh, now))
         if isinstance(command, Servo):
             self._joints.follow(self._followed(command), now)
@@ -222,6 +242,7 @@ class ControlLoop(ABC, Generic[Settings]):
             bounds + self._limited_by,
             tuple(self._taken),
             self._progress,
+            self._scaling,
         )
 
     def open_hand(self, opening: Opening | None) -> None:
@@ -274,6 +295,7 @@ class ControlLoop(ABC, Generic[Settings]):
             velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
             data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
             self.counts["ptp_motions"] += 1
+            self._note_own(row.target, (before.trigger, fired.trigger), cycle.now)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if before.state in BY_PROGRAM and row.target not in BY_PROGRAM:
@@ -289,10 +311,13 @@ class ControlLoop(ABC, Generic[Settings]):
             self.counts["returns"] += 1
         elif fired.trigger in (Trigger.MOVE, Trigger.LINE):
             self.counts["moves"] += 1
+            self._own.forget()
         elif row.target is State.PICK_UP and State.SERVO in self.STATES:
             self.counts["pickups"] += 1
         if row.target in WITHOUT_TARGET:
             self._target = None
+        if row.target in (State.PICK_UP, State.SERVO):
+            self._early = None
         if row.target in MOVING or row.target is State.STOPPED:
             self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
@@ -311,7 +336,8 @@ class ControlLoop(ABC, Generic[Settings]):
             return "the zero position", Q_ZERO, settings.velocity_home
         if target is State.PICK_UP:
             assert self._target is not None and self._target.q is not None, "a motion needs a target that is reachable"
-            return self.PICK_UP, self._target.q, settings.velocity_return
+            slow = self._stream.number == self._early
+            return self.PICK_UP, self._target.q, settings.velocity_home if slow else settings.velocity_return
         if target is State.TO_GOAL:
             assert self._move is not None, "a program's motion is known"
             return self._move.name, self._move.q, self._move.velocity
@@ -351,6 +377,55 @@ class ControlLoop(ABC, Generic[Settings]):
         self._check = None
         keeps = f"it keeps {1e3 * guard.margin:.0f} mm"
         return True, f"The collision guard refuses the {what}: on the way {before[1].fault}; {keeps}. Clear the way."
+
+    def _note_own(self, target: State, causes: tuple[Trigger | None, Trigger], now: float) -> None:
+        """Counts a PTP motion, if nobody asked for it; with PTP motions alone, each of a stream is asked for."""
+        picks_up = target is State.PICK_UP and self._active.state is not State.AT_POSE
+        if picks_up or (target is State.RETURNING and Trigger.TIME_OUT in causes):
+            self._own.note(target, now)
+
+    def _repeats(self, trigger: Trigger, fresh: DesiredFrame, now: float) -> bool:
+        """Whether what `trigger` begins would repeat a motion that nobody asked for too soon."""
+        state = self._active.state
+        leaves_home = state in (State.HOME, State.AT_GOAL)
+        kinds = [State.RETURNING] * leaves_home + [State.PICK_UP] * (trigger is Trigger.FAR_TARGET)
+        waits = self._own.waits(fresh.foreign, kinds, now) if kinds and state is not State.AT_POSE else None
+        if waits is not None and (self._waits is None or now > self._waits[1] + TICK_S):
+            self._report("info", waits)
+        self._waits = None if waits is None else (waits, now)
+        return waits is not None
+
+    def _takes_over(self, fresh: DesiredFrame, now: float) -> bool:
+        """Whether the arm goes to a stream that ran before control went on: a near one, once that was announced."""
+        far = self._too_far(fresh)
+        if far is not None:
+            self._barred, self._barred_because, self._early = self._early, far, None
+            self._report("warn", far)
+            return False
+        if self._announced is None:
+            self._announced = now
+            self._report("info", TAKEN_OVER)
+        return now - self._announced >= ANNOUNCED_S
+
+    def _too_far(self, desired: DesiredFrame) -> str | None:
+        return too_far(*self._chain.away(desired.T_base_tool, self._scaling, self._settings.q_home))
+
+    def _look_out(self, observation: Observation, fresh: DesiredFrame | None, now: float) -> None:
+        """Says what would become of the desired tool frame if control went on now."""
+        if observation.inputs.switches.control_on or not self._stream.runs:
+            self.outlook = None
+        elif fresh is not None:
+            slow = self._stream.too_slow(self._settings.time_out)
+            self.outlook = slow or (self._too_far(fresh) or TAKEN_OVER if fresh.foreign else BARRED)
+        else:
+            self.outlook = self._stream.refusal(now) or self.outlook
+
+    def _scale(self, factor: float) -> None:
+        """Takes the scaling factor over; where the arm follows, about its present pose."""
+        if self._active.state not in KEEPS_SCALING:
+            self._scaling = Scaling(factor)
+        elif factor != self._scaling.factor:
+            self._scaling = self._chain.rescaled(self._scaling, factor, self._position)
 
     def _refuse_pick_up(self, blocked: str, now: float) -> Command:
         """The arm stays where it is, and looks again a little later."""
@@ -429,8 +504,16 @@ class ControlLoop(ABC, Generic[Settings]):
             return Wait()
         if self._blocked is not None and cycle.now < self._blocked[1]:
             return Wait()
+        if not self._stream.steady(self._settings.time_out):
+            return Wait()
+        if self._stream.number == self._early and not self._takes_over(cycle.fresh, cycle.now):
+            return Wait()
         q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
-        return Wait() if q is None else self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
+        if q is None:
+            return Wait()
+        outcome = self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
+        repeats = isinstance(outcome, Fired) and self._repeats(outcome.trigger, cycle.fresh, cycle.now)
+        return Wait() if repeats else outcome
 
     def _asked(self, observation: Observation) -> ProgramMotion | None:
         """Returns the motion that a program asks for, if it was neither started nor refused before."""
@@ -540,7 +623,8 @@ class ControlLoop(ABC, Generic[Settings]):
         """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
         before = self._target if self._active.state is State.SERVO else None
         dt = fresh.stamp - self._target_stamp
-        target = self._chain.resolve(fresh.T_base_tool, observation.inputs.switches.scale, q_seed, before, dt)
+        self._position = fresh.T_base_tool[:3, 3]
+        target = self._chain.resolve(fresh.T_base_tool, self._scaling, q_seed, before, dt)
         if isinstance(target, Infeasible):
             self._infeasible = f"The controller shuts down because of the desired tool frame: {target}."
             self._report("error", self._infeasible)
@@ -566,8 +650,12 @@ class ControlLoop(ABC, Generic[Settings]):
             return None
         unreachable = self._unreachable if self._stream.silence <= self._settings.time_out else None
         barred = self._barred_because if self._stream.number == self._barred and self._stream.runs else None
+        slow = self._stream.too_slow(self._settings.time_out) if self._active.state in WAITING else None
+        announced = TAKEN_OVER if self._announced is not None and self._stream.number == self._early else None
         blocked = self._blocked[0] if self._blocked is not None and now <= self._blocked[1] + TICK_S else None
-        return self._stream.refusal(now) or barred or blocked or unreachable or self._held_back()
+        waits = self._waits[0] if self._waits is not None and now <= self._waits[1] + TICK_S else None
+        inhibited = self._stream.refusal(now) or barred or slow or announced or blocked or waits
+        return inhibited or unreachable or self._held_back()
 
     def _held_back(self) -> str | None:
         """Returns what the collision guard keeps the arm away from, a sentence, if it acted in this cycle."""

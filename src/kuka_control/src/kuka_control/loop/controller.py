@@ -100,6 +100,11 @@ class ReconnectSupervisor:
         return 1.0 if self._loop is None else self._loop.guard_scale
 
     @property
+    def outlook(self) -> str | None:
+        """As `ControlLoop.outlook`."""
+        return None if self._loop is None else self._loop.outlook
+
+    @property
     def stopped_because(self) -> str | None:
         """Why the arm cannot move, a sentence; None if nothing inhibits it."""
         return self.reason if self._loop is None else self._loop.stopped_because

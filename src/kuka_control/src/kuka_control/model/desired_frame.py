@@ -42,6 +42,7 @@ class DesiredFrame:
     conflict: str | None = None  # why the controller must not follow it, a sentence, if that is known on arrival
     refused: str | None = None  # why this frame alone does not count, a sentence, if that is known on arrival
     clock: int = 0  # number of the measurement by which its stamp is of this machine's clock (clock_offset.py)
+    foreign: bool = False  # whether it does not stand in the virtual Leap, so that no operator's hand brings it
 
 
 def rejection_reason(T_base_tool: np.ndarray) -> str | None:
@@ -199,7 +200,8 @@ class DesiredStream:
         self._looked: float | None = None
         self._pause = 0.0  # since the last frame of either kind [s]
         self._period = 0.0  # between the last two frames [s]
-        self._silence = float("inf")  # since the last accepted frame [s]
+        self._silence = math.inf  # since the last accepted frame [s]
+        self._gaps = (math.inf, math.inf)  # between the last three accepted frames [s]
         self._stalled = 0.0  # since then, in stalls of the control loop [s]
         self._reported: set[str] = set()  # what the frames refused in a row were refused for, without the numbers
         self._refusal: tuple[str, float] | None = None
@@ -232,6 +234,7 @@ class DesiredStream:
             self._clock = newest.clock
             self._reported.clear()
             self._refusal = None
+            self._gaps = (self._gaps[1], self._silence)
             self._silence = self._stalled = 0.0
             return StreamUpdate(replace(newest, stamp=self._stamps.take(newest.stamp, now)))
         kind = re.sub(r"\d", "", fault)
@@ -249,6 +252,20 @@ class DesiredStream:
     def silence(self) -> float:
         """Time since the last accepted frame, in servo mode without stalls of the loop [s]; infinite before it."""
         return self._silence
+
+    def steady(self, time_out: float) -> bool:
+        """Whether the last two accepted frames came within the time-out [s] of each other."""
+        return self._gaps[1] <= time_out
+
+    def too_slow(self, time_out: float) -> str | None:
+        """Returns that the frames are farther apart than the time-out [s], a sentence, or None."""
+        gap = min(self._gaps)
+        if not time_out < gap < math.inf or self._silence > PAUSE_PERIODS * gap:
+            return None
+        return (
+            f"The desired tool frame comes only every {gap:.2f} s, but time_out is {time_out:g} s, so it is not followed: "
+            "publish it more often, or start the controller with a longer time_out."
+        )
 
     def refusal(self, now: float) -> str | None:
         """Returns why incoming frames are refused, a sentence; None if they are accepted, or none come."""

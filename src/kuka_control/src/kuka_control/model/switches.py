@@ -60,6 +60,7 @@ class Switches:
         self._now = SwitchState()
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
+        self._outlook: str | None = None
         self._held_by: str | None = None
 
     @property
@@ -67,9 +68,11 @@ class Switches:
         """The position of all."""
         return self._now
 
-    def report(self, mode: Mode, stopped_because: str | None) -> None:
-        """Takes the state of the controller, which the replies quote."""
-        self._mode, self._stopped_because = mode, stopped_because
+    def report(self, mode: Mode, stopped_because: str | None, outlook: str | None = None) -> None:
+        """Takes the state of the controller, which the replies quote; `outlook`: what becomes of the desired tool frame
+        that comes now, once control goes on.
+        """
+        self._mode, self._stopped_because, self._outlook = mode, stopped_because, outlook
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
@@ -96,9 +99,9 @@ class Switches:
         if not on:
             where = "stays where it is until control is on again" if stopped else "goes home"
             return SwitchReply(True, f"Control is off, the arm {where}.")
-        if self._mode == Mode.HOME:
-            return SwitchReply(True, "Control is on, the arm follows the desired tool frame.")
-        return SwitchReply(True, "Control is on, the arm goes home first and then follows the desired tool frame.")
+        first = "" if self._mode == Mode.HOME else " The arm goes home first."
+        follows = "The arm follows the desired tool frame once it comes."
+        return SwitchReply(True, f"Control is on.{first} {self._outlook or follows}")
 
     def set_gripper(self, on: bool) -> SwitchReply:
         """Switches the flag on the topic kuka/gripper_control."""
@@ -108,11 +111,7 @@ class Switches:
         return SwitchReply(True, f"Gripper control is {'on' if on else 'off'}.")
 
     def set_scale(self, factor: float) -> SwitchReply:
-        """Changes the scaling factor, while control is off."""
-        if self.now.control_on:
-            return SwitchReply(
-                False, f"The scaling factor stays {self.now.scale:g}: it cannot change while control is on."
-            )
+        """Changes the scaling factor; an arm that follows does so from its present pose on."""
         try:
             scale = round(check_scaling_factor(factor), 6)
         except ValueError as error:

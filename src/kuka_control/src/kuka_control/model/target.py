@@ -1,7 +1,8 @@
 """From the desired tool frame to a joint target: scaling, workspace, inverse kinematics.
 
 The scaling factor says how far the tool moves for a motion of the hand, from the workspace centre; rotations are not
-scaled. Positions in the base frame [m].
+scaled. A factor that is changed while the arm follows changes that from the present pose on: an offset keeps the tool
+where it is. Positions in the base frame [m].
 
 Position first: a tool frame out of the arm's reach is tilted by the least angle that brings it into reach. An arm that
 follows reaches and leaves such a target steadily: where the joints would have to hurry although the tool does not, the
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +40,9 @@ SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
 FOLLOWING = (Mode.PICK_UP, Mode.SERVO, Mode.HOLDING)  # modes in which the arm goes to a desired frame from where it is
 
 
+NO_OFFSET = read_only(np.zeros(3))
+
+
 def scaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarray:
     """Returns the position, shape (3,), moved towards the centre (factor < 1) or away from it (factor > 1)."""
     return centre + factor * (position - centre)
@@ -46,6 +51,13 @@ def scaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarra
 def unscaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndarray:
     """Returns the position, shape (3,), that `scaled` brings to the given one."""
     return centre + (position - centre) / factor
+
+
+class Scaling(NamedTuple):
+    """The scaling factor, and what is added to the scaled position since it was changed, shape (3,) [m]."""
+
+    factor: float = 1.0
+    offset: np.ndarray = NO_OFFSET
 
 
 @dataclass(frozen=True)
@@ -88,7 +100,7 @@ class TargetChain:
     def resolve(
         self,
         T_base_desired: np.ndarray,
-        scale: float,
+        scaling: Scaling,
         q_seed: np.ndarray,
         before: Target | None = None,
         dt: float = 0.0,
@@ -96,20 +108,36 @@ class TargetChain:
         """Returns the target of a desired tool frame, shape (4, 4) [m].
 
         Args:
-            scale: the scaling factor.
+            scaling: the scaling.
             q_seed: joints to continue from, shape (7,) [rad].
             before: the target that an arm in motion follows, `dt` [s] older; None for an arm at rest.
         """
-        T_base_scaled = T_base_desired.copy()
-        T_base_scaled[:3, 3] = scaled(T_base_desired[:3, 3], self._centre, scale)
+        T_base_scaled = self._scaled(T_base_desired, scaling)
         target = self.reach(T_base_scaled, q_seed, before is not None)
         if before is None or isinstance(target, Infeasible) or target.q is None:
             return target
         return self._steady(target, T_base_scaled, q_seed, before, dt)
 
-    def desired(self, T_base_tool: np.ndarray, scale: float) -> np.ndarray:
+    def desired(self, T_base_tool: np.ndarray, scaling: Scaling) -> np.ndarray:
         """Returns the desired tool frame, shape (4, 4) [m], that the scaling makes the given one of."""
-        return read_only(pose(T_base_tool[:3, :3], unscaled(T_base_tool[:3, 3], self._centre, scale)))
+        position = unscaled(T_base_tool[:3, 3] - scaling.offset, self._centre, scaling.factor)
+        return read_only(pose(T_base_tool[:3, :3], position))
+
+    def rescaled(self, scaling: Scaling, factor: float, position: np.ndarray) -> Scaling:
+        """Returns the scaling by another factor that brings a desired position, shape (3,) [m], to the same place."""
+        shift = (scaling.factor - factor) * (position - self._centre)
+        return Scaling(factor, read_only(scaling.offset + shift))
+
+    def away(self, T_base_desired: np.ndarray, scaling: Scaling, q: np.ndarray) -> tuple[float, float]:
+        """Returns how far a desired tool frame is from the tool at the joints q, shape (7,) [rad]: [m] and [rad]."""
+        T_base_tool, T_base_scaled = self._kinematics.forward(q), self._scaled(T_base_desired, scaling)
+        distance = float(np.linalg.norm(T_base_scaled[:3, 3] - T_base_tool[:3, 3]))
+        return distance, _angle(T_base_tool, T_base_scaled)
+
+    def _scaled(self, T_base_desired: np.ndarray, scaling: Scaling) -> np.ndarray:
+        T_base_scaled = T_base_desired.copy()
+        T_base_scaled[:3, 3] = scaled(T_base_desired[:3, 3], self._centre, scaling.factor) + scaling.offset
+        return T_base_scaled
 
     def reach(self, T_base_scaled: np.ndarray, q_seed: np.ndarray, follows: bool = False) -> Target | Infeasible:
         """Returns the target of a tool frame that is scaled already, for an arm at rest or one that `follows`."""
@@ -199,7 +227,7 @@ def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarra
 def check_tool_pose(
     chain: TargetChain,
     T_base_tool: np.ndarray,
-    scale: float,
+    scaling: Scaling,
     q_seed: np.ndarray,
     follows: bool = False,
     collision: Callable[[np.ndarray], str | None] = lambda q: None,
@@ -235,4 +263,4 @@ def check_tool_pose(
             f"The tool pose is out of reach: in this position the tool would deviate from it by "
             f"{np.degrees(target.deviation):.1f} deg."
         )
-    return ToolCheck("The arm can bring the tool there.", chain.desired(T_base_tool, scale), q=target.q)
+    return ToolCheck("The arm can bring the tool there.", chain.desired(T_base_tool, scaling), q=target.q)

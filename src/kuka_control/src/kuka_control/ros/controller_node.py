@@ -32,6 +32,7 @@ from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfi
 from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches
+from kuka_control.model.target import Scaling
 from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
@@ -329,14 +330,16 @@ class _Node:
     def _for_guard_view(self) -> tuple[np.ndarray | None, float]:
         return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0
 
-    def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, float]:
-        step = self._step
-        return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, self._switches.now.scale
+    def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, Scaling]:
+        step, joints = self._step, self._link.arm.state.joints
+        if step is None:
+            return Mode.STARTING, joints, Scaling(self._switches.now.scale)
+        return step.mode, joints, step.scaling or Scaling(self._switches.now.scale)
 
     def _show(self, step: Step) -> None:
         self._step = step
         self._moves.show(step, self._link.arm.measured_joints)
-        self._switches.report(step.mode, self._loop.stopped_because)
+        self._switches.report(step.mode, self._loop.stopped_because, self._loop.outlook)
         arm, controller = self._link.arm, self._controller
         self._state.show(
             Snapshot(arm.state, step, self._switches.now, controller.moving, controller.in_servo, arm.round_trip)

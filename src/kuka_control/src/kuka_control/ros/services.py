@@ -13,7 +13,7 @@ from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
-from kuka_control.model.target import check_tool_pose, refused, seed
+from kuka_control.model.target import Scaling, check_tool_pose, refused, seed
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setPayload, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
@@ -64,13 +64,13 @@ class Services:
 
 def offer_tool_check(
     rig: Rig,
-    read: Callable[[], tuple[Mode, np.ndarray | None, float]],
+    read: Callable[[], tuple[Mode, np.ndarray | None, Scaling]],
     collision: Callable[[np.ndarray], str | None],
     frames: ArmFrames = ONE_ARM,
 ) -> None:
     """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop.
 
-    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling factor;
+    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling;
     `collision` as for `check_tool_pose`.
     """
 
@@ -80,12 +80,12 @@ def offer_tool_check(
         except ValueError as error:
             check = refused(f"{error}.")
             return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)
-        mode, joints, scale = read()
+        mode, joints, scaling = read()
         if mode is Mode.MOVING:
             check = refused("a program moves the arm.")
             return CheckToolPoseResponse(success=False, message=check.sentence, obstacle=check.obstacle)
         q_seed = seed(mode, joints, rig.home.q)
-        check = check_tool_pose(rig.chain, T_base_tool, scale, q_seed, mode is Mode.SERVO, collision)
+        check = check_tool_pose(rig.chain, T_base_tool, scaling, q_seed, mode is Mode.SERVO, collision)
         response = CheckToolPoseResponse(success=check.T_base_desired is not None, message=check.sentence)
         response.obstacle = check.obstacle or ""
         if check.T_base_desired is not None:
