@@ -7,7 +7,7 @@ from common import clock
 from common.poses import translation
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback
-from kst.errors import ConnectionLost, MotionRefused, NoServer, ReplyTimeout, ServerBusy, WrongMode
+from kst.errors import ConnectionLost, MotionInterrupted, MotionRefused, NoServer, ReplyTimeout, ServerBusy, WrongMode
 from kst.limits import JointLimits
 from kst.session import ARRIVED_RAD, KstTiming
 from rig_simulation.control_port import ControlClient
@@ -177,6 +177,23 @@ def test_a_safety_stop_only_delays_the_arrival(rig):
     rig.ask("release")
     until(client.ptp_arrived, 5.0)
     np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-6)
+
+
+def test_a_torque_ends_a_guarded_motion_and_the_next_one_goes_on(rig):
+    client = rig.connect()
+    assert client.knows_guarded_ptp()
+    ranges = np.tile((-10.0, 10.0), (7, 1))
+    client.start_ptp_joints(ABOVE_ZERO, 0.1, ranges)
+    clock.sleep(0.5)
+    rig.ask("set_external_torque", value=[0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(MotionInterrupted) as caught:
+        until(client.ptp_arrived, 1.0)
+    np.testing.assert_allclose(caught.value.torques, [0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert not any(rig.state("velocities")) and client.joints()[3] > ABOVE_ZERO[3] + 0.05
+    rig.ask("set_external_torque", value=[0.0] * 7)
+    client.start_ptp_joints(ABOVE_ZERO, 0.5, ranges)
+    until(client.ptp_arrived, 10.0)
+    assert client.counts.stray == client.counts.missed == 0
 
 
 def test_after_a_refused_goal_the_poses_are_again_those_of_the_tool(rig):

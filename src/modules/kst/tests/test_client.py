@@ -14,6 +14,7 @@ from kst.errors import (
     BadJoints,
     BadVelocity,
     ConnectionLost,
+    MotionInterrupted,
     MotionRefused,
     NoServer,
     ReplyTimeout,
@@ -218,6 +219,81 @@ def test_a_refusal_is_not_made_good_by_a_later_word(server, connect):
     server.push(b"nak\ndone\n")
     with pytest.raises(MotionRefused):
         client.ptp_arrived()
+
+
+RANGES = np.tile((-10.0, 10.0), (7, 1))
+
+
+@pytest.mark.parametrize("last", [b"interrupted\n", b"inter"])
+def test_a_motion_that_a_torque_ends_tells_the_torques_where_the_arm_stands(server, connect, last):
+    server.answers["doPTP!inJS"] = b"done\n"
+    client = connect()
+    client.start_ptp_joints(HOME + 0.1, 0.25, RANGES)
+    assert server.words()[2:] == ["jRelVel", "jp", "doPTP!inJS"]
+    assert not client.ptp_arrived()
+    server.push(last)
+    if last == b"inter":  # torn
+        assert not client.ptp_arrived()
+        server.push(b"rupted\n")
+    with pytest.raises(MotionInterrupted) as caught:
+        client.ptp_arrived()
+    np.testing.assert_allclose(caught.value.torques, np.arange(1, 8) / 10)
+    assert client.mode is KstMode.IDLE
+    assert server.words()[-1] == "Torques_ext_J", "the tool is still attached"
+    assert client.counts.stray == client.counts.missed == 0
+
+
+def test_torques_that_do_not_come_do_not_hide_the_end_of_a_motion(server, connect, takes):
+    server.answers["doPTP!inJS"] = b"done\ninterrupted\n"
+    client = connect()
+    client.start_ptp_joints(HOME + 0.1, 0.25, RANGES)
+    server.answers["Torques_ext_J"] = b""
+    with takes(WAITS.reply), pytest.raises(MotionInterrupted) as caught:
+        client.ptp_arrived()
+    assert caught.value.torques is None
+    np.testing.assert_array_equal(client.joints(), HOME)
+
+
+def test_an_end_by_a_torque_that_is_never_told_is_no_arrival(server, connect):
+    server.answers["doPTP!inJS"] = b"done\n"
+    client = connect()
+    client.start_ptp_joints(HOME + 0.1, 0.25, RANGES)
+    for _ in range(100):
+        client.joints()
+        assert not client.ptp_arrived()
+        clock.sleep(0.1)
+    server.push(b"interrupted\n")
+    with pytest.raises(MotionInterrupted):
+        client.ptp_arrived()
+
+
+def test_a_late_end_of_an_earlier_motion_is_not_that_of_the_next(server, connect):
+    client = connect()
+    server.push(b"interrupted\n")
+    client.start_ptp_joints(HOME, 0.25)
+    assert not client.ptp_arrived()
+    assert client.counts.stray == 1
+
+
+def test_a_server_is_asked_whether_it_knows_guarded_motions_by_one_that_does_not_move(server, connect, takes):
+    server.answers["doPTP!inJS"] = b"done\ndone\n"
+    client = connect()
+    assert client.knows_guarded_ptp()
+    assert server.lines[1:] == ["doPTP!inJS"]
+    server.answers["doPTP!inJS"] = b""
+    assert not client.knows_guarded_ptp()
+    assert server.words()[-1] == "Torques_ext_J", "it answers other words"
+    client.start_ptp_joints(HOME, 0.25)
+    assert not client.ptp_arrived()
+    assert client.counts.stray == 0
+
+
+@pytest.mark.parametrize("answer", [b"done\n", b""])
+def test_a_server_whose_main_thread_is_stuck_is_not_taken_for_an_old_one(server, connect, answer):
+    client = connect()
+    server.answers.update({"doPTP!inJS": answer, "Torques_ext_J": b""})
+    with pytest.raises(ReplyTimeout if answer == b"" else UnexpectedReply):
+        client.knows_guarded_ptp()
 
 
 def test_a_tool_that_cannot_be_attached_again(server, connect):

@@ -23,6 +23,7 @@ angles = st.floats(-math.pi, math.pi)
     [
         (codec.relative_velocity(0.25), "jRelVel_0.25_", "main", "done"),
         (codec.START_PTP, "doPTPinJS", "main", "done"),
+        (codec.GUARDED_PTP, "doPTP!inJS", "main", "done"),
         (codec.START_SERVO, "startDirectServoJoints", "main", "done"),
         (codec.STOP_SERVO, "stopDirectServoJoints", "reader", "done"),
         (codec.JOINTS, "getJointsPositions", "reader", "7 numbers"),
@@ -41,6 +42,25 @@ angles = st.floats(-math.pi, math.pi)
 )
 def test_commands_are_spelled_as_the_server_reads_them(command, line, thread, answer):
     assert command == codec.KstCommand(line, ServerThread(thread), ReplyKind(answer))
+
+
+def test_the_ranges_of_a_guarded_motion_are_triples_of_index_lowest_highest():
+    """As the published client writes them: `doPTP!inJS_0_-5_5_...`, the joints counted from 0; text ends with `_`."""
+    ranges = np.array([[-5, 5], [-18.8, 10], [-1e-7, 12.25], [-10, 10], [-10, 10], [-3, 4], [-10, 10]])
+    command = codec.start_guarded_ptp(ranges)
+    expected = "doPTP!inJS_0_-5.0_5.0_1_-18.8_10.0_2_-1e-07_12.25_3_-10.0_10.0_4_-10.0_10.0_5_-3.0_4.0_6_-10.0_10.0_"
+    assert command == codec.KstCommand(expected, ServerThread.MAIN, ReplyKind.DONE)
+    assert command.word == "doPTP!inJS" and command.starts_motion and codec.START_PTP.starts_motion
+    assert parse_reply(b"interrupted") == codec.KstReply("interrupted", ReplyKind.INTERRUPTED)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -20.0])
+def test_ranges_that_are_none_never_leave(bad):
+    ranges = np.tile((-10.0, 10.0), (7, 1))
+    ranges[3, 1] = bad
+    for wrong in (ranges, ranges[:3], ranges.ravel()):
+        with pytest.raises(ValueError):
+            codec.start_guarded_ptp(wrong)
 
 
 def test_a_tool_that_only_shifts_along_z():
@@ -105,7 +125,7 @@ def test_a_reported_nan_is_seen():
 @pytest.mark.parametrize(
     "line",
     [
-        *(b"Done", b"done ", b"interrupted", b"2", b"0.5", b"1_2_", b"0.1__0.2_0.3_", b"1_2_3_4_5_6_7_8_"),
+        *(b"Done", b"done ", b"interrupted ", b"2", b"0.5", b"1_2_", b"0.1__0.2_0.3_", b"1_2_3_4_5_6_7_8_"),
         *(b"a_b_c_", b"nan_0_0_", b"0x1_0_0_", b"\xff\x00\x81", b"1_2_" + b"3" * 600),
     ],
 )

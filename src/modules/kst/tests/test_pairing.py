@@ -6,7 +6,7 @@ import pytest
 from common import clock
 from kst.client import KstMode
 from kst.codec import Feedback
-from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
+from kst.errors import ConnectionLost, MotionInterrupted, ReplyTimeout, UnexpectedReply
 from kst.session import KstTiming
 from simulated.wires import DELAY_S
 
@@ -49,6 +49,15 @@ def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
     assert server.words().count("doPTPinJS") == 1
     assert client.mode is KstMode.PTP
     assert not client.ptp_arrived()
+
+
+def test_nothing_is_sent_again_to_an_arm_that_met_something(server, connect):
+    client = connect()
+    server.once("doPTP!inJS", b"interrupted\n")
+    client.start_ptp_joints(AWAY, 0.25, np.tile((-10.0, 10.0), (7, 1)))
+    assert server.words().count("doPTP!inJS") == 1
+    with pytest.raises(MotionInterrupted):
+        client.ptp_arrived()
 
 
 def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, connect, takes):

@@ -15,13 +15,14 @@ import pytest
 
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback, ToolTransform, parse_reply
-from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout
+from kst.errors import ConnectionLost, MotionInterrupted, MotionRefused, ReplyTimeout
 from kst.limits import LBR_IIWA_LIMITS
-from kst.session import KstSession, KstTiming
+from kst.session import ARRIVED_RAD, KstSession, KstTiming
 
 TIMING = KstTiming(connect_settle=0.0, tool_settle=0.0)
 PROBES = ("getPin3", "getJointsPositions")
 TICK_S = 0.004
+RANGES = np.full((7, 1), 10.0) * (-1.0, 1.0)
 CLOCK = 1e-6  # joint 1 of the model turns so slowly [rad/s] that the arm stands still, but tells the time
 
 
@@ -30,21 +31,23 @@ class Server:
 
     `busy`: time before a motion begins, with its acknowledgement, which answers of the reader thread overtake by
     `overtaken` [s] (None: it is lost); `final`: delay of the last word. `wiped`: starts that are wiped. `frozen`: spans
-    of time in which it does nothing. `loss`: of answers of the reader thread.
+    of time in which it does nothing. `loss`: of answers of the reader thread. `meets`: the part of its way after which
+    a guarded motion ends; 1: at its goal.
     """
 
     def __init__(self, rng, busy=0.0, overtaken=0.001, final=0.001, wiped=0, frozen=(), loss=0.0, duration=1.0):
+        self.meets = 1.0
         self.now = 1000.0
         self.rng, self.busy, self.overtaken, self.final, self.wiped = rng, busy, overtaken, final, wiped
         self.frozen = frozen
-        self.loss, self.duration = loss, duration
+        self.loss, self.duration, self.lasts = loss, duration, duration
         self.sent, self.refused, self.motions = [], [], 0
         self.start, self.goal, self.began = np.zeros(7), np.zeros(7), -np.inf
         self.servo = self.lost = self.ended_by_peer = self.ended = False
         self._next, self._count, self._wire = np.zeros(7), itertools.count(), []
 
     def joints(self, now):
-        part = np.clip((now - self.began) / self.duration, 0.0, 1.0)
+        part = np.clip((now - self.began) / max(self.lasts, 1e-9), 0.0, 1.0)
         return self.start + part * (self.goal - self.start)
 
     def monotonic(self):
@@ -57,7 +60,7 @@ class Server:
 
     def send(self, line, timeout):
         self._check()
-        word, numbers = line.split("_")[0], [float(x) for x in line.split("_")[1:] if x]
+        word, numbers = line.split("_")[0], [float(x) for x in line.split("_")[1:] if x.strip("extJ")]
         self.sent.append((self.now, word))
         now = self.alive_at(self.now + 0.0005)
         if word == "getJointsPositions" or word == "jpJP":
@@ -68,8 +71,10 @@ class Server:
         elif word == "jp":
             self._next = np.array(numbers)
             self._say("done", now, self.loss)
-        elif word == "doPTPinJS":
-            self._move(now)
+        elif word in ("doPTPinJS", "doPTP!inJS"):
+            self._move(now, self.meets if word == "doPTP!inJS" else 1.0)
+        elif word == "Torques" and now > self.began + self.lasts:
+            self._say("1.0_2.0_3.0_4.0_5.0_6.0_7.0_", now)
         elif word == "startDirectServoJoints":
             self.servo = True
             self._say("done", now)
@@ -78,19 +83,21 @@ class Server:
             self._say("done", now)
         elif word == "end":
             self.ended = True
-        elif now > self.began + self.duration:
+        elif now > self.began + self.lasts:
             self._say("done", now)
 
-    def _move(self, now):
-        if self.wiped > 0 or now < self.began + self.duration:
+    def _move(self, now, part):
+        if self.wiped > 0 or now < self.began + self.lasts:
             self.wiped -= 1
             return
-        self.motions += 1
+        self.motions, self.lasts = self.motions + 1, part * self.duration
         begin = self.alive_at(now + self.busy)
-        self.start, self.goal, self.began = self.joints(now), self._next, begin
+        self.start, self.began = self.joints(now), begin
+        self.goal = self.start + part * (self._next - self.start)
         if self.overtaken is not None:
             self._say("done", begin + self.overtaken)
-        self._say("done", self.alive_at(begin + max(self.duration, self.overtaken or 0.0)) + self.final)
+        last = "done" if part == 1.0 else "interrupted"
+        self._say(last, self.alive_at(begin + max(self.lasts, self.overtaken or 0.0)) + self.final)
 
     def _say(self, text, at, loss=0.0):
         if self.rng.random() >= loss:
@@ -156,10 +163,10 @@ def read(client, server):
     assert q[0] / CLOCK + 1000.0 >= asked - 1e-6, "an answer to an earlier question"
 
 
-def run(client, server, goal):
+def run(client, server, goal, torques=None):
     """A motion as a controller runs it; returns whether it counts as ended at its goal, or as one that never began."""
     try:
-        client.start_ptp_joints(goal, 0.2)
+        client.start_ptp_joints(goal, 0.2, torques)
     except (MotionRefused, ReplyTimeout):
         assert client.mode is KstMode.IDLE
         return False
@@ -195,8 +202,32 @@ def test_every_motion_is_counted_once_and_to_its_end(seed):
             ended += 1
             off = np.degrees(np.max(np.abs(server.joints(server.now) - goal)))
             assert off <= 0.1, f"a motion counts as ended {off:.1f} deg before its goal"
-        assert server.now >= server.began + server.duration, "a motion runs that counts as none"
+        assert server.now >= server.began + server.lasts, "a motion runs that counts as none"
     assert ended == server.motions
+
+
+@pytest.mark.parametrize("seed", range(150))
+def test_a_motion_that_meets_something_is_interrupted_once_and_never_sent_again(seed):
+    """With acknowledgements that are late, lost or overtaken, late last words, starts that are wiped, and freezes."""
+    rng = random.Random(seed)
+    busy, overtaken = rng.choice([0.0, rng.uniform(0.0, 0.9)]), rng.choice([0.001, None, rng.uniform(0.0, 0.3)])
+    server = Server(rng, busy, overtaken, rng.choice([0.001, 0.05, 0.5]), rng.randrange(2))
+    server.duration, server.frozen = rng.choice([0.15, 0.6, 3.0]), spans(rng, rng.randrange(3), 4.0)
+    server.meets = rng.choice([0.0, 0.01, rng.uniform(0.1, 0.9)])
+    client = connected(server)
+    goal = goal_of(rng)
+    try:
+        assert not run(client, server, goal, RANGES), "a motion counts as ended at its goal"
+    except MotionInterrupted:
+        assert client.mode is KstMode.IDLE
+    moved = np.max(np.abs(server.joints(server.now) - np.zeros(7))) > ARRIVED_RAD
+    assert server.motions <= 1 or not moved, "an arm that met something was sent on"
+    assert server.now >= server.began + server.lasts, "a motion runs that counts as none"
+    server.meets, server.wiped, motions = 1.0, 0, server.motions
+    server.pause(3.0)
+    while client.silence(0.1):
+        pass
+    assert run(client, server, goal, RANGES) == (server.motions > motions), "the next one is paired"
 
 
 @pytest.mark.parametrize("seed", range(50))

@@ -29,7 +29,7 @@ SEEN_S = 3.0 / FRAME_RATE + 10 * DELAY_S
 POLL_S = 0.02
 """How often the service looks whether a fault of its connections is over."""
 REQUEST = (
-    b"GET /v6.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"GET /v6.json HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
 

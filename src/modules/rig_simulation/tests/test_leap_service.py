@@ -12,7 +12,7 @@ from websockets.sync.client import connect
 from common import clock
 from common.errors import DeviceError
 from leap_motion.client import LeapClient, LeapLink
-from leap_motion.service.server import LONGEST_SLEEP_S
+from leap_motion.service.socket_service import LONGEST_SLEEP_S
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.program import main, parse
 from rig_simulation.devices.leap.sensing import FRAME_RATE
@@ -27,7 +27,7 @@ FRAME_S, SOON_S = 1.0 / FRAME_RATE, 10 * DELAY_S
 SILENCE_S, RETRY_S = 0.1, 0.5
 """After which the client calls a service silent, and tries again to reach one that is gone."""
 REQUEST = (
-    b"GET /v2.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"GET /v2.json HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
 

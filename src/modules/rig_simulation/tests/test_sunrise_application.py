@@ -559,6 +559,22 @@ def test_guarded_motion_breaks_at_the_torque():
     assert wire.wait_for_reply() == "done\n"
 
 
+def test_the_last_word_during_a_guarded_motion_is_answered_after_it():
+    wire = Wire(wiped_window=0.01)
+    wire.ask(HOME_LINE)
+    wire.ask("doPTP!inJS_0_-5_5_")
+    wire.ask("Eef_force")
+    assert wire.ask("Torques_ext_J", pause=0.1) == []
+    wire.wait(30.0)
+    assert wire.take() == ["done\n", "0.0_0.0_0.0_0.0_0.0_0.0_0.0_\n"]
+    wire.wait(0.1)
+    wire.ask("doPTP!inJS_0_-5_5_")
+    wire.ask("Torques_ext_J", pause=0.001)
+    assert wire.ask("getJointsPositions", pause=0.001), "which is the last word then"
+    wire.wait(1.0)
+    assert wire.take() == ["done\n"]
+
+
 @pytest.mark.parametrize("speed", [0.05, 0.15, 0.3])
 def test_a_motion_that_breaks_comes_to_rest_as_fast_as_it_was_planned_to_start(speed):
     wire = Wire()

@@ -12,6 +12,7 @@ from kst.errors import (
     BadVelocity,
     ConnectionLost,
     KstError,
+    MotionInterrupted,
     MotionRefused,
     NoServer,
     PtpFailed,
@@ -28,7 +29,7 @@ from kst.session import KstTiming, LinkCounts
 
 __all__ = [
     "LBR_IIWA_LIMITS", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback", "JointLimits", "KstClient",
-    "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionRefused", "NoServer", "PtpApproach", "PtpFailed",
-    "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout", "ServerBusy", "ToolNotAttached",
-    "ToolTransform", "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
+    "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionInterrupted", "MotionRefused", "NoServer",
+    "PtpApproach", "PtpFailed", "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout",
+    "ServerBusy", "ToolNotAttached", "ToolTransform", "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
 ]  # fmt: skip

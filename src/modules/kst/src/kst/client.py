@@ -22,6 +22,7 @@ from kst.codec import Feedback, KstCommand, KstReply, ReplyKind, ToolTransform
 from kst.errors import (
     ConnectionLost,
     KstError,
+    MotionInterrupted,
     MotionRefused,
     NoServer,
     ReplyTimeout,
@@ -216,15 +217,45 @@ class KstClient:
                 )
             self._session.wait_for_word(deadline)
 
-    def start_ptp_joints(self, q: ArrayLike, velocity: float) -> None:
+    def knows_guarded_ptp(self) -> bool:
+        """Returns whether the server knows PTP motions that end at a torque; only when idle. Nothing moves.
+
+        Servers before April 2018 do not: they are silent, which takes some seconds to be sure of.
+        """
+        self._require_idle("a PTP motion")
+        session = self._session
+        session.expect_final(True)
+        try:
+            self._accept(codec.GUARDED_PTP)
+            deadline = self.monotonic() + session.timing.reply
+            while session.final is None and self.monotonic() < deadline:
+                session.wait_for_word(deadline)
+            if session.final is None:
+                raise UnexpectedReply("a motion of no length did not end", command=codec.GUARDED_PTP.word)
+        except ReplyTimeout as error:
+            if not session.in_step or error.pending:
+                raise
+            session.expect_final(False)
+            self._accept(codec.EXTERNAL_TORQUES)  # raises if the main thread answers nothing at all
+            return False
+        finally:
+            session.expect_final(False)
+        return True
+
+    def start_ptp_joints(self, q: ArrayLike, velocity: float, torques: ArrayLike | None = None) -> None:
         """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1].
+
+        With `torques`, shape (7, 2) [Nm], it ends where the external torque of a joint leaves its range from the lowest
+        to the highest; a server that `knows_guarded_ptp` only. ValueError: not such ranges; nothing was sent.
 
         A start that is not acknowledged although it may have been carried out counts as a motion that runs: the arm
         moves, or the server has fallen silent. Then the joints show later what became of it (`ptp_arrived`).
         """
         goal = self._limits.check(q)
         velocity = check_relative_velocity(velocity)
+        start = codec.START_PTP if torques is None else codec.start_guarded_ptp(torques)
         self._require_idle("a PTP motion")
+        before = None if torques is None else self.joints()  # an arm that met something stands neither here nor there
         self._accept(codec.relative_velocity(velocity))
         self._ask(codec.joint_goal(goal))
         self._goal = goal
@@ -232,7 +263,7 @@ class KstClient:
         self._session.expect_final(True)
         self._mode = KstMode.PTP
         try:
-            self._accept(codec.START_PTP, goal)
+            self._accept(start, goal, before)
             self._session.doubt |= (self._session.round_trip or 0.0) > self._session.timing.quiet
         except (ReplyTimeout, UnexpectedReply) as error:
             if self._session.in_step and not error.pending:
@@ -251,6 +282,7 @@ class KstClient:
 
         Raises:
             MotionRefused: the controller gave the motion up, or it never began because its start was wiped.
+            MotionInterrupted: an external torque ended it.
         """
         if self.mode is not KstMode.PTP:
             raise WrongMode(f"no PTP motion runs (mode {self.mode.value}); start one first", mode=self.mode)
@@ -262,7 +294,17 @@ class KstClient:
         self._end_motion()
         if final is ReplyKind.NAK:
             self._refused("the PTP motion (an unreachable goal, or a stop during the motion)")
+        if final is ReplyKind.INTERRUPTED:
+            raise self._interrupted()
         return True
+
+    def _interrupted(self) -> MotionInterrupted:
+        """Asks for the torques at which the arm stands: the server does not tell which of them ended the motion."""
+        torques = None
+        with contextlib.suppress(ReplyTimeout, UnexpectedReply):
+            reply = self._session.ask(codec.EXTERNAL_TORQUES)
+            torques = self._numbers(codec.EXTERNAL_TORQUES, reply) if reply.numbers else None
+        return MotionInterrupted("an external joint torque ended the PTP motion before its goal", torques=torques)
 
     def _arrived_by_joints(self) -> bool:
         """Returns whether a motion has ended whose words leave that open: by its joints.
@@ -442,9 +484,9 @@ class KstClient:
         self._heed_refusal()
         return reply
 
-    def _accept(self, command: KstCommand, goal: np.ndarray | None = None) -> KstReply:
-        """Asks the main thread; a `nak` becomes MotionRefused. `goal`: of the motion that the command starts."""
-        reply = self._session.ask_main(command, goal=goal)
+    def _accept(self, command: KstCommand, goal: np.ndarray | None = None, start: np.ndarray | None = None) -> KstReply:
+        """Asks the main thread; a `nak` becomes MotionRefused. `goal`, `start`: of the motion that it starts."""
+        reply = self._session.ask_main(command, goal=goal, start=start)
         if reply.kind is ReplyKind.NAK:
             self._end_motion()
             self._refused(f"`{command.word}`")

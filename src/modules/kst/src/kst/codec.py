@@ -40,6 +40,7 @@ class ReplyKind(enum.Enum):
     NOTHING = "no answer"
     DONE = "done"
     NAK = "nak"
+    INTERRUPTED = "interrupted"
     PIN = "0 or 1"
     THREE = "3 numbers"
     SIX = "6 numbers"
@@ -63,6 +64,11 @@ class KstCommand(NamedTuple):
         """The command without its numbers."""
         return self.line.split("_", 1)[0] if self.line.endswith("_") else self.line
 
+    @property
+    def starts_motion(self) -> bool:
+        """Whether it starts a PTP motion, which says a second word at its end."""
+        return self.word in ("doPTPinJS", "doPTP!inJS")
+
     def accepts(self, reply: KstReply) -> bool:
         """Returns whether a reply may be the answer; every command of the main thread may be refused by a `nak`."""
         return reply.kind is self.answer or (reply.kind is ReplyKind.NAK and self.thread is ServerThread.MAIN)
@@ -79,6 +85,7 @@ class KstReply(NamedTuple):
 _REPLIES = {
     b"done": KstReply("done", ReplyKind.DONE),
     b"nak": KstReply("nak", ReplyKind.NAK),
+    b"interrupted": KstReply("interrupted", ReplyKind.INTERRUPTED),
     b"0": KstReply("0", ReplyKind.PIN, (0.0,)),
     b"1": KstReply("1", ReplyKind.PIN, (1.0,)),
 }
@@ -121,6 +128,8 @@ POSE = KstCommand("Eef_pos", ServerThread.MAIN, ReplyKind.SIX)
 FORCE = KstCommand("Eef_force", ServerThread.MAIN, ReplyKind.THREE)
 MOMENT = KstCommand("Eef_moment", ServerThread.MAIN, ReplyKind.THREE)
 START_PTP = KstCommand("doPTPinJS", ServerThread.MAIN, ReplyKind.DONE)
+GUARDED_PTP = KstCommand("doPTP!inJS", ServerThread.MAIN, ReplyKind.DONE)
+"""A motion that nothing ends before its goal; the server moves nothing then and says `done` twice."""
 START_SERVO = KstCommand("startDirectServoJoints", ServerThread.MAIN, ReplyKind.DONE)
 STOP_SERVO = KstCommand("stopDirectServoJoints", ServerThread.READER, ReplyKind.DONE)
 END = KstCommand("end", ServerThread.READER, ReplyKind.NOTHING)
@@ -134,6 +143,19 @@ def attach_tool(tool: ToolTransform) -> KstCommand:
 def relative_velocity(velocity: float) -> KstCommand:
     """Returns the command that sets the speed of the next PTP motion, as a fraction of the greatest."""
     return KstCommand(_with_numbers("jRelVel", (velocity,)), ServerThread.MAIN, ReplyKind.DONE)
+
+
+def start_guarded_ptp(torques: np.ndarray) -> KstCommand:
+    """Returns the command that starts a PTP motion which ends where an external joint torque leaves its range.
+
+    Args:
+        torques: lowest and highest torque of each joint, shape (7, 2) [Nm], finite and in order; else ValueError.
+    """
+    torques = np.asarray(torques, dtype=float)
+    if torques.shape != (7, 2) or not np.all(torques[:, 0] < torques[:, 1]):
+        raise ValueError(f"the ranges of the torques are {torques.tolist()}, but must be seven pairs, lowest first")
+    fields = (str(field) for joint, (low, high) in enumerate(torques) for field in (joint, number(low), number(high)))
+    return GUARDED_PTP._replace(line=f"{GUARDED_PTP.line}_{'_'.join(fields)}_")
 
 
 def joint_goal(q: Iterable[float], feedback: Feedback = Feedback.DONE) -> KstCommand:

@@ -51,6 +51,15 @@ class MotionRefused(KstError):
     """The controller answered `nak`: it did not carry out the request."""
 
 
+class MotionInterrupted(KstError):
+    """A PTP motion ended before its goal because an external joint torque left its range: the arm touched something.
+
+    `torques`: external torques where it stands, shape (7,) [Nm]; None: they could not be read.
+    """
+
+    torques: Any = None
+
+
 class UnexpectedReply(KstError):
     """The server answered `command` with `reply`, which does not belong to it."""
 

@@ -34,6 +34,7 @@ MAX_FOREIGN = 20  # after more foreign lines than this before one answer, the pe
 MAX_STRAY = 200  # after more stray lines than this during a search for a missing answer, the link is given up
 MAX_OPEN = 100  # more streamed goals than this are never open
 LEAST_WINDOW_S = 0.024  # a shorter one would keep TCP from noticing at once, by later packets, that one was lost [s]
+_FINAL = (ReplyKind.DONE, ReplyKind.NAK, ReplyKind.INTERRUPTED)
 FORGOTTEN = 1.0 / 64.0  # of a delay that was longer than the present ones, with each answer
 
 
@@ -87,7 +88,7 @@ class KstSession:
         arrived: the streamed goals with their answers, as they came, until somebody takes them. An answer that does not
             fit its goal is there too; then the pairing is to be restored.
         usual: the longest time that an answer took lately [s].
-        final: the final word of the motion, DONE or NAK; None before it comes.
+        final: the final word of the motion, DONE, NAK or INTERRUPTED; None before it comes.
         refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
         doubt: only the joints can tell the state of the motion, because the acknowledgement of its start is missing: it
             may have been wiped, or a `done` came that is the late acknowledgement or the final word.
@@ -250,11 +251,18 @@ class KstSession:
             reply=reply.text,
         )
 
-    def ask_main(self, command: KstCommand, patience: float | None = None, goal: np.ndarray | None = None) -> KstReply:
+    def ask_main(
+        self,
+        command: KstCommand,
+        patience: float | None = None,
+        goal: np.ndarray | None = None,
+        start: np.ndarray | None = None,
+    ) -> KstReply:
         """Sends a command of the main thread, again if it was wiped, and returns its answer, which may be a `nak`.
 
-        It sends again only while the arm stands still, away from the `goal` of the command, shape (7,) [rad], and the
-        reader thread answers within `patience` seconds (None: `KstTiming.reply`).
+        It sends again only while the arm stands still, away from the `goal` of the command and at its `start`, shape
+        (7,) each [rad], if they are given, and the reader thread answers within `patience` seconds (None:
+        `KstTiming.reply`).
 
         Raises:
             ReplyTimeout: the main thread stays silent while the reader thread answers; or the arm moves or is at the
@@ -274,7 +282,8 @@ class KstSession:
                     self._note_answer(command)
                     return late
                 moves = self.arm_moves()
-                if moves or (goal is not None and self.arm_is_at(goal)):
+                left = start is not None and not self.arm_is_at(start)
+                if self.final is ReplyKind.INTERRUPTED or moves or left or (goal is not None and self.arm_is_at(goal)):
                     self.doubt = self.acknowledged or not moves
                     raise ReplyTimeout(
                         f"`{command.word}` was not acknowledged and the arm moves; it was not sent again",
@@ -440,7 +449,13 @@ class KstSession:
 
     def _end_search(self) -> None:
         missing, self._unanswered = self._unanswered, None
-        if self._late is None and missing is codec.START_PTP and self._awaits_final and self.final is None:
+        if (
+            self._late is None
+            and missing is not None
+            and missing.starts_motion
+            and self._awaits_final
+            and self.final is None
+        ):
             self._unacknowledged = self.doubt = True
 
     def _sort(self, reply: KstReply) -> bool:
@@ -457,12 +472,12 @@ class KstSession:
             self._before.popleft()
         elif missing is not None and awaited and missing.accepts(reply):
             self._late = reply
-            if missing is codec.START_PTP and self._awaits_final:
+            if missing.starts_motion and self._awaits_final:
                 self.final = ReplyKind.NAK if reply.kind is ReplyKind.NAK else None
                 self.doubt = True
             if self._probes == 0:
                 self._end_search()
-        elif self._awaits_final and self.final is None and reply.kind in (ReplyKind.DONE, ReplyKind.NAK):
+        elif self._awaits_final and self.final is None and reply.kind in _FINAL:
             self._main_answered_at = now
             if self._unacknowledged and reply.kind is ReplyKind.DONE:
                 self._unacknowledged, self.doubt = False, True

@@ -22,6 +22,7 @@ from common.errors import DeviceError, RigError
 
 MAX_LINE_BYTES = 65536
 BACKLOG = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server
+RETRY_S = 0.2  # until a connection is accepted that could not be
 CLOSE_TIMEOUT_S = 10.0  # longest wait for a running request; to build a world takes seconds on a busy machine
 Handler = Callable[..., Any]  # takes the other fields of a request by name; returns the fields of the answer or None
 
@@ -66,16 +67,21 @@ class ControlPort(contextlib.AbstractContextManager):
         self.close()
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # the listener was shut down
-            while True:
+        while True:
+            try:
                 client, _ = self._listener.accept()
-                with self._lock:
-                    if self._closed:
-                        client.close()
-                        return
-                    thread = clock.Thread(target=self._serve, args=(client,), name="control client", daemon=True)
-                    self._clients[client] = thread
-                    thread.start()  # under the lock: `close` may only join a started thread
+            except OSError:
+                if self._closed:  # the listener was shut down
+                    return
+                clock.sleep(RETRY_S)  # the system has no descriptor for it at present
+                continue
+            with self._lock:
+                if self._closed:
+                    client.close()
+                    return
+                thread = clock.Thread(target=self._serve, args=(client,), name="control client", daemon=True)
+                self._clients[client] = thread
+                thread.start()  # under the lock: `close` may only join a started thread
 
     def _serve(self, client: socket.socket) -> None:
         try:
@@ -185,12 +191,7 @@ def listen(host: str, port: int, purpose: str) -> socket.socket:
     takes any free one. Raises DeviceError, with the port's `purpose`, such as "the control port", if the address is not
     a loopback address, or the port is taken.
     """
-    try:
-        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        loopback = False
-    if not loopback:
-        raise DeviceError(f"The address {host!r} of {purpose} is not a loopback address; use 127.0.0.1.")
+    require_loopback(host, purpose)
     listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -201,6 +202,16 @@ def listen(host: str, port: int, purpose: str) -> socket.socket:
         cure = "Stop the other program, or choose another port."
         raise DeviceError(f"Cannot listen on {host}:{port} for {purpose}: {error}. {cure}") from None
     return listener
+
+
+def require_loopback(host: str, purpose: str) -> None:
+    """Raises DeviceError, with the port's `purpose`, if other machines reach an address."""
+    try:
+        loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        loopback = False
+    if not loopback:
+        raise DeviceError(f"The address {host!r} of {purpose} is not a loopback address; use 127.0.0.1.")
 
 
 def _encoded(record: dict[str, Any]) -> bytes:

@@ -13,8 +13,10 @@ from websockets.http11 import Request, Response
 
 from common import clock
 from common.errors import DeviceError
-from leap_motion.service.server import LONGEST_SLEEP_S, LeapService
-from rig_simulation.control_port import ControlPort, Handler, listen
+from leap_motion.service.certificate import Certificate
+from leap_motion.service.server import LeapService
+from leap_motion.service.socket_service import LONGEST_SLEEP_S
+from rig_simulation.control_port import ControlPort, Handler, listen, require_loopback
 from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.sources import Playback
@@ -23,6 +25,7 @@ LATE_S = 0.05  # later frames are dropped: the clock does not wait for a busy ma
 LONGEST_LAG_S = 0.5  # a lag beyond this is dropped: frames then come at a low rate; else none would be in time
 POLL_S = 0.02
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
+PURPOSE = "the Leap service"
 VERSION = "2.3.1+simulated"
 
 
@@ -41,6 +44,7 @@ class SimulatedLeapService(LeapService):
         service: str = "2.3",
         requests: Mapping[str, Handler] | None = None,  # further ones of the control port
     ) -> None:
+        require_loopback(host, PURPOSE)
         super().__init__(host, port, service, VERSION)
         self._playback = playback
         self.faults = Faults(LEAP_FAULTS)
@@ -61,8 +65,11 @@ class SimulatedLeapService(LeapService):
         """Plugs the sensor in or out, as the fault does."""
         self.faults.switch("unplugged", not attached)
 
-    def _listen(self, host: str, port: int) -> socket.socket:
-        return listen(host, port, "the Leap service")
+    def _listen(self, host: str, port: int, certificate: Certificate | None = None) -> tuple[str, int]:
+        listener = listen(host, port, PURPOSE)
+        self._doors.clear()  # of before a restart
+        self._open(listener)
+        return listener.getsockname()[:2]
 
     async def _serve(self) -> None:
         try:
@@ -91,7 +98,7 @@ class SimulatedLeapService(LeapService):
         if self.faults.is_on("restarted"):
             return False
         try:
-            self._socket = self._listen(self.host, self.port)
+            self._listen(self.host, self.port)
         except DeviceError:  # another program may have taken the port for a moment
             return False
         self._playback.restart()

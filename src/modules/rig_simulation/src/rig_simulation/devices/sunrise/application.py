@@ -2,7 +2,7 @@
 
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
 any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
-while it moves the arm are lost. Here both are rules of one object.
+while it moves the arm are lost, but for the last one during a guarded motion. Here both are rules of one object.
 Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox".
 """
 
@@ -98,6 +98,7 @@ class Application:
         self._planned_from = arm.q
         self._refused = False  # the motion, and its last word is to come
         self._last_word = -math.inf  # not before this time [s]
+        self._word, self._keeps_word = "", False  # the last line; whether a motion leaves it to the main thread
         self._break_when: Condition | None = None
         self._arrived: Condition = lambda _: True
         self._servo_starts: float | None = None
@@ -140,11 +141,14 @@ class Application:
         return "" if self.ended else text
 
     def _answer(self, line: str) -> None:
-        words = [word for word in line.split("_") if word][1:]
+        words, self._word = _words(line), line
         for prefix, command in self._reader:
             if line.startswith(prefix):
                 self._replies.append(command(words))
                 return
+        self._answer_in_main(line, words)
+
+    def _answer_in_main(self, line: str, words: list[str]) -> None:
         for prefix, command in self._main:
             if line == prefix if prefix.startswith("Eef_") else line.startswith(prefix):
                 if self._main_alive and not self.busy and self._now >= self._main_answered + self._wiped_window:
@@ -166,10 +170,13 @@ class Application:
             self._plan_motion(self._accepted)
         if self.mode == "ptp" and not self.in_motion and now >= self._last_word:
             self.mode = "idle"
-            self._main_answered = now
             arrived = NAK if self._refused else DONE if self._arrived(self._arm) else INTERRUPTED
             if not self._ends_tacitly():
                 self._replies.append(arrived)
+            if self._keeps_word and not self._refused:
+                self._answer_in_main(self._word, _words(self._word))
+            else:
+                self._main_answered = now
         elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
             if self.mode == "impedance_servo" and not self._servo_stopping:
                 self._replies.append(DONE)
@@ -337,7 +344,7 @@ class Application:
 
     def _move(self, make: Planner, break_when: Condition | None = None, arrived: Condition = lambda _: True) -> str:
         """Accepts the motion; it is planned afterwards, and starts or is refused."""
-        self.mode, self._refused = "ptp", False
+        self.mode, self._refused, self._keeps_word, self._word = "ptp", False, False, ""
         self._last_word = self._now + LAST_WORD_S
         self._break_when, self._arrived = break_when, arrived
         goals = dataclasses.replace(self._goals)  # as they are now
@@ -385,7 +392,9 @@ class Application:
                 raise Unreachable(f"there are no joints {unknown}")
             return make(arm, goals) if len(ranges) else None
 
-        return self._move(guarded, motions.leaves_torque_ranges(ranges), arrived if len(ranges) else lambda _: True)
+        reply = self._move(guarded, motions.leaves_torque_ranges(ranges), arrived if len(ranges) else lambda _: True)
+        self._keeps_word = True  # the published server wipes the word before such a motion, not after it
+        return reply
 
     def _start_servo(self, mode: str) -> str:
         self.mode = mode
@@ -420,6 +429,10 @@ class Application:
             arm.start_servo(law="none", fraction=IMPEDANCE_FRACTION)
             self._goals.joints = np.array([self._goals.joints[0], *arm.q[1:]])
             arm.goal = self._goals.joints
+
+
+def _words(line: str) -> list[str]:
+    return [word for word in line.split("_") if word][1:]
 
 
 def _line(values: np.ndarray) -> str:
