@@ -44,7 +44,7 @@ class IdealArm(Arm):
     def read(self) -> None:
         """Has nothing new to read."""
 
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         """Jumps there."""
         self._be_at(q)
 

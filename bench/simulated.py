@@ -42,7 +42,7 @@ class SimulatedArm(Arm):
         """Reads the joints."""
         self.state = ArmState(joints=read_only(self.joints.q))
 
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         """Jumps there."""
         self.joints.q = np.array(q)
         self.read()

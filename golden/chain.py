@@ -139,7 +139,7 @@ class LaggingArm(Arm):
     def read(self) -> None:
         self.state = ArmState(joints=read_only(self._q))
 
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         self._goal, self._velocity = q.copy(), velocity
 
     def ptp_arrived(self) -> bool:

@@ -61,7 +61,7 @@ class PhysicalArm(Arm):
     def read(self) -> None:
         self.state = ArmState(joints=self._arm.q)
 
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         arm = self._arm
         arm.start_motion(JointMove(arm.q, q, velocity * arm.robot.max_speed, arm.motion_acceleration))
 

@@ -50,7 +50,7 @@ class Bench:
         _, self.up, self.down = wires.connections[-1]
         self.sent, self.goals = [], []
         self.up.sent = self._note
-        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics))
+        arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True)
         self.make = partial(algorithms.real_time_loop, settings, self.rig)
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)

@@ -12,7 +12,7 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about
-from kst import MotionRefused
+from kst import MotionInterrupted, MotionRefused
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs
@@ -55,7 +55,8 @@ Q_ASIDE = HOME.q + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 class FakeArm(Arm):
     """Moves to its goals with `speed` [rad/s], records commands; `held`: a safety stop; `refuse`: what it refuses.
 
-    `shift`: its joints are measured so much off [rad]; `frozen`: they are measured there.
+    `shift`: its joints are measured so much off [rad]; `frozen`: they are measured there. `touches`: a tuple of
+    the external torques at which its PTP motion ends, shape (7,) [Nm], or None; `ranges`: in which it continues.
     """
 
     def __init__(self):
@@ -69,7 +70,7 @@ class FakeArm(Arm):
         self.refuse = None
         self.fail = None
         self.shift = 0.0
-        self.frozen = None
+        self.frozen = self.touches = self.ranges = None
         self._measure()
 
     def tick(self, dt):
@@ -81,16 +82,20 @@ class FakeArm(Arm):
         self._refuse("read")
         self._measure()
 
-    def start_ptp(self, q, velocity):
+    def start_ptp(self, q, velocity, torques=None):
         assert self.mode == "idle"
         self._fail()
         self.commands.append(("ptp", tuple(np.round(q, 9)), velocity))
         self._refuse("start")
-        self.goal, self.mode = q, "ptp"
+        self.goal, self.mode, self.ranges = q, "ptp", torques
 
     def ptp_arrived(self):
         assert self.mode == "ptp"
         self._refuse("end")
+        if self.touches is not None:
+            (torques,), self.touches = self.touches, None
+            self.mode, self.goal = "idle", self.q
+            raise MotionInterrupted("a torque", torques=torques)
         if np.array_equal(self.q, self.goal):
             self.mode = "idle"
             return True
@@ -150,7 +155,7 @@ class World:
         self.now = 100.0
         self._control_on = False
         self.enable_count = 0
-        self.exit_requested = False
+        self.exit_requested, self.exit_in_place = False, None
         self.scale = 1.0
         self.tool = None
         self.clock, self.skew = CLOCK, 0.0  # the wall clock at the start, and how far stamps are ahead of it [s]
@@ -173,9 +178,8 @@ class World:
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
                 self.newest = DesiredFrame(T, self.clock + self.now + self.skew, self.conflict)
-            switches = SwitchState(
-                self.control_on, self.enable_count, scale=self.scale, exit_requested=self.exit_requested
-            )
+            exits = {"exit_requested": self.exit_requested, "exit_in_place": self.exit_in_place}
+            switches = SwitchState(self.control_on, self.enable_count, scale=self.scale, **exits)
             inputs = Inputs(self.newest, self.clock + self.now, switches, self.move)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]

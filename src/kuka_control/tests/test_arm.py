@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kst import Feedback, ReplyTimeout, UnexpectedReply
-from kuka_control.loop.arm import KstArm
+from kst import Feedback, MotionInterrupted, ReplyTimeout, UnexpectedReply
+from kuka_control.loop.arm import UNGUARDED, KstArm
 
 
 def wrench_of(q, torques):
@@ -200,3 +200,31 @@ def test_readings_cannot_be_written_to():
     arm = KstArm(FakeClient(), wrench_of)
     with pytest.raises(ValueError):
         arm.state.joints[0] = 1.0
+
+
+RANGES = np.tile((-10.0, 10.0), (7, 1))
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_a_motion_is_guarded_if_the_server_knows_such_and_it_is_said_once_if_not(knows):
+    client, started = FakeClient(), []
+    client.knows_guarded_ptp = lambda: knows
+    client.start_ptp_joints = lambda *arguments: started.append(arguments[2])
+    arm = KstArm(client, wrench_of, guarded=True)
+    assert arm.take_remarks() == [UNGUARDED] * (not knows) and arm.take_remarks() == []
+    arm.start_ptp(np.ones(7), 0.1, RANGES)
+    assert started == [RANGES if knows else None]
+
+
+def test_after_a_contact_the_torques_where_the_arm_stands_are_known_and_all_is_read_again():
+    client = FakeClient()
+    client.knows_guarded_ptp = lambda: True
+    arm = KstArm(client, wrench_of, guarded=True)
+    arm.start_ptp(np.ones(7), 0.1, RANGES)
+    client.fails["ptp_arrived"] = [MotionInterrupted("a torque", torques=np.arange(7.0))]
+    with pytest.raises(MotionInterrupted):
+        arm.ptp_arrived()
+    np.testing.assert_array_equal(arm.state.torques_external, np.arange(7.0))
+    for _ in range(5):
+        arm.read()
+    assert client.asked["moment"] == 1

@@ -114,6 +114,12 @@ def refuse(what):
     return lambda world: setattr(world.arm, "refuse", what)
 
 
+def touch(world):
+    """Something pushes on joint 1 of an arm on its way."""
+    world.run(0.1)
+    world.arm.touches = (np.array([-31.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),)
+
+
 def block(world):
     """A body is in the way of every motion from now on."""
     world.loop._settings.guard.check = lambda *_: PathCheck(iter(["the palm is 3 mm from the post"]))
@@ -242,6 +248,7 @@ EVENTS = {
     Trigger.JOINTS_JUMPED: (nothing, out_of_reach_and_back(turn=-1.2)),
     Trigger.LAG: (hold, lambda t: shifted(0.1, 0.05 * t, 0.0)),
     Trigger.DISBELIEVED: (measure_wrongly, None),
+    Trigger.CONTACT: (touch, None),
     Trigger.BLOCKED: (block_and_disable, None),
     Trigger.EXIT_BLOCKED: (leave_while_blocked, None),
     Trigger.GUARD_FAILED: (fail_while_moving, None),

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.model.switches import Switches
+from kuka_control.model.switches import Stays, Switches
 
 
 def switches(mode="home", stopped=None):
@@ -107,3 +107,33 @@ def test_a_controller_whose_control_is_held_says_that_it_leaves_the_arm():
     switches = Switches()
     switches.hold("the robot is out of reach")
     assert "leaves the arm as it is: the robot is out of reach" in switches.request_exit().message
+
+
+def test_while_the_joints_are_not_believed_control_stays_as_it_is_and_the_answers_say_so():
+    s = switches()
+    s.set_control(True)
+    s.report("stopped", "The measured joints are not believed.", None, Stays.IN_DOUBT)
+    answer = s.set_control(True)
+    assert not answer.success and answer.message.startswith("Control stays on: the arm does not move while")
+    answer = s.set_control(False)
+    assert answer.success and "before its measured joints are believed" in answer.message
+    answer = s.set_control(True)
+    assert not answer.success and answer.message.startswith("Control stays off: the arm does not move while")
+    assert not s.now.control_on and s.now.enable_count == 1
+    s.report("stopped", "The measured joints are not believed.")
+    assert s.set_control(True).success and s.now.enable_count == 2
+
+
+@pytest.mark.parametrize("stays", list(Stays))
+def test_an_exit_that_leaves_the_arm_says_so_and_is_held_to_it(stays):
+    s = switches()
+    s.report("stopped", "It is stopped.", None, stays)
+    assert s.request_exit().message == f"The controller exits and leaves the arm where it is: {stays.value}."
+    s.report("stopped", "It is stopped.")
+    assert s.now.exit_in_place is stays
+
+
+def test_after_a_contact_control_leads_home():
+    s = switches("stopped")
+    s.report("stopped", "The arm touched something.", None, Stays.TOUCHED)
+    assert "home first" in s.set_control(True).message

@@ -14,6 +14,7 @@ from kuka_control.loop.commands import End
 from kuka_control.loop.servo_law import lts
 from kuka_control.loop.tracking import BELIEVED_RAD, JointCheck
 from kuka_control.model.config import PtpConfig, RealTimeConfig
+from kuka_control.model.switches import Switches
 
 DRIVES_S = 0.04
 FULL_SPEED = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
@@ -136,6 +137,20 @@ def test_exit_with_joints_in_doubt_leaves_the_arm_where_it_stands(schema):
     world.run(1.0)
     assert not world.arm.commands
     assert isinstance(world.steps[-1].command, End) and "not believed" in world.steps[-1].command.fault
+
+
+def test_what_the_services_answer_in_doubt_holds_though_the_joints_become_right_at_that_moment():
+    world, switches = at_home(), Switches()
+    world.arm.shift = 0.1
+    world.run(2.0 * DT)
+    switches.report(world.mode, world.loop.stopped_because, world.loop.outlook, world.loop.stays)
+    answer = switches.set_control(True)
+    assert not answer.success and "not believed" in answer.message and switches.now.enable_count == 0
+    assert "leaves the arm where it is" in switches.request_exit().message
+    world.arm.shift = 0.0
+    world.exit_requested, world.exit_in_place = True, switches.now.exit_in_place
+    world.run(1.0)
+    assert isinstance(world.steps[-1].command, End) and not world.arm.commands
 
 
 @offsets

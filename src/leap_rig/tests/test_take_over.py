@@ -50,7 +50,7 @@ class StillArm(Arm):
     def read(self):
         pass
 
-    def start_ptp(self, q, velocity):
+    def start_ptp(self, q, velocity, torques=None):
         self._tell(q)
 
     def ptp_arrived(self):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from kuka_control.loop.moves import MovePlanner, ProgramMotion
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
 from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trigger
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig
+from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
 from kuka_control.model.target import TargetChain
 
@@ -242,8 +244,9 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     )
     slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
     guard = collision_guard(config, rig)
+    speeds, ranges = rig.model.max_speed, ptp_torque_ranges(config, rig)
     settings = RealTimeSettings(
-        rig.ptp_velocity, rig.home.q, rig.model.max_speed, config.time_out, slow, fast, guard, config.servo_law, goals
+        rig.ptp_velocity, rig.home.q, speeds, config.time_out, slow, fast, guard, ranges, config.servo_law, goals
     )
     return RealTimeLoop(settings, rig.chain, motion_limits(config, rig, guard) if goals.shaped else Unlimited())
 
@@ -258,6 +261,12 @@ def collision_guard(config: ControllerConfig, rig: Rig) -> CollisionGuard | None
         raise ValueError(f"what {config.guard_obstacles} says has to be read and handed in")
     around = rig.obstacles or ()
     return CollisionGuard(rig.kinematics, config.marker_ring, around, config.guard_margin, config.allow_contact)
+
+
+def ptp_torque_ranges(config: ControllerConfig, rig: Rig) -> Callable[..., np.ndarray] | None:
+    """Returns what makes the ranges of the torques in PTP motions, None if nothing is to end them."""
+    margin = config.ptp_contact_torque
+    return partial(torque_ranges, rig.load, margin=margin) if margin > 0.0 else None
 
 
 def line_limits(config: RealTimeConfig, rig: Rig) -> LineLimits | None:
@@ -307,6 +316,8 @@ def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
     """Returns the PTP control loop."""
     velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
     guard = collision_guard(config, rig)
-    speeds = rig.model.max_speed
-    settings = PtpSettings(rig.ptp_velocity, rig.home.q, speeds, config.time_out, velocity, velocity, guard, threshold)
+    speeds, ranges = rig.model.max_speed, ptp_torque_ranges(config, rig)
+    settings = PtpSettings(
+        rig.ptp_velocity, rig.home.q, speeds, config.time_out, velocity, velocity, guard, ranges, threshold
+    )
     return PtpLoop(settings, rig.chain)

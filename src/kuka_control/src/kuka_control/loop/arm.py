@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from common.poses import read_only
-from kst import Feedback, KstClient, KstError, ReplyTimeout, UnexpectedReply
+from kst import Feedback, KstClient, KstError, MotionInterrupted, ReplyTimeout, UnexpectedReply
 from kuka_control.loop.tracking import BELIEVED_RAD
 
 NO_READING = (ReplyTimeout, UnexpectedReply)  # errors of one missing or unusable answer on a link that may be sound
@@ -50,6 +50,11 @@ NEWER = {
     Feedback.FORCE: ("force", "it is estimated from the external torques"),
 }
 """Feedback that servers before May 2019 lack in servo mode: its name, and its substitute."""
+
+UNGUARDED = (
+    "This toolbox server knows no PTP motions that end at a contact, as those before April 2018: ptp_contact_torque "
+    "has no effect, and only the robot's own safety stop ends such a motion."
+)
 
 _T = TypeVar("_T")
 
@@ -94,12 +99,15 @@ class Arm(ABC):
         """Updates `state` outside of servo mode: joints at each call, at rest the other quantities in turn."""
 
     @abstractmethod
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
-        """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once accepted."""
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
+        """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once accepted.
+
+        Where the robot can, the motion ends as an external joint torque leaves its range, shape (7, 2) [Nm].
+        """
 
     @abstractmethod
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended, without waiting."""
+        """Returns whether the motion has ended, without waiting; kst.MotionInterrupted: a torque ended it."""
 
     @abstractmethod
     def start_servo(self) -> None:
@@ -143,6 +151,7 @@ class KstArm(Arm):
         client: connected to the server.
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
         sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
+        guarded: whether PTP motions are to end at a torque, if the server knows such.
     """
 
     SERVO_TURN = (
@@ -155,6 +164,7 @@ class KstArm(Arm):
         client: KstClient,
         wrench: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
         sent: Callable[[np.ndarray, float], None] = lambda q, velocity: None,
+        guarded: bool = False,
     ) -> None:
         self._client = client
         self._sent = sent
@@ -162,7 +172,8 @@ class KstArm(Arm):
         self._probed = False
         self._motion_to: np.ndarray | None = None  # goal of the last PTP motion, where the arm stands after it
         self._lacking: tuple[Feedback, ...] = ()
-        self._remarks: list[str] = []
+        self._guarded = guarded and client.knows_guarded_ptp()
+        self._remarks: list[str] = [UNGUARDED] if guarded and not self._guarded else []
         self._turn = 0
         self._unusable: KstError | None = None  # an answer to a streamed goal that `servo` is still to report
         self._at_rest = True
@@ -202,15 +213,21 @@ class KstArm(Arm):
                 self._at_rest = False
                 raise
 
-    def start_ptp(self, q: np.ndarray, velocity: float) -> None:
+    def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         self._sent(q, velocity)
-        self._client.start_ptp_joints(q, velocity)
+        self._client.start_ptp_joints(q, velocity, torques if self._guarded else None)
         self._motion_to = q
         self._at_rest = False
         self.state = replace(self.state, T_base_tool=None)
 
     def ptp_arrived(self) -> bool:
-        self._at_rest = self._client.ptp_arrived()
+        try:
+            self._at_rest = self._client.ptp_arrived()
+        except MotionInterrupted as error:
+            self._at_rest = True
+            if error.torques is not None:
+                self._take("torques_external", error.torques)
+            raise
         return self._at_rest
 
     def start_servo(self) -> None:

@@ -33,6 +33,7 @@ class Observation:
     inputs: Inputs = Inputs()  # what comes from outside
     arrived: bool = True  # whether no PTP motion runs
     refused: str | None = None  # why the robot's controller refused the last command
+    contact: str | None = None  # what the arm felt that ended the last PTP motion before its goal
     age: float = math.inf  # so much older at most were the joints that were measured before [s]
 
 
@@ -43,10 +44,14 @@ class Wait:
 
 @dataclass(frozen=True)
 class StartPtp:
-    """Move to `q` at the fraction `velocity` of the full joint speed."""
+    """Move to `q` at the fraction `velocity` of the full joint speed.
+
+    `torques`: the motion ends where an external joint torque leaves its range, shape (7, 2) [Nm]; None: never.
+    """
 
     q: np.ndarray
     velocity: float
+    torques: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import SwitchState
+from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import Scaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
@@ -55,11 +55,6 @@ BARRED_BY_MOVE = (
     "box and bring it in again."
 )
 
-IN_DOUBT = (
-    "The arm does not move while its measured joints are not believed: switch control off and on once they are right "
-    "again, or start the controller anew."
-)
-NOT_TO_ZERO = "The arm stays where it is, as its measured joints are not believed."
 
 COUNTED = (
     *("goals_sent", "limited_goals", "goal_gaps", "workspace_clips", "ik_failures", "refused_frames"),
@@ -95,6 +90,9 @@ class LoopSettings:
     velocity_home: float  # fraction of the full joint speed to home at the start or after a fault, and to zero
     velocity_return: float  # the same back home when control goes off or after a time-out, and to a pick-up pose
     guard: CollisionGuard | None  # refuses motions that come too near to a body
+    torque_ranges: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray] | None
+    """From start, goal, velocity and payload of a PTP motion: the ranges of the external joint torques, shape (7, 2)
+    [Nm], out of which the motion ends; None: it does not."""
 
 
 @dataclass(frozen=True)
@@ -245,6 +243,12 @@ class ControlLoop(ABC, Generic[Settings]):
             self._scaling,
         )
 
+    @property
+    def stays(self) -> Stays | None:
+        """Why an exit leaves the arm where it is, None if it would go to zero first."""
+        touched = self._active.state is State.STOPPED and self._active.trigger is Trigger.CONTACT
+        return Stays.IN_DOUBT if self._doubt is not None else Stays.TOUCHED if touched else None
+
     def open_hand(self, opening: Opening | None) -> None:
         """Tells the collision guard the joints of the hand; None: not known. A running check keeps the old."""
         if opening is None and self._opening is not None:
@@ -259,9 +263,12 @@ class ControlLoop(ABC, Generic[Settings]):
             cycle = replace(cycle, fresh=None)
         observation, refused = cycle.observation, cycle.observation.refused
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
-        if refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
+        contact = observation.contact
+        if contact is not None and (self._active.state, Trigger.CONTACT) in self._table:
+            outcome: Outcome = Fired(Trigger.CONTACT, contact)
+        elif refused is None and wrong is not None and (self._active.state, Trigger.DISBELIEVED) in self._table:
             self._doubt = self._joints.where
-            outcome: Outcome = Fired(Trigger.DISBELIEVED, wrong)
+            outcome = Fired(Trigger.DISBELIEVED, wrong)
         elif refused is not None and (self._active.state, Trigger.REFUSED) in self._table:
             outcome = Fired(Trigger.REFUSED, refused)
         else:
@@ -293,7 +300,9 @@ class ControlLoop(ABC, Generic[Settings]):
         if row.action is Action.PTP:
             name, q, velocity = self._motion(row.target)
             velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
-            data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity)
+            torques = self._settings.torque_ranges
+            ranges = torques and torques(cycle.observation.joints, q, velocity, cycle.switches.payload)
+            data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity, ranges)
             self.counts["ptp_motions"] += 1
             self._note_own(row.target, (before.trigger, fired.trigger), cycle.now)
         elif row.action is Action.END:
@@ -488,11 +497,13 @@ class ControlLoop(ABC, Generic[Settings]):
             self._doubt = None
             self._report("info", "The measured joints are believed again.")
         if self._exits(cycle):
-            return Fired(Trigger.EXIT) if self._doubt is None else Fired(Trigger.EXIT_BLOCKED, NOT_TO_ZERO)
+            stays = self.stays or cycle.switches.exit_in_place
+            where = None if stays is None else f"The arm stays where it is: {stays.value}."
+            return Fired(Trigger.EXIT) if where is None else Fired(Trigger.EXIT_BLOCKED, where)
         again = cycle.switches.control_on and cycle.switches.enable_count != self._active.enable_count
         if again and self._doubt is not None:
             self._active = replace(self._active, enable_count=cycle.switches.enable_count)
-            self._report("error", IN_DOUBT)
+            self._report("error", f"Nothing moves: {IN_DOUBT}")
         return Fired(Trigger.ENABLED_AGAIN) if again and self._doubt is None else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:

@@ -12,7 +12,9 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
-from kst import ConnectionLost, KstError, MotionRefused, ReplyTimeout, WrongMode
+import numpy as np
+
+from kst import ConnectionLost, KstError, MotionInterrupted, MotionRefused, ReplyTimeout, WrongMode
 from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
     End,
@@ -28,8 +30,9 @@ from kuka_control.loop.commands import (
 )
 from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.ptp_contact import touched
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import Mode
+from kuka_control.model.switches import Mode, Stays
 
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 5.0  # the pause between attempts doubles up to this [s]
@@ -105,6 +108,11 @@ class ReconnectSupervisor:
         return None if self._loop is None else self._loop.outlook
 
     @property
+    def stays(self) -> Stays | None:
+        """As `ControlLoop.stays`."""
+        return None if self._loop is None else self._loop.stays
+
+    @property
     def stopped_because(self) -> str | None:
         """Why the arm cannot move, a sentence; None if nothing inhibits it."""
         return self.reason if self._loop is None else self._loop.stopped_because
@@ -168,6 +176,8 @@ class Controller:
         self._arm = arm
         self._loop = loop
         self._refused: str | None = None
+        self._contact: str | None = None
+        self._torques: np.ndarray | None = None  # the ranges within which the last PTP motion continues
         self._missed_in_a_row = 0
         self._missing_since = 0.0  # when the first of them was missed [s]
         self._silent = 0.0  # how long the present hold has lasted [s]
@@ -195,13 +205,14 @@ class Controller:
             return replace(self._step, command=Wait(), events=events, transitions=())
         events += self._watch_motion(now)
         refused, self._refused = self._refused, None
+        contact, self._contact = self._contact, None
         joints, age = self._arm.measured_joints, math.inf
         if joints is not self._joints:  # a goal that left, or an answer without joints, is no reading
             self._joints, self._missed_in_a_row = joints, 0
             # They were measured after their question was sent, and before their answer was read.
             delay = self._arm.round_trip or 0.0
             age, self._read_from = now + min(delay, WAIT_S) - self._read_from, before - delay
-        observation = Observation(joints, inputs, not self.moving, refused, age)
+        observation = Observation(joints, inputs, not self.moving, refused, contact, age)
         step = self._loop.step(observation, now)
         try:
             self._do(step)
@@ -274,6 +285,9 @@ class Controller:
             except MotionRefused as error:
                 self.moving = False
                 self._refused = str(error)
+            except MotionInterrupted as error:
+                self.moving = False
+                self._contact = touched(error.torques, self._torques)
             except NO_READING as error:
                 self.missed += 1
                 return self._warning(error, now)
@@ -284,7 +298,8 @@ class Controller:
         if isinstance(command, Servo):
             self._arm.servo(command.q)
         elif isinstance(command, StartPtp):
-            self._arm.start_ptp(command.q, command.velocity)
+            self._torques = command.torques
+            self._arm.start_ptp(command.q, command.velocity, command.torques)
             self.moving = True
         elif isinstance(command, StartServo):
             self._arm.start_servo()

@@ -71,8 +71,9 @@ class Trigger(Enum):
     LAG = "the arm does not follow"
     DISBELIEVED = "the measured joints cannot be true"
     REFUSED = "refused by the robot"
+    CONTACT = "a joint torque has ended the motion"
     BLOCKED = "a body is in the way of the motion"
-    EXIT_BLOCKED = "exit_app, and a body is in the way to zero, or the joints are not believed"
+    EXIT_BLOCKED = "exit_app, and the arm stays: a body is in the way, it touched one, or its joints are not believed"
     GUARD_FAILED = "the collision guard failed"
     CONFLICT = "the frame has two publishers, or its chain or clock jumped"
     AT_REST_TO_STOP = "the goals are at rest, and the arm is to stay"
@@ -120,6 +121,7 @@ _HELD = "The arm cannot go to zero because its motion to {name} does not end."
 _SILENCE = "No new desired tool frame came for {detail} s."
 _PROGRAM = "A program moves the arm."
 _DISBELIEVED = "The measured joints are not believed: {detail}."
+_CONTACT = "The arm touched something on its way to {name}: {detail}."
 _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
@@ -173,6 +175,7 @@ TRANSITIONS = (
     Transition((*_TO_REST, *_RESTS), _T.DISBELIEVED, _S.STOPPED, _A.NONE, _DISBELIEVED),
     Transition(_TO_REST, _T.ARRIVED_AFTER_HOLD, _S.STOPPED, _A.NONE, "Something held the arm on its way to {name}."),
     Transition(_TO_REST, _T.REFUSED, _S.STOPPED, _A.NONE, _REFUSED),
+    Transition(_TO_REST, _T.CONTACT, _S.STOPPED, _A.NONE, _CONTACT),
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
     Transition((_S.STARTING, _S.STOPPED, *_BLOCKED), _T.BLOCKED, _S.STOPPED, _A.NONE, "{detail}"),
     Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED, *_LEFT), _T.EXIT_BLOCKED, _S.ENDED, _A.END, "{detail}"),
@@ -181,6 +184,7 @@ TRANSITIONS = (
     Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
+    Transition((_S.ZERO,), _T.CONTACT, _S.ENDED, _A.END, _CONTACT),
     Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
 )
 """All transitions of both algorithms."""

@@ -81,6 +81,13 @@ class ControllerConfig(RobotAddress):
     guard_margin: float = number("m", low=0.005, high=0.2, absent=0.03, doc="distance that the collision guard keeps")
     guard_obstacles: str = path(doc="file of obstacles for the collision guard; empty: table and base only", absent="")
     allow_contact: tuple[str, ...] = names(doc="bodies that the fingers may touch", absent=("table",))
+    ptp_contact_torque: float = number(
+        "Nm",
+        low=0.0,
+        high=40.0,
+        absent=0.0,
+        doc="a PTP motion ends where an external joint torque exceeds that of hand and load by this; 0: never",
+    )
     marker_ring: bool = flag("whether the marker board's ring is between flange and hand", absent=False)
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
     rate_state: float = number("Hz", low=1.0, high=100.0, doc="how often torques, force, pose and flags are published")

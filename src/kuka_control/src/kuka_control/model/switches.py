@@ -10,6 +10,10 @@ SCALING_MIN = 0.1
 SCALING_MAX = 1.5
 SCALING_DEFAULT = 1.0
 PAYLOAD_MAX_KG = 5.0
+IN_DOUBT = (
+    "the arm does not move while its measured joints are not believed; switch control off and on once they are right "
+    "again, or start the controller anew."
+)
 
 
 def check_scaling_factor(factor: float) -> float:
@@ -34,6 +38,13 @@ class Mode(str, Enum):
     STOPPED = "stopped"
 
 
+class Stays(Enum):
+    """Why an arm that a fault has stopped stays where it is when the controller exits, a part of a sentence."""
+
+    IN_DOUBT = "its measured joints are not believed"
+    TOUCHED = "it touched something on its way"
+
+
 @dataclass(frozen=True)
 class SwitchState:
     """The position of all switches."""
@@ -43,6 +54,7 @@ class SwitchState:
     gripper_on: bool = False
     scale: float = SCALING_DEFAULT
     exit_requested: bool = False
+    exit_in_place: Stays | None = None  # why the exit was said to leave the arm where it is
     payload: float = 0.0  # of what the hand holds [kg]
 
 
@@ -61,6 +73,7 @@ class Switches:
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
         self._outlook: str | None = None
+        self._stays: Stays | None = None
         self._held_by: str | None = None
 
     @property
@@ -68,11 +81,13 @@ class Switches:
         """The position of all."""
         return self._now
 
-    def report(self, mode: Mode, stopped_because: str | None, outlook: str | None = None) -> None:
+    def report(
+        self, mode: Mode, stopped_because: str | None, outlook: str | None = None, stays: Stays | None = None
+    ) -> None:
         """Takes the state of the controller, which the replies quote; `outlook`: what becomes of the desired tool frame
-        that comes now, once control goes on.
+        that comes now, once control goes on; `stays`: why an exit leaves the arm where it is.
         """
-        self._mode, self._stopped_because, self._outlook = mode, stopped_because, outlook
+        self._mode, self._stopped_because, self._outlook, self._stays = mode, stopped_because, outlook, stays
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
@@ -89,6 +104,9 @@ class Switches:
             return SwitchReply(False, "Control stays off: the controller is shutting down.")
         if on and self._held_by is not None:
             return SwitchReply(False, f"Control stays off: {self._held_by}.")
+        doubted = self._stays is Stays.IN_DOUBT
+        if on and doubted:
+            return SwitchReply(False, f"Control stays {'on' if self.now.control_on else 'off'}: {IN_DOUBT}")
         stopped, before = self._stopped_because, self.now.control_on
         enable_count = self.now.enable_count + (on and not before)
         self._now = replace(self.now, control_on=on, enable_count=enable_count)
@@ -98,6 +116,7 @@ class Switches:
             return SwitchReply(True, f"Control is {'on' if on else 'off'} already.")
         if not on:
             where = "stays where it is until control is on again" if stopped else "goes home"
+            where += ", which it cannot be before its measured joints are believed" * doubted
             return SwitchReply(True, f"Control is off, the arm {where}.")
         first = "" if self._mode == Mode.HOME else " The arm goes home first."
         follows = "The arm follows the desired tool frame once it comes."
@@ -131,7 +150,10 @@ class Switches:
         """Requests the motion to the zero position and the exit."""
         if self.now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
-        self._now = replace(self.now, control_on=False, gripper_on=False, exit_requested=True)
+        off = replace(self.now, control_on=False, gripper_on=False)
+        self._now = replace(off, exit_requested=True, exit_in_place=self._stays)
         if self._held_by is not None:
             return SwitchReply(True, f"The controller exits and leaves the arm as it is: {self._held_by}.")
+        if self._stays is not None:
+            return SwitchReply(True, f"The controller exits and leaves the arm where it is: {self._stays.value}.")
         return SwitchReply(True, "The arm goes to the zero position, then the controller exits.")
