@@ -115,7 +115,8 @@ class RobotLink:
         config, rig = self._config, self._rig
         client = KstClient.connect(config.ip, config.port, tool=rig.T_flange_tool, timeout=timeout)
         try:
-            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent)
+            guarded = config.ptp_contact_torque > 0.0
+            return KstArm(client, partial(wrench_at_tool, rig.kinematics), self.goals.sent, guarded)
         except KstError:
             client.close()
             raise
@@ -339,7 +340,7 @@ class _Node:
     def _show(self, step: Step) -> None:
         self._step = step
         self._moves.show(step, self._link.arm.measured_joints)
-        self._switches.report(step.mode, self._loop.stopped_because, self._loop.outlook)
+        self._switches.report(step.mode, self._loop.stopped_because, self._loop.outlook, self._loop.stays)
         arm, controller = self._link.arm, self._controller
         self._state.show(
             Snapshot(arm.state, step, self._switches.now, controller.moving, controller.in_servo, arm.round_trip)
