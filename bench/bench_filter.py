@@ -18,23 +18,34 @@ FILTERS = ("mean", *hand_filter.FILTERS)
 RATE_HZ = 110.0
 TREMOR_HZ, TREMOR_M = (4.0, 12.0), 1e-3
 BAND_HZ = 4.0  # what is faster counts as tremor in the recordings, where the true motion is unknown
-SHIFTS_S = np.arange(0.0, 0.1, 1e-3)
+NOISE_M = 3e-4  # of the tracker, independent from sample to sample
+SIZE, LARGER = 10, (15, 20, 40)  # buffer_size as shipped, and larger ones
+SHIFTS_S = np.arange(0.0, 0.25, 1e-3)
 LEVEL = ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 
 
 def rows(quick: bool) -> list[Row]:
-    """Returns per filter its lag, the fraction of tremor that passes at rest and in motion, and its processor time."""
+    """Returns per filter its lag, the fractions of tremor and of noise that pass, and its processor time; what depends
+    on the size of the buffer also for larger ones.
+    """
     seconds, hands = 10.0 if quick else 60.0, recorded()
     where = f"{seconds:g} s of reaches of 20 cm in 0.8 s at {RATE_HZ:g} Hz, with 1 mm of tremor, 4 to 12 Hz"
     measured = {}
     for name in FILTERS:
         lag, rest, moving, cost = synthetic(name, seconds)
         values = {"lag": (1e3 * lag, "ms", where), "tremor, rest": (100.0 * rest, "%", where)}
+        values |= {"noise, rest": (100.0 * noise(name, seconds), "%", "independent from sample to sample")}
         values |= {"tremor, motion": (100.0 * moving, "%", where), "one frame": (cost, "us", "processor time")}
         if hands:
             lag, passing = np.mean([on_recording(name, times, samples) for times, samples in hands], axis=0)
             real = f"mean of {len(hands)} recorded hands"
             values |= {"lag, recorded": (1e3 * lag, "ms", real), "above 4 Hz, recorded": (100.0 * passing, "%", real)}
+        for size in LARGER:
+            lag, rest, _, _ = synthetic(name, seconds, size)
+            passing = 100.0 * noise(name, seconds, size)
+            how = f"{size} samples"
+            values |= {f"lag, {size}": (1e3 * lag, "ms", how), f"tremor, rest, {size}": (100.0 * rest, "%", how)}
+            values |= {f"noise, rest, {size}": (passing, "%", how)}
         measured[name] = values
     return [
         Row(f"filter {name}: {what}", value, None, unit, how, peer=Peer("mean", measured["mean"][what][0]))
@@ -43,9 +54,9 @@ def rows(quick: bool) -> list[Row]:
     ]
 
 
-def filtered(name: str, times: np.ndarray, hands: list[TrackedHand]) -> np.ndarray:
+def filtered(name: str, times: np.ndarray, hands: list[TrackedHand], size: int = SIZE) -> np.ndarray:
     """Returns the filtered palms, shape (n, 3) [m]; those of the samples until the window is full."""
-    average, palms = HandAverage(10, name), []
+    average, palms = HandAverage(size, name), []
     for now, hand in zip(times.tolist(), hands):
         average.add(hand, now)
         mean = average.mean()
@@ -53,19 +64,27 @@ def filtered(name: str, times: np.ndarray, hands: list[TrackedHand]) -> np.ndarr
     return np.array(palms)
 
 
-def synthetic(name: str, seconds: float) -> tuple[float, float, float, float]:
+def synthetic(name: str, seconds: float, size: int = SIZE) -> tuple[float, float, float, float]:
     """Returns the lag [s], the fraction of tremor that passes at rest and in motion, and the time of a frame [us]."""
     random = np.random.default_rng(1)
     times = np.arange(0.0, seconds, 1.0 / RATE_HZ) + random.uniform(0.0, 0.3 / RATE_HZ, round(seconds * RATE_HZ))
     still, moves = reaches(times)
     trembling = _hands(still + tremor(times))
-    smooth = filtered(name, times, _hands(still))
+    smooth = filtered(name, times, _hands(still), size)
     began = time.process_time()
-    palms = filtered(name, times, trembling)
+    palms = filtered(name, times, trembling, size)
     cost = 1e6 * (time.process_time() - began) / len(times)
     passes = np.square(palms - smooth).mean(axis=1)
     rest, moving = (float(np.sqrt(passes[(times > 1.0) & (moves == part)].mean())) / TREMOR_M for part in (0, 1))
     return best_shift(times, still, smooth), rest, moving, cost
+
+
+def noise(name: str, seconds: float, size: int = SIZE) -> float:
+    """Returns the fraction of the tracker's noise that passes while the hand rests."""
+    times = np.arange(0.0, seconds, 1.0 / RATE_HZ)
+    shaken = np.random.default_rng(3).normal(0.0, NOISE_M, (len(times), 3))
+    moved = filtered(name, times, _hands(shaken), size) - sample(np.zeros(3)).palm
+    return float(np.sqrt(np.square(moved[times > 1.0]).mean())) / NOISE_M
 
 
 def reaches(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,15 +1,17 @@
 """Laws of the filters: known lag, no preferred axis or origin, bounded overshoot, less tremor than the mean."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.hand_tracking import LONG_GAP_S
 from common.rotations import rotation_from_zyx
 from leap_kuka import hand_filter
-from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage
+from leap_kuka.hand_average import FILTER_SIZE, NOMINAL_RATE_HZ, HandAverage
 from leap_kuka.hand_filter import FILTERS, ORIENTATION_MOTION, PALM_MOTION, Kalman, MotionKalman
 
 RATES = [30.0, 50.0, 74.0, 110.0, 200.0]
@@ -222,8 +224,9 @@ def test_invalid_numbers_and_jumps_never_enter(name, sample):
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_after_a_gap_the_result_is_there_in_two_steps(name, sample):
-    average = HandAverage(10, name)
+@pytest.mark.parametrize("size", [10, 30])
+def test_after_a_gap_the_result_is_there_in_two_steps(name, size, sample):
+    average = HandAverage(size, name)
     for i in range(30):
         average.add(sample(position=(0.002 * i, 0.35, 0.0)), 0.01 * i)
     before = average.mean().palm[0]
@@ -261,3 +264,60 @@ def test_filtered_recordings_make_no_step_that_the_controller_would_take_for_a_j
                 assert np.linalg.norm(mean.palm - last[1]) <= 0.017 + 0.65 * (time - last[0])
             last = time, mean.palm
     assert last is not None
+
+
+def palms_of(filter_, size, times, palms, sample):
+    """What the mean of `size` samples, or the filter, makes of palms, shape (n, 3) [m], once there is a result."""
+    average, found = HandAverage(size, filter_), []
+    for t, palm in zip(times.tolist(), palms):
+        average.add(sample(position=palm), t)
+        mean = average.mean()
+        found.append(palm * np.nan if mean is None else mean.palm)
+    return np.array(found)
+
+
+SIZES, UP = st.integers(1, 100), np.array([0.0, 0.35, 0.0])
+
+
+@pytest.mark.parametrize("name", ["mean", *FILTERS])
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.integers(1, 50), st.integers(5, 50))
+def test_a_larger_buffer_lets_less_noise_of_a_resting_hand_through(sample, name, seed, size, more):
+    """Below FILTER_SIZE samples a filter is as it is: nothing is added to its delay there."""
+    times = np.arange(round(6.0 * NOMINAL_RATE_HZ)) / NOMINAL_RATE_HZ
+    palms = np.random.default_rng(seed).normal(0.0, 3e-4, (len(times), 3)) + UP
+    size, larger = (size, size + more) if name == "mean" else (max(size, FILTER_SIZE), max(size, FILTER_SIZE) + more)
+    errors = [(palms_of(name, n, times, palms, sample) - UP)[times > 2.0] for n in (size, larger)]
+    assert np.square(errors[1]).mean() < np.square(errors[0]).mean()
+
+
+@pytest.mark.parametrize("name", ["mean", *FILTERS])
+@settings(max_examples=15, deadline=None)
+@given(SIZES, st.floats(0.03, 0.3), st.sampled_from([74.0, 110.0, 200.0]))
+def test_the_delay_grows_by_half_a_frame_with_each_sample_of_the_buffer_and_no_further(sample, name, size, speed, rate):
+    times = np.arange(0.0, 3.0, 1.0 / rate)
+    palms = np.outer(speed * times, (1.0, 0.0, 0.0)) + UP
+    least = 1 if name == "mean" else FILTER_SIZE
+    lag, alone = (times[-1] - palms_of(name, n, times, palms, sample)[-1, 0] / speed for n in (size, least))
+    samples = 1 + max(size - least, 0)
+    averaged = min(samples, max(1, math.ceil(samples / NOMINAL_RATE_HZ * rate - 1e-9)))
+    assert lag == pytest.approx(alone + 0.5 * (averaged - 1) / rate, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@given(seeds, st.integers(1, 10))
+def test_up_to_the_shipped_buffer_a_filter_is_the_same_to_the_bit(sample, name, seed, size):
+    random = np.random.default_rng(seed)
+    times = np.cumsum(random.uniform(0.001, 0.15, 60))
+    palms = np.cumsum(random.normal(0.0, 0.004, (60, 3)), axis=0) + UP
+    alone, filter_ = FILTERS[name](), palms_of(name, size, times, palms, sample)
+    result = before = None
+    for t, palm, there in zip(times.tolist(), palms, filter_):
+        hand = sample(position=palm)
+        gap = before is not None and t - before > LONG_GAP_S
+        if gap:
+            alone.reset()
+        last, result = result, list(alone.step([*hand.palm, *hand.direction, *hand.normal], t))
+        result = [0.5 * (a + b) for a, b in zip(last, result)] if gap else result
+        assert np.isnan(there[0]) or there.tolist() == result[:3]
+        before = t

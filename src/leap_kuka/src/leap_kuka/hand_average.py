@@ -5,7 +5,8 @@ vectors are in the Leap frame: x to the user's right, y up, z towards the user; 
 
 The window is in seconds, so that a slow tracker does not add delay: `size` samples at the nominal rate. It holds `size`
 samples at most, and two at least. Its mean is the confidence of the hand, and its frame unless there is a filter
-(hand_filter.py); a hand that turns too fast for this mean has no frame with a filter either.
+(hand_filter.py); a hand that turns too fast for this mean has no frame with a filter either. A filter smooths as it is
+up to FILTER_SIZE samples; of more samples, its results are averaged over the time by which the window is longer.
 
 An outlier is a palm that moves more than 20 mm from one frame to the next, and faster than 2 m/s over a longer gap, or
 0.3 m/s over one of more than 0.1 s, or a hand with invalid numbers (docs/handbook/wire-protocols.md, "Tracker: Leap
@@ -31,6 +32,9 @@ from leap_motion.frames import TrackedHand
 MAX_LEFT_OUT = 5
 
 NOMINAL_RATE_HZ = 110.0  # of the tracker
+FILTER_SIZE = (
+    10  # samples; each one more delays the result of a filter by half the time between two frames, as a mean's
+)
 SPEED_WINDOW_S = 10.0 / NOMINAL_RATE_HZ  # time over which the speed of the palm is computed, whatever the mean's size
 SPEED_SAMPLES = 4  # fewest samples that have a speed
 MIN_MEAN_LENGTH = 0.8
@@ -69,6 +73,8 @@ class HandAverage:
         self.size, self.window = size, size / NOMINAL_RATE_HZ
         self._filter = None if filter == "mean" else FILTERS[filter]()
         self._filtered: Sequence[float] = ()
+        self._averaged = max(size - FILTER_SIZE, 0) + 1  # results of the filter, at most
+        self._results: deque[tuple[float, list[float]]] = deque(maxlen=self._averaged)
         self._samples: deque[tuple[float, list[float]]] = deque(maxlen=size)
         self._newest: deque[tuple[float, list[float]]] = deque()  # palms
         self._first: float | None = None
@@ -119,7 +125,7 @@ class HandAverage:
         """Returns the mean hand, or None while the window fills or the hand turns too fast for a mean."""
         if not self.full:
             return None
-        *vectors, confidence = (sum(column) / self.count for column in zip(*(numbers for _, numbers in self._samples)))
+        *vectors, confidence = _mean(self._samples)
         if not _is_frame(vectors):
             return None
         if self._filter is not None:
@@ -129,7 +135,7 @@ class HandAverage:
         return MeanHand(_pose(vectors), confidence, self._speed())
 
     def _after(self, sample: list[float], now: float) -> Sequence[float]:
-        """Returns the filtered sample, nine numbers.
+        """Returns the filtered sample, nine numbers: the mean of the filter's newest results.
 
         A filter begins anew after a gap in which nobody saw where the hand was. The first result is half-way then, as
         the mean's is, so that the tool makes two smaller steps.
@@ -138,7 +144,12 @@ class HandAverage:
         gap = bool(self._samples) and now - self._samples[-1][0] > LONG_GAP_S
         if gap or not self._samples:
             self._filter.reset()
+            self._results.clear()
         filtered = self._filter.step(sample, now)
+        if self._averaged > 1:
+            self._results.append((now, list(filtered)))
+            _forget(self._results, now - self._averaged / NOMINAL_RATE_HZ, 1)
+            filtered = _mean(self._results)
         return [0.5 * (a + b) for a, b in zip(self._filtered, filtered)] if gap else filtered
 
     def _speed(self) -> float:
@@ -233,6 +244,10 @@ def _forget(samples: deque[tuple[float, list[float]]], until: float, least: int)
     """Removes the samples that are not after `until` [s], but keeps `least` of them."""
     while len(samples) > least and samples[0][0] <= until:
         samples.popleft()
+
+
+def _mean(samples: deque[tuple[float, list[float]]]) -> list[float]:
+    return [sum(column) / len(samples) for column in zip(*(numbers for _, numbers in samples))]
 
 
 def _slope(samples: list[tuple[float, list[float]]]) -> float:
