@@ -180,7 +180,6 @@ def test_the_life_of_the_real_time_controller(ros, robot, run):
     assert not node.call("scaling_factor", "setScalingFactor", float("nan")).success
     assert node.call("scaling_factor", "setScalingFactor", 0.5).message == "The scaling factor is 0.5."
     assert node.control(True).success
-    assert not node.call("scaling_factor", "setScalingFactor", 0.7).success
 
     T_home = home_tool()
     hand = Hand(shifted(T_home, 0.1, 0.0, 0.06), parent_chain=True)

@@ -1,69 +1,65 @@
-"""How far the clock that stamps the desired tool frame is from this machine's, where the frame comes from another one.
+"""How far the clock of another machine is from this one's, by a two-way exchange: asked at `sent`, answered at
+`received`, the other clock showed the `stated` second meanwhile. No delay on the way is taken for an offset.
 
-Nothing tells a clock that differs from a frame that is late, except that a late one does not stay equally late. So an
-offset counts once stamps that change have kept it for STEADY_S; the least late of them gives it. A backlog that arrives
-at once, a frame that is repeated, and a clock that was set do not keep it. Times in s; `now` is monotonic.
+An answer bounds the offset from both sides; what all answers of one measurement have in common is the offset, to the
+time of one exchange if one of them comes just before a second of the other clock ends, and one just after. Times in s.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
-from kuka_control.model.desired_frame import MAX_OFFSET_S, MAX_SKEW_S, STEADY_S
+from kuka_control.model.desired_frame import MAX_OFFSET_S
 
-STEADY_COUNT = 5  # so many stamps at least
-SPREAD_S = 0.25  # among them stamps are not further apart in lateness than this
-DRIFT = 1e-4  # an offset that was measured follows the other clock at this rate at most [s/s]
+SECOND_S = 1.0  # an answer says the other clock's whole second
+WIDTH_S = 0.25  # an offset that is known to this is known
+DRIFT = 1e-4  # a clock gains or loses this much at most [s/s]
 
 
-@dataclass
-class _Candidate:
-    """Stamps that disagree with the offset so far: since when, by how much at least and at most, and how many."""
+class OffsetMeasurement:
+    """One measurement, of several answers."""
 
-    since: float
-    low: float
-    high: float
-    count: int = 1
+    def __init__(self) -> None:
+        self._low, self._high = -math.inf, math.inf
+
+    def answered(self, sent: float, received: float, stated: float) -> None:
+        """Takes an answer; one that contradicts those before begins anew: a clock was set."""
+        low, high = stated - received, stated + SECOND_S - sent
+        if max(self._low, low) > min(self._high, high):
+            self._low, self._high = low, high
+        self._low, self._high = max(self._low, low), min(self._high, high)
+
+    @property
+    def offset(self) -> float | None:
+        """The other clock less this one, to half of WIDTH_S [s]; None while it is not known so well."""
+        return (self._low + self._high) / 2.0 if self._high - self._low <= WIDTH_S else None
 
 
 class ClockOffset:
-    """The offset of one node's clock.
+    """The offset of one node's clock, by which the stamps of its frames are corrected.
 
     Attributes:
-        value: its stamps less this machine's clock [s]; 0 while they agree within MAX_SKEW_S.
-        number: how often it was measured.
+        value: the other clock less this machine's [s]; 0 where they agree to what can be measured.
+        number: how often another one was measured.
     """
 
     def __init__(self) -> None:
         self.value, self.number = 0.0, 0
-        self._last: float | None = None
-        self._agreed: float | None = None  # when a stamp did last
-        self._candidate: _Candidate | None = None
+        self._measured, self._at = 0.0, -math.inf
 
-    def take(self, stamp: float, clock: float, now: float) -> bool:
-        """Takes a stamp as it came at the ROS time `clock`; returns whether the offset is another one from it on."""
-        before, self._last = self._last, stamp
-        if stamp == before:
+    def measured(self, offset: float) -> bool:
+        """Takes a new measurement; returns whether the offset is another one from it on. One within WIDTH_S is taken
+        over little by little, and one beyond MAX_OFFSET_S not at all.
+        """
+        offset = offset if WIDTH_S < abs(offset) <= MAX_OFFSET_S else 0.0
+        self._measured = offset
+        if abs(offset - self.value) <= WIDTH_S:
             return False
-        skew = stamp - clock
-        if abs(skew - self.value) <= MAX_SKEW_S:
-            self._candidate = None
-            if self.value and self._agreed is not None:
-                most = DRIFT * max(now - self._agreed, 0.0)
-                self.value += min(max(skew - self.value, -most), most)
-            self._agreed = now
-            return False
-        return self._measured(before is not None and stamp > before, skew, now)
-
-    def _measured(self, advanced: bool, skew: float, now: float) -> bool:
-        found = self._candidate
-        low, high = (skew, skew) if found is None else (min(found.low, skew), max(found.high, skew))
-        if found is None or not advanced or high - low > SPREAD_S:
-            self._candidate = _Candidate(now, skew, skew)
-            return False
-        found.low, found.high, found.count = low, high, found.count + 1
-        if now - found.since < STEADY_S or found.count < STEADY_COUNT or max(-low, high) > MAX_OFFSET_S:
-            return False
-        self.value, self.number = (0.0 if abs(high) <= MAX_SKEW_S else high), self.number + 1
-        self._candidate, self._agreed = None, now
+        self.value, self.number = offset, self.number + 1
         return True
+
+    def pass_to(self, now: float) -> None:
+        """Follows the other clock's drift up to the monotonic time `now`."""
+        most = DRIFT * max(now - self._at, 0.0) if self._at > -math.inf else 0.0
+        self.value += min(max(self._measured - self.value, -most), most)
+        self._at = now

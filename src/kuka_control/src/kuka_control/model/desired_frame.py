@@ -19,8 +19,7 @@ from common.rotations import UNIT_TOLERANCE, rotation_angle
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
 MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
-STEADY_S = 0.5  # a clock that differs by more is measured from stamps that keep their offset for this long [s],
-MAX_OFFSET_S = 60.0  # but not by more than this: such a stamp is of a recording, or of a clock that was never set [s]
+MAX_OFFSET_S = 60.0  # a clock that differs by more was never set, and a stamp that does is of a recording [s]
 PAUSE_S = 0.28  # after a longer pause than this a new stream of frames begins [s],
 PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between its last frames
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
@@ -66,16 +65,19 @@ def transform_fault(numbers: Sequence[float]) -> str | None:
     return f"its quaternion has norm {norm:.6g} instead of 1" if abs(norm - 1.0) > UNIT_TOLERANCE else None
 
 
-def skew_fault(stamp: float, clock: float) -> str | None:
-    """Returns why a desired tool frame with this stamp is refused at the ROS time `clock` [s], a sentence, or None."""
+def skew_fault(
+    stamp: float, clock: float, finding: str = "it is old, or the clocks of the machines differ"
+) -> str | None:
+    """Returns why a desired tool frame with this stamp is refused at the ROS time `clock` [s], a sentence, or None;
+    `finding`: what is known about the clock that stamps it.
+    """
     skew = stamp - clock
     if abs(skew) <= MAX_SKEW_S:
         return None
     side = "ahead of" if skew > 0.0 else "behind"
-    counts = f"; then it counts after {STEADY_S:g} s of new stamps" if abs(skew) <= MAX_OFFSET_S else ""
     return (
         f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
-        f"{MAX_SKEW_S:g} s; it is old, or the clocks of the machines differ{counts}."
+        f"{MAX_SKEW_S:g} s; {finding}."
     )
 
 
@@ -263,8 +265,8 @@ class DesiredStream:
         if not time_out < gap < math.inf or self._silence > PAUSE_PERIODS * gap:
             return None
         return (
-            f"The desired tool frame comes only every {gap:.2f} s, but time_out is {time_out:g} s, so it is not followed: "
-            "publish it more often, or start the controller with a longer time_out."
+            f"The desired tool frame comes only every {gap:.2f} s, but time_out is {time_out:g} s, so it is not "
+            "followed: publish it more often, or start the controller with a longer time_out."
         )
 
     def refusal(self, now: float) -> str | None:

@@ -332,10 +332,10 @@ class _Node:
         return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0
 
     def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, Scaling]:
-        step, joints = self._step, self._link.arm.state.joints
-        if step is None:
-            return Mode.STARTING, joints, Scaling(self._switches.now.scale)
-        return step.mode, joints, step.scaling or Scaling(self._switches.now.scale)
+        step, scaling = self._step, Scaling(self._switches.now.scale)
+        if step is not None and step.scaling is not None and step.scaling.factor == scaling.factor:
+            scaling = step.scaling
+        return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, scaling
 
     def _show(self, step: Step) -> None:
         self._step = step
@@ -358,7 +358,7 @@ class _Node:
         answers = {"missed_answers": controller.missed, "holds": controller.holds}
         counts = {**self._loop.counts, **answers, "estimated_in_servo": estimated}
         counts["workspace"] = "lifted" if self._lifted else "kept"
-        counts["clock_offset"] = f"{self._desired.clock.value:.3f}"
+        counts["clock_offset"] = f"{self._desired.offset:.3f}"
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
         level, reason = DiagnosticStatus.OK, step.reason

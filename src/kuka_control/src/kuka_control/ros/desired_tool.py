@@ -12,9 +12,8 @@ from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
 from common import clock
-from common.frames import BASE, ONE_ARM, TOOL_DESIRED, ArmFrames
+from common.frames import BASE, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.ros.conversions import pose_from_transform
-from kuka_control.model.clock_offset import ClockOffset
 from kuka_control.model.desired_frame import (
     MAX_OFFSET_S,
     STANDS_S,
@@ -25,6 +24,7 @@ from kuka_control.model.desired_frame import (
     skew_fault,
     transform_fault,
 )
+from kuka_control.ros.other_clock import NodeClock
 from kuka_control.ros.tf_message import RawTfMessage, RawTransform
 
 REMIND_S = 5.0
@@ -41,18 +41,18 @@ class DesiredTool:
     A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
     it, that one counts as refused. So it does without a way to the base, when a frame that it stands in jumps, and when
     ROS time goes back. A transform with bad numbers, or a desired tool frame whose stamp is far from this machine's
-    clock, is refused: in tf2 one of the future would hide those after it. Where the clock of the node that publishes it
-    differs, the stamps of all frames of that node are corrected by the measured offset before tf2 gets them. Only
-    frames that the base or the desired tool frame stand in, directly or not, go to tf2; the newest transforms of the
-    others are kept in case this changes.
+    clock, is refused: in tf2 one of the future would hide those after it. Where the node that publishes it runs on
+    another machine, whose clock differs, the stamps of all its frames are corrected before tf2 gets them
+    (other_clock.py). Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
+    newest transforms of the others are kept in case this changes.
 
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.
-        clock: of the node that published it last.
+        offset: of the clock of the node that published it last [s].
     """
 
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
-        self._base, self._tool = frames(BASE), frames(TOOL_DESIRED)
+        self._base, self._tool, self._hand = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
         self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = clock.Event()
         self._newest: DesiredFrame | None = None
@@ -65,8 +65,9 @@ class DesiredTool:
         self._unconnected_since: float | None = None  # [s]
         self.stamp: rospy.Time | None = None
         self._looked_up: rospy.Time | None = None  # the same, of this machine's clock
-        self.clock = ClockOffset()
-        self._clocks: dict[str, ClockOffset] = {}  # of the nodes that published it
+        self._clock = NodeClock("")  # of the node that published it last
+        self._clocks: dict[str, NodeClock] = {}  # of all that did
+        self._foreign = True  # whether it does not stand in the virtual Leap
         self._lock = clock.Lock()  # each publisher on /tf has a thread of its own
         self._last_time = rospy.Time.now()
         self._passed = clock.monotonic()  # when ROS time was seen to pass [s]
@@ -75,6 +76,10 @@ class DesiredTool:
         self._others: dict[str, deque[RawTransform]] = {}
         rospy.Subscriber("/tf_static", TFMessage, self.static_callback, tcp_nodelay=True)
         rospy.Subscriber("/tf", RawTfMessage, self.callback, tcp_nodelay=True)
+
+    @property
+    def offset(self) -> float:
+        return self._clock.offset.value
 
     def callback(self, data: RawTfMessage) -> None:
         """Receives tf messages."""
@@ -100,7 +105,7 @@ class DesiredTool:
                 if transform.child == self._tool:
                     self._measure(node, transform, now)
                 if node in self._clocks:
-                    transform = transform.earlier(self._clocks[node].value)
+                    transform = transform.earlier(self._clocks[node].offset.value)
                 if transform.child in self._needed:
                     self._take(transform)
                     arrived = True
@@ -147,18 +152,24 @@ class DesiredTool:
                 passed.add(frame)
                 frame = self._parents.get(frame)
             self._needed |= passed
+            if start == self._tool:
+                self._foreign = self._hand not in passed
         for frame in self._needed.intersection(self._others):
             for transform in self._others.pop(frame):
                 self._take(transform)
 
     def _measure(self, node: str, transform: RawTransform, now: float) -> None:
         """Compares the clock of the node that publishes the desired tool frame with this machine's."""
-        self.clock = self._clocks.setdefault(node, ClockOffset())
-        if not self.clock.take(transform.time, rospy.get_time(), now):
+        self._clock = self._clocks.get(node) or self._clocks.setdefault(node, NodeClock(node))
+        changed = self._clock.renew(now)
+        stamp, present = transform.time - self.offset, rospy.get_time()
+        if skew_fault(stamp, present) is not None and stamp > present - MAX_OFFSET_S:
+            self._clock.doubt(now)
+        if not changed:
             return
         self.buffer.clear()  # of frames that are not corrected, or by another offset
         self._others.clear()
-        offset = self.clock.value
+        offset = self.offset
         if not offset:
             rospy.loginfo("The clock of %s agrees with this machine's again.", node)
             return
@@ -175,7 +186,7 @@ class DesiredTool:
             return
         if transform.child == self._tool:
             present = rospy.get_time()
-            skewed = skew_fault(transform.time, present)
+            skewed = skew_fault(transform.time, present, self._clock.finding)
             if skewed is not None and transform.time > present - MAX_OFFSET_S:  # an older one is refused by its stream
                 self._refused = skewed
                 return
@@ -219,9 +230,10 @@ class DesiredTool:
             if stamp == self._looked_up:
                 return False
             T_base_tool = pose_from_transform(message.transform)
-            self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.clock.value)
+            self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.offset)
             jump = self._chain_jump(stamp, T_base_tool)
-            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, clock=self.clock.number)
+            number, foreign = self._clock.offset.number, self._foreign
+            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, clock=number, foreign=foreign)
         except tf2_ros.ExtrapolationException:
             return False
         except tf2_ros.TransformException:
