@@ -23,7 +23,7 @@ def panel(application):
 def state(**changes):
     from kuka_control.gui.panel_state import PanelState
 
-    return replace(PanelState(True, False, False, 1.0, True, "home: waiting"), **changes)
+    return replace(PanelState(True, False, False, 1.0, "home: waiting"), **changes)
 
 
 def click(button):
@@ -52,7 +52,7 @@ def test_a_toggle_asks_and_turns_green_only_when_the_function_is_on(panel, name)
 
 def test_showing_a_state_asks_for_nothing(panel):
     asked = [emitted(getattr(panel, f"{n}_requested")) for n in ("control", "gripper", "scaling", "exit", "emergency")]
-    panel.show_state(state(control_on=True, gripper_on=True, scaling_factor=0.4, scaling_enabled=False))
+    panel.show_state(state(control_on=True, gripper_on=True, scaling_factor=0.4))
     panel.show_state(state())
     assert asked == [[], [], [], [], []]
 
@@ -106,34 +106,16 @@ def test_reset_asks_for_one(panel):
     assert asked == [(1.0,)]
 
 
-def test_scaling_is_locked_while_control_is_on(panel):
+def test_the_slider_works_while_control_is_on(panel):
     asked = emitted(panel.scaling_requested)
-    panel.show_state(state(control_on=True, scaling_enabled=False))
+    panel.show_state(state(control_on=True, scaling_factor=0.4))
+    assert panel.scaling.isEnabled()
     click(panel.reset)
-    assert asked == [] and not panel.scaling.isEnabled()
-
-
-def test_the_lock_is_said_beside_the_slider_and_moves_nothing(panel, application):
-    application.processEvents()
-    panel.resize(panel.minimumSizeHint())
-    application.processEvents()
-    before = [widget.geometry() for widget in (panel.scaling, panel.reset, panel.emergency)]
-    size = panel.minimumSizeHint()
-    assert panel.scaling_lock.text() == ""
-    panel.show_state(state(control_on=True, scaling_enabled=False))
-    application.processEvents()
-    assert "locked" in panel.scaling_lock.text() and panel.scaling_lock.isVisible()
-    assert panel.scaling_lock.mapTo(panel, panel.scaling_lock.rect().topLeft()).y() >= panel.scaling.geometry().bottom()
-    assert [widget.geometry() for widget in (panel.scaling, panel.reset, panel.emergency)] == before
-    assert panel.minimumSizeHint() == size
-    lock = panel.scaling_lock
-    assert lock.fontMetrics().horizontalAdvance(lock.text()) <= lock.contentsRect().width(), "it is cut"
-    panel.show_state(state(present=False, scaling_enabled=False))
-    assert panel.scaling_lock.text() == ""
+    assert asked == [(1.0,)]
 
 
 def test_without_a_controller_only_the_emergency_stop_works(panel):
-    panel.show_state(state(present=False, scaling_enabled=False, status_line="silent"))
+    panel.show_state(state(present=False, status_line="silent"))
     asked, stopped = emitted(panel.exit_requested), emitted(panel.emergency_requested)
     click(panel.exit)
     click(panel.emergency)

@@ -208,13 +208,11 @@ def test_the_slider_stays_where_the_keys_put_it(panel, start, see):
     see(lambda: panel.scaling.value() == 100 and abs(now_scale() - 1.0) < 1e-6, "the default")
 
 
-def test_the_scaling_factor_is_locked_while_control_is_on(panel, controller, see):
-    click(panel.control)
-    see(lambda: not panel.scaling.isEnabled(), "the lock")
-    panel.scaling_requested.emit(0.3)  # as if it was asked for just before
-    see(lambda: "stays 1: it cannot change while control is on" in panel.answer.full, "the refusal")
-    see(lambda: panel.scaling.value() == 100, "the slider where it was")
-    assert panel.answer.property("tone") == "warning"
+def test_the_scaling_factor_changes_while_control_is_on(panel, controller, see):
+    panel.control_requested.emit(True)
+    see(lambda: panel.control.isChecked(), "control")
+    panel.scaling_requested.emit(0.3)
+    see(lambda: panel.scaling.value() == 30 and abs(now_scale() - 0.3) < 1e-6, "the factor")
 
 
 def test_a_factor_set_by_the_service_is_shown_exactly(panel, controller, see):

@@ -15,7 +15,7 @@ STATUS = ControllerStatus(10.0, True, True, 0.7, "servo", "the hand steers the a
 
 def test_before_the_first_status_everything_is_off():
     state = panel_state(None, 0.0)
-    assert not (state.present or state.control_on or state.gripper_on or state.scaling_enabled)
+    assert not (state.present or state.control_on or state.gripper_on)
     assert state.status_line == "Waiting for the controller of the arm."
 
 
@@ -23,11 +23,6 @@ def test_what_the_controller_says_is_shown():
     state = panel_state(STATUS, 10.1)
     assert state.present and state.control_on and state.gripper_on and state.scaling_factor == 0.7
     assert state.status_line == "servo: the hand steers the arm (limited by: z lower limit)"
-
-
-def test_the_scaling_factor_is_locked_while_control_is_on():
-    assert not panel_state(STATUS, 10.0).scaling_enabled
-    assert panel_state(ControllerStatus(10.0, False, False, 1.0, "home", ""), 10.0).scaling_enabled
 
 
 @given(st.integers(100_000, 1_500_000), st.booleans())

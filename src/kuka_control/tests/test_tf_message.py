@@ -225,7 +225,7 @@ def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(liste
 
 
 def clock_of_another_machine(listener, monkeypatch, ahead, rate=50.0):
-    """Returns what hears the next frame of a node whose clock is `ahead` [s], at the rate [Hz], and is asked at once."""
+    """Returns what hears the next frame of a node, at the rate [Hz]; its clock is `ahead` [s], and is asked at once."""
     import rospy
 
     from kuka_control.ros.other_clock import NodeClock

@@ -86,8 +86,6 @@ UNBOUNDED_PX = 10_000
 OPERATOR_PX = 40  # height of the operator's view in the smallest panel; it scrolls
 STEPS_PER_UNIT = 100  # the slider moves in hundredths
 EXIT_TIP = "The arm goes to the zero position, then the controller exits."
-LOCKED_TIP = "Switch ROS Control off to change the scaling factor."
-LOCKED = "locked: control is on"
 
 
 class Sentence(QLabel):
@@ -182,9 +180,6 @@ class ControlPanel(QWidget):
         self.gripper.setAccessibleName("ROS Control of the gripper")
         self.scaling_label = label()
         self.scaling_label.setAlignment(Qt.AlignHCenter)
-        self.scaling_lock = label(name="end")
-        self.scaling_lock.setAlignment(Qt.AlignHCenter)
-        self.scaling_lock.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Fixed)  # its text moves nothing
         self._held_at = 0  # where the slider was when the operator took it [steps]
         self.scaling = QSlider(Qt.Horizontal)
         self.scaling.setRange(round(SCALING_MIN * STEPS_PER_UNIT), round(SCALING_MAX * STEPS_PER_UNIT))
@@ -208,12 +203,8 @@ class ControlPanel(QWidget):
         """Shows the state; a slider that the operator holds stays where it is."""
         self.control.setChecked(state.control_on)
         self.gripper.setChecked(state.gripper_on)
-        for widget in (self.control, self.gripper, self.exit):
+        for widget in (self.control, self.gripper, self.exit, self.scaling, self.reset, self.scaling_label):
             widget.setEnabled(state.present)
-        for widget in (self.scaling, self.reset, self.scaling_label):
-            widget.setEnabled(state.scaling_enabled)
-            widget.setToolTip(LOCKED_TIP if state.present and not state.scaling_enabled else "")
-        self.scaling_lock.setText(LOCKED if state.present and not state.scaling_enabled else "")
         if not self.scaling.isSliderDown():
             self.scaling.blockSignals(True)
             self.scaling.setValue(round(state.scaling_factor * STEPS_PER_UNIT))
@@ -232,7 +223,7 @@ class ControlPanel(QWidget):
     def _arrange(self) -> None:
         scale_ends = QHBoxLayout()
         scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
-        scale_ends.addWidget(self.scaling_lock, 1)
+        scale_ends.addStretch(1)
         scale_ends.addWidget(label(f"{SCALING_MAX:.1f}", "end"))
         grid = QGridLayout(self)
         grid.setSpacing(10)

@@ -50,7 +50,6 @@ class PanelState:
     control_on: bool
     gripper_on: bool
     scaling_factor: float
-    scaling_enabled: bool
     status_line: str
     tone: Tone = Tone.NORMAL
 
@@ -76,8 +75,7 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
     if context.master_lost:
         line = f"{line}\nThe ROS master at {context.master} does not answer; this controller still does."
         tone = Tone.WARNING if tone is Tone.NORMAL else tone
-    on = status.control_on
-    return PanelState(True, on, status.gripper_on, status.scaling_factor, not on, line, tone)
+    return PanelState(True, status.control_on, status.gripper_on, status.scaling_factor, line, tone)
 
 
 def factor_text(factor: float) -> str:
@@ -87,7 +85,7 @@ def factor_text(factor: float) -> str:
 
 
 def _absent(scaling_factor: float, line: str, tone: Tone) -> PanelState:
-    return PanelState(False, False, False, scaling_factor, False, line, tone)
+    return PanelState(False, False, False, scaling_factor, line, tone)
 
 
 def _sentence(status: ControllerStatus) -> str:

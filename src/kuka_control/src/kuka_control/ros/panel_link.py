@@ -95,7 +95,7 @@ class PanelLink(QObject):
         if self._asked_scaling is None:
             return state
         factor, until = self._asked_scaling
-        if clock.monotonic() > until or abs(state.scaling_factor - factor) < 1e-3 or not state.scaling_enabled:
+        if clock.monotonic() > until or abs(state.scaling_factor - factor) < 1e-3 or not state.present:
             self._asked_scaling = None
             return state
         return replace(state, scaling_factor=factor)
