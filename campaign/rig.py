@@ -465,6 +465,10 @@ class RigUnderTest:
         desired = stamped_pose(pose_from_message(check.desired), BASE, rospy.Time.now())
         return self.call("leap_kuka/hold_tool", HoldTool, desired, duration)
 
+    def argument(self, name: str) -> Any:
+        """Returns an argument of rig.launch."""
+        return self._arguments[name]
+
     def moves(self) -> ActionClient:
         """Returns a client of kuka/move, connected."""
         client = ActionClient("kuka/move", MoveAction)

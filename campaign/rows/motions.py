@@ -1,4 +1,4 @@
-"""Rows 64 to 66: motions for programs, and point-to-point motions that do not end as they should."""
+"""Rows 64 to 66 and 81: motions for programs, and point-to-point motions that do not end as they should."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import numpy as np
 import rospy
 from actionlib_msgs.msg import GoalStatus
 
+from campaign.rig import PATIENCE_S
 from campaign.trial import row
 from common import clock
 from common.frames import BASE
 from common.ros.conversions import stamped_pose
 from kuka_msgs.msg import MoveGoal
+from rig_simulation.control_port import ControlClient
+from rig_simulation.world.scene import scene_from, table_pose
 
+ASIDE_RAD = 0.9  # joint 1 turns from home so far [rad]
+MOST_N = 250.0  # with which an arm that touched a body at a quarter of its speed stands there [N]
 AWAY = np.radians([-20.0, 35.0, 0.0, -70.0, 0.0, 75.0, 20.0])  # joints within the workspace
 
 
@@ -113,3 +118,38 @@ def cancelled(trial):
     result = rig.moved(program)
     rig.wait_for_modes("returning", "home")
     trial.check("it goes home when control is off", np.linalg.norm(rig.arm.now.T_base_tool - home) < 0.01)
+
+
+@row(81, "A body in the way of a PTP motion", "L", within=0.5, named_by="touched something on its way to home",
+     operator=True, variant="seeing",
+     dangerous="the PC cannot stop such a motion, and no guard knows of the body")  # fmt: skip
+def post_on_the_way_home(trial):
+    rig = trial.rig
+    world = ControlClient("127.0.0.1", int(rig.argument("world_port")), PATIENCE_S)
+    home, at_home = rig.arm.now.q, rig.arm.now.T_base_tool[:3, 3]
+    assert rig.control(True).success
+    aside = home + ASIDE_RAD * np.eye(7)[0]
+    rig.move(kind=MoveGoal.JOINTS, joints=aside.tolist(), velocity=0.25)
+    rig.wait_until_at(aside)
+    # Nobody tells the guard of the post, halfway back.
+    scene = world.ask("scene")["scene"]
+    c, s = np.cos(0.5 * ASIDE_RAD), np.sin(0.5 * ASIDE_RAD)
+    x, y = c * at_home[0] - s * at_home[1], s * at_home[0] + c * at_home[1]
+    place = (np.linalg.inv(table_pose(scene_from(scene).table)) @ [x, y, 0.0, 1.0])[:2]
+    post = {"position": place.tolist(), "radius": 0.03, "height": 0.6}
+    world.ask("set_scene", scene={**scene, "posts": {"post": post}})
+    assert rig.control(False).success
+    touching = lambda: [c for c in world.ask("contacts")["contacts"] if "post/post" in c["bodies"]]  # noqa: E731
+    rig.wait(touching, "the arm at the post")
+    trial.begins()
+    rig.wait_for_mode("stopped")
+    trial.stays_away(2.0)
+    trial.check("joint 1 bears it", "joint 1 bears" in rig.status.reason, rig.status.reason)
+    force = sum(contact["force"] for contact in touching())
+    trial.check("it pushes no more than it did while it braked", 0.0 < force < MOST_N, f"{force:.0f} N")
+    world.ask("set_scene", scene=scene)
+    trial.ends()
+    rig.watch(1.0)  # the arm springs back
+    if rig.arm.ask("state")["safety_stop"]:  # the cabinet's own, while the arm braked
+        rig.arm.ask("release")
+    trial.recovers()
