@@ -350,14 +350,15 @@ def human_bytes(data: Any) -> None:
 def leap_service(given: Any) -> None:
     """What a client says to the Leap service of this project."""
     from leap_motion.service import wire
-    from leap_motion.service.server import AccessCode
+    from leap_motion.service.access import AccessCode, is_own_host
 
     text, path = given
     for service in ("2.3", "gemini"):
         policies = wire.policies(text, service)
         assert all(isinstance(value, bool) for value in policies.values())
         assert wire.version_of(path.decode("latin-1"), service) in (None, *range(1, 8))
-    assert not AccessCode("381927").accepts(text)
+    assert not AccessCode("381927").accepts(text, "10.0.0.5", 0.0)
+    is_own_host(text, "10.0.0.5")
 
 
 def _headset() -> st.SearchStrategy[Any]:

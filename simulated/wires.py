@@ -39,6 +39,7 @@ import websockets.sync.utils
 import kst.transport
 import leap_motion.headset.transport
 import leap_motion.service.server
+import leap_motion.service.socket_service
 import leap_motion.transport
 import rig_simulation.control_port
 import rig_simulation.devices.leap.server
@@ -50,6 +51,7 @@ from simulated.scheduler import Killed, Scheduler, is_over
 
 MODULES = (
     *(kst.transport, leap_motion.transport, leap_motion.service.server, leap_motion.headset.transport),
+    leap_motion.service.socket_service,
     *(rig_simulation.control_port, rig_simulation.devices.sunrise.server, rig_simulation.devices.leap.server),
     *(websockets.sync.client, websockets.sync.connection, websockets.sync.messages),
     *(websockets.sync.server, websockets.sync.utils),
@@ -168,9 +170,11 @@ class Wires:
     Attributes:
         connections: all that were made, in this order.
         on_connect: called with each new one.
+        client_address: where new ones come from.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
+        self.client_address = "127.0.0.1"
         self.scheduler = scheduler
         self.connections: list[Connection] = []
         self.on_connect: Callable[[Connection], None] = lambda connection: None
@@ -212,7 +216,7 @@ class Wires:
         if listener is None:
             raise ConnectionRefusedError(errno.ECONNREFUSED, os.strerror(errno.ECONNREFUSED))
         near, far = Socket(self), Socket(self, listener.group)
-        near.address, far.address = ("127.0.0.1", next(self._ports)), listener.address
+        near.address, far.address = (self.client_address, next(self._ports)), (host, listener.address[1])
         near.join(far)
         near.settimeout(timeout)
         self.connections.append(Connection((host, port), far.incoming, near.incoming))
@@ -415,6 +419,12 @@ class Socket:
         if self._peer is not None and not math.isinf(self.incoming.room):
             self._peer._changed()
         return data
+
+    def recv_into(self, buffer: Any) -> int:
+        """As `recv`, into a buffer; returns how many bytes came."""
+        data = self.recv(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
 
     def send(self, data: bytes) -> int:
         """Takes as much as there is room for."""

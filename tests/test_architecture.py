@@ -32,7 +32,7 @@ ROS = {"rospy", "actionlib", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "ro
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
 EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "ports", "server",
-         "hand_detector", "video_source", "webcam_program"}  # fmt: skip
+         "socket_service", "certificate", "hand_detector", "video_source", "webcam_program"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
 # Their extras: folders whose users install more.
@@ -50,7 +50,8 @@ TIMED_EDGES = {
 }  # fmt: skip
 EFFECTS = {"open", "print", "input"}
 # What may stand at the top of a module besides definitions: constants are made of literals and of pure calls.
-STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.ClassDef, ast.Assign, ast.AnnAssign)
+STATEMENTS = (ast.Import, ast.ImportFrom, ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Assign,
+              ast.AnnAssign)  # fmt: skip
 
 # What Python got after 3.8 and one easily writes without noticing; ruff refuses newer syntax.
 NEWER_MODULES = {"graphlib", "tomllib", "zoneinfo"}

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from websockets.sync.client import connect
 from common import clock
 from common.frames import TOOL_DESIRED
 from leap_motion.headset.placement import FROM_XR
+from leap_motion.service.access import FIRST_WAIT_S
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
 pytest.importorskip("rospy")
@@ -161,16 +163,17 @@ class Page:
 
 
 def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken_off(virtual_graph, monkeypatch):
-    monkeypatch.setattr("vision.ros.stereo.web_node.own_certificate", lambda _: ("", ""))  # wires know no TLS
+    plain = SimpleNamespace(server=lambda: None, fingerprint=lambda: "")  # websockets' client has no TLS on wires
+    monkeypatch.setattr("vision.ros.stereo.web_node.own_certificate", lambda _: plain)
     rig = Rig(virtual_graph)
     node, said = start_rig(virtual_graph, 6437, virtual_graph.wait_until)
     box = rig.boxes.wait(1, 3.0)[0].markers[0].pose.position
     origin = [0.0, 1.6 - 0.35 - box.y, -0.4]
     address, frames = said("The view is at "), recording(np.array([0.0, 1e3 * box.y, 0.0]))
-    wrong = "000000" if said("next headset is ") != "000000" else "000001"
+    wrong = "00000000" if said("next headset is ") != "00000000" else "00000001"
     stranger = Page(address, origin, frames)
     assert "not the code" in stranger.says(secret=wrong)["refused"]
-    clock.sleep(0.5)
+    clock.sleep(FIRST_WAIT_S)
     (driver,) = (each for each in virtual_graph.nodes if each.name == "/leap_driver")
     assert not rig.humans and "not plugged in" in driver.log
     page = Page(address, origin, frames)
@@ -226,7 +229,7 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
             evaluate(f"code.value = {json.dumps(code)}; document.getElementById('vr').click(); 0")
 
         wait_until(lambda: not evaluate("document.getElementById('vr').disabled"), 30.0, "the button")
-        wrong = "000000" if said("next headset is ") != "000000" else "000001"
+        wrong = "00000000" if said("next headset is ") != "00000000" else "00000001"
         enter(wrong)
         wait_until(lambda: "not the code" in evaluate("drives.textContent"), 30.0, "the refusal")
         wait_until(lambda: evaluate("window.painted > 2"), 30.0, "the view of a page that does not drive")
@@ -266,7 +269,7 @@ def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monke
     logged = []
     monkeypatch.setattr(headset_hands, "RigScene", lambda: None)
     monkeypatch.setattr(headset_hands.rospy, "logwarn", lambda *text: logged.append(str(text)))
-    hands = headset_hands.HeadsetHands(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35))
+    hands = headset_hands.HeadsetHands(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, ""))
     try:
         code = hands._endpoint._access.code
         assert code in capsys.readouterr().out and not any(code in text for text in logged)

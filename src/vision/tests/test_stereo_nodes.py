@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import http.client
 import json
+import os
 import shutil
 import signal
 import ssl
@@ -21,6 +23,7 @@ from chromium import browser
 from depth_scene import RGB, load
 from stereo_camera import REMAPS, Camera
 from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
 
 from common import clock
@@ -32,12 +35,18 @@ pytestmark = pytest.mark.ros
 PAGE = str(Path(__file__).parents[1] / "web" / "headset.html")
 PORT = 8000
 URL = f"ws://127.0.0.1:{PORT}/pictures"
+REQUEST = (
+    f"GET /pictures HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+).encode()
 WEB = {"host": "127.0.0.1", "port": PORT, "page": PAGE, "certificate": "", "key": ""}
 REFRESH_S, SILENCE_S, OLD_ROWS_S, REQUEST_S = 0.2, 0.5, 1.5, 10.0
 """How often the node looks for pages; after which a page hears that there is no image; after which rows no longer
 hold; after which a page that asks for nothing is gone."""
+SEND_S, OPEN_TIMEOUT_S, ACCEPT_RETRY_S = 2.0, 5.0, 1.0
+"""After which a page is gone that takes no answers; one that sends no request; asyncio accepts connections again."""
 SOON_S = 0.01
-MAX_PAGES = 4
+MAX_PAGES, PAGES_OF_ADDRESS = 6, 3
 
 
 @pytest.fixture
@@ -116,17 +125,64 @@ def test_what_the_operator_sees_comes_with_the_images_while_it_is_fresh(node, ca
     page.close()
 
 
-def test_pages_that_ask_for_nothing_make_room_for_others(node, camera):
-    pages = [connect(URL) for _ in range(MAX_PAGES)]
+def test_pages_that_ask_for_nothing_make_room_for_others(virtual_graph, node, camera):
+    def refused():
+        with pytest.raises(ConnectionClosed) as closed:
+            connect(URL).recv(timeout=1.0)
+        return closed.value.rcvd.code == 1013 and "too many pages" in closed.value.rcvd.reason
+
+    pages = [connect(URL) for _ in range(PAGES_OF_ADDRESS)]
     begun = clock.monotonic()
-    with pytest.raises(ConnectionClosed) as closed:
-        connect(URL).recv(timeout=1.0)
-    assert closed.value.rcvd.code == 1013 and "4 pages" in closed.value.rcvd.reason
+    assert refused()
+    virtual_graph.wires.client_address = "127.0.0.2"
+    assert ask(connect(URL))[0] == {"picture": False}, "one machine does not take the place of another"
+    pages += [connect(URL) for _ in range(MAX_PAGES - PAGES_OF_ADDRESS - 1)]
+    virtual_graph.wires.client_address = "127.0.0.3"
+    assert refused()
     for page in pages:
         with pytest.raises(ConnectionClosed):
             page.recv(timeout=60.0)
-    assert clock.monotonic() - begun == pytest.approx(REQUEST_S, abs=SOON_S)
+    assert clock.monotonic() - begun == pytest.approx(REQUEST_S + SILENCE_S, abs=SOON_S)
     assert ask(connect(URL))[0] == {"picture": False}
+
+
+def test_a_page_that_takes_no_answers_is_gone(virtual_graph, node, camera):
+    page = virtual_graph.wires.connect(("127.0.0.1", PORT))
+    page.sendall(REQUEST)
+    clock.sleep(SOON_S)
+    page.recv(4096)
+    virtual_graph.wires.connections[-1].down.room = 2 * len('..{"picture": false}')
+    page.sendall(3 * Frame(Opcode.TEXT, b"next").serialize(mask=True))
+    clock.sleep(3 * SILENCE_S + SEND_S - SOON_S)
+    assert camera.watched()
+    clock.sleep(REFRESH_S + 2 * SOON_S)
+    assert not camera.watched()
+
+
+def test_idle_connections_of_one_machine_neither_end_the_server_nor_keep_others_out(virtual_graph, node):
+    wires = virtual_graph.wires
+    idle = [wires.connect(("127.0.0.1", PORT)) for _ in range(300)]
+    idle[0].sendall(b"GET / HT")
+    wires.client_address = "127.0.0.2"
+    assert get(virtual_graph, "/").status == 200
+    wires.client_address = "127.0.0.1"
+    with pytest.raises(OSError):
+        get(virtual_graph, "/")
+    clock.sleep(OPEN_TIMEOUT_S)
+    assert get(virtual_graph, "/").status == 200 and all(each.recv(1) == b"" for each in idle)
+
+
+def test_the_server_comes_back_after_the_system_had_no_descriptor(virtual_graph, node, monkeypatch):
+    def refuse(_):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("simulated.wires.Socket.accept", refuse)
+        waits = virtual_graph.wires.connect(("127.0.0.1", PORT))
+        clock.sleep(3.5)
+    clock.sleep(ACCEPT_RETRY_S)
+    assert get(virtual_graph, "/").status == 200
+    waits.close()
 
 
 def test_ctrl_c_ends_it_while_a_page_looks(node, camera):
@@ -230,10 +286,10 @@ def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
     said = []
     scene = transport.Scene(0.35, False, {})
     endpoint = transport.HandsEndpoint(HandStream(0.4, 0.35), served, lambda: scene, said.append)
-    web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35), endpoint.converse)
+    web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, ""), endpoint.converse)
     try:
         certificate = str(tmp_path / "leap_rig" / "headset" / "certificate.pem")
-        secret = json.dumps({"secret": said[0].rstrip(".")[-6:]})
+        secret = json.dumps({"secret": said[0].rstrip(".")[-8:]})
         picture, hands = page_of(web.address, certificate, pictures="next", hands=secret)
         assert picture == {"picture": False, "hands": True} and hands["drives"]
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import math
@@ -13,21 +14,28 @@ from hypothesis import strategies as st
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import connect
-from websockets.sync.server import serve
 
 from common import clock
-from leap_motion.headset.access import Access
+from leap_motion.headset.access import DIGITS, Access
 from leap_motion.headset.hand_stream import SETTLE_S, HandStream
 from leap_motion.headset.placement import FROM_XR, placement, xr_hand
-from leap_motion.headset.transport import BUSY, MAX_MESSAGE_BYTES, MAX_WAITING, HandsEndpoint, Scene
+from leap_motion.headset.transport import (
+    BUSY,
+    MAX_MESSAGE_BYTES,
+    MAX_WAITING,
+    WAITING_OF_ADDRESS,
+    HandsEndpoint,
+    Scene,
+)
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
-from leap_motion.service.server import MAX_WRONG_CODES
+from leap_motion.service.socket_service import SocketService, listen
 from simulated.wires import DELAY_S
 
 SECRET_S, SILENCE_S, GONE_S, SEND_S = 5.0, 0.3, 10.0, 2.0
 """After which a page is gone that says no code; a silent one is away, and gone; one is that takes no answers."""
 SOON_S = 10 * DELAY_S
 AHEAD, BELOW, HEIGHT = 0.4, 0.35, 0.35
+HERE = "10.0.0.5"
 LEVEL = [0.0, 1.6, 0.0, 0.0, 0.0, 0.0, 1.0]
 CENTRE = np.array([0.0, HEIGHT, 0.0])
 finite = st.floats(-5.0, 5.0)
@@ -260,26 +268,37 @@ class TestHandStream:
 
 
 class TestAccess:
-    def test_a_code_is_good_once_and_its_key_for_ever(self):
+    def test_a_code_is_good_once_and_its_key_for_ever_also_while_its_address_waits(self):
         access = Access()
         code = access.code
-        key = access.admit(code)
+        key = access.admit(code, HERE, 0.0)
         assert key and access.code != code
-        assert access.admit(code) is None and access.admit(key) == key
-        assert access.admit(access.code) not in (None, key)
+        assert access.admit(code, HERE, 0.0) is None and access.admit(key, HERE, 0.0) == key
+        assert access.admit(access.code, HERE, 0.9) is None
+        assert access.admit(access.code, HERE, 1.0) not in (None, key)
 
     @given(st.one_of(st.none(), st.text(), st.integers(), st.lists(st.integers())))
     def test_nothing_else_is_admitted(self, secret):
         access = Access()
         if secret != access.code:
-            assert access.admit(secret) is None
+            assert access.admit(secret, HERE, 0.0) is None
 
-    def test_after_too_many_wrong_codes_the_right_one_is_wrong_but_a_key_still_holds(self):
-        access = Access()
-        key = access.admit(access.code)
-        for _ in range(MAX_WRONG_CODES):
-            assert access.admit("wrong!") is None
-        assert access.admit(access.code) is None and access.admit(key) == key
+
+class Server(SocketService):
+    """Serves an endpoint as the node does."""
+
+    max_message_bytes, write_limit = MAX_MESSAGE_BYTES, 1
+
+    def __init__(self, endpoint):
+        super().__init__()
+        listener = listen("127.0.0.1", 0)
+        self.port = listener.getsockname()[1]
+        self._open(listener)
+        self._converse = endpoint.converse
+        clock.Thread(target=self.run, daemon=True).start()
+
+    async def _meet(self, connection, request):
+        return None
 
 
 class Rig:
@@ -289,10 +308,8 @@ class Rig:
         self.frames, self.plugs, self.said, self.plugged_at = [], [], [], 0.0
         stream = HandStream(AHEAD, BELOW)
         self.endpoint = HandsEndpoint(stream, self, lambda: Scene(HEIGHT, False, {"box": [1]}), self.said.append)
-        options = {"compression": None, "max_size": MAX_MESSAGE_BYTES, "close_timeout": 0.2}
-        self.server = serve(self.endpoint.converse, "127.0.0.1", 0, **options)
-        clock.Thread(target=self.server.serve_forever, daemon=True).start()
-        self.address = f"ws://127.0.0.1:{self.server.socket.getsockname()[1]}/"
+        self.server = Server(self.endpoint)
+        self.address = f"ws://127.0.0.1:{self.server.port}/"
 
     offer = property(lambda self: self.frames.append)
 
@@ -304,14 +321,14 @@ class Rig:
 
     @property
     def code(self):
-        return [s for s in self.said if "code for" in s][-1].rstrip(".")[-6:]
+        return [s for s in self.said if "code for" in s][-1].rstrip(".")[-DIGITS:]
 
 
 @pytest.fixture
 def rig(wires):
     made = Rig()
     yield made
-    made.server.shutdown()
+    made.server.stop()
 
 
 def ask(connection, message):
@@ -332,6 +349,10 @@ def leave(rig, connection):
     connection.close()
     clock.sleep(SOON_S)
     assert not rig.endpoint.driven and rig.attached is False
+
+
+def wrong_code(rig):
+    return "0" * DIGITS if rig.code != "0" * DIGITS else "1" * DIGITS
 
 
 def message(t, hand=None):
@@ -384,12 +405,31 @@ class TestConversation:
         assert not rig.endpoint.driven and rig.attached is False
 
     def test_who_has_no_code_gets_nothing_and_is_named(self, rig):
-        for secret in ("000000" if rig.code != "000000" else "000001", None, 5, "", "\ud800", "x" * 9999):
+        for secret in (wrong_code(rig), None, 5, "", "\ud800", "x" * 9999):
             with open_page(rig) as connection:
                 assert "refused" in ask(connection, {"secret": secret})
                 with pytest.raises(ConnectionClosed):
                     ask(connection, message(0.0))
+            clock.sleep(100.0)
         assert not rig.endpoint.driven and not rig.frames and "127.0.0.1" in rig.said[-1]
+
+    def test_wrong_codes_make_their_address_wait_and_no_other(self, rig, wires):
+        wires.client_address = "10.0.0.66"
+        begun = clock.monotonic()
+        tries, told = 0, []
+        while clock.monotonic() - begun < 3600.0:
+            with open_page(rig) as stranger:
+                told.append(ask(stranger, {"secret": f"{tries:06d}"})["refused"])
+            tries += 1
+            clock.sleep(10.0)
+        compared = [text for text in told if "try again" not in text]
+        assert 15 < len(compared) < 25 and len(told) > 300
+        assert len(rig.said) == 1 + len(compared), "each wrong code is said, and nothing else"
+        assert "try again in" in seat(rig)[1]["refused"], "the right one from there has to wait"
+        wires.client_address = "10.0.0.7"
+        connection, said = seat(rig)
+        assert said["drives"]
+        connection.close()
 
     def test_a_second_headset_is_refused_and_may_come_when_the_first_has_left(self, rig):
         first, said = seat(rig)
@@ -443,26 +483,34 @@ class TestConversation:
         class Gone:
             """A connection that is lost once the code was sent."""
 
-            socket = property(lambda self: self)
             remote_address = "127.0.0.1", 5
-            setsockopt = close = staticmethod(lambda *_: None)
-            recv = staticmethod(lambda timeout: json.dumps({"secret": rig.code}))
 
-            def send(self, text):
+            async def recv(self):
+                return json.dumps({"secret": rig.code})
+
+            async def send(self, text):
                 raise ConnectionClosed(None, None)
 
-        rig.endpoint.converse(Gone())
+        asyncio.run(rig.endpoint.converse(Gone()))
         assert not rig.endpoint.driven
         connection, said = seat(rig)
         assert said.get("drives")
         connection.close()
 
-    def test_more_pages_than_may_wait_are_sent_away(self, rig):
-        waiting = [open_page(rig) for _ in range(MAX_WAITING)]
-        begun = clock.monotonic()
-        with pytest.raises(ConnectionClosed) as closed:
-            open_page(rig).recv(timeout=1.0)
-        assert closed.value.rcvd.code == BUSY and clock.monotonic() - begun < SOON_S
+    def test_more_pages_than_may_wait_are_sent_away(self, rig, wires):
+        def sent_away():
+            begun = clock.monotonic()
+            with pytest.raises(ConnectionClosed) as closed:
+                open_page(rig).recv(timeout=1.0)
+            return closed.value.rcvd.code == BUSY and clock.monotonic() - begun < SOON_S
+
+        waiting = []
+        for machine in range(MAX_WAITING // WAITING_OF_ADDRESS):
+            wires.client_address = f"10.0.0.{machine}"
+            waiting += [open_page(rig) for _ in range(WAITING_OF_ADDRESS)]
+            assert sent_away()
+        wires.client_address = "10.0.0.99"
+        assert sent_away()
         for page in waiting:
             with pytest.raises(TimeoutError):
                 page.recv(timeout=0.0)

@@ -1,9 +1,13 @@
 """The shared server: offers from any thread, clients that misbehave, other machines."""
 
 import contextlib
+import errno
 import json
+import os
 import random
+import re
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,21 +17,16 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from common import clock
-from leap_motion.client import LeapClient, LeapLink
+from leap_motion.client import LeapClient, LeapLink, wire_fault
 from leap_motion.service import wire
-from leap_motion.service.server import (
-    MAX_MESSAGE_BYTES,
-    MAX_WRONG_CODES,
-    AccessCode,
-    LeapClientLink,
-    LeapService,
-    LeapServiceError,
-    is_loopback,
-)
+from leap_motion.service.certificate import Certificate
+from leap_motion.service.server import LeapClientLink, LeapService, LeapServiceError
+from leap_motion.service.socket_service import CLOSE_TIMEOUT_S, MAX_OF_ADDRESS, OPEN_TIMEOUT_S, PING_S, SocketService
+from leap_motion.transport import LeapSocket, _Tls
 from simulated.wires import DELAY_S
 
 REQUEST = (
-    b"GET /v6.json HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"GET /v6.json HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
 PERIOD_S, SOON_S = 0.002, 10 * DELAY_S
@@ -140,7 +139,7 @@ def test_clients_that_break_every_rule_harm_only_themselves(start, wires):
                 odd.send(message)
                 assert "version" in odd.recv(1.0)
         with plain(service) as huge, pytest.raises(ConnectionClosed) as closed:
-            huge.send("x" * (MAX_MESSAGE_BYTES + 1))
+            huge.send("x" * (SocketService.max_message_bytes + 1))
             while True:
                 huge.recv(1.0)
         assert closed.value.rcvd.code == 1009
@@ -179,31 +178,215 @@ def test_other_machines_need_the_code():
         LeapService(host="0.0.0.0", port=0, code="12345")
 
 
+CODE = "Secret-Code-42"
+OWN, FALSE = (
+    Certificate(*2 * (str(Path(__file__).parent / "certificates" / f"{whose}.pem"),))
+    for whose in ("service", "impostor")
+)
+
+
+class TestOtherMachines:
+    """A service that is open to other machines, from one of which all connections come."""
+
+    @pytest.fixture(autouse=True)
+    def _machine(self, start, wires):
+        wires.client_address = "10.0.0.7"
+        self.wires, self.said, self.heard = wires, [], []
+        wires.on_connect = self._listen
+        self.service = start(host="0.0.0.0", code=CODE, certificate=OWN, secure_port=0)
+        offer(self.service)
+        self.clients = []
+        yield
+        for client in self.clients:
+            client.close()
+
+    def _listen(self, connection):
+        connection.up.sent = lambda data, now: self.said.append(data)
+        connection.down.sent = lambda data, now: self.heard.append(data)
+
+    def client(self, port=None, **options):
+        proof = {"code": CODE, "fingerprint": OWN.fingerprint(), **options}
+        self.clients.append(LeapClient(port=port or self.service.secure_port, runtime=clock, **proof))
+        return self.clients[-1]
+
+    def connect(self):
+        return self.wires.connect(("127.0.0.1", self.service.secure_port))
+
+    def request(self, text):
+        """Sends a request to the secure port; returns the socket."""
+        raw, self.tls = self.connect(), _Tls()
+        while not self.tls.shake():
+            raw.sendall(self.tls.outgoing())
+            self.tls.take(raw.recv(9999))
+        raw.sendall(self.tls.outgoing(text))
+        clock.sleep(SOON_S)
+        return raw
+
+    def test_are_served_by_tls_with_the_code_and_a_listener_learns_neither_code_nor_hands(self):
+        client = self.client(fingerprint=":".join(re.findall("..", OWN.fingerprint().upper())))
+        assert client.next_frame(1.0) is not None and client.status.link is LeapLink.STREAMING
+        sent, came = b"".join(self.said), b"".join(self.heard)
+        assert CODE.encode() not in sent and b"GET" not in sent
+        assert b"currentFrameRate" not in came and b"HTTP" not in came and len(came) > 1000
+
+    def test_what_a_listener_kept_serves_nobody(self):
+        assert self.client().next_frame(1.0) is not None
+        self.clients.pop().close()
+        clock.sleep(1.0)
+        kept = [data for data in self.said if data]
+        with self.connect() as replay:
+            for data in kept:
+                with contextlib.suppress(OSError):
+                    replay.sendall(data)
+                clock.sleep(SOON_S)
+            assert self.service.clients == 0
+
+    def test_an_impostor_gets_no_code_and_its_hands_are_not_taken(self, start):
+        impostor = start(host="0.0.0.0", code=CODE, certificate=FALSE, secure_port=0)
+        offer(impostor)
+        client = self.client(impostor.secure_port)
+        clock.sleep(3.0)
+        assert client.status.link is LeapLink.REFUSED and client.counts.connections == client.counts.received == 0
+        assert FALSE.fingerprint() in client.status.sentence and "Nothing was sent" in client.status.sentence
+        assert impostor.clients == 0 and impostor._code.wait("10.0.0.7", clock.monotonic()) == 0.0
+
+    def test_a_plain_service_in_its_place_gets_no_code_and_its_hands_are_not_taken(self, start):
+        plain_one = start()
+        offer(plain_one)
+        client = self.client(plain_one.port)
+        clock.sleep(3.0)
+        assert client.status.link is LeapLink.NO_SERVICE and client.counts.received == 0
+        assert CODE.encode() not in b"".join(self.said)
+
+    def test_wrong_codes_slow_down_their_own_address_only(self):
+        guesses = [self.client(code=f"wrong code {i}") for i in range(2)]
+        clock.sleep(20.0)
+        assert {client.status.link for client in guesses} == {LeapLink.REFUSED}
+        assert "`code` is another one" in guesses[0].status.sentence + guesses[1].status.sentence
+        right = self.client()
+        clock.sleep(SOON_S)
+        assert "compares no code" in right.status.sentence and self.service.clients == 0
+        self.wires.client_address = "10.0.0.8"
+        assert self.client().next_frame(0.1) is not None
+
+    def test_a_wrong_code_that_is_set_right_is_accepted_within_seconds(self):
+        wrong = self.client(code="as configured")
+        clock.sleep(30.0)
+        assert wrong.status.link is LeapLink.REFUSED
+        self.clients.pop().close()
+        assert self.client().next_frame(3.0) is not None
+
+    def test_idle_and_half_sent_requests_are_few_and_end(self):
+        idle = [self.connect() for _ in range(2 * MAX_OF_ADDRESS)]
+        idle[0].sendall(b"\x16\x03\x01\x02\x00\x01")  # of a TLS handshake
+        clock.sleep(SOON_S)
+        still = [each for each in idle if each.readable_at() > clock.monotonic()]
+        assert len(still) == MAX_OF_ADDRESS
+        self.wires.client_address = "10.0.0.8"
+        assert self.client().next_frame(0.1) is not None
+        clock.sleep(OPEN_TIMEOUT_S - 20 * SOON_S)
+        assert all(each.readable_at() > clock.monotonic() for each in still)
+        clock.sleep(20 * SOON_S)
+        assert all(each.recv(1) == b"" for each in still)
+
+    def test_all_together_do_not_keep_this_machine_out(self):
+        for machine in range(10, 30):
+            self.wires.client_address = f"10.0.0.{machine}"
+            idle = [self.connect() for _ in range(MAX_OF_ADDRESS)]
+        self.wires.client_address = "127.0.0.1"
+        with plain(self.service) as here:
+            assert "version" in here.recv(1.0), "this machine needs no code, and has its own port"
+        assert idle
+
+    def test_one_that_vanishes_makes_room(self):
+        gone = self.request(REQUEST.replace(b"v6.json", b"v6.json?code=" + CODE.encode()))
+        clock.sleep(2 * PING_S - SOON_S)
+        assert self.service.clients == 1
+        clock.sleep(4 * CLOSE_TIMEOUT_S)
+        assert self.service.clients == 0
+        gone.close()
+
+    def test_the_service_comes_back_after_the_system_had_no_descriptor(self, monkeypatch):
+        def refuse(_):
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+        with monkeypatch.context() as patch:
+            patch.setattr("simulated.wires.Socket.accept", refuse)
+            client = self.client()
+            clock.sleep(10.0)
+        assert client.status.link is LeapLink.NO_SERVICE
+        assert client.next_frame(5.0) is not None
+
+    @pytest.mark.parametrize(
+        ("host", "path", "status"),
+        [
+            ("evil.example", f"v6.json?code={CODE}", 403),
+            ("127.0.0.1", "v6.json", 401),
+            ("127.0.0.1", "v6.json?code=", 401),
+            ("127.0.0.1", f"v6.json?code={CODE}&code=", 101),
+        ],
+    )
+    def test_what_a_request_is_answered(self, host, path, status):
+        raw = self.request(REQUEST.replace(b"127.0.0.1", host.encode()).replace(b"v6.json", path.encode()))
+        self.tls.take(raw.recv(9999))
+        assert self.tls.incoming()[0].startswith(b"HTTP/1.1 %d " % status)
+        raw.close()
+
+
+def test_other_machines_need_a_code_and_a_certificate(wires):
+    for host in ("0.0.0.0", "", "::", "192.168.1.2", "example.org"):
+        with pytest.raises(LeapServiceError, match="certificate and a code"):
+            LeapService(host=host, port=0)
+    with pytest.raises(LeapServiceError, match="certificate and a code"):
+        LeapService(host="0.0.0.0", port=0, code="1234567", certificate=OWN)
+    with pytest.raises(LeapServiceError, match="certificate and a code"):
+        LeapService(host="0.0.0.0", port=0, code="12345678")
+    with pytest.raises(LeapServiceError, match="no certificate and key"):
+        LeapService(host="0.0.0.0", port=0, code="12345678", certificate=Certificate(__file__, __file__))
+
+
 @pytest.mark.parametrize(
-    ("address", "loopback"),
+    ("given", "fault"),
     [
-        *(("127.0.0.1", True), ("127.9.9.9", True), ("::1", True), ("localhost", True), ("::ffff:127.0.0.1", True)),
-        *(("::ffff:10.0.0.1", False), ("10.0.0.1", False), ("fe80::1%eth0", False), ("", False), ("host", False)),
+        ({"host": "10.0.0.5"}, "trust_network"),
+        ({"host": "tracker.example"}, "another machine"),
+        ({"host": "10.0.0.5", "code": "12345678"}, "fingerprint is not"),
+        ({"host": "10.0.0.5", "fingerprint": 64 * "0"}, "code is not"),
+        ({"host": "10.0.0.5", "fingerprint": 63 * "0", "code": "12345678"}, "64 hexadecimal"),
+        ({"host": "10.0.0.5", "trust_network": True, "code": "12345678"}, "fingerprint is not"),
+        ({"host": "10.0.0.5", "trust_network": True}, None),
+        ({"host": "10.0.0.5", "fingerprint": 32 * "aB:", "code": "12345678"}, None),
+        *(({"host": host}, None) for host in ("127.0.0.1", "localhost", "127.0.1.1", "::1")),
     ],
 )
-def test_loopback_addresses(address, loopback):
-    assert is_loopback(address) == loopback
+def test_a_client_takes_hands_of_another_machine_only_with_proof_or_where_it_is_told_to(given, fault):
+    found = wire_fault(**{"code": "", "fingerprint": "", "trust_network": False, **given})
+    assert (found is None) if fault is None else (fault in found)
 
 
-def test_a_client_of_another_machine_is_served_with_the_code_only(start, monkeypatch):
-    service = start(host="0.0.0.0", code="secret7")
-    offer(service)
-    with plain(service) as here:
-        assert "version" in here.recv(1.0), "this machine needs none"
-    monkeypatch.setattr("leap_motion.service.server.is_loopback", lambda host: False)
-    for path in ("/v6.json", "/v6.json?code=secret", "/v6.json?code="):
-        with pytest.raises(Exception, match="403"), plain(service, path):
-            pass
-    clients = [LeapClient(port=service.port, code=code, runtime=clock) for code in ("secret7", "secret8")]
-    assert clients[0].next_frame(1.0) is not None
-    assert clients[1].status.link is LeapLink.REFUSED and "`code`" in clients[1].status.sentence
-    for client in clients:
-        client.close()
+def test_a_client_that_must_not_begin_says_why(wires):
+    with pytest.raises(ValueError, match="trust_network"):
+        LeapClient("10.0.0.5", runtime=clock)
+
+
+def test_the_request_of_a_client_with_a_code(wires):
+    listener = wires.serve(("127.0.0.1", 7000))
+    clock.Thread(target=lambda: LeapSocket("127.0.0.1", 7000, "a&b c", ""), daemon=True).start()
+    request = listener.accept()[0].recv(9999)
+    key = re.search(rb"Sec-WebSocket-Key: ([^\r]+)", request).group(1)
+    assert request.replace(key, b"KEY") == (
+        b"GET /v6.json?code=a%26b+c HTTP/1.1\r\nHost: 127.0.0.1:7000\r\nUpgrade: websocket\r\n"
+        b"Connection: Upgrade\r\nSec-WebSocket-Key: KEY\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:6437", "10.0.0.5", ""])
+def test_a_page_that_bound_its_name_to_this_computer_gets_no_hands(start, wires, host):
+    service = start()
+    with wires.connect(("127.0.0.1", service.port)) as page:
+        page.sendall(REQUEST.replace(b"127.0.0.1", host.encode()))
+        clock.sleep(SOON_S)
+        assert page.recv(4096).startswith(b"HTTP/1.1 403 ")
 
 
 HOSTILE = (
@@ -232,18 +415,6 @@ def test_a_web_page_of_this_computer_is_served(start, origin):
     served = start()
     with plain(served, additional_headers={"Origin": origin}) as page:
         assert "version" in page.recv(1.0)
-
-
-@given(st.lists(st.text(), max_size=20))
-def test_after_too_many_wrong_codes_none_is_accepted(tries):
-    code = AccessCode("right one")
-    for text in tries:
-        assert code.accepts(text) == (text == "right one")
-        if code._wrong >= MAX_WRONG_CODES:
-            break
-    while code._wrong < MAX_WRONG_CODES:
-        assert not code.accepts("wrong")
-    assert not code.accepts("right one")
 
 
 def test_a_port_in_use_is_a_sentence(start):

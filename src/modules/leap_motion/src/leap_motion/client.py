@@ -8,6 +8,7 @@ Nothing persists over a reconnect: the client sends the policy messages again.
 from __future__ import annotations
 
 import copy
+import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
 from leap_motion.runtime import LeapRuntime
-from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket
+from leap_motion.service.access import is_loopback
+from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket, UnknownService
 
 SILENCE_S = 0.1
 UNUSABLE_S = 0.5  # unusable frames for so long are a state of the link
@@ -29,6 +31,14 @@ RETRY_S = 0.5
 RETRY_FACTOR = 1.6
 RETRY_MAX_S = 3.0
 MAX_REASONS = 20
+FINGERPRINT = re.compile("[0-9a-f]{64}")
+NO_SERVICE = "That is no Leap service; check address and port."
+ADVICE = {
+    401: "Its `code` is another one: set it to the one that the service was started with.",
+    403: "It serves under its address and its own name alone: set `host` to one of these.",
+    429: "It compares no code of this computer for a while, as wrong ones came from here.",
+}
+"""What to do about an answer."""
 UNKNOWN_CAUSE = "is the controller plugged in, is tracking paused, or does another program have the focus?"
 
 
@@ -78,7 +88,9 @@ class LeapClient:
 
     `port` is its plain WebSocket port. The value of `clock` at the receipt of a message is the stamp of the frame; None
     is the time since 1970 [s].
-    `code`: what a service on another machine may ask for. `tap` gets each text after the header as it came, with its
+    A service on another machine is known by the `fingerprint` of its certificate, and knows this client by the `code`.
+    `trust_network` allows one that has neither, such as the real one. Raises ValueError for what `wire_fault` says.
+    `tap` gets each text after the header as it came, with its
     stamp, in the thread that reads: it must not wait. `runtime`: time and threads, with the names of LeapRuntime.
     """
 
@@ -88,11 +100,17 @@ class LeapClient:
         port: int = 6437,
         clock: Callable[[], object] | None = None,
         code: str = "",
+        fingerprint: str = "",
+        trust_network: bool = False,
         tap: Callable[[str, object], None] | None = None,
         runtime: Any = LeapRuntime,
     ) -> None:
+        fault = wire_fault(host, code, fingerprint, trust_network)
+        if fault is not None:
+            raise ValueError(fault)
         self._runtime, self._monotonic = runtime, runtime.monotonic
-        self._host, self._port, self._address, self._code = host, port, f"{host}:{port}", code
+        self._host, self._port, self._address = host, port, f"{host}:{port}"
+        self._code, self._fingerprint = code, fingerprint.replace(":", "").lower()
         self._clock, self._tap = clock or runtime.time, tap
         self._closing = runtime.Event()
         self._changed = runtime.Condition()
@@ -179,11 +197,15 @@ class LeapClient:
     def _converse(self) -> None:
         """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
         try:
-            connection = LeapSocket(self._host, self._port, self._code)
+            connection = LeapSocket(self._host, self._port, self._code, self._fingerprint)
+        except UnknownService as error:
+            found = f"The service on {self._address} has the fingerprint {error.found}, not the one that is set."
+            cure = "Nothing was sent to it. Set `fingerprint` to this one only if the service itself shows it."
+            raise _LinkFault(LeapLink.REFUSED, f"{found} {cure} Trying again.") from error
         except InvalidStatus as error:
-            answer = f"The program on {self._address} refuses the connection (HTTP {error.response.status_code})."
-            advice = "A Leap service serves other machines only with the code that it shows: set `code` to it."
-            raise _LinkFault(LeapLink.REFUSED, f"{answer} {advice} Trying again.") from error
+            status = error.response.status_code
+            answer = f"The program on {self._address} refuses the connection (HTTP {status})."
+            raise _LinkFault(LeapLink.REFUSED, f"{answer} {ADVICE.get(status, NO_SERVICE)} Trying again.") from error
         except (OSError, EOFError, UnicodeError, WebSocketException) as error:
             advice = "start it: `sudo leapd` (2.3), or Ultraleap's tracking service and its WebSocket server."
             sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice} Trying again."
@@ -281,6 +303,20 @@ class LeapClient:
             known = replace(self._status, link=link, sentence=sentence)
             self._status = known if service is None else replace(known, service=service, serial="")
             self._unusable = None
+
+
+def wire_fault(host: str, code: str, fingerprint: str, trust_network: bool) -> str | None:
+    """Returns why the hands of a service may not be taken like this, in a sentence; None if they may."""
+    if bool(code) != bool(fingerprint):
+        given, missing = ("code", "fingerprint") if code else ("fingerprint", "code")
+        return f"{given} is set, but {missing} is not; a service on another machine shows both."
+    if fingerprint and not FINGERPRINT.fullmatch(fingerprint.replace(":", "").lower()):
+        return f"fingerprint is {fingerprint!r}, but must be 64 hexadecimal digits."
+    if not (fingerprint or trust_network or is_loopback(host)):
+        proof = "set the code and the fingerprint that its service shows"
+        own = "A tracker's own service has neither: set trust_network, on a network that only the two machines share."
+        return f"host is {host!r}, another machine: {proof}. {own}"
+    return None
 
 
 class _LinkFault(Exception):

@@ -1,11 +1,17 @@
 """The WebSocket to the Leap service, read in the caller's thread: websockets' own client hands each message from a
 thread that reads the socket to the caller's, and waits until that has taken it.
+
+To another machine it goes by TLS, whose certificate must have the fingerprint that the user knows. TLS runs in memory,
+so that it needs of a socket no more than to send and receive.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import hmac
 import socket
+import ssl
 import time
 from collections import deque
 from urllib.parse import urlencode
@@ -21,24 +27,36 @@ CLOSE_TIMEOUT_S = 0.5
 READ_BYTES = 65536
 
 
+class UnknownService(Exception):
+    """The service has another fingerprint than the one that is expected; `found` is its own."""
+
+    def __init__(self, found: str) -> None:
+        super().__init__(f"The service has the fingerprint {found}.")
+        self.found = found
+
+
 class LeapSocket(contextlib.AbstractContextManager):
     """An open connection.
 
-    Raises OSError, EOFError, UnicodeError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S. `code`:
-    what the service asks clients of other machines for.
+    Raises OSError, EOFError, UnicodeError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S. With the
+    `fingerprint` of the service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent, if it
+    has another one. `code`: what the service asks clients of other machines for.
     """
 
-    def __init__(self, host: str, port: int, code: str = "") -> None:
+    def __init__(self, host: str, port: int, code: str = "", fingerprint: str = "") -> None:
         self.ponged = False  # whether the newest ping was answered
         self._messages: deque[str | bytes] = deque()
         self._parts: list[bytes] = []  # of a message that is not complete
         self._is_text = False
         query = f"?{urlencode({'code': code})}" if code else ""
         self._protocol = ClientProtocol(parse_uri(f"ws://{host}:{port}/v6.json{query}"))
+        self._tls = _Tls() if fingerprint else None
         deadline = time.monotonic() + OPEN_TIMEOUT_S
         self._socket = socket.create_connection((host, port), OPEN_TIMEOUT_S)
         try:
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
+            if self._tls is not None:
+                self._greet(self._tls, fingerprint, deadline)
             self._protocol.send_request(self._protocol.connect())
             while self._protocol.state is State.CONNECTING and self._protocol.handshake_exc is None:
                 self._read(deadline)
@@ -85,20 +103,36 @@ class LeapSocket(contextlib.AbstractContextManager):
             while self._protocol.state is not State.CLOSED:
                 self._read(deadline)
 
-    def _read(self, deadline: float) -> None:
-        """Waits for bytes, and takes the messages in them; raises TimeoutError if none come in time."""
-        self._flush()
+    def _greet(self, tls: _Tls, fingerprint: str, deadline: float) -> None:
+        """Opens TLS with the service that has the fingerprint."""
+        while not tls.shake():
+            self._socket.sendall(tls.outgoing())
+            tls.take(self._receive(deadline))
+        if not hmac.compare_digest(tls.fingerprint(), fingerprint):
+            raise UnknownService(tls.fingerprint())
+
+    def _receive(self, deadline: float) -> bytes:
+        """Waits for bytes; raises TimeoutError if none come in time."""
         rest = deadline - time.monotonic()
         if rest <= 0.0:
             raise TimeoutError
         self._socket.settimeout(rest)
         try:
-            data = self._socket.recv(READ_BYTES)
+            return self._socket.recv(READ_BYTES)
         except socket.timeout:
             raise TimeoutError from None  # the two are one from Python 3.10 on
+
+    def _read(self, deadline: float) -> None:
+        """Waits for bytes, and takes the messages in them; raises TimeoutError if none come in time."""
+        self._flush()
+        data = self._receive(deadline)
+        ended = not data
+        if self._tls is not None:
+            self._tls.take(data)
+            data, ended = self._tls.incoming()
         if data:
             self._protocol.receive_data(data)
-        else:
+        if ended:
             self._protocol.receive_eof()
         for event in self._protocol.events_received():
             if isinstance(event, Frame):
@@ -124,7 +158,7 @@ class LeapSocket(contextlib.AbstractContextManager):
     def _flush(self) -> None:
         for data in self._protocol.data_to_send():
             if data:
-                self._socket.sendall(data)
+                self._socket.sendall(data if self._tls is None else self._tls.outgoing(data))
             else:
                 with contextlib.suppress(OSError):
                     self._socket.shutdown(socket.SHUT_WR)
@@ -136,3 +170,52 @@ class LeapSocket(contextlib.AbstractContextManager):
     def _closed(self) -> ConnectionClosed:
         protocol = self._protocol
         return ConnectionClosed(protocol.close_rcvd, protocol.close_sent, protocol.close_rcvd_then_sent)
+
+
+class _Tls:
+    """The client's half of a TLS connection, in memory.
+
+    The certificate is nobody's but the service's, so that its fingerprint alone can tell whose it is. That the service
+    has the key to it the handshake proves in any case.
+    """
+
+    def __init__(self) -> None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        self._in, self._out = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._tls = context.wrap_bio(self._in, self._out)
+
+    def shake(self) -> bool:
+        """Goes on with the handshake; returns whether it is done."""
+        try:
+            self._tls.do_handshake()
+        except ssl.SSLWantReadError:
+            return False
+        return True
+
+    def fingerprint(self) -> str:
+        """Returns the SHA-256 of the service's certificate, as 64 hexadecimal digits."""
+        return hashlib.sha256(self._tls.getpeercert(True) or b"").hexdigest()
+
+    def take(self, data: bytes) -> None:
+        """Takes what the service sent; nothing at its end."""
+        self._in.write(data) if data else self._in.write_eof()
+
+    def incoming(self) -> tuple[bytes, bool]:
+        """Returns what it said, and whether that was the end."""
+        parts = []
+        try:
+            while part := self._tls.read(READ_BYTES):
+                parts.append(part)
+            return b"".join(parts), True
+        except ssl.SSLWantReadError:
+            return b"".join(parts), False
+        except (ssl.SSLZeroReturnError, ssl.SSLEOFError):
+            return b"".join(parts), True
+
+    def outgoing(self, data: bytes = b"") -> bytes:
+        """Returns what is to be sent for it, encrypted."""
+        if data:
+            self._tls.write(data)
+        return self._out.read()

@@ -68,6 +68,7 @@ class WebConfig:
     leap_port: int = integer(low=0, high=65535, doc="with hands: port of that service", absent=6437)
     box_ahead: float = number("m", low=0.2, high=0.8, doc="with hands: box's middle in front of the head", absent=0.4)
     box_below: float = number("m", low=0.0, high=0.8, doc="with hands: box's middle below the head", absent=0.35)
+    name: str = text(doc="further name of this computer that pages may be asked for by", absent="", empty=True)
 
     def faults(self) -> list[str]:
         """Returns contradictions between fields."""

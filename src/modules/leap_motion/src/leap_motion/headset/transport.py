@@ -9,26 +9,26 @@ page without focus. Then, and when the page falls silent or is gone, the tracker
 
 from __future__ import annotations
 
+import asyncio
 import json
-import socket
-import struct
-import threading
+import math
 import time
 from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import ServerConnection
 
 from leap_motion.headset.access import Access
 from leap_motion.headset.hand_stream import HandFrame, HandStream
+from leap_motion.service.access import ConnectionLimits
 
 MAX_MESSAGE_BYTES = 16384  # longest message of a page; two hands take 3000
 SECRET_S = 5.0  # a page that has not sent its code by then is gone,
 SILENCE_S = 0.3  # a page that was silent for so long is away,
 GONE_S = 10.0  # and after this time it is gone
 SEND_S = 2.0  # nor is a page there that takes no answers
-MAX_WAITING = 8  # pages that have not sent their code
+MAX_WAITING, WAITING_OF_ADDRESS = 8, 2  # pages that have not sent their code
 REFUSED, BUSY = 1008, 1013  # codes of closing
 
 
@@ -64,10 +64,10 @@ class HandsEndpoint:
         self._stream, self._served, self._scene, self._say = stream, served, scene, say
         self._say_code = say_code or say
         self._access = Access()
-        self._lock = threading.Lock()
+        self._waiting = ConnectionLimits(MAX_WAITING, WAITING_OF_ADDRESS)
         self._driver: tuple[str, ServerConnection] | None = None
         self._placed_by = ""  # key of the headset whose box stands in the room
-        self._waiting = 0
+        self._leaving: asyncio.Future | None = None
         self._attached = False
         served.plug(False)
         self._tell_code()
@@ -76,95 +76,87 @@ class HandsEndpoint:
     def driven(self) -> bool:
         return self._driver is not None
 
-    def converse(self, connection: ServerConnection) -> None:
+    async def converse(self, connection: ServerConnection) -> None:
         """Serves one connection to its end, which nothing that it sends can prevent."""
-        connection.socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(SEND_S), 0))
         try:
-            key = self._greet(connection)
+            key = await self._greet(connection)
             try:
-                if not key or not self._seated(key, connection):
+                if not key or not await self._seat(key, connection):
                     return
-                self._drive(connection)
+                await self._drive(connection)
             finally:
                 self._leave(connection)
-            connection.close(REFUSED, "That was no message of the page, or none came.")
-        except (ConnectionClosed, TimeoutError, OSError):
+            await connection.close(REFUSED, "That was no message of the page, or none came.")
+        except (ConnectionClosed, asyncio.TimeoutError):
             pass
 
-    def _greet(self, connection: ServerConnection) -> str | None:
+    async def _greet(self, connection: ServerConnection) -> str | None:
         """Returns the key of a page that may drive; tells the others why they may not."""
-        with self._lock:
-            self._waiting += 1
-            full = self._waiting > MAX_WAITING
-        try:
-            text = "" if full else connection.recv(timeout=SECRET_S)
-        finally:
-            with self._lock:
-                self._waiting -= 1
-        if full:
-            connection.close(BUSY, "Too many pages ask for the robot.")
+        address = connection.remote_address[0]
+        if not self._waiting.enter(address):
+            await connection.close(BUSY, "Too many pages ask for the robot.")
             return None
-        secret = _read(text).get("secret")
-        with self._lock:
-            code = self._access.code
-            key = self._access.admit(secret)
-            used = self._access.code != code
-        if used:
+        try:
+            text = await asyncio.wait_for(connection.recv(), SECRET_S)
+        finally:
+            self._waiting.leave(address)
+        code, now = self._access.code, time.monotonic()
+        wait = self._access.wait(address, now)
+        key = self._access.admit(_read(text).get("secret"), address, now)
+        if self._access.code != code:
             self._tell_code()
         if key is None:
-            self._say(f"Refused the headset at {connection.remote_address[0]}: it did not send the code.")
-            refused = "That is not the code that stands on the rig's terminal, or too many wrong ones came before."
-            connection.send(json.dumps({"refused": refused}))
-            connection.close(REFUSED)
+            refused = "That is not the code that stands on the rig's terminal."
+            if wait > 0.0:
+                refused = f"A wrong code came from this address: try again in {math.ceil(wait)} s."
+            else:
+                self._say(f"Refused the headset at {address}: it did not send the code.")
+            await _send(connection, {"refused": refused})
+            await connection.close(REFUSED)
         return key
 
     def _tell_code(self) -> None:
         self._say_code(f"The code for the next headset is {self._access.code}.")
 
-    def _seated(self, key: str, connection: ServerConnection) -> bool:
+    async def _seat(self, key: str, connection: ServerConnection) -> bool:
         """Gives the page the driver's seat if it is free, or its own from before its connection was lost."""
-        with self._lock:
-            before = self._driver
-            free = before is None or before[0] == key
-            if free:
-                self._driver = (key, connection)
-                (self._stream.interrupt if key == self._placed_by else self._stream.restart)()
-                self._placed_by = key
-        if not free:
+        before = self._driver
+        if before is not None and before[0] != key:
             refused = "Another headset drives the robot; this one can watch."
-            connection.send(json.dumps({"refused": refused, "key": key}))
-            connection.close(BUSY)
+            await _send(connection, {"refused": refused, "key": key})
+            await connection.close(BUSY)
             return False
+        self._driver = (key, connection)
+        (self._stream.interrupt if key == self._placed_by else self._stream.restart)()
+        self._placed_by = key
         if before is not None:
-            threading.Thread(target=before[1].close, daemon=True).start()
-        connection.send(json.dumps({"key": key, "drives": True}))
+            self._leaving = asyncio.ensure_future(before[1].close())
+        await _send(connection, {"key": key, "drives": True})
         self._say("A headset drives the robot.")
         return True
 
     def _leave(self, connection: ServerConnection) -> None:
-        with self._lock:
-            if self._driver is None or self._driver[1] is not connection:
-                return  # the same page has come back meanwhile
-            self._driver = None
-            self._away()
+        if self._driver is None or self._driver[1] is not connection:
+            return  # the same page has come back meanwhile
+        self._driver = None
+        self._away()
         self._say("No headset drives the robot any more.")
 
-    def _drive(self, connection: ServerConnection) -> None:
+    async def _drive(self, connection: ServerConnection) -> None:
         heard = time.monotonic()
         while time.monotonic() - heard < GONE_S:
             try:
-                text = connection.recv(timeout=SILENCE_S)
-            except TimeoutError:
+                text = await asyncio.wait_for(connection.recv(), SILENCE_S)
+            except asyncio.TimeoutError:
                 text = None
-            with self._lock:
-                if self._driver is None or self._driver[1] is not connection:
-                    return
-                answer = self._answer(text)
+            if self._driver is None or self._driver[1] is not connection:
+                return
+            answer = self._answer(text)
             if text is not None:
                 heard = time.monotonic()
                 if answer is None:
                     return
-                connection.send(json.dumps(answer))
+                await _send(connection, answer)
 
     def _answer(self, text: str | bytes | None) -> dict | None:
         """Takes a message, or None for silence; returns the answer, None for what is no message of a page."""
@@ -191,6 +183,11 @@ class HandsEndpoint:
         if attached is not self._attached:
             self._attached = attached
             self._served.plug(attached)
+
+
+async def _send(connection: ServerConnection, message: dict) -> None:
+    """Sends a message; raises asyncio.TimeoutError for a page that does not take it."""
+    await asyncio.wait_for(connection.send(json.dumps(message)), SEND_S)
 
 
 def _read(text: str | bytes) -> dict:

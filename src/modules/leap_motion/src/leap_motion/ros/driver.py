@@ -113,9 +113,9 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
             with while_running():
                 raw.publish(received, text)
 
-    client = LeapClient(
-        config.host, config.port, clock=rospy.Time.now, code=config.code, tap=publish_raw, runtime=clock
-    )
+    proof = {"code": config.code, "fingerprint": config.fingerprint, "trust_network": config.trust_network}
+    options = {**proof, "tap": publish_raw, "runtime": clock}
+    client = LeapClient(config.host, config.port, clock=rospy.Time.now, **options)
     report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
     Diagnostics("leap_motion", report.diagnostics)
     try:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common.config import choice, integer, text
+from common.config import choice, flag, integer, text
+from leap_motion.client import wire_fault
 
 COMPATIBLE, CORRECT = "compatible", "correct"
 
@@ -14,8 +15,16 @@ class DriverConfig:
     """The private parameters of the driver."""
 
     host: str = text(doc="address of the Leap service", absent="127.0.0.1")
-    port: int = integer(low=1, high=65535, doc="its plain WebSocket port", absent=6437)
+    port: int = integer(
+        low=1, high=65535, doc="its WebSocket port; with a fingerprint its secure one, as a rule 6436", absent=6437
+    )
     code: str = text(doc="code that a service on another machine asks for; empty: none", absent="", empty=True)
+    fingerprint: str = text(
+        doc="fingerprint of that service's certificate, 64 hexadecimal digits; empty: no TLS", absent="", empty=True
+    )
+    trust_network: bool = flag(
+        doc="take hands from another machine without proof or encryption, as of a tracker's own service", absent=False
+    )
     orientation: str = choice(
         COMPATIBLE, CORRECT, doc="bone orientations as the C++ driver fills them, or true ones", absent=COMPATIBLE
     )
@@ -24,6 +33,11 @@ class DriverConfig:
         absent="",
         empty=True,
     )
+
+    def faults(self) -> list[str]:
+        """Returns contradictions between fields."""
+        fault = wire_fault(self.host, self.code, self.fingerprint, self.trust_network)
+        return [] if fault is None else [fault]
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,8 @@ def main(arguments: list[str] | None = None, ask: Callable[[str], str] = input) 
     add("--host", default="127.0.0.1", help="address of the Leap service")
     add("--port", type=int, default=6437, help="its WebSocket port")
     add("--code", default="", help="code that a service on another machine asks for")
+    add("--fingerprint", default="", help="of that service's certificate")
+    add("--trust-network", action="store_true", help="take hands from another machine without proof or encryption")
     add("--force", action="store_true", help="replace an earlier registration without a question")
     options = parser.parse_args(arguments)
     try:
@@ -83,7 +85,11 @@ def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
     _refuse_running_driver()
     if path.exists() and not options.force and ask(f"{path} exists. Replace it? [y/N] ").strip().lower() != "y":
         raise RigError("Cancelled.")
-    client = LeapClient(options.host, options.port, code=options.code, runtime=clock)
+    proof = {"code": options.code, "fingerprint": options.fingerprint, "trust_network": options.trust_network}
+    try:
+        client = LeapClient(options.host, options.port, **proof, runtime=clock)
+    except ValueError as error:
+        raise RigError(str(error)) from error
     try:
         _wait_for_frames(client)
         serial = client.status.serial

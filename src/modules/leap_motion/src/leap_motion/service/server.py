@@ -4,48 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import http
-import ipaddress
-import logging
+import math
 import socket
-from collections.abc import Callable
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from leap_motion.service import wire
+from leap_motion.service.access import AccessCode, hostname, is_loopback, is_own_host
+from leap_motion.service.certificate import Certificate, CertificateError
+from leap_motion.service.socket_service import SocketService, listen
 
-CLOSE_TIMEOUT_S = 0.5
-LONGEST_SLEEP_S = 0.2
 GATED_FROM_VERSION = 4
-MAX_MESSAGE_BYTES = 4096  # of a client; policies are shorter than 32
-MAX_WRONG_CODES = 10  # afterwards no other machine is served
-SHORTEST_CODE = 6
+SHORTEST_CODE = 8
+LOOPBACK = "127.0.0.1"
 
 
 class LeapServiceError(Exception):
     """The service cannot start; the text is one sentence for the user."""
-
-
-class AccessCode:
-    """A code that clients of other machines must give; after MAX_WRONG_CODES wrong ones the right one is refused."""
-
-    def __init__(self, code: str) -> None:
-        if len(code) < SHORTEST_CODE:
-            raise LeapServiceError(f"The code for other machines is shorter than {SHORTEST_CODE} characters.")
-        self._code, self._wrong = code.encode(), 0
-
-    def accepts(self, given: str) -> bool:
-        """Returns whether `given` is the code."""
-        if self._wrong >= MAX_WRONG_CODES:
-            return False
-        right = hmac.compare_digest(given.encode("utf-8", "replace"), self._code)
-        self._wrong += not right
-        return right
 
 
 class LeapClientLink:
@@ -73,34 +52,44 @@ class LeapClientLink:
             self.wake.set()
 
 
-class LeapService:
+class LeapService(SocketService):
     """Sends the offered frames to all clients; port 0 takes any free one, see the attributes.
 
-    A `host` that is no loopback address makes other machines clients: they are served at /v6.json?code=CODE only. A
-    web page is served if this machine served it: else any page that somebody opens here would see the hands, and take
-    every second frame of a "gemini".
-    Raises LeapServiceError if a port is taken or such a host has no code.
+    A `host` that is no loopback address opens `secure_port` to other machines, by TLS with a `certificate`: they know
+    its fingerprint, and are served at /v6.json?code=CODE only. `port` is this machine's in any case. A web page is
+    served if this machine served it: else any page that somebody opens here would see the hands, and take every second
+    frame of a "gemini".
+    Raises LeapServiceError if a port is taken, or such a host has no code or certificate.
     """
 
     def __init__(
         self,
-        host: str = "127.0.0.1",
+        host: str = LOOPBACK,
         port: int = 6437,
         service: str = "2.3",  # one of wire.SERVICES, whose protocol it speaks
         version: str = "2.3.1",  # the header's serviceVersion
         serial: str = "LP00000000001",  # of the device
         code: str = "",
+        certificate: Certificate | None = None,
+        secure_port: int = 6436,
     ) -> None:
-        self._code = AccessCode(code) if code else None
         self._service, self._version, self._serial = service, version, serial
         self._clients: list[LeapClientLink] = []
-        self._attached, self._stopping = True, False
+        self._attached = True
         self._next = 0  # whose turn the frame is, where clients share them
         self.sent = self.lost = 0  # frames, of all clients
         self.mode = "desktop"  # tracking mode that clients asked for
-        self._socket = self._listen(host, port)
-        self.host, self.port = self._socket.getsockname()[:2]
-        self._loop = asyncio.new_event_loop()
+        super().__init__()
+        opened = not is_loopback(host)
+        if opened and (len(code) < SHORTEST_CODE or certificate is None):
+            needs = f"a certificate and a code of at least {SHORTEST_CODE} characters"
+            raise LeapServiceError(
+                f"Other machines reach the address {host!r}; use 127.0.0.1, or give {needs} as well."
+            )
+        self._code = AccessCode(code)
+        self.host, self.port = self._listen(LOOPBACK if opened else host, port)
+        if opened and certificate is not None:
+            _, self.secure_port = self._listen(host, secure_port, certificate)
 
     @property
     def clients(self) -> int:
@@ -116,21 +105,6 @@ class LeapService:
     def plug(self, attached: bool) -> None:
         """Tells the clients that the device was plugged in or out; from any thread."""
         self._soon(self._set_attached, attached)
-
-    def run(self) -> None:
-        """Serves until `stop` is called."""
-        try:
-            self._loop.run_until_complete(self._serve())
-        finally:
-            self._loop.close()
-
-    def stop(self) -> None:
-        """Makes `run` return soon; from a signal handler or any thread."""
-        self._stopping = True
-
-    def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
-        with contextlib.suppress(RuntimeError):  # the service has ended
-            self._loop.call_soon_threadsafe(action, *arguments)
 
     def _hand_out(self, frames: tuple[str, ...]) -> None:
         if not self._attached:
@@ -148,45 +122,40 @@ class LeapService:
             client.frames = client.frames if attached else ()
             client.notify(wire.device_event(client.version, self._service, self._serial, attached))
 
-    def _listen(self, host: str, port: int) -> socket.socket:
-        if self._code is None and not is_loopback(host):
-            raise LeapServiceError(f"Other machines reach the address {host!r}; use 127.0.0.1, or give a code as well.")
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    def _listen(self, host: str, port: int, certificate: Certificate | None = None) -> tuple[str, int]:
+        """Opens a port; returns its address."""
         try:
-            return socket.create_server((host, port), family=family)
+            tls = certificate and certificate.server()
+            listener = listen(host, port)
+        except CertificateError as error:
+            raise LeapServiceError(str(error)) from error
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             cure = "Stop the other Leap service, or choose another port."
             raise LeapServiceError(f"Cannot listen on {host}:{port} for the Leap service: {reason}. {cure}") from error
-
-    async def _serve(self) -> None:
-        async with self._serving():
-            while not self._stopping:
-                await asyncio.sleep(LONGEST_SLEEP_S)
-
-    def _serving(self) -> serve:
-        logger = logging.getLogger(__name__)
-        logger.setLevel(logging.CRITICAL)
-        return serve(
-            self._converse,
-            sock=self._socket,
-            process_request=self._meet,
-            compression=None,
-            close_timeout=CLOSE_TIMEOUT_S,
-            max_size=MAX_MESSAGE_BYTES,
-            ping_interval=None,
-            logger=logger,
-        )
+        self._open(listener, tls)
+        return listener.getsockname()[:2]
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
-        if not all(_is_of_this_machine(origin) for origin in request.headers.get_all("Origin")):
+        """Refuses the pages of other sites, and who comes by the secure port without the code."""
+        arrived_at = connection.local_address[0]
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        if not all(is_own_host(host, arrived_at, (socket.gethostname(),)) for host in hosts) or not all(
+            is_loopback(hostname(origin)) for origin in origins
+        ):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "Pages of other sites get no hands.\n")
-        if is_loopback(connection.remote_address[0]):
+        if connection.transport.get_extra_info("sslcontext") is None:
             return None
+        whose, now = connection.remote_address[0], self._loop.time()
+        wait = self._code.wait(whose, now)
+        if wait > 0.0:
+            response = connection.respond(http.HTTPStatus.TOO_MANY_REQUESTS, "A wrong code came from your address.\n")
+            response.headers["Retry-After"] = str(math.ceil(wait))
+            return response
         given = parse_qs(urlsplit(request.path).query).get("code", [""])[0]
-        if self._code is not None and self._code.accepts(given):
+        if self._code.accepts(given, whose, now):
             return None
-        return connection.respond(http.HTTPStatus.FORBIDDEN, "Add ?code= and the code that this service shows.\n")
+        return connection.respond(http.HTTPStatus.UNAUTHORIZED, "Add ?code= and the code of this service.\n")
 
     async def _while_held(self) -> None:
         """Waits while nothing may be sent."""
@@ -230,23 +199,3 @@ class LeapService:
                 for frame in frames:
                     await client.connection.send(frame)
                     self.sent += 1
-
-
-def _is_of_this_machine(origin: str) -> bool:
-    """Returns whether a web page, by the Origin that its browser states, was served by this machine."""
-    try:
-        return is_loopback(urlsplit(origin).hostname or "")
-    except ValueError:
-        return False
-
-
-def is_loopback(host: str) -> bool:
-    """Returns whether only this machine reaches an address, or an address is this machine's."""
-    if host == "localhost":
-        return True
-    try:
-        address = ipaddress.ip_address(host.partition("%")[0])
-    except ValueError:
-        return False
-    mapped = getattr(address, "ipv4_mapped", None)
-    return (mapped or address).is_loopback

@@ -20,6 +20,8 @@ import numpy as np
 import yaml
 
 from leap_motion.service import wire
+from leap_motion.service.access import is_loopback
+from leap_motion.service.certificate import CertificateError, own_certificate
 from leap_motion.service.server import LeapService, LeapServiceError
 from leap_motion.webcam.hand_detector import HandDetector
 from leap_motion.webcam.hand_tracks import HandTracks
@@ -60,10 +62,15 @@ class WebcamTracker:
         place = placement(options.setup, math.radians(options.tilt), options.distance)
         self._tracks = HandTracks(place, _width(options))
         self._detector = HandDetector(options.hands == 1)
-        self._service = LeapService(
-            options.host, options.port, version=SERVICE, serial=serial_of(options), code=options.code
-        )
+        about = {"version": SERVICE, "serial": serial_of(options)}
+        own = None if is_loopback(options.host) else own_certificate(_folder() / "tracker")
+        opened = {"code": options.code, "certificate": own, "secure_port": options.secure_port}
+        self._service = LeapService(options.host, options.port, **about, **opened)
         self.address = f"{self._service.host}:{self._service.port}"
+        self.invitation = ""
+        if own is not None:
+            args = f"leap_port:={self._service.secure_port} leap_fingerprint:={own.fingerprint()}"
+            self.invitation = f"Other machines reach it by leap_host:=ADDRESS {args} leap_code:=CODE."
         self.view = TrackerView(None, None, place, False, [], "The camera is being opened.")
         self._renew = self._stopping = False
         self._told, self._told_at = "", -math.inf
@@ -147,10 +154,12 @@ def main(arguments: list[str] | None = None) -> int:
         if sys.platform == "linux" and not (options.headless or any(map(os.environ.get, SCREENS))):
             raise WebcamError("There is no screen for the window: DISPLAY is not set. Start with --headless.")
         tracker = WebcamTracker(options)
-    except (WebcamError, LeapServiceError) as error:
+    except (WebcamError, LeapServiceError, CertificateError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
         return 1
     print(f"{NAME}: listening on {tracker.address}, set-up {options.setup}", flush=True)
+    if tracker.invitation:
+        print(f"{NAME}: {tracker.invitation}", flush=True)
     tracker.start()
     if options.headless:
         while tracker.alive and not stopped.wait(0.2):
@@ -238,7 +247,11 @@ def _palm_file(name: str) -> Path:
         raise WebcamError(
             f"The name is {name!r}, but must be letters, digits, - and _, and begin with a letter or digit."
         )
-    return Path.home() / ".config" / "leap_rig" / "palms" / f"{name}.yaml"
+    return _folder() / "palms" / f"{name}.yaml"
+
+
+def _folder() -> Path:
+    return Path.home() / ".config" / "leap_rig"
 
 
 def _width(options: argparse.Namespace) -> float:
@@ -298,9 +311,10 @@ def parse(arguments: list[str] | None) -> argparse.Namespace:
     add("--measure", default="", metavar="NAME", help="measure your palm beside a bank card, store it, and exit")
     add("--tag", type=_between(10.0, 500.0), metavar="MM", help="measure beside a 36h11 tag of this size instead")
     add("--hands", type=int, choices=(1, 2), default=1, help="how many to follow; two take twice the processor time")
-    add("--host", default="127.0.0.1", help="address to listen on; other machines need a code")
+    add("--port", type=int, default=6437, help="WebSocket port for this machine; 0 takes any free one")
+    add("--host", default="127.0.0.1", help="address to serve other machines on as well; needs a code")
     add("--code", default="", help="for programs on other machines: leap_driver's parameter code")
-    add("--port", type=int, default=6437, help="WebSocket port; 0 takes any free one")
+    add("--secure-port", type=int, default=6436, help="for other machines: port for TLS; 0 takes any free one")
     add("--headless", action="store_true", help="no window")
     given = sys.argv[1:] if arguments is None else arguments
     return parser.parse_args([argument for argument in given if ":=" not in argument])

@@ -9,23 +9,23 @@ hands, on a WebSocket at /hands (leap_motion.headset.transport).
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
-import logging
 import pathlib
 import socket
 import ssl
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import asdict, dataclass
 
 import cv2
 import numpy as np
 import rospkg
 import rospy
+from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
-from websockets.sync.server import ServerConnection, serve
 
 from common import clock
 from common.errors import DeviceError
@@ -33,9 +33,11 @@ from common.operator_rows import OLD_ROWS_S, rows_of
 from common.ros.diagnostics import Diagnostics
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
-from leap_motion.headset.transport import MAX_MESSAGE_BYTES
+from leap_motion.headset.transport import MAX_MESSAGE_BYTES, SEND_S
+from leap_motion.service.access import ConnectionLimits, is_loopback, is_own_host
+from leap_motion.service.certificate import Certificate, CertificateError, own_certificate
+from leap_motion.service.socket_service import SocketService, listen
 from rig_msgs.msg import OperatorView
-from vision.ros.stereo.certificate import own_certificate
 from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.ros.stereo.headset_hands import HeadsetHands
 from vision.stereo.view import StereoViewConfig, WebConfig
@@ -43,9 +45,8 @@ from vision.stereo.view import StereoViewConfig, WebConfig
 REFRESH_S = 0.2
 SILENCE_S = 0.5  # the page is notified after this time without a new image
 REQUEST_S = 10.0  # a page without a request for this time is gone
-CLOSE_S = 1.0
-MAX_PAGES = 4
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+CLOSE_S = 2.0
+MAX_PAGES, PAGES_OF_ADDRESS = 6, 3
 
 
 @dataclass(frozen=True)
@@ -57,41 +58,52 @@ class StereoFrame:
     deep: bool  # whether the eye images differ by depth
 
 
-class StereoWeb:
-    """A server in threads of its own; `address` is its page's. `converse` serves /hands, if there is to be that.
+class StereoWeb(SocketService):
+    """A server in a thread of its own; `address` is its page's, `fingerprint` its certificate's. `converse` serves
+    /hands, if there is to be that.
 
     Raises DeviceError without page, certificate or port.
     """
 
-    def __init__(self, config: WebConfig, converse: Callable[[ServerConnection], None] | None = None) -> None:
+    max_message_bytes = MAX_MESSAGE_BYTES
+    write_limit = 1  # an image that waits would be late
+
+    def __init__(
+        self, config: WebConfig, converse: Callable[[ServerConnection], Awaitable[None]] | None = None
+    ) -> None:
+        super().__init__()
         self._hands = converse
         self._frame: StereoFrame | None = None
         self._number = 0
+        self._next = self._loop.create_future()  # done when the next image is there
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
-        self._pages: set[ServerConnection] = set()
-        self._others: set[ServerConnection] = set()
-        self._change = clock.Condition()
-        self._local = config.host in LOOPBACK
-        logging.getLogger("websockets").setLevel(logging.CRITICAL)
+        self._pages: list[ServerConnection] = []
+        self._limits = ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS)
+        opened = (socket.gethostname(), f"{socket.gethostname()}.local", *([config.name] if config.name else ()))
+        self._names = () if is_loopback(config.host) else opened
+        self.fingerprint = ""
         try:
             self._page = pathlib.Path(config.page).read_bytes()
-            tls = None
-            files = config.certificate, config.key
-            if converse and not config.certificate:  # a browser gives hands to a secure page only
-                files = own_certificate(pathlib.Path(rospkg.get_ros_home()) / "leap_rig" / "headset")
-            if files[0]:
-                tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-                tls.load_cert_chain(*files)
-            options = {"process_request": self._answer, "ssl": tls, "compression": None, "close_timeout": CLOSE_S}
-            options["max_size"] = MAX_MESSAGE_BYTES
-            self._server = serve(self._converse, config.host, config.port, **options)
-        except (OSError, OverflowError) as error:
-            fault = f"Cannot serve the page on {config.host}:{config.port}: {error}."
-            raise DeviceError(f"{fault} Check page and certificate, or choose another port.") from error
-        port = self._server.socket.getsockname()[1]
+            tls = self._tls(config)
+            listener = listen(config.host, config.port)
+        except (CertificateError, OSError, OverflowError) as error:
+            fault = f"Cannot serve the page on {config.host}:{config.port}: {error}"
+            raise DeviceError(f"{fault.rstrip('.')}. Check page and certificate, or choose another port.") from error
+        self._open(listener, tls)
         self._scheme = "https" if tls else "http"
-        self.address = f"{self._scheme}://{_reachable(config.host)}:{port}/"
-        clock.Thread(target=self._server.serve_forever, name="web", daemon=True).start()
+        self.address = f"{self._scheme}://{_reachable(config.host)}:{listener.getsockname()[1]}/"
+        self._thread = clock.Thread(target=self.run, name="web", daemon=True)
+        self._thread.start()
+
+    def _tls(self, config: WebConfig) -> ssl.SSLContext | None:
+        if config.certificate:
+            certificate = Certificate(config.certificate, config.key)
+        elif self._hands:  # a browser gives hands to a secure page only
+            certificate = own_certificate(pathlib.Path(rospkg.get_ros_home()) / "leap_rig" / "headset")
+        else:
+            return None
+        self.fingerprint = certificate.fingerprint()
+        return certificate.server()
 
     @property
     def watched(self) -> bool:
@@ -100,34 +112,34 @@ class StereoWeb:
 
     def put(self, frame: StereoFrame) -> None:
         """Sends an image to every page that has shown the previous one."""
-        with self._change:
-            self._frame = frame
-            self._number += 1
-            self._change.notify_all()
+        self._soon(self._take, frame)
 
     def put_view(self, message: OperatorView) -> None:
         """Sends the rows of the operator's view with the next answers."""
         rows = [{**asdict(row), "tone": row.tone.value} for row in rows_of(message.rows)]
         self._view = rows, clock.monotonic()
 
+    def close(self) -> None:
+        """Stops the server and closes the pages' connections."""
+        self.stop()
+        self._thread.join(CLOSE_S)
+
+    def _take(self, frame: StereoFrame) -> None:
+        self._frame = frame
+        self._number += 1
+        self._next.set_result(None)
+        self._next = self._loop.create_future()
+
     def _more(self) -> dict[str, object]:
         rows, at = self._view
         more: dict[str, object] = {"hands": True} if self._hands else {}
         return {**more, "rows": rows} if rows and clock.monotonic() - at <= OLD_ROWS_S else more
 
-    def close(self) -> None:
-        """Stops the server and closes the pages' connections."""
-        self._server.shutdown()
-        with self._change:
-            open_ones = [*self._pages, *self._others]
-        for connection in open_ones:
-            connection.close(1001)
-
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answers requests without a WebSocket, and refuses the pages of other sites."""
         host = request.headers.get("Host", "")
-        if self._local and host.rpartition(":")[0].strip("[]") not in LOOPBACK:
-            return connection.respond(403, "This page is for this computer only.\n")
+        if not is_own_host(host, connection.local_address[0], self._names):
+            return connection.respond(403, "Ask for this page by the address that the rig shows.\n")
         if request.path.partition("?")[0] == "/":
             headers = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(self._page)))])
             headers["Connection"] = "close"
@@ -139,44 +151,37 @@ class StereoWeb:
             return connection.respond(403, "This is for its own page only.\n")
         return None
 
-    def _converse(self, connection: ServerConnection) -> None:
+    async def _converse(self, connection: ServerConnection) -> None:
         if self._hands and connection.request.path == "/hands":
-            with self._change:
-                self._others.add(connection)
-            try:
-                self._hands(connection)
-            finally:
-                with self._change:
-                    self._others.discard(connection)
+            await self._hands(connection)
             return
-        with self._change:
-            if len(self._pages) >= MAX_PAGES:
-                connection.close(1013, f"{MAX_PAGES} pages are open already")
-                return
-            self._pages.add(connection)
-        shown = self._number
-        try:
-            while True:
-                connection.recv(timeout=REQUEST_S)
-                number, frame = self._after(shown)
-                if number == shown:
-                    connection.send(json.dumps({"picture": False, **self._more()}))
-                    continue
-                shown = number
-                about = {"picture": True, "tangents": frame.tangents, "deep": frame.deep, **self._more()}
-                connection.send(json.dumps(about))
-                connection.send(frame.jpeg)
-        except (ConnectionClosed, TimeoutError):
-            pass
-        finally:
-            with self._change:
+        address = connection.remote_address[0]
+        if not self._limits.enter(address):
+            await connection.close(1013, "too many pages are open already")
+            return
+        self._pages.append(connection)
+        with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
+            try:
+                await self._show(connection)
+            finally:
                 self._pages.remove(connection)
+                self._limits.leave(address)
 
-    def _after(self, number: int) -> tuple[int, StereoFrame | None]:
-        """Returns the newest image and its number, which is the given one if none arrived for SILENCE_S."""
-        with self._change:
-            self._change.wait_for(lambda: self._number > number, SILENCE_S)
-            return self._number, self._frame
+    async def _show(self, page: ServerConnection) -> None:
+        shown = self._number
+        while True:
+            await asyncio.wait_for(page.recv(), REQUEST_S)
+            if self._number == shown:
+                with contextlib.suppress(asyncio.TimeoutError):
+                    await asyncio.wait_for(asyncio.shield(self._next), SILENCE_S)
+            frame = self._frame
+            if frame is None or self._number == shown:
+                await asyncio.wait_for(page.send(json.dumps({"picture": False, **self._more()})), SEND_S)
+                continue
+            shown = self._number
+            about = {"picture": True, "tangents": frame.tangents, "deep": frame.deep, **self._more()}
+            await asyncio.wait_for(page.send(json.dumps(about)), SEND_S)
+            await asyncio.wait_for(page.send(frame.jpeg), SEND_S)
 
 
 def _reachable(host: str) -> str:
@@ -196,6 +201,8 @@ def main() -> None:
     hands = HeadsetHands(settings) if settings.hands else None
     web = StereoWeb(settings, hands and hands.converse)
     (rospy.logwarn if hands else rospy.loginfo)("The view is at %s", web.address)
+    if web.fingerprint:
+        rospy.loginfo("The fingerprint (SHA-256) of its certificate is %s", web.fingerprint)
     images = StereoImageSource(config)
     view = OnDemand(lambda: [rospy.Subscriber("operator_view/rows", OperatorView, web.put_view, queue_size=1)])
     Diagnostics("stereo_web", images.diagnose)

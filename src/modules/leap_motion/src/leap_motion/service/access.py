@@ -1,0 +1,122 @@
+"""Who may connect over the network: how many at once, by which name of this computer, and with which code.
+
+Not for several threads.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import re
+from collections import Counter
+from collections.abc import Iterable
+from urllib.parse import urlsplit
+
+FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 300.0  # of an address after its first wrong code, and after many
+REMEMBERED_S = 3600.0  # an address that sent no wrong code for so long starts anew
+MAX_ADDRESSES = 1000  # that are remembered
+HOST = re.compile(r"[\w.:%\[\]-]+", re.ASCII)
+
+
+class ConnectionLimits:
+    """How many connections there may be: `total`, and `per_address` of one machine."""
+
+    def __init__(self, total: int, per_address: int) -> None:
+        self._total, self._per_address = total, per_address
+        self._of: Counter[str] = Counter()
+
+    def enter(self, address: str) -> bool:
+        """Counts a connection from an address; returns False, and does not count it, if there are too many."""
+        machine = _machine(address)
+        if sum(self._of.values()) >= self._total or self._of[machine] >= self._per_address:
+            return False
+        self._of[machine] += 1
+        return True
+
+    def leave(self, address: str) -> None:
+        """Ends a connection that was counted."""
+        machine = _machine(address)
+        self._of[machine] -= 1
+        if not self._of[machine]:
+            del self._of[machine]
+
+
+class AccessCode:
+    """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at most;
+    meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a program
+    that reconnects, is no further guess.
+    """
+
+    def __init__(self, code: str) -> None:
+        self.code = code
+        self._wrong: dict[str, tuple[int, float, str]] = {}  # how many, until when [s], the last one's hash
+
+    def wait(self, address: str, now: float) -> float:
+        """Returns how long an address waits yet [s], 0 if it does not."""
+        _, until, _ = self._wrong.get(_machine(address), (0, now, ""))
+        return max(0.0, until - now)
+
+    def accepts(self, given: str, address: str, now: float) -> bool:
+        """Returns whether `given` is the code and `address` need not wait."""
+        if self.wait(address, now) > 0.0:
+            return False
+        machine = _machine(address)
+        count, until, last = self._wrong.pop(machine, (0, now, ""))
+        if hmac.compare_digest(given.encode("utf-8", "replace"), self.code.encode()):
+            return True
+        if now - until > REMEMBERED_S:
+            count = 0
+        wait, guess = FIRST_WAIT_S, hashlib.sha256(given.encode("utf-8", "replace")).hexdigest()
+        if guess != last:
+            wait, count = min(FIRST_WAIT_S * 2.0 ** min(count, 30), LONGEST_WAIT_S), count + 1
+        if len(self._wrong) >= MAX_ADDRESSES:
+            del self._wrong[min(self._wrong, key=lambda each: self._wrong[each][1])]
+        self._wrong[machine] = count, now + wait, guess
+        return False
+
+
+def is_loopback(host: str) -> bool:
+    """Returns whether only this machine reaches an address, or an address is this machine's."""
+    if host == "localhost":
+        return True
+    address = _ip(host)
+    return address is not None and address.is_loopback
+
+
+def is_own_host(host: str, arrived_at: str, names: Iterable[str] = ()) -> bool:
+    """Returns whether the Host of a request names the address that it arrived at, or is one of `names`.
+
+    Otherwise a page of another site has bound its own name to this address, to be taken for ours (DNS rebinding).
+    """
+    name = hostname(f"//{host}") if HOST.fullmatch(host) else ""
+    if name and name in {each.lower() for each in names}:
+        return True
+    if is_loopback(arrived_at):
+        return is_loopback(name)
+    address = _ip(name)
+    return address is not None and address == _ip(arrived_at)
+
+
+def hostname(url: str) -> str:
+    """Returns the host that a URL names, "" if it names none."""
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""
+
+
+def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        address = ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return None
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def _machine(address: str) -> str:
+    """Returns what stands for a machine: its address, of IPv6 the network of which it may choose any."""
+    found = _ip(address)
+    if isinstance(found, ipaddress.IPv6Address) and not found.is_loopback:
+        return str(ipaddress.ip_network((found, 64), strict=False))
+    return str(found or address)

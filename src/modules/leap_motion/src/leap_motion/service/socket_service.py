@@ -1,0 +1,158 @@
+"""A WebSocket server in an event loop of its own, whose connections are few, and end if they are not used.
+
+asyncio accepts again by itself a second after the system had no descriptor or memory for a connection.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.http11 import Request, Response
+
+from leap_motion.service.access import ConnectionLimits
+
+LONGEST_SLEEP_S = 0.2
+OPEN_TIMEOUT_S = 5.0  # for the handshakes of TLS and WebSocket together
+CLOSE_TIMEOUT_S = 0.5
+GONE_S = 10.0  # what could not be sent within this time after the end of a connection is dropped
+PING_S = 10.0  # another machine that answers no ping is gone
+MAX_CONNECTIONS, MAX_OF_ADDRESS = 48, 12
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Returns a listening socket; raises OSError or OverflowError if there cannot be one."""
+    return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+
+
+class SocketService:
+    """Serves WebSockets on listening sockets, with TLS or without, until `stop`; a subclass answers requests in `_meet`
+    and converses in `_converse`.
+    """
+
+    max_message_bytes = 4096
+    write_limit = 2**15  # bytes that may wait in the program before `send` waits
+
+    def __init__(self) -> None:
+        self._doors: list[tuple[BoundedListener, ssl.SSLContext | None]] = []
+        self._stopping = False
+        self._loop = asyncio.new_event_loop()
+
+    def run(self) -> None:
+        """Serves until `stop` is called."""
+        try:
+            self._loop.run_until_complete(self._serve())
+            self._loop.run_until_complete(_end_tasks())
+        finally:
+            self._loop.close()
+
+    def stop(self) -> None:
+        """Makes `run` return soon; from a signal handler or any thread."""
+        self._stopping = True
+
+    def _open(self, listener: socket.socket, tls: ssl.SSLContext | None = None) -> None:
+        """Serves a listening socket from the next `_serving` on."""
+        limits = ConnectionLimits(MAX_CONNECTIONS, MAX_OF_ADDRESS)
+        self._doors.append((BoundedListener(listener, limits), tls))
+
+    def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
+        """Calls an action in the thread of the loop."""
+        with contextlib.suppress(RuntimeError):  # the service has ended
+            self._loop.call_soon_threadsafe(action, *arguments)
+
+    async def _serve(self) -> None:
+        async with self._serving():
+            while not self._stopping:
+                await asyncio.sleep(LONGEST_SLEEP_S)
+
+    @contextlib.asynccontextmanager
+    async def _serving(self) -> AsyncIterator[None]:
+        logger = logging.getLogger(__name__)
+        logger.setLevel(logging.CRITICAL)
+        async with contextlib.AsyncExitStack() as stack:
+            for listener, tls in self._doors:
+                server = serve(
+                    self._use,
+                    sock=listener,
+                    ssl=tls,
+                    process_request=self._hear_request,
+                    compression=None,
+                    open_timeout=OPEN_TIMEOUT_S,
+                    close_timeout=CLOSE_TIMEOUT_S,
+                    max_size=self.max_message_bytes,
+                    write_limit=self.write_limit,
+                    ping_interval=PING_S if tls else None,
+                    ping_timeout=PING_S,
+                    logger=logger,
+                )
+                await stack.enter_async_context(server)
+            yield
+
+    async def _hear_request(self, connection: ServerConnection, request: Request) -> Response | None:
+        response = await self._meet(connection, request)
+        if response is not None:
+            self._loop.call_later(GONE_S, connection.transport.abort)
+        return response
+
+    async def _use(self, connection: ServerConnection) -> None:
+        try:
+            await self._converse(connection)
+        finally:
+            self._loop.call_later(GONE_S, connection.transport.abort)
+
+    async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Returns the answer to a request; None for the WebSocket that it asks for."""
+        raise NotImplementedError
+
+    async def _converse(self, connection: ServerConnection) -> None:
+        """Serves a WebSocket to its end."""
+        raise NotImplementedError
+
+
+async def _end_tasks() -> None:
+    """Ends what still runs, such as a connection that is being opened."""
+    left = asyncio.all_tasks() - {asyncio.current_task()}
+    for task in left:
+        task.cancel()
+    await asyncio.gather(*left, return_exceptions=True)
+
+
+class BoundedListener:
+    """A listening socket that closes at once what is one connection too many."""
+
+    def __init__(self, listener: socket.socket, limits: ConnectionLimits) -> None:
+        self._listener, self._limits = listener, limits
+
+    def accept(self) -> tuple[CountedSocket, Any]:
+        """As of a socket."""
+        accepted, address = self._listener.accept()
+        if not self._limits.enter(address[0]):
+            accepted.close()
+            raise ConnectionAbortedError("too many connections")  # which asyncio takes for a client that went away
+        return CountedSocket(accepted, lambda: self._limits.leave(address[0])), address
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._listener, name)
+
+
+class CountedSocket:
+    """A socket that tells of its end."""
+
+    def __init__(self, accepted: socket.socket, ended: Callable[[], None]) -> None:
+        self._accepted, self._ended, self._open = accepted, ended, True
+
+    def close(self) -> None:
+        """As of a socket."""
+        self._accepted.close()
+        if self._open:
+            self._open = False
+            self._ended()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._accepted, name)

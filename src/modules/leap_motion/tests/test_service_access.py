@@ -1,0 +1,112 @@
+"""Who may connect: limits of connections, names of this computer, and codes that are guessed."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from leap_motion.service.access import (
+    FIRST_WAIT_S,
+    LONGEST_WAIT_S,
+    MAX_ADDRESSES,
+    REMEMBERED_S,
+    AccessCode,
+    ConnectionLimits,
+    is_loopback,
+    is_own_host,
+)
+
+THERE, ELSEWHERE = "10.0.0.5", "10.0.0.6"
+CODE = "right one"
+
+
+@given(st.lists(st.tuples(st.booleans(), st.sampled_from(["10.0.0.1", "10.0.0.2", "::1", "fe80::1%eth0"]))))
+def test_there_are_never_more_connections_than_allowed_and_who_leaves_makes_room(steps):
+    limits, count = ConnectionLimits(5, 3), Counter()
+    for comes, address in steps:
+        if comes:
+            free = sum(count.values()) < 5 and count[address] < 3
+            assert limits.enter(address) is free
+            count[address] += free
+        elif count[address]:
+            limits.leave(address)
+            count[address] -= 1
+
+
+def test_a_machine_is_one_whatever_address_of_its_network_it_takes():
+    limits = ConnectionLimits(5, 1)
+    assert limits.enter("2001:db8::1") and not limits.enter("2001:db8::2:1") and limits.enter("2001:db8:0:1::1")
+    assert limits.enter("10.0.0.1") and not limits.enter("::ffff:10.0.0.1")
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 100.0), st.text(max_size=3), st.sampled_from([THERE, "10.0.0.7"]))))
+def test_whatever_others_send_the_right_code_from_elsewhere_is_accepted_at_once(tries):
+    code, now = AccessCode(CODE), 0.0
+    for pause, text, address in tries:
+        now += pause
+        assert not code.accepts(text, address, now)
+    assert code.wait(ELSEWHERE, now) == 0.0 and code.accepts(CODE, ELSEWHERE, now)
+
+
+def test_each_further_guess_makes_its_address_wait_twice_as_long():
+    code, now = AccessCode(CODE), 0.0
+    for guess in range(12):
+        wait = min(FIRST_WAIT_S * 2.0**guess, LONGEST_WAIT_S)
+        assert not code.accepts(f"guess {guess}", THERE, now)
+        assert code.wait(THERE, now) == wait
+        assert not code.accepts(CODE, THERE, now + wait - 1e-3), "nothing is compared meanwhile"
+        now += wait
+    assert code.accepts(CODE, THERE, now), "it is slowed down, not shut out"
+    assert not code.accepts("guess", THERE, now) and code.wait(THERE, now) == FIRST_WAIT_S
+
+
+def test_the_same_wrong_code_again_is_no_further_guess():
+    code = AccessCode(CODE)
+    for now in range(0, 1000, 10):
+        assert not code.accepts("as configured", THERE, now) and code.wait(THERE, now) == FIRST_WAIT_S
+
+
+def test_wrong_codes_are_forgotten_after_a_while_and_fill_no_memory():
+    code = AccessCode(CODE)
+    for guess in range(8):
+        code.accepts(f"{guess}", THERE, 1000.0 * guess)
+    later = 7000.0 + LONGEST_WAIT_S + REMEMBERED_S + 1.0
+    assert not code.accepts("8", THERE, later) and code.wait(THERE, later) == FIRST_WAIT_S
+    for i in range(2 * MAX_ADDRESSES):
+        code.accepts("x" * 9999, f"10.1.{i >> 8}.{i & 255}", later)
+    assert len(code._wrong) == MAX_ADDRESSES
+
+
+@pytest.mark.parametrize(
+    ("address", "loopback"),
+    [
+        *(("127.0.0.1", True), ("127.9.9.9", True), ("::1", True), ("localhost", True), ("::ffff:127.0.0.1", True)),
+        *(("::ffff:10.0.0.1", False), ("10.0.0.1", False), ("fe80::1%eth0", False), ("", False), ("host", False)),
+    ],
+)
+def test_loopback_addresses(address, loopback):
+    assert is_loopback(address) == loopback
+
+
+@pytest.mark.parametrize(
+    ("host", "arrived_at", "own"),
+    [
+        *(("127.0.0.1:6437", "127.0.0.1", True), ("localhost", "127.0.0.1", True), ("[::1]:80", "::1", True)),
+        *(("10.0.0.5:8443", "10.0.0.5", True), ("rig:8443", "10.0.0.5", True), ("RIG", "127.0.0.1", True)),
+        *(("10.0.0.5", "::ffff:10.0.0.5", True), ("[fe80::1]:80", "fe80::1%eth0", True)),
+        *(("evil.example", "127.0.0.1", False), ("evil.example:8443", "10.0.0.5", False), ("", "127.0.0.1", False)),
+        *(("10.0.0.6", "10.0.0.5", False), ("localhost", "10.0.0.5", False), ("10.0.0.5", "127.0.0.1", False)),
+        *(("evil@127.0.0.1", "127.0.0.1", False), ("127.0.0.1.evil.example", "127.0.0.1", False)),
+        *(("[", "127.0.0.1", False), ("127.0.0.1/", "127.0.0.1", False), ("rig.evil.example", "10.0.0.5", False)),
+    ],
+)
+def test_hosts_that_a_request_may_name(host, arrived_at, own):
+    assert is_own_host(host, arrived_at, ("rig", "rig.local")) is own
+
+
+@given(st.text(), st.sampled_from(["127.0.0.1", "10.0.0.5", "::1"]))
+def test_any_host_gets_an_answer(host, arrived_at):
+    assert is_own_host(host, arrived_at) in (True, False)
