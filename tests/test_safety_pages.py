@@ -48,7 +48,7 @@ def test_every_row_of_the_campaign_shows_something_of_a_hazard_and_passed():
 
 def test_the_figures_are_those_of_the_code_and_the_configuration():
     from iiwa_kinematics.ptp_speed import PTP_M_PER_S
-    from kuka_control.loop.algorithms import TOOL_MARGIN
+    from kuka_control.loop.algorithms import SPEED_MARGIN
     from leap_kuka.teleop import MAX_SILENCE_S
 
     kuka = yaml.safe_load((ROOT / "src/kuka_control/config/kuka_params_rt.yaml").read_text())
@@ -56,7 +56,7 @@ def test_the_figures_are_those_of_the_code_and_the_configuration():
     following = f"tool {kuka['tcp_speed']:g} m/s, joints {100.0 * kuka['joint_speed']:g} %"
     assert re.search(rf"^\| AUT, following a hand \|[^|]*\| {re.escape(following)} \|", page, re.MULTILINE)
     assert re.search(rf"^\| AUT, PTP motions.*\| tool and elbow {PTP_M_PER_S:g} m/s at most \|", page, re.MULTILINE)
-    assert f"| {TOOL_MARGIN * kuka['tcp_speed']:.2f} m/s at most |" in page
+    assert f"| {SPEED_MARGIN * kuka['tcp_speed']:.2f} m/s at most |" in page
     assert f"lost for {MAX_SILENCE_S:g} s ends it" in page
     sheet = (HANDBOOK / "commissioning.md").read_text()
     slow = yaml.safe_load(re.search(r"```yaml\n(.*?)```", (HANDBOOK / "real-rig.md").read_text(), re.DOTALL).group(1))

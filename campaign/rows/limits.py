@@ -203,7 +203,7 @@ def near_singular(trial):
     stays_in_servo(trial)
     # A hand that dashes to and fro: the drives would be quicker than the goals may be.
     rig.hand.sway(0.35, right=0.16)
-    rig.wait(lambda: {"tool speed", "frame rate"} & set(rig.status.limited_by), "a hand that is too fast", 5.0)
+    rig.wait(lambda: {"arm speed", "frame rate"} & set(rig.status.limited_by), "a hand that is too fast", 5.0)
     dashes = rig.arm.now.time
     rig.watch(3.0)
     fastest = max(sample.tool_speed for sample in rig.arm.since(dashes))

@@ -11,7 +11,7 @@ from loop_world import DT, FAST, HOME, SLOW, World, out_of_reach_and_back, ptp, 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
 from kst import ConnectionLost, ReplyTimeout
-from kuka_control.loop.algorithms import TOOL_MARGIN
+from kuka_control.loop.algorithms import SPEED_MARGIN
 from kuka_control.loop.commands import End
 from kuka_control.loop.controller import MAX_MISSED, MISSING_S
 from kuka_control.loop.goal_stream import CATCH_UP_SCALE
@@ -41,15 +41,20 @@ def test_exit_goes_to_zero_and_ends(schema):
     world = World(schema).at_home()
     world.exit_requested = True
     world.run(5.0)
-    assert world.arm.commands == [ptp(np.zeros(7), SLOW)]
+    assert world.arm.commands == [to_zero(world)]
     assert world.steps[-1].command == End(None)
+
+
+def to_zero(world):
+    """On the way from home the finger tips are the fastest."""
+    return ptp(np.zeros(7), world.rig.ptp_velocity(HOME.q, np.zeros(7), SLOW))
 
 
 def test_exit_while_following_leaves_servo_mode_first():
     world = World().following()
     world.exit_requested = True
     world.run(5.0, shifted(0.0, 0.0, 0.0))
-    assert world.arm.commands == [("stop_servo",), ptp(np.zeros(7), SLOW)]
+    assert world.arm.commands == [("stop_servo",), to_zero(world)]
     assert world.steps[-1].command == End(None)
 
 
@@ -58,7 +63,7 @@ def test_exit_during_a_motion_waits_for_its_end(schema):
     world = World(schema).run(0.1)
     world.exit_requested = True
     world.run(5.0)
-    assert world.arm.commands == [ptp(HOME.q, SLOW), ptp(np.zeros(7), SLOW)]
+    assert world.arm.commands == [ptp(HOME.q, SLOW), to_zero(world)]
 
 
 def test_near_home_servo_starts_at_once():
@@ -756,7 +761,7 @@ def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped(
     assert world.loop.counts["jumps"] == 1, "nobody knows what the hand did for so long"
 
 
-TOP_M_S = TOOL_MARGIN * 0.65
+TOP_M_S = SPEED_MARGIN * 0.65
 
 
 def at_rate(world, rate, tool, seconds):

@@ -37,15 +37,22 @@ def tool_position(q):
     return np.array([0.4 * np.cos(turns).sum(), 0.4 * np.sin(turns).sum(), 0.1 * q[3]])
 
 
-def tool_point(q):
-    """The position, and its distances from the axes; the fourth joint moves it by 0.1 m/rad along them."""
-    turns = np.cumsum(q[:3])
-    joints = [0.4 * np.array([np.cos(turns[:i]).sum(), np.sin(turns[:i]).sum()]) for i in range(4)]
-    return tool_position(q), [float(np.linalg.norm(joints[3] - axis)) for axis in joints[:3]] + [0.1, 0.0, 0.0, 0.0]
+class PlanarArm:
+    """The tool is the only point; the fourth joint moves it by 0.1 m/rad along the axes."""
+
+    def tool_point(self, q):
+        turns = np.cumsum(q[:3])
+        joints = [0.4 * np.array([np.cos(turns[:i]).sum(), np.sin(turns[:i]).sum()]) for i in range(4)]
+        reaches = [float(np.linalg.norm(joints[3] - axis)) for axis in joints[:3]] + [0.1, 0.0, 0.0, 0.0]
+        return tool_position(q), reaches
+
+    def speed(self, q, v):
+        q, step = np.array(q), 1e-6 * np.array(v)
+        return float(np.linalg.norm(tool_position(q + step) - tool_position(q - step)) / 2e-6)
 
 
 def limits(start=REST):
-    room = GuardedRoom(-RANGE, RANGE, TCP_SPEED, tool_point)
+    room = GuardedRoom(-RANGE, RANGE, TCP_SPEED, PlanarArm())
     result = MotionLimits(SPEEDS, ShapeLimits(ACCELERATION, JERK), room)
     result.reset(start)
     return result
@@ -159,7 +166,7 @@ def test_the_result_names_the_limit():
         }
 
     assert "joint speed" in named(2.0 * WRIST)
-    assert "tool speed" in named(np.array([1.0, 0, 0, 0, 0, 0, 0]))
+    assert "arm speed" in named(np.array([1.0, 0, 0, 0, 0, 0, 0]))
     assert "lag of the arm" in named(2.0 * WRIST, REST)
     assert "joint acceleration" in named(0.05 * WRIST)
 

@@ -13,6 +13,7 @@ from bench.simulated import SimulatedRig
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import robot_model
 from kuka_control.limits.motion_limits import MotionLimits
+from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.limits.speed_change import (
     SLACK_M,
     GuardedRoom,
@@ -22,6 +23,7 @@ from kuka_control.limits.speed_change import (
     StoppingGuard,
 )
 from kuka_control.model.workspace import Workspace
+from rig_description.hand import finger_balls
 
 DT = 0.004
 ALLOWED_M = 0.002
@@ -41,6 +43,7 @@ HOME = ARM.inverse(np.array([
     [0.0, 0.0, 0.0, 1.0],
 ]) @ np.diag([1.0, -1.0, -1.0, 1.0]), q_seed=np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])).q  # fmt: skip
 REST = np.zeros(7)
+FINGERS = finger_balls()
 
 speeds = st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7).map(np.array)
 shifts = st.tuples(st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35))
@@ -56,14 +59,14 @@ def outside(q):
     return max(0.0, -min(WORKSPACE.rooms(tool_position(q))))
 
 
-def room(workspace=WORKSPACE, tool_speed=0.7):
-    return GuardedRoom(MODEL.lower, MODEL.upper, tool_speed, ARM.tool_point, ARM.jacobian, workspace)
+def room(workspace=WORKSPACE, speed=0.7):
+    return GuardedRoom(MODEL.lower, MODEL.upper, speed, MovingPoints(ARM, FINGERS), ARM.jacobian, workspace)
 
 
 def guard(**changes):
     """Returns the change of the velocities and its guard; some tests need a tool faster than the limit."""
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
-    return change, StoppingGuard(change, room(tool_speed=9.0, **changes), ACCELERATION)
+    return change, StoppingGuard(change, room(speed=9.0, **changes), ACCELERATION)
 
 
 def limits(workspace=WORKSPACE):
@@ -123,16 +126,17 @@ def test_the_estimate_far_from_bounds_takes_the_step_of_the_full_check(seed):
         rng.choice([0.0, 0.2, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most * moving
         for most in (MODEL.max_speed, ACCELERATION)
     )
-    own = float(np.abs(v) @ ARM.tool_point(q.tolist())[1])
-    tool_speed = rng.choice([0.2, 0.7, 2.0, max(0.9 * own, 0.05), max(own, 0.05)])
+    points = MovingPoints(ARM, FINGERS)
+    own, most = points.speed(q.tolist(), v.tolist()), float(np.abs(v) @ points.tool_point(q.tolist())[1])
+    speed = max(rng.choice([0.2, 0.7, 2.0, own, 1.05 * own, 0.5 * (own + most), most]), 0.05)
     workspace = rng.choice([WORKSPACE, None])
     if rng.random() < 0.5:  # a joint that can just stop before its limit, or just not
-        tool_speed, workspace = 9.0, None
+        speed, workspace = 9.0, None
         joint = np.argmax(np.abs(v))
         v[joint] = abs(v[joint])
         q[joint] = MODEL.upper[joint] - rng.uniform(0.2, 1.2) * v[joint] ** 2 / (2.0 * ACCELERATION[joint])
     change = SpeedChange(ShapeLimits(ACCELERATION, JERK))
-    bounds = room(workspace, tool_speed)
+    bounds = room(workspace, speed)
     quick, full = (kind(change, bounds, ACCELERATION) for kind in (StoppingGuard, FullGuard))
     now = JointState(q.tolist(), v.tolist(), a.tolist())
     for _ in range(10):

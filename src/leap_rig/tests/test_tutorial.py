@@ -235,7 +235,7 @@ def test_a_hint_comes_after_some_seconds_and_names_what_hinders():
     visitor = Visitor()
     for step in ("flat", "green"):
         visitor.do(step)
-    assert visitor.wait(HINT_S + 0.5, limited_by=("tool speed",)).hint == "slower"
+    assert visitor.wait(HINT_S + 0.5, limited_by=("arm speed",)).hint == "slower"
     assert visitor.wait(0.2, limited_by=("z lower limit",)).hint == "edge"
     assert visitor.wait(0.2, limited_by=()).hint == "move"
 

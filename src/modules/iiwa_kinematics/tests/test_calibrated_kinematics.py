@@ -91,12 +91,30 @@ def test_the_jacobian_is_the_derivative(model, seed):
 
 @models
 @given(seeds)
-def test_the_tool_point_is_that_of_the_pose_and_its_distances_are_those_from_the_axes(model, seed):
+def test_the_tool_point_is_that_of_the_pose_and_no_point_is_faster_than_its_reach_allows(model, seed):
     rng = np.random.default_rng(seed)
     arm, q = random_arm(model, rng), rng.uniform(model.lower, model.upper)
-    point, distances = arm.tool_point(q.tolist())
+    point, reaches = arm.tool_point(q.tolist())
     np.testing.assert_allclose(point, arm.forward(q)[:3, 3], atol=1e-12)
-    np.testing.assert_allclose(distances, np.linalg.norm(arm.jacobian(q)[:3], axis=0), atol=1e-12)
+    assert np.all(np.array(reaches) >= np.linalg.norm(arm.jacobian(q)[:3], axis=0) - 1e-12)
+    tool, reaches = [(*TOOL[:3, 3].tolist(), 0.0)], arm.tool_point(q.tolist(), float(np.linalg.norm(TOOL[:3, 3])))[1]
+    for turn, reach in zip(np.eye(7).tolist(), reaches):
+        assert arm.fastest_point(tool, q.tolist(), turn) <= reach + 1e-12
+
+
+@models
+@given(seeds)
+def test_the_fastest_point_is_the_fastest_of_elbow_wrist_flange_and_tool(model, seed):
+    rng = np.random.default_rng(seed)
+    arm, q, v = random_arm(model, rng), rng.uniform(model.lower, model.upper), rng.uniform(-2.0, 2.0, 7)
+
+    def points(q):
+        frames = arm._parameters.frames(q)
+        return np.array([frames[3][:3, 3], frames[5][:3, 3], frames[7][:3, 3], arm.forward(q)[:3, 3]])
+
+    speeds = np.linalg.norm(points(q + 1e-6 * v) - points(q - 1e-6 * v), axis=1) / 2e-6
+    fastest = arm.fastest_point([(*TOOL[:3, 3].tolist(), 0.0)], q.tolist(), v.tolist())
+    np.testing.assert_allclose(fastest, np.max(speeds), atol=1e-7)
 
 
 @models

@@ -70,8 +70,37 @@ def test_points_of_the_arm_keep_its_lengths(q):
 
 
 @given(joints, st_numpy.arrays(float, 3, elements=st.floats(-0.3, 0.3)))
-def test_the_tool_point_is_that_of_the_pose_and_its_distances_are_those_from_the_axes(q, tool):
+def test_the_tool_point_is_that_of_the_pose_and_the_reach_that_of_the_farthest_of_tool_elbow_and_wrist(q, tool):
     kinematics = Kinematics(MODEL, pose(rotation_from_zyx(0.3, -0.2, 0.1), tool))
-    point, distances = kinematics.tool_point(q.tolist())
+    point, reaches = kinematics.tool_point(q.tolist())
     np.testing.assert_allclose(point, kinematics.forward(q)[:3, 3], atol=1e-12)
-    np.testing.assert_allclose(distances, np.linalg.norm(kinematics.jacobian(q)[:3], axis=0), atol=1e-12)
+    each = [np.linalg.norm(J, axis=0) for J in (kinematics.jacobian(q)[:3], *point_jacobians(MODEL, q)[:2])]
+    np.testing.assert_allclose(reaches, np.max(each, axis=0), atol=1e-12)
+    wide = np.array(kinematics.tool_point(q.tolist(), 0.1)[1])
+    assert np.all(wide >= np.max([each[0] + 0.1, *each[1:]], axis=0) - 1e-12)
+
+
+def point_jacobians(model, q):
+    """Of elbow, wrist and flange, shape (3, 7) each: how each joint would move them."""
+    _, _, elbow, wrist, flange = arm_points(model, q)
+    J = jacobian(model, q)
+    across = [J[:3] + np.cross(J[3:].T, point - flange).T for point in (elbow, wrist, flange)]
+    for J_point, joints_before in zip(across, (2, 4, 7)):
+        J_point[:, joints_before:] = 0.0
+    return across
+
+
+@given(
+    joints,
+    st_numpy.arrays(float, 7, elements=st.floats(-3.0, 3.0)),
+    st_numpy.arrays(float, (3, 4), elements=st.floats(0.0, 0.3)),
+)
+def test_the_fastest_point_is_the_fastest_of_elbow_wrist_flange_and_balls(q, v, balls):
+    T, J = forward(MODEL, q), jacobian(MODEL, q)
+    velocity, turn = J[:3] @ v, J[3:] @ v
+    speeds = [np.linalg.norm(J_point @ v) for J_point in point_jacobians(MODEL, q)]
+    for *centre, radius in balls:
+        at_centre = np.linalg.norm(velocity + np.cross(turn, T[:3, :3] @ centre))
+        speeds.append(at_centre + radius * np.linalg.norm(turn))
+    fastest = Kinematics(MODEL).fastest_point([tuple(ball) for ball in balls.tolist()], q.tolist(), v.tolist())
+    np.testing.assert_allclose(fastest, max(speeds), atol=1e-12)

@@ -504,12 +504,7 @@ def _finite(values: Sequence[float] | np.ndarray) -> np.ndarray:
 
 def _farthest(body: ConvexBody) -> float:
     """Returns the distance of the farthest point from the link's origin, or more [m]."""
-    size, middle = body.shape.size, float(np.linalg.norm(body.T_link_body[:3, 3]))
-    if body.shape.kind == "box":
-        return middle + 0.5 * float(np.linalg.norm(size))
-    if body.shape.kind == "cylinder":
-        return middle + math.hypot(size[0], 0.5 * size[1])
-    return middle + size[0] + (0.5 * size[1] if body.shape.kind == "capsule" else 0.0)
+    return float(np.linalg.norm(body.T_link_body[:3, 3])) + body.shape.radius
 
 
 def _geometry(shape: ConvexShape) -> hppfcl.ShapeBase:

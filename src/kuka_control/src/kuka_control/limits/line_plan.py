@@ -2,7 +2,8 @@
 
 The tool point moves evenly along the line while the tool turns about one axis. The joints of evenly spaced poses come
 from the closed form, each solution continuing the one before; a cubic curve connects them. One pace holds for the whole
-line, so that nowhere on it a joint, or the tool, passes a limit; what a narrow place needs slows the whole line.
+line, so that nowhere on it a joint, or a point of the arm, passes a limit; what a narrow place needs slows the whole
+line.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from common.errors import RigError
 from common.poses import pose, read_only
 from common.rotations import rotation_angle, scaled_rotation
 from iiwa_kinematics import Kinematics
+from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.limits.speed_change import ShapeLimits
 from kuka_control.model.workspace import Infeasible, Workspace
 
@@ -44,7 +46,8 @@ class LineLimits:
     upper: np.ndarray
     joint_speeds: np.ndarray  # shape (7,) [rad/s]
     shape: ShapeLimits  # of the joints
-    tool_speed: float  # [m/s]
+    speed: float  # of every point of the moving arm [m/s]
+    points: MovingPoints
 
 
 class LinePlan:
@@ -142,7 +145,8 @@ def _pace(limits: LineLimits, q: np.ndarray, way: float, velocity: float) -> Tra
             f"The line passes so near to a singular pose that joint {joint + 1} allows the tool only "
             f"{1e3 * joints * way:.1f} mm/s."
         )
-    fastest = min(joints, min(velocity, limits.tool_speed) / way)
+    points = max(map(limits.points.speed, q.tolist(), _slopes(q).tolist()))  # by the fraction of the way
+    fastest = min(joints, velocity / way, limits.speed / max(points, way))
     plan, trajectory = InputParameter(1), Trajectory(1)
     plan.target_position, plan.max_velocity = [1.0], [fastest]
     plan.max_acceleration = [float(np.min(0.5 * acceleration / np.maximum(first, tiny)))]

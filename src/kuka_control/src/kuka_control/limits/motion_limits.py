@@ -1,9 +1,9 @@
 """Servo goals within limits of speed, acceleration and jerk: the motion of the goal in one cycle.
 
 First the desired velocity: that of the target plus a correction of the distance to it, no faster than the joints can
-brake before the target. One factor scales all joints down to what the joint speeds, the tool speed and the lag of the
-arm allow, so that the path stays straight. Then Ruckig changes the present velocity into the desired one within the
-limits of acceleration and jerk, evenly over a few cycles where it can.
+brake before the target. One factor scales all joints down to what the joint speeds, the speed of the arm's fastest
+point and the lag of the arm allow, so that the path stays straight. Then Ruckig changes the present velocity into the
+desired one within the limits of acceleration and jerk, evenly over a few cycles where it can.
 
 A target that moves steadily within the limits is met without lag. Velocities change in a straight line from one allowed
 velocity to the next. The guard (speed_change.py) takes a step only if the arm could then still stop in time.
@@ -15,12 +15,15 @@ the way out.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from common.poses import read_only
+from iiwa_kinematics import Ball
 from kuka_control.limits.speed_change import (
+    ARM_SPEED,
     COLLISION_GUARD,
     GuardedRoom,
     JointState,
@@ -47,7 +50,6 @@ LEAD_RAD = (0.035, 0.065)
 The toolbox's servo law hardly speeds up for a more distant goal (docs/handbook/wire-protocols.md, "Servo mode"), and an
 arm that catches up such a lag is too fast when its target slows down."""
 
-LOOK_AHEAD_S = 0.005  # the tool speed is averaged over this time [s]
 LEAST_USED = 1e-9  # fraction of a speed limit below which nothing moves
 AT_REST = read_only([0.0] * 7)  # the velocity at rest, shape (7,) [rad/s]
 AT_REST_RAD = 1e-7
@@ -61,7 +63,7 @@ class LimitedGoal:
     q: np.ndarray
     v: np.ndarray
     limited_by: str | None
-    """What holds the goal back: "joint speed", "tool speed", "frame rate", "joint acceleration", "joint limit", "lag of
+    """What holds the goal back: "joint speed", "arm speed", "frame rate", "joint acceleration", "joint limit", "lag of
     the arm", "workspace", "collision guard" or "gap between goals"; None if it moves with the desired velocity."""
 
 
@@ -71,7 +73,7 @@ class MotionLimits:
     Args:
         joint_speeds: speed limits of the joints, shape (7,) [rad/s].
         shape: limits of acceleration and jerk.
-        room: the joint ranges and the workspace that no goal leaves, and the speed limit of the tool.
+        room: the joint ranges and the workspace that no goal leaves, and the speed limit of the arm's points.
     """
 
     def __init__(self, joint_speeds: np.ndarray, shape: ShapeLimits, room: GuardedRoom) -> None:
@@ -88,6 +90,10 @@ class MotionLimits:
         """Starts from the joints q, shape (7,) [rad], at rest."""
         self._goal = read_only(q)
         self._now = JointState.rest(self._goal.tolist())
+
+    def carry(self, balls: Iterable[Ball]) -> None:
+        """Takes over what the flange carries from now on."""
+        self._room.points.carry(balls)
 
     @property
     def goal(self) -> np.ndarray:
@@ -137,10 +143,10 @@ class MotionLimits:
         error = [a - b - dt * rate for a, b, rate in zip(ahead, q, v)]
         desired, held_by = self._desired_velocity(error, own)
         if scale < 1.0:
-            needed = max(self._joint_fraction(own), self._tool_fraction(own))
+            needed = max(self._joint_fraction(own), self._arm_fraction(own))
             scale = min(1.0, max(scale, needed + 0.5 * scale))
         allowed, limited_by = self._allowed(desired, measured.tolist(), min(scale, cap))
-        if cap < scale and limited_by in ("joint speed", "tool speed"):
+        if cap < scale and limited_by in ("joint speed", ARM_SPEED):
             limited_by = "frame rate"
         within, slowed = self._in_ranges(allowed)
         if slowed:
@@ -191,11 +197,11 @@ class MotionLimits:
     def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
         fastest, limited_by = self._joint_fraction(desired), None
-        tool = self._tool_fraction(desired, scale)
-        used = max(fastest, tool, LEAST_USED)
+        arm = self._arm_fraction(desired)
+        used = max(fastest, arm, LEAST_USED)
         if used > scale:
             factor = scale / used
-            limited_by = "joint speed" if fastest > tool else "tool speed"
+            limited_by = "joint speed" if fastest > arm else ARM_SPEED
             desired = [factor * rate for rate in desired]
         behind = 0.0
         for rate, angle, joint in zip(desired, self._now.q, measured):
@@ -213,19 +219,9 @@ class MotionLimits:
         """Returns the greatest fraction of a joint's speed limit that a velocity uses."""
         return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])
 
-    def _tool_fraction(self, velocity: list[float], enough: float = 0.0) -> float:
-        """Returns the fraction of the tool's speed limit that a velocity uses; not exactly where it is below `enough`.
-
-        The tool moves no further than all joints would move it if they did so in one direction.
-        """
-        position, distances = self._guard.tool_point(self._now.q)
-        path = 0.0
-        for i in (6, 5, 4, 3, 2, 1, 0):
-            path += LOOK_AHEAD_S * abs(velocity[i]) * (distances[i] + path)
-        if path > enough * LOOK_AHEAD_S * self._room.tool_speed:
-            ahead, _ = self._room.tool_point([a + LOOK_AHEAD_S * rate for a, rate in zip(self._now.q, velocity)])
-            path = math.dist(ahead, position)
-        return path / (LOOK_AHEAD_S * self._room.tool_speed)
+    def _arm_fraction(self, velocity: list[float]) -> float:
+        """Returns the fraction of its speed limit that the arm's fastest point uses."""
+        return self._room.points.speed(self._now.q, velocity) / self._room.speed
 
 
 class Unlimited:
@@ -233,6 +229,9 @@ class Unlimited:
 
     def __init__(self) -> None:
         self.reset(np.zeros(7))
+
+    def carry(self, balls: Iterable[Ball]) -> None:
+        """Does nothing: no speed is limited."""
 
     def reset(self, q: np.ndarray) -> None:
         """Starts from the joints q."""

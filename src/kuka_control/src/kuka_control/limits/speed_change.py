@@ -1,8 +1,8 @@
 """Changes of the joint velocities within limits of acceleration and jerk, by Ruckig; and the guard of what comes after.
 
-The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the workspace
-and below its speed limit on the way, and no bodies nearer to each other than their margin. That stop is always the next
-step that is left, so the limits hold by induction.
+The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the
+workspace, no point of the arm above its speed limit, and no bodies nearer to each other than their margin on the way.
+That stop is always the next step that is left, so the limits hold by induction.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
 from common.errors import RigError
+from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.model.workspace import Workspace
 
 if TYPE_CHECKING:  # without a collision guard its library is not loaded
@@ -23,11 +24,10 @@ if TYPE_CHECKING:  # without a collision guard its library is not loaded
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
 STOPPING = (0.0, 0.1, 0.3, 0.6, 1.0)  # fractions of the stopping time at which the position of the tool is checked
-FASTEST = 3  # at so many of them, the first ones, its speed is checked too: later it mostly falls
+FASTEST = 3  # at so many of them, the first ones, the arm's speed is checked too: later it mostly falls
 NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
 MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
-QUICK = 0.999  # fraction of the tool's speed limit up to which an upper bound of the speed replaces that check
-DIFFERENCE_S = 1e-4  # time over which that speed is calculated [s]
+QUICK = 0.999  # fraction of the speed limit up to which an upper bound of the speed replaces that check
 SLACK_M = 1e-3  # the path to a stop may lead out of the workspace by this much: at curved bounds it is straight [m]
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
@@ -36,6 +36,7 @@ SWEEPS = 5  # passes over the bounds: a correction at one may add speed across a
 DAMPING = 0.05  # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses
 LEAST = 1e-6  # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
 COLLISION_GUARD = "collision guard"  # what held a velocity back
+ARM_SPEED = "arm speed"  # likewise
 
 
 class GuardError(RigError):
@@ -140,9 +141,8 @@ class GuardedRoom:
 
     lower: np.ndarray  # joint ranges, shape (7,) [rad]
     upper: np.ndarray
-    tool_speed: float  # of the tool point [m/s]
-    tool_point: Callable[[Sequence[float]], tuple[Sequence[float], Sequence[float]]]
-    """Of 7 joints [rad]: the tool point, x, y, z [m], and its distances from the 7 joint axes [m]."""
+    speed: float  # of every point of the moving arm [m/s]
+    points: MovingPoints
     tool_jacobian: Callable[[np.ndarray], np.ndarray] | None = None  # of the tool point, shape (6, 7), at joints (7,)
     workspace: Workspace | None = None  # of the tool point; with a Jacobian
     collisions: CollisionGuard | None = None  # the bodies that keep a distance
@@ -150,8 +150,8 @@ class GuardedRoom:
 
 @dataclass(frozen=True)
 class _Stop:
-    """What the stop from a state leads to: the tool's greatest speed [m/s] and distance outside the workspace [m], and
-    how far which pairs of bodies come within their margin [m]."""
+    """What the stop from a state leads to: the arm's greatest speed [m/s], the tool's distance outside the workspace
+    [m], and how far which pairs of bodies come within their margin [m]."""
 
     speed: float
     outside: float
@@ -170,7 +170,7 @@ class StoppingGuard:
     A step that keeps them is not changed. Otherwise the guard changes the desired velocity as little as possible. A
     joint that could not stop within its range brakes by itself. At a bound of the workspace the guard removes the part
     that carries the tool out, by a motion that changes neither the other directions nor the orientation of the tool, so
-    that the tool slides along the bound. If that is not enough, the tool gets too fast, or bodies would come nearer
+    that the tool slides along the bound. If that is not enough, the arm gets too fast, or bodies would come nearer
     than their margin, it scales the rest down.
 
     Args:
@@ -183,16 +183,8 @@ class StoppingGuard:
         self._change = change
         self._room = room
         self._acceleration = acceleration
-        self._allowed = _Stop(room.tool_speed, SLACK_M)
+        self._allowed = _Stop(room.speed, SLACK_M)
         self._ranges = list(zip(room.lower.tolist(), room.upper.tolist()))
-        self._q: list[float] | None = None
-        self._point: tuple[Sequence[float], Sequence[float]] = (), ()
-
-    def tool_point(self, q: list[float]) -> tuple[Sequence[float], Sequence[float]]:
-        """Returns the tool point of 7 joints as `GuardedRoom.tool_point`; that of the same list is calculated once."""
-        if q is not self._q:
-            self._q, self._point = q, self._room.tool_point(q)
-        return self._point
 
     def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, str | None]:
         """Returns the state after dt [s], and what held the desired velocities, 7 [rad/s], back."""
@@ -231,13 +223,13 @@ class StoppingGuard:
                 kept, best = middle, state
             else:
                 given_up = middle
-        return best, held or "tool speed"
+        return best, held or ARM_SPEED
 
     def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
         room = self._room
         assert room.workspace is not None and room.tool_jacobian is not None, "only a workspace has bounds"
-        position, J = np.array(list(room.tool_point(q.tolist())[0])), room.tool_jacobian(q)
+        position, J = np.array(list(room.points.tool_point(q.tolist())[0])), room.tool_jacobian(q)
         normals = room.workspace.outward(position)
         # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration
@@ -260,21 +252,26 @@ class StoppingGuard:
 
         They cost less than the stop.
 
-        On the way the tool is no further from a joint's axis than now, plus the path length on which the joints after
-        it carry the tool.
+        On the way no point is further from a joint's axis than now, plus the path length on which the joints after it
+        carry the point. Where each joint i has a part s_i, 0 to 1, of its velocity left, a point moves at
+        |sum s_i u_i|, at most half of |sum u_i| + sum |u_i|; on top comes what an acceleration adds first, and what the
+        turns change.
         """
         room = self._room
         speeds, lengths = self._change.stopping_bounds(state)
         for angle, length, (lower, upper) in zip(state.q, lengths, self._ranges):
             if not (angle + length <= upper and angle - length >= lower):
                 return False
-        position, distances = self.tool_point(state.q)
-        speed = path = 0.0
-        for i in (6, 5, 4, 3, 2, 1, 0):
-            distance = distances[i] + path
-            speed += speeds[i] * distance
-            path += lengths[i] * distance
-        if not speed <= QUICK * room.tool_speed:
+        position, reaches = room.points.tool_point(state.q)
+        fastest, path = 0.5 * room.points.speed(state.q, state.v), 0.0
+        turned, others = sum(lengths), sum(speeds)  # by the joints up to i
+        for v, speed, length, reach in zip(*map(reversed, (state.v, speeds, lengths, reaches))):
+            reach += path
+            others -= speed
+            fastest += reach * (speed - 0.5 * abs(v) + speed * turned + length * others)
+            turned -= length
+            path += length * reach
+        if not fastest <= QUICK * room.speed:
             return False
         return room.workspace is None or path <= min(room.workspace.rooms(position))
 
@@ -312,23 +309,14 @@ class StoppingGuard:
             for i, (end, (lower, upper)) in enumerate(zip(ends, self._ranges))
             if (end > upper + SLACK_RAD and state.v[i] > 0.0) or (end < lower - SLACK_RAD and state.v[i] < 0.0)
         ]
-        positions: list[Sequence[float]] = []
-        speed = 0.0
+        speed, outside = 0.0, -math.inf
         for i, fraction in enumerate(STOPPING):
             q, v, _ = path.at_time(fraction * path.duration)
-            positions.append(room.tool_point(q)[0])
+            if room.workspace is not None:
+                outside = max(outside, -min(room.workspace.rooms(room.points.tool_point(q)[0])))
             if i < FASTEST:
-                speed = max(speed, self._speed(q, v, positions[-1]))
-        if speed > NEAR_LIMIT * room.tool_speed:
+                speed = max(speed, room.points.speed(q, v))
+        if speed > NEAR_LIMIT * room.speed:
             for fraction in MORE:
-                q, v, _ = path.at_time(fraction * path.duration)
-                speed = max(speed, self._speed(q, v, room.tool_point(q)[0]))
-        depths = self._depths(state)
-        if room.workspace is None:
-            return _Stop(speed, -math.inf, depths), beyond
-        return _Stop(speed, -min(min(room.workspace.rooms(position)) for position in positions), depths), beyond
-
-    def _speed(self, q: list[float], v: list[float], position: Sequence[float]) -> float:
-        """Returns the speed of the tool [m/s] at a position [m], the one at joints q [rad], for joint speeds v."""
-        ahead, _ = self._room.tool_point([angle + DIFFERENCE_S * rate for angle, rate in zip(q, v)])
-        return math.dist(ahead, position) / DIFFERENCE_S
+                speed = max(speed, room.points.speed(*path.at_time(fraction * path.duration)[:2]))
+        return _Stop(speed, outside, self._depths(state)), beyond

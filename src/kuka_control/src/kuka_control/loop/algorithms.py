@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from iiwa_kinematics import Ball
 from kuka_control.limits.line_plan import LineLimits
 from kuka_control.limits.motion_limits import LATE_GOAL, LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.limits.speed_change import GuardedRoom, GuardError, ShapeLimits
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
@@ -22,6 +24,7 @@ from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, T
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig
 from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.target import TargetChain
 
 if TYPE_CHECKING:
@@ -45,6 +48,7 @@ class RealTimeSettings(LoopSettings):
 
     servo_law: str  # law of the robot's servo loop that the goals are to be made for, "auto", "lts" or "none"
     goals: GoalStreamSettings  # the settings of the stream of goals
+    carried: Callable[[Opening | None], Iterable[Ball]]  # what the flange carries at an opening of the hand
 
 
 class RealTimeLoop(ControlLoop[RealTimeSettings]):
@@ -79,6 +83,12 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def goal(self) -> np.ndarray:
         """The joints where the stream is, shape (7,) [rad]; what is sent may differ for the servo law."""
         return self._limits.goal
+
+    def open_hand(self, opening: Opening | None) -> None:
+        """As for all loops; the speed limits of the stream hold for the finger tips, too."""
+        if opening != self._opening:
+            self._limits.carry(self._settings.carried(opening))
+        super().open_hand(opening)
 
     def _followed(self, command: Servo) -> np.ndarray:
         """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
@@ -229,7 +239,7 @@ RANGE_MARGIN_RAD = float(np.radians(0.1))
 """Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
 
 
-TOOL_MARGIN = 0.97  # the guard checks the speed of the tool at some points only; between them it is up to 2.5 % faster
+SPEED_MARGIN = 0.97  # the guard checks the speed of the arm at some times only; between them it is up to 2.5 % faster
 
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
@@ -246,7 +256,8 @@ def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     guard = collision_guard(config, rig)
     speeds, ranges = rig.model.max_speed, ptp_torque_ranges(config, rig)
     settings = RealTimeSettings(
-        rig.ptp_velocity, rig.home.q, speeds, config.time_out, slow, fast, guard, ranges, config.servo_law, goals
+        *(rig.ptp_velocity, rig.home.q, speeds, config.time_out, slow, fast, guard, ranges),
+        *(config.servo_law, goals, rig.carried),
     )
     return RealTimeLoop(settings, rig.chain, motion_limits(config, rig, guard) if goals.shaped else Unlimited())
 
@@ -274,8 +285,9 @@ def line_limits(config: RealTimeConfig, rig: Rig) -> LineLimits | None:
     if config.shaping == "none":
         return None
     lower, upper = _ranges(rig)
-    speeds, tool_speed = config.joint_speed * rig.model.max_speed, TOOL_MARGIN * config.tcp_speed
-    return LineLimits(rig.kinematics, rig.workspace, lower, upper, speeds, _shape(config, rig), tool_speed)
+    speeds, speed = config.joint_speed * rig.model.max_speed, SPEED_MARGIN * config.tcp_speed
+    shape, points = _shape(config, rig), _points(rig)
+    return LineLimits(rig.kinematics, rig.workspace, lower, upper, speeds, shape, speed, points)
 
 
 def move_planner(config: ControllerConfig, rig: Rig, named: Mapping[str, np.ndarray]) -> MovePlanner:
@@ -291,6 +303,11 @@ def _ranges(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     return rig.model.lower + RANGE_MARGIN_RAD, rig.model.upper - RANGE_MARGIN_RAD
 
 
+def _points(rig: Rig) -> MovingPoints:
+    """Returns the points of the arm whose speed is limited, with a hand whose opening is not known."""
+    return MovingPoints(rig.kinematics, rig.carried(None))
+
+
 def _shape(config: RealTimeConfig, rig: Rig) -> ShapeLimits:
     """Returns the limits of acceleration and jerk; faster joints change their speed more quickly in proportion."""
     pace = rig.model.max_speed / np.min(rig.model.max_speed)
@@ -303,8 +320,8 @@ def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None
     room = GuardedRoom(
         lower=lower,
         upper=upper,
-        tool_speed=TOOL_MARGIN * config.tcp_speed,
-        tool_point=rig.kinematics.tool_point,
+        speed=SPEED_MARGIN * config.tcp_speed,
+        points=_points(rig),
         tool_jacobian=rig.kinematics.jacobian,
         workspace=None if rig.workspace.lifted else rig.workspace,
         collisions=guard,

@@ -108,7 +108,7 @@ class MovePlanner:
     def _along_a_line(self, number: int, T_goal: np.ndarray, velocity: float, q: np.ndarray) -> ProgramMotion:
         if self._line is None:
             raise MoveRefused("Straight lines need the real-time controller with shaping: ruckig.")
-        fastest = self._line.tool_speed
+        fastest = self._line.speed
         speed = _velocity(velocity, min(LINE_M_PER_S, fastest), LEAST_LINE_M_PER_S, fastest, "m/s")
         _check_pose(T_goal)
         line = plan_line(self._line, q, T_goal, speed)

@@ -5,6 +5,7 @@ Lengths in m, angles in deg. Poses are in kuka/base_frame, or in kuka/flange for
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,6 +29,16 @@ class ConvexShape:
 
     kind: str
     size: tuple[float, ...]
+
+    @property
+    def radius(self) -> float:
+        """Of a ball about its middle that encloses it [m]."""
+        first, *others = self.size
+        if self.kind == "box":
+            return 0.5 * math.hypot(*self.size)
+        if self.kind == "cylinder":
+            return math.hypot(first, 0.5 * others[0])
+        return first + 0.5 * sum(others)
 
 
 @dataclass(frozen=True, eq=False)

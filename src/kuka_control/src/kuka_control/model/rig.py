@@ -10,10 +10,11 @@ import numpy as np
 from common.config import parse
 from common.errors import ConfigError
 from common.mounting import MountingFrame, mounting_frame
-from iiwa_kinematics import Kinematics, RobotModel, kinematics_of, ptp_velocity, robot_model
-from kuka_control.model.config import ControllerConfig, DhDeviations, neighbours
+from iiwa_kinematics import PTP_M_PER_S, Ball, Kinematics, RobotModel, kinematics_of, ptp_velocity, robot_model
+from kuka_control.model.config import ControllerConfig, DhDeviations, RealTimeConfig, neighbours
 from kuka_control.model.home_pose import Home, HomeError, custom_home, home_pose
 from kuka_control.model.obstacles import ConvexBody
+from kuka_control.model.robot_shape import Opening, enclosing_ball, finger_tips
 from kuka_control.model.target import TargetChain
 from kuka_control.model.tool_load import ToolLoad
 from kuka_control.model.workspace import LiftedWorkspace, Workspace
@@ -32,6 +33,8 @@ class Rig:
     chain: TargetChain  # from the desired tool frame to joints
     load: ToolLoad  # what the tool weighs
     obstacles: tuple[ConvexBody, ...] | None = None  # what the collision guard knows besides table and base
+    ring: bool = False  # whether the marker board's ring is behind the hand
+    ptp_speed: float = PTP_M_PER_S  # of the arm's fastest point in a PTP motion [m/s]
 
     @classmethod
     def of(
@@ -64,14 +67,26 @@ class Rig:
             home = home_pose(kinematics, workspace, mounting)
         chain = TargetChain(home.centre, workspace, kinematics)
         load = ToolLoad(kinematics, config.tool_mass, config.tool_center_of_mass, mounting.up)
-        return cls(model, T_flange_tool, mounting, kinematics, workspace, home, chain, load, obstacles)
+        fastest = min(PTP_M_PER_S, config.tcp_speed) if isinstance(config, RealTimeConfig) else PTP_M_PER_S
+        rest = model, T_flange_tool, mounting, kinematics, workspace, home, chain, load, obstacles
+        return cls(*rest, config.marker_ring, fastest)
 
     def ptp_velocity(self, start: np.ndarray, goal: np.ndarray, velocity: float) -> float:
-        """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for a tool too fast.
+        """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for an arm too fast.
 
-        `start` and `goal` are joints of shape (7,) [rad]; the speed limit is `iiwa_kinematics.PTP_M_PER_S`.
+        `start` and `goal` are joints of shape (7,) [rad]. The speed limit `ptp_speed` holds at any opening of the hand.
         """
-        return ptp_velocity(self.model, self.T_flange_tool, start, goal, velocity)
+        return ptp_velocity(self.model, self.carried(None), start, goal, velocity, self.ptp_speed)
+
+    def carried(self, opening: Opening | None) -> tuple[Ball, ...]:
+        """Returns what the flange carries: tool point, finger tips, and what is mounted there by the obstacles' file.
+
+        Without an opening the fingers may be anywhere.
+        """
+        tips = finger_tips(self.model, self.ring, opening)
+        mounted = (enclosing_ball(body, self.model) for body in self.obstacles or () if body.link)
+        x, y, z = self.T_flange_tool[:3, 3].tolist()
+        return ((x, y, z, 0.0), *tips, *mounted)
 
     def T_base_flange(self, T_base_tool: np.ndarray) -> np.ndarray:
         """Returns the flange, shape (4, 4) [m], of a tool frame."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from common.poses import pose, read_only, translation
 from common.rotations import rotation_about
-from iiwa_kinematics import RobotModel
+from iiwa_kinematics import Ball, RobotModel
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from rig_description import arms, hand
 from rig_description.urdf import TABLE_HALF, TABLE_THICKNESS
@@ -29,7 +29,6 @@ BASE_RADIUS, PLUGS = 0.113, ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
 PALM = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
 PHALANX_RADIUS = 0.0165
 PROXIMAL, DISTAL = ((0.0, 0.003), (0.054, 0.003)), ((0.003, 0.001), (0.038, 0.001))  # x, z of the ends of their axes
-FINGER_REACH = 0.132  # from the knuckle at preshape 0 to the tip of a straight finger at any preshape
 TABLE = "table"
 
 
@@ -95,11 +94,30 @@ def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[
             name = f"finger {finger}, {part}"
             if opening is None:
                 knuckle = pose(p=frames[f"proximal_{finger}"][:3, 3])
-                bodies.append(ConvexBody(name, 7, ConvexShape("capsule", (FINGER_REACH, 0.0)), knuckle, True))
+                bodies.append(ConvexBody(name, 7, ConvexShape("capsule", (hand.FINGER_REACH, 0.0)), knuckle, True))
             else:
                 a, b = ((x, 0.0, z) for x, z in ends)
                 bodies.append(_capsule(name, 7, PHALANX_RADIUS, a, b, frames[f"{part}_{finger}"], True))
     return bodies
+
+
+def finger_tips(model: RobotModel, ring: bool, opening: Opening | None) -> tuple[Ball, ...]:
+    """Returns the tip of each finger as a ball in the flange; without an opening, where the finger may be."""
+    if opening is None:
+        return hand.finger_balls(hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH)
+    distal = (body for body in hand_bodies(model, ring, opening) if body.name.endswith("distal"))
+    return tuple(_ball(body, 0.5 * body.shape.size[1], body.shape.size[0], model) for body in distal)
+
+
+def enclosing_ball(body: ConvexBody, model: RobotModel) -> Ball:
+    """Returns a ball in the flange that encloses a body of link 7."""
+    return _ball(body, 0.0, body.shape.radius, model)
+
+
+def _ball(body: ConvexBody, along: float, radius: float, model: RobotModel) -> Ball:
+    """Returns a ball about a point on the axis z of a body of link 7."""
+    x, y, z = (body.T_link_body[:3, 3] + along * body.T_link_body[:3, 2]).tolist()
+    return x, y, z - model.wrist_flange, radius
 
 
 def travel(before: Opening, after: Opening) -> float:
@@ -108,7 +126,7 @@ def travel(before: Opening, after: Opening) -> float:
         sum([abs(a - b) for a, b in zip(*ends)])
         for ends in zip(zip(before.proximal, before.distal), zip(after.proximal, after.distal))
     ]
-    return FINGER_REACH * (max(turns) + abs(after.preshape - before.preshape))
+    return hand.FINGER_REACH * (max(turns) + abs(after.preshape - before.preshape))
 
 
 def _angle(joint: str, opening: Opening) -> float:

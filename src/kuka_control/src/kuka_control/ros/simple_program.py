@@ -30,6 +30,7 @@ from kuka_control.ros.parameter_server import (
     parameters,
     shipped,
 )
+from rig_description.hand import CONNECTOR_LENGTH, RING_LENGTH, finger_balls
 
 NODE = "kuka_simple_node"
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)  # nodes that hold the robot's only connection
@@ -143,15 +144,16 @@ def _move(
         print(f"The arm is at {name} already; nothing was moved.")
         return 0
     joint, step = motion.largest
-    velocity = ptp_velocity(model, T_flange_tool, motion.start, motion.target, options.velocity)
+    balls = ((*T_flange_tool[:3, 3].tolist(), 0.0), *finger_balls(CONNECTOR_LENGTH + RING_LENGTH))
+    velocity = ptp_velocity(model, balls, motion.start, motion.target, options.velocity)
     seconds = full_speed_time(model, motion.start, motion.target) / velocity
-    tool_speed = path_speed(model, T_flange_tool, motion.start, motion.target) / seconds
+    fastest = path_speed(model, balls, motion.start, motion.target) / seconds
     print(
         f"Largest step: joint {joint} by {step:+.1f} deg; at {velocity:g} of full speed about {seconds:.1f} s, "
-        f"the tool or the elbow at up to {tool_speed:.2f} m/s."
+        f"the fastest point from elbow to finger tips at up to {fastest:.2f} m/s."
     )
     if velocity < options.velocity:
-        print(f"That is slowed from {options.velocity:g}: neither may pass {PTP_M_PER_S:g} m/s.")
+        print(f"That is slowed from {options.velocity:g}: no point of the arm may pass {PTP_M_PER_S:g} m/s.")
     agreed = options.yes or agrees(f"Move the arm to {name}?")
     if not agreed:
         print("Nothing was moved.")

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import cos, hypot, sin
+from math import cos, hypot, sin, sqrt
 from typing import Sequence
 
 import numpy as np
 
-from iiwa_kinematics.chain import Vector
+from iiwa_kinematics.chain import Ball, Vector, fastest_beyond
 from iiwa_kinematics.elbow_choice import CROSSING_RAD
 from iiwa_kinematics.elbow_circle import Branch
 from iiwa_kinematics.inverse import IkFailure, IkResult, Kinematics, inverse_pose
@@ -119,6 +119,8 @@ class CalibratedKinematics(Kinematics):
             float(norm(np.concatenate((parameters.a - nominal.a, parameters.d - nominal.d)))),
             float(norm(np.concatenate((parameters.alpha - nominal.alpha, parameters.theta - nominal.theta)))),
         )
+        fore = model.elbow_wrist + self.slack[0] + 1.5 * self.slack[1]
+        self._inner = [*[model.shoulder_elbow + fore] * 2, *[fore] * 2, *[self.slack[0]] * 3]
 
     def forward(self, q: np.ndarray) -> np.ndarray:
         return self._parameters.frames(q)[-1] @ self.T_flange_tool
@@ -126,7 +128,7 @@ class CalibratedKinematics(Kinematics):
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         return self._pose_and_jacobian(q)[1]
 
-    def tool_point(self, q: Sequence[float]) -> tuple[Vector, list[float]]:
+    def tool_point(self, q: Sequence[float], around: float = 0.0) -> tuple[Vector, list[float]]:
         x, y, z = self._tool
         distances = []
         for angle, (theta, ca, sa, a, d) in zip(reversed(q), self._parameters.rows):
@@ -134,8 +136,20 @@ class CalibratedKinematics(Kinematics):
             distances.append(hypot(x, y))
             c, s = cos(angle + theta), sin(angle + theta)
             x, y = c * x - s * y, s * x + c * y
-        distances.reverse()
-        return (x, y, z), distances
+        reaches = [max(distance + around, inner) for distance, inner in zip(reversed(distances), self._inner)]
+        return (x, y, z), reaches
+
+    def fastest_point(self, balls: Sequence[Ball], q: Sequence[float], v: Sequence[float]) -> float:
+        x = y = z = wx = wy = wz = fastest = 0.0
+        for joint, (angle, rate, (theta, ca, sa, a, d)) in enumerate(zip(q, v, reversed(self._parameters.rows)), 1):
+            wz += rate
+            c, s = cos(angle + theta), sin(angle + theta)
+            wx, wy, x, y = c * wx + s * wy, c * wy - s * wx, c * x + s * y, c * y - s * x
+            x, y, z = x + wy * d, y + wz * a - wx * d, z - wy * a
+            wy, wz, y, z = ca * wy + sa * wz, ca * wz - sa * wy, ca * y + sa * z, ca * z - sa * y
+            if joint in (3, 5):  # elbow and wrist
+                fastest = max(fastest, sqrt(x * x + y * y + z * z))
+        return max(fastest, fastest_beyond(balls, (x, y, z), (wx, wy, wz)))
 
     def inverse(self, T_base_tool: np.ndarray, q_seed: np.ndarray, keep_branch: bool = False) -> IkResult:
         T, seed = self._checked(T_base_tool, q_seed)

@@ -7,14 +7,15 @@ The arithmetic is written out in plain floats: for single poses this is several 
 
 from __future__ import annotations
 
-from math import cos, hypot, sin
-from typing import Sequence, Tuple
+from math import cos, hypot, sin, sqrt
+from typing import Iterable, Sequence, Tuple
 
 import numpy as np
 
 from iiwa_kinematics.robot_model import RobotModel
 
 Vector = Tuple[float, float, float]
+Ball = Tuple[float, float, float, float]  # centre in the flange, x, y, z [m], and radius [m]
 Frames = Tuple[Tuple[Vector, ...], Vector, Vector, Vector, Vector, Tuple[Vector, Vector, Vector]]
 
 
@@ -82,13 +83,15 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
     return J
 
 
-def tool_point(model: RobotModel, tool: Vector, q: Sequence[float]) -> tuple[Vector, list[float]]:
-    """Returns the tool point in the base [m], and its distances from the axes of joints 1 to 7 [m].
+def tool_point(model: RobotModel, tool: Vector, q: Sequence[float], around: float) -> tuple[Vector, list[float]]:
+    """Returns the tool point in the base [m], and how far the moving arm reaches from the axes of joints 1 to 7 [m].
 
-    `tool` is the tool point in the flange [m], q the 7 joint angles [rad]. The point is carried from the flange to the
-    base: each joint turns it about its own axis.
+    `tool` is the tool point in the flange [m], q the 7 joint angles [rad]. The arm is the elbow, the wrist, and all
+    that is no farther than `around` [m] from the tool point. The points are carried to the base: each joint turns them
+    about its own axis.
     """
     q1, q2, q3, q4, q5, q6, q7 = q
+    upper, fore = model.shoulder_elbow, model.elbow_wrist
     x, y, z = tool[0], tool[1], tool[2] + model.wrist_flange
     r7 = hypot(x, y)
     c, s = cos(q7), sin(q7)
@@ -98,19 +101,73 @@ def tool_point(model: RobotModel, tool: Vector, q: Sequence[float]) -> tuple[Vec
     x, z = c * x + s * z, c * z - s * x
     r5 = hypot(x, y)
     c, s = cos(q5), sin(q5)
-    x, y, z = c * x - s * y, s * x + c * y, z + model.elbow_wrist
+    x, y, z = c * x - s * y, s * x + c * y, z + fore
     r4 = hypot(x, z)
     c, s = cos(q4), sin(q4)
     x, z = c * x - s * z, c * z + s * x
+    wx, wz = -s * fore, c * fore + upper  # the wrist; its y is zero
+    w3 = abs(wx)
     r3 = hypot(x, y)
     c, s = cos(q3), sin(q3)
-    x, y, z = c * x - s * y, s * x + c * y, z + model.shoulder_elbow
-    r2 = hypot(x, z)
+    x, y, z = c * x - s * y, s * x + c * y, z + upper
+    wx, wy, elbow = c * wx, s * wx, upper
+    r2, w2 = hypot(x, z), hypot(wx, wz)
     c, s = cos(q2), sin(q2)
     x, z = c * x + s * z, c * z - s * x
-    r1 = hypot(x, y)
+    wx, elbow = c * wx + s * wz, abs(s * upper)
+    r1, w1 = hypot(x, y), hypot(wx, wy)
     c, s = cos(q1), sin(q1)
-    return (c * x - s * y, s * x + c * y, z + model.base_shoulder), [r1, r2, r3, r4, r5, r6, r7]
+    reaches = [
+        max(r1 + around, w1, elbow),
+        max(r2 + around, w2, upper),
+        max(r3 + around, w3),
+        max(r4 + around, fore),
+        r5 + around,
+        r6 + around,
+        r7 + around,
+    ]
+    return (c * x - s * y, s * x + c * y, z + model.base_shoulder), reaches
+
+
+def fastest_point(model: RobotModel, balls: Iterable[Ball], q: Sequence[float], v: Sequence[float]) -> float:
+    """Returns the speed of the fastest point of elbow, wrist, flange, and balls that move with the flange [m/s].
+
+    `q`: joints, 7 [rad], `v`: their speeds, 7 [rad/s]. The velocity x, y, z and the turn w are those of elbow, then
+    wrist, then flange, in axes that turn with the joints.
+    """
+    _, q2, q3, q4, q5, q6, q7 = q
+    v1, v2, v3, v4, v5, v6, v7 = v
+    c, s = cos(q2), sin(q2)
+    wx, wy, wz = -s * v1, v2, c * v1 + v3
+    c, s = cos(q3), sin(q3)
+    wx, wy = c * wx + s * wy, c * wy - s * wx
+    x, y = model.shoulder_elbow * wy, -model.shoulder_elbow * wx
+    fastest = hypot(x, y)
+    wy -= v4
+    c, s = cos(q4), sin(q4)
+    wx, wz = c * wx + s * wz, c * wz - s * wx
+    x, y, z = c * x + model.elbow_wrist * wy, y - model.elbow_wrist * wx, -s * x
+    fastest = max(fastest, sqrt(x * x + y * y + z * z))
+    c, s, wz = cos(q5), sin(q5), wz + v5
+    wx, wy, x, y = c * wx + s * wy, c * wy - s * wx, c * x + s * y, c * y - s * x
+    c, s, wy = cos(q6), sin(q6), wy + v6
+    wx, wz, x, z = c * wx - s * wz, c * wz + s * wx, c * x - s * z, c * z + s * x
+    x, y = x + model.wrist_flange * wy, y - model.wrist_flange * wx
+    c, s, wz = cos(q7), sin(q7), wz + v7
+    wx, wy, x, y = c * wx + s * wy, c * wy - s * wx, c * x + s * y, c * y - s * x
+    return max(fastest, fastest_beyond(balls, (x, y, z), (wx, wy, wz)))
+
+
+def fastest_beyond(balls: Iterable[Ball], v: Vector, w: Vector) -> float:
+    """Returns the greatest speed of the flange and of a point in balls [m/s]; v, w: of the flange [m/s], [rad/s]."""
+    (vx, vy, vz), (wx, wy, wz) = v, w
+    turn, fastest = sqrt(wx * wx + wy * wy + wz * wz), sqrt(vx * vx + vy * vy + vz * vz)
+    for x, y, z, radius in balls:
+        a, b, c = vx + wy * z - wz * y, vy + wz * x - wx * z, vz + wx * y - wy * x
+        speed = sqrt(a * a + b * b + c * c) + radius * turn
+        if speed > fastest:
+            fastest = speed
+    return fastest
 
 
 def joint_frames(model: RobotModel, q: Sequence[float] | np.ndarray) -> Frames:

@@ -13,7 +13,17 @@ from typing import Sequence
 
 import numpy as np
 
-from iiwa_kinematics.chain import Vector, combination, cross, forward, jacobian, tool_point, zyz_axes
+from iiwa_kinematics.chain import (
+    Ball,
+    Vector,
+    combination,
+    cross,
+    fastest_point,
+    forward,
+    jacobian,
+    tool_point,
+    zyz_axes,
+)
 from iiwa_kinematics.elbow_choice import ElbowChoice
 from iiwa_kinematics.elbow_circle import Branch, ElbowCircle, wrapped
 from iiwa_kinematics.robot_model import RobotModel, read_only
@@ -79,9 +89,19 @@ class Kinematics:
         """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7); rows 0-2 linear."""
         return jacobian(self.model, q, self.T_flange_tool)
 
-    def tool_point(self, q: Sequence[float]) -> tuple[Vector, list[float]]:
-        """Returns the tool point in the base [m], and its distances from the 7 joint axes [m], at 7 joints q [rad]."""
-        return tool_point(self.model, self._tool, q)
+    def tool_point(self, q: Sequence[float], around: float = 0.0) -> tuple[Vector, list[float]]:
+        """Returns the tool point in the base [m], and how far the moving arm reaches from the 7 joint axes [m].
+
+        The arm is elbow, wrist, and what is within `around` [m] of the tool point, at 7 joints q [rad].
+        """
+        return tool_point(self.model, self._tool, q, around)
+
+    def fastest_point(self, balls: Sequence[Ball], q: Sequence[float], v: Sequence[float]) -> float:
+        """Returns the speed of the fastest point of elbow, wrist, flange and balls on it [m/s].
+
+        `q`: joints, 7 [rad], `v`: their speeds, 7 [rad/s].
+        """
+        return fastest_point(self.model, balls, q, v)
 
     def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Returns joints near q, shape (7,) [rad], that bring this arm to a pose to which q brings the nominal arm.

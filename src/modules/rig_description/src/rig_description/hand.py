@@ -61,6 +61,8 @@ JOINTS = (
     HandJoint("distal_joint_2", "proximal_2", "distal_2", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
     HandJoint("distal_joint_3", "proximal_3", "distal_3", (0.066, 0, 0.004), 0.0, RIGHT, (0.0, DISTAL_MAX)),
 )
+FINGER_REACH = 0.132
+"""From the knuckle at preshape 0 to the tip of a straight finger at any preshape."""
 LINKS = ("base_link", *(joint.child for joint in JOINTS))
 EXTENT = {
     "base_link": ((-0.055, -0.053, 0.0), (0.083, 0.053, 0.090)),
@@ -105,6 +107,17 @@ def tool_body(distance: float = CONNECTOR_LENGTH) -> Body:
         yaws[joint.child], origins[joint.child] = yaw + joint.yaw, origin + _about_z(yaw) @ joint.xyz
     parts = ((turned(body(link), _about_z(yaws[link])), origins[link]) for link in LINKS)
     return joined([Body(part.mass, part.com + origin, part.inertia) for part, origin in parts])
+
+
+def finger_balls(distance: float = CONNECTOR_LENGTH) -> tuple[tuple[float, float, float, float], ...]:
+    """Returns the balls that the fingers leave at no opening: centre in the flange, x, y, z [m], and radius [m].
+
+    `distance`: of the hand's frame from the flange [m].
+    """
+    origins = {"base_link": np.array([0.0, 0.0, distance])}
+    for joint in JOINTS:
+        origins[joint.child] = origins[joint.parent] + _about_z(CONNECTOR_YAW) @ joint.xyz
+    return tuple((*origins[f"proximal_{finger}"].tolist(), FINGER_REACH) for finger in (1, 2, 3))
 
 
 def _about_z(angle: float) -> np.ndarray:

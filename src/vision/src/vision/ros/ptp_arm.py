@@ -16,18 +16,18 @@ from common.config import choice, integer, parse, text
 from common.errors import ConfigError, DeviceError
 from common.frames import BASE, FLANGE_MEASURED
 from common.mounting import mounting_field
-from common.poses import translation
 from common.ros.conversions import stamped_transform
 from common.ros.service_calls import listens
 from iiwa_kinematics import ptp_velocity, robot_model
 from kst import JointLimits, KstClient, KstError, PtpLimits, PtpProgress, ServerBusy, read_joints, run_ptp
 from rig_description.arms import ARMS, MEDIA_FLANGES
+from rig_description.hand import CONNECTOR_LENGTH, RING_LENGTH, finger_balls
 from vision.calibration.arm_model import JOINTS, ArmModel
 from vision.ros.calibration.calibration_setup import StoreConfig
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
 DEFAULT_PORT = 30001
-T_FLANGE_HAND = translation(0.0, 0.0, 0.2)  # the far end of a hand; its speed is limited, whatever is mounted [m]
+FINGERS = finger_balls(CONNECTOR_LENGTH + RING_LENGTH)  # as far as they reach the speed is limited, whatever is mounted
 LIMITS = PtpLimits(arrived=np.radians(0.2))
 
 
@@ -102,10 +102,10 @@ class PtpArm:
     def move_to(self, q: np.ndarray) -> None:
         """Moves to q, shape (7,) [rad], and returns on arrival; prints a sentence while the arm is stalled.
 
-        It is slower than the given fraction where `T_FLANGE_HAND` or the elbow would pass `PTP_M_PER_S`.
+        It is slower than the given fraction where a point from elbow to finger tips would pass `PTP_M_PER_S`.
         """
         with _device_errors():
-            velocity = ptp_velocity(self._robot, T_FLANGE_HAND, read_joints(self._client), q, self._velocity)
+            velocity = ptp_velocity(self._robot, FINGERS, read_joints(self._client), q, self._velocity)
             run_ptp(self._client, q, velocity, LIMITS, self._report)
 
     def close(self) -> None:
