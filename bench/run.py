@@ -29,6 +29,7 @@ NAMES = (
     "client",
     "shaping",
     "stopping",
+    "contact",
     "grasping",
     "vision",
     "demo",

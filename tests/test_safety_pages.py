@@ -9,6 +9,7 @@ import math
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -80,6 +81,20 @@ def test_every_hazard_has_all_its_cells():
         points = (severity == "S2", frequency == "F2", avoidance == "P2")
         high, medium = points[0] and (points[1] or points[2]), points in ((False, True, True), (True, False, False))
         assert risk == ("high" if high else "medium" if medium else "low"), row[0]
+
+
+@pytest.mark.parametrize("motion, velocity", [("joint 1", 0.15), ("joint 2, down", 0.1)])
+def test_the_forces_of_contact_are_those_of_the_simulation(motion, velocity):
+    from bench import bench_contact
+
+    away, part, height = bench_contact.MOTIONS[motion]
+    forces = [
+        round(bench_contact.pushed(np.radians(away), part, height, velocity, *case)[0])
+        for case in bench_contact.CASES.values()
+    ]
+    line = f"| {motion} | {velocity:g} | " + " | ".join(f"{force} N" for force in forces) + " |"
+    assert line in (HANDBOOK / "safety-case.md").read_text().splitlines()
+    assert forces[0] > 2.0 * forces[2] and forces[1] > forces[2]
 
 
 def test_the_forces_are_those_of_the_model():

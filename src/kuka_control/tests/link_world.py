@@ -39,9 +39,9 @@ class Bench:
         goals: when servo goals were sent [s].
     """
 
-    def __init__(self, scheduler, wires):
+    def __init__(self, scheduler, wires, **arm):
         self.scheduler = scheduler
-        self.robot = SimulatedArm(ROBOT, ArmSettings())
+        self.robot = SimulatedArm(ROBOT, ArmSettings(**arm))
         with scheduler.in_group(GROUP):
             self.server = SunriseServer(self.robot, ServerSettings(), "127.0.0.1", 0, 0)
             clock.Thread(target=self.server.run, name="robot", daemon=True).start()
@@ -123,7 +123,7 @@ class Bench:
 
 
 @contextlib.contextmanager
-def bench(seed=0):
-    """A bench in virtual time."""
+def bench(seed=0, **arm):
+    """A bench in virtual time; `arm`: settings of the robot."""
     with virtual_wires(seed) as wires:
-        yield Bench(wires.scheduler, wires)
+        yield Bench(wires.scheduler, wires, **arm)

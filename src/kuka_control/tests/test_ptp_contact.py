@@ -182,6 +182,13 @@ def test_a_program_hears_of_the_contact():
     assert "touched something on its way to aside" in world.progress.sentence
 
 
+@pytest.mark.parametrize("tool_weight", [False, True])
+def test_a_cabinet_that_takes_the_hand_for_external_and_one_that_knows_it_bring_the_arm_home(tool_weight):
+    with link_world.bench(tool_weight=tool_weight) as bench:
+        bench.run(clock.monotonic() + 20.0, "home")
+        assert "doPTP!inJS" in bench.sent and np.any(bench.robot.external_torques) == tool_weight
+
+
 def test_the_whole_way_from_a_push_at_the_simulated_arm_to_the_latch():
     with link_world.bench() as bench:
         bench.run(clock.monotonic() + 1.0)
