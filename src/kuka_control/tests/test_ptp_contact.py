@@ -78,7 +78,7 @@ def test_weight_and_inertia_of_hand_and_load_end_no_motion(start, goal, velocity
     assert np.all((low < 0.0) & (high > 0.0)), "a cabinet that knows of hand and load sees nothing of them"
 
 
-@given(joints, joints, st.floats(0.01, 1.0), st.floats(1.0, 40.0))
+@given(joints, joints, st.floats(0.01, 1.0), st.floats(1.0, 30.0))
 def test_the_margin_is_on_both_sides_and_all_that_an_arm_without_a_hand_has(start, goal, velocity, margin):
     bare = replace(LOAD, mass=0.0)
     np.testing.assert_array_equal(torque_ranges(bare, start, goal, velocity, 0.0, margin), 7 * [[-margin, margin]])
@@ -180,6 +180,25 @@ def test_a_program_hears_of_the_contact():
     world.run(0.1)
     assert world.progress.state is MoveState.ABORTED
     assert "touched something on its way to aside" in world.progress.sentence
+
+
+@pytest.mark.parametrize("fault", ["torn", "slow", "bursts", "unfinished"])
+def test_an_answer_that_is_torn_late_or_lost_moves_nothing_on_and_is_said(fault):
+    """A contact whose word does not come is not known as one, but the arm is seen to stand."""
+    with link_world.bench() as bench:
+        bench.run(clock.monotonic() + 1.0)
+        bench.server.faults.switch(fault, True)
+        bench.robot.set_external_torque(np.array([16.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        bench.run(clock.monotonic() + 3.0)
+        at, lost = bench.robot.q, fault == "unfinished"
+        assert not bench.robot.v.any() and bench.robot.safety_stop is None
+        assert bench.mode == ("homing" if lost else "stopped")
+        said = "The motion to home does not continue" if lost else "joint 1 bears 16.0 Nm"
+        assert said in bench.loop.stopped_because
+        bench.robot.set_external_torque(np.zeros(7))
+        bench.enable_count += 0 if lost else 1
+        bench.run(clock.monotonic() + 2.0)
+        assert lost == np.array_equal(bench.robot.q, at), "only the operator lets it go on"
 
 
 @pytest.mark.parametrize("tool_weight", [False, True])

@@ -18,7 +18,7 @@ from common.mounting import ToolConfig, mounting_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
 
-UPLOADED = ("ws_center", "joints_home", "rotation_home")  # keys under `kuka/` that the controller itself writes
+UPLOADED = ("ws_center", "joints_home", "rotation_home", "running")  # keys under `kuka/` that the controller itself writes
 MAX_LENGTH_MM = 5.0  # a larger deviation is a wrong measurement, or the file has another unit or convention
 MAX_ANGLE_DEG = 1.0  # likewise
 OPTIONS = ("robot", "flange", "ip", "port", "tool_length")  # keys that may be given as options too
@@ -84,7 +84,7 @@ class ControllerConfig(RobotAddress):
     ptp_contact_torque: float = number(
         "Nm",
         low=0.0,
-        high=40.0,
+        high=30.0,
         absent=0.0,
         doc="a PTP motion ends where an external joint torque exceeds that of hand and load by this; 0: never",
     )
