@@ -43,8 +43,10 @@ WEB = {"host": "127.0.0.1", "port": PORT, "page": PAGE, "certificate": "", "key"
 REFRESH_S, SILENCE_S, OLD_ROWS_S, REQUEST_S = 0.2, 0.5, 1.5, 10.0
 """How often the node looks for pages; after which a page hears that there is no image; after which rows no longer
 hold; after which a page that asks for nothing is gone."""
-SEND_S, OPEN_TIMEOUT_S, ACCEPT_RETRY_S = 2.0, 5.0, 1.0
-"""After which a page is gone that takes no answers; one that sends no request; asyncio accepts connections again."""
+SEND_S, OPEN_TIMEOUT_S, GONE_S, ACCEPT_RETRY_S = 2.0, 5.0, 10.0, 1.0
+"""After which a page is gone that takes no answers; one that sends no request; one that does not take what was sent
+before the end; asyncio accepts connections again."""
+MAX_OF_ADDRESS = 12
 SOON_S = 0.01
 MAX_PAGES, PAGES_OF_ADDRESS = 6, 3
 
@@ -170,6 +172,18 @@ def test_idle_connections_of_one_machine_neither_end_the_server_nor_keep_others_
         get(virtual_graph, "/")
     clock.sleep(OPEN_TIMEOUT_S)
     assert get(virtual_graph, "/").status == 200 and all(each.recv(1) == b"" for each in idle)
+
+
+def test_who_does_not_take_the_page_keeps_no_place(virtual_graph, node):
+    for _ in range(MAX_OF_ADDRESS):
+        deaf = virtual_graph.wires.connect(("127.0.0.1", PORT))
+        virtual_graph.wires.connections[-1].down.room = 100
+        deaf.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{PORT}\r\n\r\n".encode())
+    clock.sleep(GONE_S - SOON_S)
+    with pytest.raises(OSError):
+        get(virtual_graph, "/")
+    clock.sleep(2 * SOON_S)
+    assert get(virtual_graph, "/").status == 200
 
 
 def test_the_server_comes_back_after_the_system_had_no_descriptor(virtual_graph, node, monkeypatch):

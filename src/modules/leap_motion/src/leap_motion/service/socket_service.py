@@ -97,14 +97,15 @@ class SocketService:
     async def _hear_request(self, connection: ServerConnection, request: Request) -> Response | None:
         response = await self._meet(connection, request)
         if response is not None:
-            self._loop.call_later(GONE_S, connection.transport.abort)
+            self._loop.call_later(GONE_S, _cut, connection.transport.get_extra_info("socket"))
         return response
 
     async def _use(self, connection: ServerConnection) -> None:
+        its_socket = connection.transport.get_extra_info("socket")
         try:
             await self._converse(connection)
         finally:
-            self._loop.call_later(GONE_S, connection.transport.abort)
+            self._loop.call_later(GONE_S, _cut, its_socket)
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Returns the answer to a request; None for the WebSocket that it asks for."""
@@ -113,6 +114,12 @@ class SocketService:
     async def _converse(self, connection: ServerConnection) -> None:
         """Serves a WebSocket to its end."""
         raise NotImplementedError
+
+
+def _cut(its_socket: Any) -> None:
+    """Ends a connection, whatever its transport still waits for."""
+    with contextlib.suppress(OSError):  # it has ended
+        its_socket.shutdown(socket.SHUT_RDWR)
 
 
 async def _end_tasks() -> None:
@@ -135,6 +142,7 @@ class BoundedListener:
         if not self._limits.enter(address[0]):
             accepted.close()
             raise ConnectionAbortedError("too many connections")  # which asyncio takes for a client that went away
+        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)  # asyncio leaves it out for such a listener
         return CountedSocket(accepted, lambda: self._limits.leave(address[0])), address
 
     def __getattr__(self, name: str) -> Any:
