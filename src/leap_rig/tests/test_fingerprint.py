@@ -1,6 +1,7 @@
 """The robot's identity: what differs is named, whatever it is; addresses and rates do not matter."""
 
 import dataclasses
+import xmlrpc.client
 
 import numpy as np
 import pytest
@@ -12,7 +13,16 @@ from kuka_control.limits.line_plan import plan_line
 from kuka_control.loop.algorithms import line_limits
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.rig import Rig
-from leap_rig.recording.fingerprint import GROUPS, KNOWN, LEFT_OUT, address, differences, fingerprint, moved_away
+from leap_rig.recording.fingerprint import (
+    GROUPS,
+    KNOWN,
+    LEFT_OUT,
+    address,
+    differences,
+    fingerprint,
+    moved_away,
+    started_with,
+)
 
 CONFIG = "src/kuka_control/config"
 OTHER = {"robot": "LBR14R820", "flange": "MF_touch_pneumatisch", "shaping": "none"}
@@ -39,6 +49,22 @@ def test_the_same_parameters_agree_also_when_defaults_are_written_out(kuka):
     assert all(one[group] for group in GROUPS) and not differences(one, one)
     written = {**kuka, "collision_guard": one["limits"]["collision_guard"], "ip": "10.0.0.1", "time_out": 0.3}
     assert not differences(one, fingerprint(written, str))
+
+
+@pytest.mark.ros
+def test_what_a_controller_says_it_started_with_is_its_configuration(kuka, tmp_path):
+    """Whatever was set since on the parameter server."""
+    from kuka_control.ros.parameter_server import running
+
+    calibrated = tmp_path / "arm.yaml"
+    calibrated.write_text("robot: LBR7R800")
+    for schema, values in ((RealTimeConfig, kuka), (RealTimeConfig, {**kuka, "dh_parameters": str(calibrated)})):
+        said = running(parse(schema, values, "kuka/"))
+        started, files = started_with({**kuka, "tcp_speed": 0.1, "running": said})
+        assert not differences(fingerprint(values, lambda path: files[path]), fingerprint(started, lambda _: files[_]))
+        assert xmlrpc.client.loads(xmlrpc.client.dumps((said,)))[0][0] == said
+    assert list(files) == [str(calibrated)] and len(files[str(calibrated)]) == 64
+    assert started_with(kuka) == (kuka, {})
 
 
 @pytest.mark.parametrize("key", ["tool_length", "mounting", "center_line", "z_lower_limit", "tcp_speed", "joint_jerk"])

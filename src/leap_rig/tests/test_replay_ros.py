@@ -170,9 +170,36 @@ def test_another_robot_is_refused_with_what_differs(ros, tmp_path):
     folder = write_recording(tmp_path / "run", [], name="run", robot=recorded)
     rospy.set_param("kuka", values)
     program = ros.run("leap_rig", "replay.py", str(folder), "--robot")
+    assert program.wait(1.0) == 1 and "no controller of the arm has started" in program.log
+    rospy.set_param("kuka/running", {"parameters": values, "files": {}, "started": 1.0})
+    program = ros.run("leap_rig", "replay.py", str(folder), "--robot")
     assert program.wait(1.0) == 1
     text = program.log
     assert "Nothing moves" in text and "LBR14R820" in text and "tool_length was 0.2" in text
+
+
+def test_what_the_controller_started_with_counts_and_not_what_is_set_since(ros, tmp_path):
+    import rospy
+
+    from common.ros.files import file_hash
+    from kuka_control.ros.parameter_server import read_yaml, shipped
+
+    values = read_yaml(shipped("kuka_params_rt.yaml"))
+    obstacles = tmp_path / "obstacles.yaml"
+    obstacles.write_text("[]")
+    started = {**values, "tcp_speed": 0.3, "guard_obstacles": str(obstacles)}
+    rospy.set_param("kuka", {**values, "guard_obstacles": str(obstacles)})
+    rospy.set_param(
+        "kuka/running", {"parameters": started, "files": {str(obstacles): file_hash(obstacles)}, "started": 1.0}
+    )
+    recorded = fingerprint(rospy.get_param("kuka"), file_hash)
+    folder = write_recording(tmp_path / "run", [], name="run", robot=recorded)
+    program = ros.run("leap_rig", "replay.py", str(folder), "--robot")
+    assert program.wait(1.0) == 1
+    assert f"tcp_speed was {values['tcp_speed']} when it was recorded, and is 0.3 here" in program.log
+    obstacles.write_text("[ ]")
+    program = ros.run("leap_rig", "replay.py", str(folder), "--robot")
+    assert program.wait(1.0) == 1 and "was changed after the controller read it" in program.log
 
 
 def test_a_changed_recording_is_refused(ros, session):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import re
 import tempfile
@@ -43,6 +44,14 @@ def read_yaml(path: Path) -> Any:
         raise ConfigError([f"{path} cannot be read: {error.strerror}."]) from error
     except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45
         raise ConfigError([f"{path} is not yaml: {' '.join(str(error).split())}."]) from error
+
+
+def file_hash(path: str) -> str:
+    """Returns the SHA-256 of a file, or a sentence if it cannot be read."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError as error:
+        return f"{path} cannot be read: {error.strerror}"
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

@@ -39,7 +39,7 @@ from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.guard_view import GuardView, HandOpening
 from kuka_control.ros.moves import MoveServer
 from kuka_control.ros.panel_process import control_panel
-from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, shipped
+from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, running, shipped
 from kuka_control.ros.services import Services, offer_tool_check
 from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePublisher, publish_workspace
 
@@ -177,6 +177,7 @@ def _run(
         rig = replace(rig, obstacles=(*(rig.obstacles or ()), *placed.walls))
     link = RobotLink(config, rig)
     try:
+        rospy.set_param("kuka/running", running(config))
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import rosgraph
 import rospkg
 
+from common import clock
 from common.config import parse
 from common.errors import ConfigError, RigError
-from common.ros.files import read_yaml
+from common.ros.files import file_hash, read_yaml
 from common.ros.service_calls import listens
 from iiwa_kinematics import robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations
@@ -68,6 +71,19 @@ def living_node(name: str) -> bool:
 def shipped(name: str) -> Path:
     """Returns the path of a file in this package's folder config."""
     return Path(rospkg.RosPack().get_path("kuka_control")) / "config" / name
+
+
+FILES = ("dh_parameters", "guard_obstacles")  # parameters that name a file which a controller reads at its start
+
+
+def running(config: ControllerConfig) -> dict:
+    """Returns what a controller puts under kuka/running at its start, as later changes on the parameter server have no
+    effect on it: its `parameters`, what its `files` held by their names, and when it `started` [s].
+    """
+    values = {field.name: getattr(config, field.name) for field in fields(config)}
+    plain = {key: np.asarray(value).tolist() if not isinstance(value, str) else value for key, value in values.items()}
+    names = [plain[key] for key in FILES if plain[key]]
+    return {"parameters": plain, "files": {name: file_hash(name) for name in names}, "started": clock.time()}
 
 
 def guard_obstacles(config: ControllerConfig) -> tuple[ConvexBody, ...] | None:

@@ -43,6 +43,16 @@ def fingerprint(kuka: object, content: Callable[[str], str]) -> dict[str, dict[s
     return found
 
 
+def started_with(kuka: Mapping[str, Any]) -> tuple[object, Mapping[str, str]]:
+    """Returns the parameters with which the controller started, whatever is set under `kuka/` since, and the hashes of
+    its files then by their names; without a controller what is set, and none.
+    """
+    started = kuka.get("running")
+    if not isinstance(started, Mapping) or not isinstance(started.get("files"), Mapping):
+        return kuka, {}
+    return started.get("parameters"), started["files"]
+
+
 def differences(recorded: object, here: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Returns a line for each value that differs, and one if the recording or the parameters know no robot."""
     if not isinstance(recorded, Mapping) or not recorded.get("model"):

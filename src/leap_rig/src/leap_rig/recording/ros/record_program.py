@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import math
 import os
 import platform
@@ -24,10 +23,11 @@ import yaml
 from common import clock
 from common.errors import RigError
 from common.number_arguments import real
+from common.ros.files import file_hash
 from common.ros.node import run_program
 from kuka_control.ros.parameter_server import master_of_this_graph
 from leap_motion.ros.registrations import registration_file
-from leap_rig.recording.fingerprint import address, fingerprint
+from leap_rig.recording.fingerprint import address, fingerprint, started_with
 from leap_rig.recording.recording_files import (
     PARAMETERS,
     MessageKind,
@@ -198,7 +198,8 @@ def _topic(text: str) -> str:
 def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str, Any]:
     kuka = parameters.get("kuka", {})
     kuka = kuka if isinstance(kuka, dict) else {}
-    robot = {"address": address(kuka), **fingerprint(kuka, file_hash)}
+    values, files = started_with(kuka)
+    robot = {"address": address(kuka), **fingerprint(values, lambda path: files.get(path) or file_hash(path))}
     return {
         "name": folder_of(options.name).name,
         "task": options.task,
@@ -207,14 +208,6 @@ def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str,
         "robot": robot,
         "versions": _versions(),
     }
-
-
-def file_hash(path: str) -> str:
-    """Returns the SHA-256 of a file, or a sentence if it cannot be read."""
-    try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError as error:
-        return f"{path} cannot be read: {error.strerror}"
 
 
 def _commit(folder: Path) -> str:

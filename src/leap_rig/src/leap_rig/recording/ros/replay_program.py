@@ -22,7 +22,7 @@ from common.errors import RigError
 from common.frames import BASE
 from common.number_arguments import real, whole
 from common.ros.conversions import stamped_pose
-from common.ros.files import read_yaml
+from common.ros.files import file_hash, read_yaml
 from common.ros.node import run_program
 from kuka_control.loop.moves import LEAST_PTP
 from kuka_control.model.rig import Rig
@@ -31,9 +31,8 @@ from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, ma
 from kuka_msgs.msg import MoveGoal
 from leap_motion.codec import DeviceEvent, LeapProtocolError, read_message
 from leap_motion.service.server import LeapService, LeapServiceError
-from leap_rig.recording.fingerprint import controller_config, differences, fingerprint, moved_away
+from leap_rig.recording.fingerprint import controller_config, differences, fingerprint, moved_away, started_with
 from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, folder_of, verify
-from leap_rig.recording.ros.record_program import file_hash
 from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
 from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
@@ -287,10 +286,15 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
             "the arm would take short cuts."
         )
     values = parameters("kuka")
-    found = differences(manifest.get("robot"), fingerprint(values, file_hash))
+    started = values.get("running")
+    if started is None:
+        raise RecordingFault("Nothing moves: no controller of the arm has started on this ROS master.")
+    running, files = started_with(values)
+    found = differences(manifest.get("robot"), fingerprint(running, lambda path: files.get(path, "")))
+    found += [f"{path} was changed after the controller read it." for path in files if file_hash(path) != files[path]]
     if found:
         raise RecordingFault("\n".join(["Nothing moves, because this is not the robot of the recording:", *found]))
-    config = controller_config(values)
+    config = controller_config(running)
     fastest = SHARE * getattr(config, "tcp_speed", 0.0)
     if not fastest:
         raise RecordingFault("Nothing moves: straight lines need the real-time controller.")
@@ -302,7 +306,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
         raise RecordingFault(f"{folder} has no goals of a moving arm in this time.")
     rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
     print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
-    if elsewhere := moved_away(manifest["robot"], values):
+    if elsewhere := moved_away(manifest["robot"], running):
         print(elsewhere)
     for rate in sorted({min(SLOWLY, options.rate), min(options.rate, 1.0)}):
         goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest, usual)]
@@ -312,6 +316,8 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
         if not _agrees(f"Is the space around the arm free, and is a hand at the stop? Type {AGREED}: "):
             print("Cancelled; nothing moved.")
             return 1
+        if parameters("kuka").get("running") != started:
+            raise RecordingFault("Nothing moves: another controller was started meanwhile.")
         for number, goal in enumerate(goals, 1):
             result, interrupted = carry_out(goal)
             if interrupted:
