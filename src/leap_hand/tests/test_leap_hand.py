@@ -196,7 +196,7 @@ def test_another_open_hand_in_view_does_not_open_the_robot_hand():
 
 
 def test_in_the_rig_the_robot_hand_follows_the_hand_that_steers_the_arm_alone():
-    play = Player(hand_only=False)
+    play = Player(hand_only=False, fingers_follow="steering")
     play.teleop.switch(True)
     fist, lies = (
         hand_with(20.0, 20.0, 20.0),

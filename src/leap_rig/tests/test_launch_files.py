@@ -238,13 +238,16 @@ def test_one_hand_that_chooses_gets_relative_engagement_for_both_arms_and_any_ha
     values = parameters("robots:=2", "arm_choice:=service")
     for arm in ARMS:
         expected = {"leap/arm_choice": "service", "leap/engagement": "relative", "leap/hold_time": 120.0}
+        expected["leap_hand/fingers_follow"] = "steering"
         assert {key: values[f"/{arm}/{key}"] for key in expected} == expected
     apart = ("robots:=2", "arm_choice:=region", "one_process:=false", "rviz:=false", "gui:=false")
     assert "/arm_choice" in nodes(*apart)
     values = parameters(*apart)
     assert values["/arm_choice/arms"] == list(ARMS)
     assert [values[f"/{arm}/leap_hand_node/hand"] for arm in ARMS] == ["any", "any"]
-    assert all(parameters("robots:=2")[f"/{arm}/leap/arm_choice"] == "none" for arm in ARMS)
+    apart = parameters("robots:=2")
+    assert [apart[f"/{arm}/leap/arm_choice"] for arm in ARMS] == ["none"] * 2
+    assert [apart[f"/{arm}/leap_hand/fingers_follow"] for arm in ARMS] == ["any"] * 2
 
 
 def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():

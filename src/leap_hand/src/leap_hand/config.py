@@ -11,6 +11,7 @@ from common.hand_tracking import ANY, LEFT, RIGHT
 
 FINGERS = ("index", "middle", "thumb", "spread")
 """Order of the angles of the human hand and of the commands of the robot hand."""
+STEERING = "steering"
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,11 @@ class HandConfig:
 
     grip_hold: float = number(
         "s", low=0.0, high=10.0, doc="how long the grip is kept after the operator's hand is lost", absent=0.2
+    )
+    fingers_follow: str = choice(
+        *(ANY, STEERING),
+        doc="who moves the fingers while no hand steers the arm: any hand in view, as in 2019, or none",
+        absent=ANY,
     )
 
     @property

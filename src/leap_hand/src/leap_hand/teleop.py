@@ -1,14 +1,17 @@
 """From tracking frames to commands of the robot hand: whom it follows, flexion, mapping, and when to open.
 
 Arm and robot hand have one owner: the hand that leap_kuka has locked, by id and side (`steered_by`), as long as it goes
-on reporting that. Where no leap_kuka ever reported, the lock is made here, by the same rules without a box
-(common.hand_tracking.HandLock).
+on reporting that. While it reports no such hand, or where no leap_kuka ever reported, any hand in view may move the
+fingers alone, by the same lock without a box (common.hand_tracking.HandLock). With `fingers_follow: steering` and an
+arm none does.
 
-The hand opens when gripper control is off. It opens when its owner is missing, lacks a finger or has invalid numbers,
-or nobody is the owner: but only `grip_hold` after the last good frame, by default as long as the arm waits
-for its hand, or as long as leap_kuka says so: while it keeps the tool for the next relative engagement, a held object
-must not fall. At the next engagement each finger then keeps its command until the operator's finger comes near it.
-Another hand in view changes nothing. Without a usable frame it opens once, after MAX_SILENCE_S.
+The hand opens when gripper control is off. It opens when the hand that it follows is missing, lacks a finger or has
+invalid numbers, or when there is none: but only `grip_hold` after the last good frame, by default as long as the arm
+waits for its hand, or as long as leap_kuka says so: while it keeps the tool for the next relative engagement, a held
+object must not fall. Until it has opened no other hand moves the fingers, and after an engagement none that was in view
+at that time. At an engagement each finger keeps its command until the operator's finger comes near it, if a grip was
+kept or another hand moved the fingers. Another hand in view changes nothing. Without a usable frame it opens once,
+after MAX_SILENCE_S.
 """
 
 from __future__ import annotations
@@ -19,9 +22,10 @@ from enum import Enum
 
 import numpy as np
 
-from common.hand_tracking import ANY, FrameWatch, HandLock, of_side
+from common.hand_reasons import FOLLOWED, IN_VIEW, NO_HAND
+from common.hand_tracking import ANY, FrameWatch, HandLock, of_side, succeeds
 from common.poses import read_only
-from leap_hand.config import FINGERS, HandConfig
+from leap_hand.config import FINGERS, STEERING, HandConfig
 from leap_hand.flexion import flexion, map_angles
 from leap_motion.frames import TrackedHand, TrackingFrame
 
@@ -40,6 +44,11 @@ class GripperState(Enum):
     FOLLOWING = "following"  # the operator's hand
     KEEPING = "keeping"  # its grip, without the operator's hand
     OPEN = "open"
+
+    @property
+    def grips(self) -> bool:
+        """Whether the fingers stand as a hand of the operator moved them."""
+        return self in (GripperState.FOLLOWING, GripperState.KEEPING)
 
 
 @dataclass(frozen=True)
@@ -67,7 +76,7 @@ class HandTeleop:
     """
 
     def __init__(self, config: HandConfig, hand_only: bool, side: str = ANY) -> None:
-        self._side, self._nobody = side, "no hand is seen" if side == ANY else f"no {side} hand is seen"
+        self._side, self._steering_only = side, config.fingers_follow == STEERING
         self._human, self._robot, self._grip_hold = config.human, config.robot, config.grip_hold
         self.open_pose = read_only(self._robot[:, 0])
         self.counts = GripperCounts()
@@ -81,6 +90,9 @@ class HandTeleop:
         self._opened_in_silence = False
         self._state = GripperState.WAITING
         self._followed_at = -math.inf
+        self._followed: tuple[TrackedHand, float] | None = (
+            None  # as it was followed last, and the time of its stamp [s]
+        )
         self._command = self.open_pose  # that was sent last
         self._kept = np.zeros(len(self._robot), dtype=bool)  # fingers that keep it until the operator's come near
 
@@ -88,8 +100,11 @@ class HandTeleop:
         """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does; with
         `keep_grip` the grip is kept without it.
         """
-        self._arm_reports, self._owner, self._reported_at = not self._hand_only, owner, now
-        self._keep_grip = keep_grip and self._arm_reports
+        if self._hand_only:
+            return
+        self._arm_reports, self._owner, self._reported_at, self._keep_grip = True, owner, now, keep_grip
+        if owner is not None or keep_grip:
+            self._lock.end()
 
     def switch(self, gripper_on: bool) -> GripperResult | None:
         """Sets control of the gripper; returns the open pose if this switches it off, else None."""
@@ -106,6 +121,10 @@ class HandTeleop:
         if not arrival.usable:
             return None
         self._opened_in_silence = False
+        if arrival.restarted:
+            self._lock.end()
+            self._lock.forget()
+            self._followed = None
         hand, absence = self._choose(frame, arrival.stamp, now)
         if self._gripper_on is None:
             return GripperResult(GripperState.WAITING, "waiting for kuka/gripper_control", None)
@@ -119,12 +138,13 @@ class HandTeleop:
             angles = flexion(hand.palm, hand.normal, hand.fingers)
         except ValueError as error:
             return self._keep(f"{hand.name} has invalid numbers: {error}", now)
-        self._state, self._followed_at = GripperState.FOLLOWING, now
+        self._kept |= self._state.grips and not self._continues(hand, frame, arrival.stamp)
+        self._state, self._followed_at, self._followed = GripperState.FOLLOWING, now, (hand, arrival.stamp)
         wanted = map_angles(angles, self._human, self._robot)
         self._kept &= np.abs(wanted - self._command) > NEAR * np.abs(np.diff(self._robot)[:, 0])
         self._command = read_only(np.where(self._kept, self._command, wanted))
         kept = ", ".join(finger for finger, keeps in zip(FINGERS, self._kept) if keeps)
-        reason = f"{hand.name} is followed" + (f"; {kept} stay until the operator's come near" if kept else "")
+        reason = FOLLOWED.format(hand=hand.name) + (f"; {kept} stay until the operator's come near" if kept else "")
         return GripperResult(GripperState.FOLLOWING, reason, self._command)
 
     def silence(self, now: float) -> GripperResult | None:
@@ -137,26 +157,47 @@ class HandTeleop:
         return result
 
     def _choose(self, frame: TrackingFrame, stamp: float, now: float) -> tuple[TrackedHand | None, str]:
-        """Returns the owner as this frame shows it, or None and why."""
+        """Returns the hand that moves the fingers as this frame shows it, or None and why."""
         hands = of_side(frame.hands, self._side)
-        if self._arm_reports:
-            if now - self._reported_at > MAX_UNREPORTED_S:
-                return None, "leap_kuka does not report which hand steers the arm"
-            if self._owner is None:
-                return None, "no hand steers the arm; bring one into the interaction box"
-            owner = next((hand for hand in hands if (hand.id, hand.is_left) == self._owner), None)
-            return owner, "the hand that steers the arm is not seen"
-        hand = self._lock.update(hands, stamp)
+        hand, refused = self._lock.update(hands, stamp), self._alone_refused(now)
+        if refused or (self._state.grips and not self._lock.engaged):
+            self._lock.end()
+        if refused:
+            return next((hand for hand in hands if self._steers(hand, now)), None), refused
         if hand is None:
-            return None, self._nobody
+            return None, NO_HAND[self._side]
         if not self._lock.engaged and not self._lock.came_in:
-            return None, f"{hand.name} was in view already; take it away and bring it back"
+            return None, IN_VIEW.format(hand=hand.name)
         self._lock.engage()
         return hand, ""
 
+    def _alone_refused(self, now: float) -> str:
+        """Returns why no hand may move the fingers without steering the arm, or an empty string."""
+        if self._hand_only:
+            return ""
+        if now - self._reported_at > MAX_UNREPORTED_S:
+            silent = self._arm_reports or self._steering_only
+            return "leap_kuka does not report which hand steers the arm" if silent else ""
+        if self._owner is not None:
+            return "the hand that steers the arm is not seen"
+        refused = self._steering_only or self._keep_grip
+        return "no hand steers the arm; bring one into the interaction box" if refused else ""
+
+    def _steers(self, hand: TrackedHand, now: float) -> bool:
+        return (hand.id, hand.is_left) == self._owner and now - self._reported_at <= MAX_UNREPORTED_S
+
+    def _continues(self, hand: TrackedHand, frame: TrackingFrame, stamp: float) -> bool:
+        """Returns whether it is the hand that was followed last, perhaps with a new id."""
+        if self._followed is None:
+            return False
+        before, seen = self._followed
+        key = before.id, before.is_left
+        gone = key not in [(other.id, other.is_left) for other in frame.hands]
+        return key == (hand.id, hand.is_left) or (gone and succeeds(hand, before, stamp - seen))
+
     def _keep(self, reason: str, now: float) -> GripperResult:
         """Keeps the grip for `grip_hold` after the hand was followed, or as leap_kuka says, then opens the hand."""
-        if self._state not in (GripperState.FOLLOWING, GripperState.KEEPING):
+        if not self._state.grips:
             return self._open(reason)
         kept = self._keep_grip and now - self._reported_at <= MAX_UNREPORTED_S
         if not kept and now - self._followed_at >= self._grip_hold:
