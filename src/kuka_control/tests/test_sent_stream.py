@@ -10,9 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loop_world import rig
+from point_speeds import point_speeds
 
-from common.rotations import rotation_angle
-from iiwa_kinematics import arm_points, forward
 from kuka_control.limits.motion_limits import GAP_S, MotionLimits
 from kuka_control.limits.speed_change import ShapeLimits
 from kuka_control.loop import algorithms
@@ -44,18 +43,6 @@ def random_opening(rng):
     """Of the hand; None: not known."""
     opening = Opening(tuple(rng.uniform(0.0, 3.1, 3)), tuple(rng.uniform(0.0, 1.0, 3)), float(rng.uniform(0.0, 1.7)))
     return None if rng.random() < 0.3 else opening
-
-
-def point_speeds(times, goals, carried):
-    """The speeds of elbow, wrist, flange, and what it carries, shape (n, points) [m/s], by the goals' real times."""
-    T = np.array([forward(RIG.model, q) for q in goals])
-    arm = np.array([arm_points(RIG.model, q)[2:] for q in goals])
-    balls = np.array(carried)
-    centres = np.einsum("nij,kj->nki", T[:, :3, :3], balls[:, :3]) + T[:, None, :3, 3]
-    steps = np.linalg.norm(np.diff(np.concatenate([arm, centres], axis=1), axis=0), axis=2)
-    turns = [rotation_angle(a.T @ b) for a, b in zip(T[:-1, :3, :3], T[1:, :3, :3])]
-    steps[:, 3:] += np.outer(turns, balls[:, 3])
-    return steps / np.diff(times)[:, None]
 
 
 def random_target(rng, in_workspace):
@@ -118,7 +105,7 @@ def used(rng, in_workspace):
             worst[name] = max(worst[name], float(np.max(np.abs(level) / limit)))
         positions = np.array([tool(q) for q in goals])
         if len(times) > 1:
-            fastest = float(np.max(point_speeds(times, goals, carried)))
+            fastest = float(np.max(point_speeds(RIG.model, times, goals, carried)))
             worst["arm speed"] = max(worst["arm speed"], fastest / CONFIG.tcp_speed)
         beyond = max(beyond, float(np.max(np.maximum(LOWER - goals, goals - UPPER))))
         if in_workspace:
