@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 import yaml
@@ -123,3 +125,44 @@ def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros,
     assert process.wait(30.0) == 1
     assert words in process.log and "Traceback" not in process.log, process.log
     assert "connected" not in robot.log
+
+
+def set_right(**kuka):
+    import rospy
+
+    rospy.set_param("/right", {"tf_prefix": "right", "kuka": {**rospy.get_param("/left/kuka"), **kuka}})
+
+
+def test_the_controllers_of_two_arms_that_run_place_both_alike(ros, robot):
+    """Or their walls would stand at different places: what a controller started with counts, as long as it runs."""
+    import rospy
+
+    set_params("/left", "left", robot.port)
+    left = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
+    ros.wait_until(lambda: "The arm is at home" in left.log, MOVE_S, "the left arm at home")
+    set_right()
+    rospy.set_param("/arms", {**ARMS, "right": {"position": [0.0, -2.5, 0.0]}})
+    right = ros.run("kuka_control", REAL_TIME, "__ns:=/right")
+    assert right.wait(10.0) == 1
+    assert "arm left runs and was started with other values of arms/" in right.log
+    left.send_signal(signal.SIGKILL)
+    right = ros.run("kuka_control", REAL_TIME, "__ns:=/right")
+    ros.wait_until(lambda: "Connecting to the robot" in right.log, 10.0, "the start of the right arm")
+
+
+def test_the_workspace_that_a_running_controller_keeps_counts_and_not_what_is_set_since(ros, robot):
+    import rospy
+
+    set_params("/left", "left", robot.port)
+    rospy.set_param("/arms", {**ARMS, "right": {"position": [0.8, 0.3, 0.0]}})
+    rospy.set_param("/left/kuka/opening_angle", 10.0)
+    left = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
+    ros.wait_until(lambda: "Connecting to the robot" in left.log, 10.0, "the start of the left arm")
+    rospy.set_param("/left/kuka/opening_angle", 50.0)
+    set_right()
+    right = ros.run("kuka_control", REAL_TIME, "__ns:=/right")
+    ros.wait_until(lambda: "Connecting to the robot" in right.log, 10.0, "the start of the right arm")
+    left.send_signal(signal.SIGKILL)
+    right.send_signal(signal.SIGKILL)
+    right = ros.run("kuka_control", REAL_TIME, "__ns:=/right")
+    assert right.wait(10.0) == 1 and "The workspaces of the arms" in right.log

@@ -59,9 +59,9 @@ def test_what_a_controller_says_it_started_with_is_its_configuration(kuka, tmp_p
     calibrated = tmp_path / "arm.yaml"
     calibrated.write_text("robot: LBR7R800")
     for schema, values in ((RealTimeConfig, kuka), (RealTimeConfig, {**kuka, "dh_parameters": str(calibrated)})):
-        said = running(parse(schema, values, "kuka/"))
+        said = running(parse(schema, values, "kuka/"), None, None)
         started, files = started_with({**kuka, "tcp_speed": 0.1, "running": said})
-        assert not differences(fingerprint(values, lambda path: files[path]), fingerprint(started, lambda _: files[_]))
+        assert not differences(*[fingerprint(each, files.__getitem__) for each in (values, started)])
         assert xmlrpc.client.loads(xmlrpc.client.dumps((said,)))[0][0] == said
     assert list(files) == [str(calibrated)] and len(files[str(calibrated)]) == 64
     assert started_with(kuka) == (kuka, {})

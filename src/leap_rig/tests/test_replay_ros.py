@@ -190,7 +190,7 @@ def test_what_the_controller_started_with_counts_and_not_what_is_set_since(ros, 
     started = {**values, "tcp_speed": 0.3, "guard_obstacles": str(obstacles)}
     rospy.set_param("kuka", {**values, "guard_obstacles": str(obstacles)})
     rospy.set_param(
-        "kuka/running", {"parameters": started, "files": {str(obstacles): file_hash(obstacles)}, "started": 1.0}
+        "kuka/running", {"parameters": started, "files": {"guard_obstacles": file_hash(obstacles)}, "started": 1.0}
     )
     recorded = fingerprint(rospy.get_param("kuka"), file_hash)
     folder = write_recording(tmp_path / "run", [], name="run", robot=recorded)

@@ -18,12 +18,7 @@ from common.mounting import ToolConfig, mounting_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
 
-UPLOADED = (
-    "ws_center",
-    "joints_home",
-    "rotation_home",
-    "running",
-)  # keys under `kuka/` that the controller itself writes
+UPLOADED = ("ws_center", "joints_home", "rotation_home", "running")  # keys under `kuka/` that a controller writes
 MAX_LENGTH_MM = 5.0  # a larger deviation is a wrong measurement, or the file has another unit or convention
 MAX_ANGLE_DEG = 1.0  # likewise
 OPTIONS = ("robot", "flange", "ip", "port", "tool_length")  # keys that may be given as options too

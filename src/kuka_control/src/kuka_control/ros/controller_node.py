@@ -21,6 +21,7 @@ from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
 from common.ros.params import arm_frames, wait_for_config
+from common.ros.service_calls import ask_master
 from common.rotations import quaternion_from_rotation
 from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
@@ -170,14 +171,16 @@ def _run(
             raise ConfigError([LIFT_REFUSED.format(ip=config.ip)])
         rospy.logwarn(LIFTED)
     rig = Rig.of(config, dh_deviations(config), guard_obstacles(config), options.lift_workspace)
-    placed = placed_beside_others(config, frames, PARAMETERS_S)
+    arms = rospy.search_param("arms")
+    uri = ask_master("lookupNode", rospy.get_name())
+    rospy.set_param("kuka/running", running(config, None if arms is None else rospy.get_param(arms), uri))
+    placed = None if arms is None else placed_beside_others(config, frames, arms, PARAMETERS_S)
     if placed is not None:
         if options.lift_workspace:
             raise ConfigError([LIFT_BESIDE])
         rig = replace(rig, obstacles=(*(rig.obstacles or ()), *placed.walls))
     link = RobotLink(config, rig)
     try:
-        rospy.set_param("kuka/running", running(config))
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there

@@ -73,17 +73,16 @@ def shipped(name: str) -> Path:
     return Path(rospkg.RosPack().get_path("kuka_control")) / "config" / name
 
 
-FILES = ("dh_parameters", "guard_obstacles")  # parameters that name a file which a controller reads at its start
+def running(config: ControllerConfig, arms: object, uri: str | None) -> dict:
+    """Returns what a controller writes under kuka/running at its start, since what is set later does not count for it.
 
-
-def running(config: ControllerConfig) -> dict:
-    """Returns what a controller puts under kuka/running at its start, as later changes on the parameter server have no
-    effect on it: its `parameters`, what its `files` held by their names, and when it `started` [s].
+    These are its `parameters`, the hashes of its `files` by the parameters that name them, the parameter `arms`, its
+    `uri`, and when it `started` [s].
     """
     values = {field.name: getattr(config, field.name) for field in fields(config)}
     plain = {key: np.asarray(value).tolist() if not isinstance(value, str) else value for key, value in values.items()}
-    names = [plain[key] for key in FILES if plain[key]]
-    return {"parameters": plain, "files": {name: file_hash(name) for name in names}, "started": clock.time()}
+    files = {key: file_hash(plain[key]) for key in ("dh_parameters", "guard_obstacles") if plain[key]}
+    return {"parameters": plain, "files": files, "arms": arms or "", "uri": uri or "", "started": clock.time()}
 
 
 def guard_obstacles(config: ControllerConfig) -> tuple[ConvexBody, ...] | None:

@@ -48,9 +48,10 @@ def started_with(kuka: Mapping[str, Any]) -> tuple[object, Mapping[str, str]]:
     its files then by their names; without a controller what is set, and none.
     """
     started = kuka.get("running")
-    if not isinstance(started, Mapping) or not isinstance(started.get("files"), Mapping):
+    if not isinstance(started, Mapping):
         return kuka, {}
-    return started.get("parameters"), started["files"]
+    values, files = started.get("parameters"), started.get("files") or {}
+    return values, {str(values[key]): known for key, known in files.items()} if isinstance(values, Mapping) else {}
 
 
 def differences(recorded: object, here: Mapping[str, Mapping[str, Any]]) -> list[str]:
