@@ -126,7 +126,7 @@ class RealTimeConfig(ControllerConfig):
     )
     shaping: str = choice("ruckig", "none", doc="whether the stream keeps the limits, or each target is a goal")
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, fraction of the data sheet's speeds")
-    tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of the stream; at 0.8 the robot stops the arm")
+    tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of all points of the arm; stopped at 0.8")
     joint_acceleration: float = number("rad/s^2", low=1.0, high=16.0, doc="limit of the stream, slowest joint")
     joint_jerk: float = number("rad/s^3", low=20.0, high=2000.0, doc="limit of the stream, slowest joint")
 
