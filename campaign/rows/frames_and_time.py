@@ -302,21 +302,13 @@ def skew(trial):
     trial.check("the controller stays at home", rig.mode == "home", rig.mode)
     rig.control(False)
     trial.operator()
-    path, ahead = swaying(T_home, SWAY, 3.0), [-5.0]
+    path = swaying(T_home, SWAY, 3.0)
     rig.watch(1.0)  # the frames so far are another stream
-    with FrameStream(lambda t: [Frame(path(t), ahead=ahead[0])], silent=True) as stream:
-        follow_frames(trial, stream)
-        reported = [text for _, who, text in list(rig.said) if who == "rosout" and "s behind this machine's" in text]
-        trial.check(
-            "the offset of a clock that differs is said",
-            any("The clock of" in text for text in reported),
-            str(reported),
-        )
-        ahead[0] = -8.0
-        rig.wait(lambda: rig.mode not in ("pick_up", "servo"), "the end of servo mode when that clock is set", 5.0)
-        rig.wait_for_mode("home")
-        rig.watch(2.0)
-        trial.check("frames whose clock was set are not followed again", rig.mode == "home", rig.mode)
+    assert rig.control(True).success
+    with FrameStream(lambda t: [Frame(path(t), ahead=-1.0)]):  # a backlog, as of a queue that is never empty
+        rig.watch(5.0)
+        trial.check("frames that are steadily late are not followed", rig.mode == "home", rig.mode)
+        trial.check("that they are late is said", "runs on this machine" in rig.status.reason, rig.status.reason)
     rig.control(False)
     rig.watch(1.5)  # so long this program counts as a second publisher
     trial.follow()
