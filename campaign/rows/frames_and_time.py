@@ -1,4 +1,4 @@
-"""Rows 22 to 32: orientations, the tf chain to the desired tool frame, stamps and clocks."""
+"""Rows 22 to 32, 82 and 83: orientations, the tf chain to the desired tool frame, stamps and clocks."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from campaign.hostile import MOUNT, Frame, FrameStream, about, swaying, turning
 from campaign.judge import Limits
 from campaign.rig import CONTROLLER, DRIVER, TELEOP
 from campaign.trial import SHIFTED, SIMULATED, row
+from common import clock
 from common.frames import BASE, FLANGE_MEASURED
 from common.poses import inverse, pose, translation
 from common.ros.conversions import pose_from_transform, stamped_pose
@@ -384,3 +385,56 @@ def no_clock(trial):
         rig.start(node)
     rig.wait(lambda: rig.mode == "home", "the controller at home", 40.0)
     trial.follow()
+
+
+def pick_ups(rig):
+    """Returns how often the arm went somewhere since `rig.modes` was cleared, and how often home."""
+    return rig.modes.count("pick_up"), rig.modes.count("returning")
+
+
+@row(82, "Frames slower than the time-out, or interrupted", "R", within=1.0,
+     named_by="comes only every 0.25 s, but time_out is 0.2 s",
+     dangerous="the arm would go there and back for ever, by motions that the PC cannot stop")  # fmt: skip
+def slow_frames(trial):
+    rig, T = trial.rig, translation(0.0, 0.0, 0.05) @ trial.rig.arm.now.T_base_tool
+    assert rig.control(True).success
+    trial.begins()
+    with FrameStream(lambda t: [Frame(T)], rate=4.0):
+        rig.modes.clear()
+        rig.watch(6.0)
+        trial.check("four frames a second move nothing", rig.mode == "home" and not rig.modes, str(rig.modes))
+    trial.ends()
+    with FrameStream(lambda t: [Frame(T)] if t % 1.0 < 0.4 else []):
+        rig.modes.clear()
+        rig.watch(10.0)
+        went, returned = pick_ups(rig)
+        trial.check("bursts are followed once in 10 s", 1 <= went <= 2 and returned <= 2, str(rig.modes))
+        trial.says("asked for only after 10 s: it waits")
+
+
+@row(83, "Frames come already when control goes on", "", dangerous="the arm moves as soon as control is switched on")
+def early_frames(trial):
+    rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
+    far, near = (translation(0.0, 0.0, z) @ T_home for z in (-0.35, 0.1))
+    place = [far]
+    with FrameStream(lambda t: [Frame(place[0])]) as stream:
+        rig.watch(1.0)
+        answer = rig.control(True)
+        trial.check("the answer says that far ones are not followed", "350 mm" in answer.message, answer.message)
+        rig.watch(2.0)
+        trial.check("far ones are not", rig.mode == "home", rig.mode)
+        place[0] = near
+        rig.watch(2.0)
+        trial.check("nor when they come nearer by themselves", rig.mode == "home", rig.mode)
+        rig.control(False)
+        rig.watch(1.0)
+        answer, begun = rig.control(True), clock.monotonic()
+        trial.check("the answer says that near ones are", "goes there slowly" in answer.message, answer.message)
+        trial.begins()
+        rig.wait_for_mode("pick_up")
+        trial.check("after it was announced", clock.monotonic() - begun > 0.9, f"{clock.monotonic() - begun:.2f} s")
+        rig.wait_for_mode("servo")
+        trial.check("slowly", rig.arm.now.tool_speed < 0.2, f"{rig.arm.now.tool_speed:.2f} m/s")
+        trial.ends()
+        stream.silent = True
+        rig.wait_for_mode("home")
