@@ -262,13 +262,29 @@ def test_a_motion_that_a_safety_stop_holds_is_said_and_continues_to_its_end_when
     node = start(**SLOW)
     node.wait_for_mode("homing")
     clock.sleep(1.0)
-    robot.ask("set_external_torque", value=[0, 30, 0, 0, 0, 0, 0])
+    robot.ask("fault", name="emergency_stop")
     ros.wait_until(lambda: "does not continue" in node.log, 10.0, "the sentence")
-    robot.ask("set_external_torque", value=[0] * 7)
+    robot.ask("fault", name="emergency_stop", on=False)
+    clock.sleep(0.1)
     robot.ask("release")
     node.wait_for_mode("stopped")
     assert node.control(True).success
     node.wait_for_mode("home")
+
+
+def test_a_motion_that_something_pushes_on_ends_there_and_both_services_say_what_follows(ros, robot, start):
+    node = start(**SLOW)
+    node.wait_for_mode("homing")
+    clock.sleep(1.0)
+    robot.ask("set_external_torque", value=[20, 0, 0, 0, 0, 0, 0])
+    node.wait_for_mode("stopped")
+    assert "joint 1 bears 20.0 Nm from outside" in node.log
+    there = robot.joints
+    clock.sleep(3.0)
+    np.testing.assert_array_equal(robot.joints, there)
+    assert "it touched something on its way" in node.call("exit_app", "exitApp").message
+    assert node.wait_for_end() == 1
+    np.testing.assert_array_equal(robot.joints, there)
 
 
 def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controller(ros, robot, start):
