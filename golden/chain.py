@@ -274,7 +274,7 @@ class PureChain:
     def __init__(self, world: World) -> None:
         self._world = world
         self._arm = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
-        self._hand, self._force_limit = HandTeleop(world.hand, False), ForceLimit(world.hand)
+        self._hand, self._force_limit = HandTeleop(world.hand, False, world.leap.hand), ForceLimit(world.hand)
         self._loop = algorithms.real_time_loop(world.config, world.rig)
         self._controller = Controller(world.arm, self._loop)
         self._newest: DesiredFrame | None = None

@@ -96,7 +96,8 @@ class NodeChain:
         from leap_motion.ros.tracking import subscribe
 
         self.begin("leap_hand_node")
-        self.hand = HandTeleopNode(HandTeleop(self.world.hand, False), ForceLimit(self.world.hand))
+        teleop = HandTeleop(self.world.hand, False, self.world.leap.hand)
+        self.hand = HandTeleopNode(teleop, ForceLimit(self.world.hand))
         self.first = self.hand._result
         self.hand._state_received.set()
         self.hand.run(subscribe)
