@@ -35,6 +35,17 @@ def arm(schema=RealTimeConfig, held=False, **changes):
     return config, replace(found, obstacles=(BOX,)) if held else found
 
 
+def test_the_flange_carries_the_tool_the_finger_tips_and_what_is_held():
+    _, found = arm(held=True)
+    tool, *tips, box = found.carried(UP)
+    assert tool == (0.0, 0.0, 0.106, 0.0)
+    np.testing.assert_allclose([tip[2] for tip in tips], 0.1076 + 0.066 + 0.038, atol=5e-3)  # knuckle, two phalanges
+    np.testing.assert_allclose(box, (0.0, 0.0, 0.4 - found.model.wrist_flange, np.hypot(0.15, 0.05 * 2**0.5)))
+    for opening in (FLAT, UP, FOLDED):
+        for (*tip, radius), (*knuckle, reach) in zip(found.carried(opening)[1:4], found.carried(None)[1:4]):
+            assert 0.1 < np.linalg.norm(np.subtract(tip, knuckle)) + radius <= reach + 1e-3
+
+
 @arms
 @settings(max_examples=20)
 @given(seed=seeds)
