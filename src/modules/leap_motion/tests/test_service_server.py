@@ -1,11 +1,13 @@
 """The shared server: offers from any thread, clients that misbehave, other machines."""
 
+import asyncio
 import contextlib
 import errno
 import json
 import os
 import random
 import re
+import socket
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -93,10 +95,14 @@ def test_a_service_and_its_client_meet_on_a_real_socket():
     while got is None:  # until its policies are there
         service.offer(wire.frame([], 30.0).text(7, 7000))
         got = client.next_frame(0.1)
-    assert got.frame.id == 7 and client.status.serial == "LP00000000001"
+    status = client.status
+    its_socket = service._clients[0].connection.transport.get_extra_info("socket")
+    at_once = its_socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     client.close()
     service.stop()
     thread.join()
+    assert got.frame.id == 7 and status.serial == "LP00000000001"
+    assert at_once, "small frames do not wait for one another"
 
 
 def test_at_its_end_a_client_that_says_nothing_more_delays_it_for_half_a_second(start, wires):
@@ -287,7 +293,14 @@ class TestOtherMachines:
         clock.sleep(OPEN_TIMEOUT_S - 20 * SOON_S)
         assert all(each.readable_at() > clock.monotonic() for each in still)
         clock.sleep(20 * SOON_S)
-        assert all(each.recv(1) == b"" for each in still)
+        assert all(each.readable_at() <= clock.monotonic() and each.recv(1) == b"" for each in still)
+
+    def test_one_that_is_being_opened_ends_with_the_service(self):
+        half = self.connect()
+        clock.sleep(SOON_S)
+        self.service.stop()
+        clock.sleep(1.0)
+        assert half.recv(1) == b"" and not asyncio.all_tasks(self.service._loop)
 
     def test_all_together_do_not_keep_this_machine_out(self):
         for machine in range(10, 30):

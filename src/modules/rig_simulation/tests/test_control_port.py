@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import socket
 import threading
 
@@ -52,6 +54,21 @@ def talk(wires):
             return [json.loads(replies.readline()) for _ in range(lines)] if lines > 0 else replies.read().splitlines()
 
     return talk
+
+
+def test_the_port_comes_back_after_the_system_had_no_descriptor(port, client, monkeypatch):
+    def refuse(_):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    other = ControlClient(port.host, port.port)
+    clock.sleep(DELAY_S)
+    with monkeypatch.context() as patch:
+        patch.setattr("simulated.wires.Socket.accept", refuse)
+        client.ask("state")  # whose connection it waited for before
+        with pytest.raises(DeviceError):
+            other.ask("state")
+    clock.sleep(control_port.RETRY_S)
+    assert other.ask("state") == {"joints": [0.5, -1.0]}
 
 
 def test_the_answer_is_what_the_handler_returns_at_once(client):

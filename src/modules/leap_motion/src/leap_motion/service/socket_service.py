@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
 import socket
 import ssl
@@ -23,6 +24,7 @@ OPEN_TIMEOUT_S = 5.0  # for the handshakes of TLS and WebSocket together
 CLOSE_TIMEOUT_S = 0.5
 GONE_S = 10.0  # what could not be sent within this time after the end of a connection is dropped
 PING_S = 10.0  # another machine that answers no ping is gone
+MAX_REFUSED = 100  # connections that are closed before others have their turn
 MAX_CONNECTIONS, MAX_OF_ADDRESS = 48, 12
 
 
@@ -137,13 +139,15 @@ class BoundedListener:
         self._listener, self._limits = listener, limits
 
     def accept(self) -> tuple[CountedSocket, Any]:
-        """As of a socket."""
-        accepted, address = self._listener.accept()
-        if not self._limits.enter(address[0]):
+        """As of a socket that does not block."""
+        for _ in range(MAX_REFUSED):
+            accepted, address = self._listener.accept()
+            if self._limits.enter(address[0]):
+                # asyncio leaves it out for a listener of create_server
+                accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
+                return CountedSocket(accepted, functools.partial(self._limits.leave, address[0])), address
             accepted.close()
-            raise ConnectionAbortedError("too many connections")  # which asyncio takes for a client that went away
-        accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)  # asyncio leaves it out for such a listener
-        return CountedSocket(accepted, lambda: self._limits.leave(address[0])), address
+        raise ConnectionAbortedError("too many connections")  # which asyncio takes for a client that went away
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._listener, name)
