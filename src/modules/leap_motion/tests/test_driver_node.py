@@ -205,6 +205,8 @@ def test_a_registration_is_used_or_refused_by_the_serial(registered, plugged, le
     [
         ("_port:=0", "~port is 0, but must be"),
         ("_prot:=6437", "~prot is not a known key"),
+        ("_host:=10.0.0.5", "set trust_network"),
+        ("_code:=secret77", "fingerprint is not"),
         ("_registration:=nobodys_desk", "nobodys_desk.yaml cannot be read"),
         ("_registration:=../desk", "The tracker's name is '../desk'"),
     ],

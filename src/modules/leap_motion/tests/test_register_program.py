@@ -147,6 +147,7 @@ def test_a_running_rig_is_not_steered_by_the_hand_that_is_shown(ros, capsys):
         (["desk", "--points", "line.yaml"], "on one line"),
         (["desk", "--height", "nan"], "--height is nan mm"),
         (["desk", "--height", "0.2"], "--height is 0.2 mm, but must be between 20 and 600 mm"),
+        (["desk", "--host", "10.0.0.5"], "set trust_network"),
         (["desk"], "No Leap service answers"),
     ],
 )

@@ -49,15 +49,30 @@ def test_what_roslaunch_adds_is_left_out():
     assert webcam_program.parse(["__name:=leapd", "--tilt", "-20"]).tilt == -20.0
 
 
-@pytest.mark.parametrize(("options", "code"), [([], ""), (["--host", "0.0.0.0", "--code", "secret7"], "secret7")])
-def test_other_machines_are_served_with_the_code_that_is_given(monkeypatch, capsys, options, code):
+@pytest.mark.parametrize(
+    ("options", "given"),
+    [([], "code '', own None"), (["--host", "0.0.0.0", "--code", "secret77"], "code 'secret77', own 'tracker'")],
+)
+def test_other_machines_are_served_with_the_code_that_is_given(monkeypatch, capsys, options, given):
     def service(*_, **given):
-        raise LeapServiceError(f"the code is {given['code']!r}")
+        raise LeapServiceError(f"code {given['code']!r}, own {given['certificate']!r}")
 
     monkeypatch.setattr(webcam_program, "HandDetector", lambda *_: None)
+    monkeypatch.setattr(webcam_program, "own_certificate", lambda folder: folder.name)
     monkeypatch.setattr(webcam_program, "LeapService", service)
     assert webcam_program.main(["--headless", *options]) == 1
-    assert f"the code is {code!r}" in capsys.readouterr().err
+    assert given in capsys.readouterr().err
+
+
+def test_other_machines_are_told_how_to_reach_it(monkeypatch, capsys):
+    own = SimpleNamespace(fingerprint=lambda: 64 * "f")
+    served = SimpleNamespace(host="127.0.0.1", port=6437, secure_port=6436, run=lambda: None, stop=lambda: None)
+    monkeypatch.setattr(webcam_program, "HandDetector", lambda *_: None)
+    monkeypatch.setattr(webcam_program, "own_certificate", lambda _: own)
+    monkeypatch.setattr(webcam_program, "LeapService", lambda *_, **__: served)
+    tracker = webcam_program.WebcamTracker(webcam_program.parse(["--host", "0.0.0.0", "--code", "secret77"]))
+    assert f"leap_port:=6436 leap_fingerprint:={64 * 'f'}" in tracker.invitation
+    assert "secret77" not in tracker.invitation
 
 
 def test_without_a_screen_the_program_ends_in_a_sentence(monkeypatch, capsys):
