@@ -459,6 +459,10 @@ def test_a_pedal_is_read_unplugged_and_plugged_in_again(ros, pedal):
     assert newest() == (False, True, "pedal")
     assert rospy.ServiceProxy("leap_kuka/set_clutch", SetBool)(False).success
     becomes((False, False, ""), debounced)
+    refused = rospy.ServiceProxy("leap_kuka/set_enable", SetBool)(True)
+    assert not refused.success and "needs the pedal" in refused.message
+    clock.sleep(0.2)
+    assert newest() == (False, False, "")
     assert len({message.header.stamp for message in inputs}) == len(inputs)
     pedal.process.send_signal(signal.SIGINT)
     assert pedal.process.wait(1.0) == 0

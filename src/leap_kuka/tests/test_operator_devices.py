@@ -121,9 +121,36 @@ def test_the_service_releases_no_pedal_that_is_pressed():
     assert operator.state(7.0)[1], "a repetition tells that it is down"
 
 
+@pytest.mark.parametrize(
+    ("config", "named"),
+    [
+        ({}, "pedal"),
+        ({**JOY, "device": "", "enable_key": "", "clutch_key": ""}, "gamepad"),
+        (JOY, "pedal or the gamep"),
+    ],
+)
+@given(
+    st.lists(st.tuples(st.sampled_from(["press", "release", "lost", True, False]), st.floats(0.0, 0.05)), max_size=30)
+)
+def test_the_service_never_enables_where_a_device_does(config, named, steps):
+    operator, now, down = made(**config), 1.0, False
+    for what, pause in steps:
+        now += pause
+        if isinstance(what, bool):
+            said = operator.request(ENABLE, what, now)
+            assert (f"needs the {named}" in said) if what else not said
+        elif what == "lost":
+            operator.device.lost(now)
+            down = False
+        elif not config.get("joy_enable_button"):
+            down = what == "press"
+            operator.device.read(events((F13, int(down))), now)
+        assert operator.state(now)[0] <= down
+
+
 def test_any_source_counts_and_the_service_clears_the_clutch():
-    operator = made()
-    operator.request(ENABLE, True, 1.0)
+    operator = made(enable_key="")
+    assert not operator.request(ENABLE, True, 1.0)
     operator.device.read(events((B, 1)), 2.0)
     assert operator.state(3.0) == (True, True, "service and pedal")
     operator.device.lost(3.0)

@@ -6,7 +6,8 @@ that side: it has released enabling and pressed its clutch, if it has a key or b
 is down at the start enables only after a release, and the clutch stays pressed until it was pressed and released once,
 or cleared by the service.
 
-Any of the sources enables or clutches. Times are seconds of a monotonic clock.
+Any of the sources enables or clutches, but the service enables only where no device is there to do it: a program cannot
+stand in for a foot. Times are seconds of a monotonic clock.
 """
 
 from __future__ import annotations
@@ -181,13 +182,20 @@ class OperatorInput:
         self.gamepad = Gamepad({name: i for name, i in numbers.items() if i >= 0}, config.debounce)
         self.service = ButtonSource("service", 0.0)
         self._sources: tuple[ButtonSource, ...] = self.device, self.gamepad, self.service
+        configured = ((self.device, keys[ENABLE] is not None), (self.gamepad, numbers[ENABLE] >= 0))
+        self._enabling = " or the ".join(source.name for source, enables in configured if enables)
 
-    def request(self, name: str, on: bool, now: float) -> None:
-        """Sets a switch by the service; releasing the clutch also releases that of devices that were not there."""
+    def request(self, name: str, on: bool, now: float) -> str:
+        """Sets a switch by the service; returns why not, in a sentence, or nothing. Releasing the clutch also releases
+        that of devices that were not there.
+        """
+        if name == ENABLE and on and self._enabling:
+            return f"Enabling needs the {self._enabling}: the service enables only where none is configured."
         self.service.buttons[name].set(on, now)
         if name == CLUTCH and not on:
             for source in self._sources:
                 source.clear(now)
+        return ""
 
     def state(self, now: float) -> tuple[bool, bool, str]:
         """Returns whether any source enables, whether any clutches, and the names of those that do."""

@@ -110,8 +110,10 @@ class OperatorInputNode:
 
     def _on_request(self, name: str, request: SetBoolRequest) -> tuple[bool, str]:
         with self._lock:
-            self._input.request(name, request.data, clock.monotonic())
+            fault = self._input.request(name, request.data, clock.monotonic())
         self._publish()
+        if fault:
+            return False, fault
         what = {ENABLE: "Enabling", CLUTCH: "The clutch"}[name]
         return True, f"{what} is {'pressed' if request.data else 'released'} by the service."
 
