@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from common.poses import pose
 from leap_kuka.teleop import ArmTeleop, StreamState
 from leap_motion.frames import TrackingFrame
@@ -11,22 +9,25 @@ from leap_motion.frames import TrackingFrame
 BOX_HEIGHT = 0.35
 HOLD_S = 2.0
 TIME_OUT_S, ARRIVES_S = 0.2, 0.5  # of the arm's controller
-CENTRE = np.array([0.42, -0.42, 0.4])
 
 
 class Rig:
     """A teleoperation, the arm that follows it, and the operator's device, at 100 Hz."""
 
-    def __init__(self, leap, arm, T_home, scale=1.0, **changes):
+    def __init__(self, leap, arm, sample, T_home, scale=1.0, **changes):
         chosen = {"engagement": "relative", "hold_time": HOLD_S, "clutch": "device", "enabling": "device", **changes}
         self.T_home, self.T_arm, self.scale = T_home, T_home, scale
-        self.teleop = ArmTeleop(leap(**chosen), arm(), measured_tool=self._measured)
+        self.centre = T_home[:3, 3].copy()
+        placement = arm(ws_center=self.centre, z_lower_limit=T_home[2, 3] - 0.2)
+        self.teleop = ArmTeleop(leap(**chosen), placement, measured_tool=self._measured)
         self.mode, self.control_on, self.silent = "home", True, 1.0
         self.pressed, self.clutched, self.device_there, self.held = True, False, True, False
         self.number, self.now = 0, 50.0
         self.results = []
         self.teleop.control(False, self.mode, self.scale, self.now)
         self.device(enabled=False)
+        self.step()
+        self.steps(3, sample(position=(0.3, BOX_HEIGHT, 0.0)))  # the hand comes in while control is on
         self.step()
 
     def _measured(self):
@@ -53,7 +54,7 @@ class Rig:
     def _follow(self, result, dt):
         if result.T_virtual_tool is not None and self.control_on and self.mode in ("home", "servo"):
             T = result.T_base_virtual @ result.T_virtual_tool
-            self.T_arm = pose(T[:3, :3], CENTRE + self.scale * (T[:3, 3] - CENTRE))
+            self.T_arm = pose(T[:3, :3], self.centre + self.scale * (T[:3, 3] - self.centre))
             self.mode, self.silent = "servo", 0.0
             return
         self.silent += dt

@@ -91,10 +91,12 @@ def test_a_choice_needs_arms_that_can_hold(leap, changes):
 class TwoArms:
     """Two teleoperations over one tracker, each with its arm; the choice is handed to both."""
 
-    def __init__(self, leap, arm, how="service"):
+    def __init__(self, leap, arm, sample, how="service"):
         self.choice = ArmChoice(how, BOXES)
         switches = {"clutch": "none", "enabling": "none", "arm_choice": how, "hold_time": 5.0}
-        self.rigs = {side: Rig(leap, arm, T_HOME, hand=side, box_offset=x, **switches) for side, x in BOXES.items()}
+        self.rigs = {
+            side: Rig(leap, arm, sample, T_HOME, hand=side, box_offset=x, **switches) for side, x in BOXES.items()
+        }
         self.tell()
 
     def tell(self):
@@ -118,8 +120,8 @@ class TwoArms:
 
 
 @pytest.fixture
-def two(leap, arm):
-    return lambda how="service": TwoArms(leap, arm, how)
+def two(leap, arm, sample):
+    return lambda how="service": TwoArms(leap, arm, sample, how)
 
 
 def test_one_hand_steers_the_chosen_arm_and_the_other_holds_its_tool(two, sample):
@@ -179,7 +181,7 @@ def test_by_region_the_hand_takes_the_arm_of_the_side_that_it_comes_to(two, samp
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["left", "right"]), st.floats(-0.3, 0.3), st.floats(0.3, 0.4)), max_size=6))
 def test_whatever_is_chosen_at_most_that_arm_moves_and_no_tool_jumps(leap, arm, sample, plan):
-    play, at = TwoArms(leap, arm), (0.16, 0.35)
+    play, at = TwoArms(leap, arm, sample), (0.16, 0.35)
     play.choose("right")
     play.steps(15, sample(position=(*at, 0.0)))
     for chosen, x, y in plan:

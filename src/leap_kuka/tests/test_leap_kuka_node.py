@@ -266,7 +266,9 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
     ):
         answer = hold(bad, 30.0)
         assert not answer.success and words in answer.message
-    tracker.show(hand(yaw=30.0, position=(0.05, 0.3, 0.02)))
+    for x in (0.3, None, 0.05):  # it comes in
+        tracker.show(*([] if x is None else [hand(yaw=30.0, position=(x, 0.3, 0.02))]))
+        clock.sleep(0.1 if x == 0.3 else 0.05)
     ros.wait_until(lambda: is_held("taken"), 2.0, "the hand that takes over", poll=0.001)
     np.testing.assert_allclose(desired(), T, atol=1e-6)
     tracker.show()
@@ -479,7 +481,7 @@ def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, t
     from rig_msgs.msg import KukaStatus, TeleopState
 
     states = ros.record("leap_kuka/state", TeleopState)
-    T_home = pose(np.diag([-1.0, 1.0, -1.0]), (0.55, 0.1, 0.35))
+    T_home = pose(np.diag([-1.0, 1.0, -1.0]), (0.52, 0.01, 0.39))
     flange = T_home @ inverse(pose(p=(0.0, 0.0, 0.106)))
     broadcast = rospy.Publisher("/tf", TFMessage, queue_size=10)
     status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)

@@ -102,7 +102,9 @@ def test_a_held_tool_is_taken_over_where_it_is_and_the_leap_stays_upright(
     frames.step()
     teleop.control(False)
     teleop.control(True)
-    T_held = pose(rotation_about(2, turn) @ rotation_from_quaternion(q_home), (0.4, 0.1, 0.35))
+    frames.steps(3, sample(yaw=yaw, position=(0.3, 0.35, 0.0)))
+    frames.step()
+    T_held = pose(rotation_about(2, turn) @ rotation_from_quaternion(q_home), (0.4 * line[0], 0.4 * line[1], 0.35))
     answer = teleop.hold(T_held, 100.0, frames.now)
     assert answer.success, answer.sentence
     results = frames.steps(12, sample(yaw=yaw))

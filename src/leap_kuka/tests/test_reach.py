@@ -10,6 +10,7 @@ from common import clock
 from common.poses import pose
 from common.rotations import rotation_about
 from leap_kuka.ros import reach
+from leap_kuka.scaling import Scaling
 
 pytestmark = pytest.mark.ros
 
@@ -25,7 +26,7 @@ def ros(virtual_graph):
 
 @pytest.fixture
 def check(ros):
-    return reach.ReachCheck(np.zeros(3))
+    return reach.ReachCheck(Scaling(np.zeros(3)))
 
 
 @pytest.fixture

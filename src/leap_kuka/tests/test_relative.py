@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from relative_rig import BOX_HEIGHT, CENTRE, HOLD_S, Rig
+from relative_rig import BOX_HEIGHT, HOLD_S, Rig
 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
@@ -27,14 +27,12 @@ home = st.builds(
 
 
 @pytest.fixture(scope="session")
-def rig(leap, arm):
+def rig(leap, arm, sample):
     """Makes a Rig; by default the arm is at home with a tool that points down."""
-    return lambda T_home=None, scale=1.0, **changes: Rig(
-        leap, arm, pose(np.diag([-1.0, 1.0, -1.0]), (0.5, -0.3, 0.45)) if T_home is None else T_home, scale, **changes
-    )
+    T = pose(np.diag([-1.0, 1.0, -1.0]), (0.5, -0.3, 0.45))
+    return lambda T_home=T, scale=1.0, **changes: Rig(leap, arm, sample, T_home, scale, **changes)
 
 
-@settings(max_examples=40)
 @given(home, scale, st.floats(-180.0, 180.0), level, level, offset, offset)
 def test_the_tool_does_not_move_when_a_hand_engages(rig, sample, T_home, scale, yaw, pitch, roll, x, z):
     """Whatever the tool's pose, the hand's and the scaling factor; and it stays while the hand does."""
@@ -178,16 +176,48 @@ def test_the_hold_does_not_end_while_the_operator_stops_the_tool(rig, sample, st
 
 
 @pytest.mark.parametrize("behind, mode", [(0.1, "servo"), (0.02, "servo"), (0.1, "pick_up")])
-def test_a_tool_that_is_far_behind_is_kept_where_it_is(rig, sample, behind, mode):
+def test_a_tool_that_is_far_behind_is_kept_where_the_arm_stops(rig, sample, behind, mode):
+    """The arm is slower than the hand, then brakes: the kept tool goes with it, and stays once it rests."""
     play = rig(scale=2.0).engaged(sample())
     play.steps(3, sample())
-    wanted, shift = play.T_arm, pose(p=(0.0, 0.0, behind))
-    play.T_arm, play._follow, play.mode = shift @ wanted, lambda *_: None, mode
+    wanted, arm = play.T_arm, play.T_arm
+    play._follow = lambda *_: None
+    for z in np.linspace(0.0, behind, 20):
+        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
+        play.step(sample())
+    play.mode = mode
     play.device(clutched=True)
+    goes_with = (behind, mode) == (0.1, "servo")
+    for z in [*np.linspace(behind, 0.06, 10), *[0.06] * 12]:
+        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
+        result = play.step(sample())
+        T = result.T_base_virtual @ result.T_virtual_tool
+        T[:3, 3] = play.centre + play.scale * (T[:3, 3] - play.centre)
+        np.testing.assert_allclose(T, play.T_arm if goes_with else wanted, atol=1e-9)
+    play.T_arm = pose(p=(0.0, 0.0, 0.1)) @ arm
     result = play.step(sample())
-    T = result.T_base_virtual @ result.T_virtual_tool
-    T[:3, 3] = CENTRE + play.scale * (T[:3, 3] - CENTRE)
-    np.testing.assert_allclose(T, play.T_arm if (behind, mode) == (0.1, "servo") else wanted, atol=1e-9)
+    T_after = result.T_base_virtual @ result.T_virtual_tool
+    np.testing.assert_allclose(play.centre + play.scale * (T_after[:3, 3] - play.centre), T[:3, 3], atol=1e-9)
+
+
+def test_a_measured_tool_that_cannot_be_true_moves_nothing(rig, sample):
+    """It jumped while the hand steered, and has been elsewhere since."""
+    play = rig().engaged(sample())
+    play.steps(3, sample())
+    wanted, play._follow = play.T_arm, lambda *_: None
+    play.T_arm = pose(p=(0.1, 0.2, 0.1)) @ wanted
+    play.steps(60, sample())
+    play.device(clutched=True)
+    for _ in range(60):
+        result = play.step(sample())
+        np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, wanted, atol=1e-9)
+
+
+def test_an_arm_that_is_measured_away_from_home_starts_nothing(rig, sample):
+    play = rig(enabling="none")
+    play.T_arm = pose(p=(0.0, 0.1, 0.0)) @ play.T_home
+    result = play.steps(30, sample())
+    assert result.T_virtual_tool is None and "it is measured 100 mm from home" in result.reason
 
 
 @pytest.mark.parametrize("mode", ["home", "pick_up"])
@@ -398,6 +428,7 @@ def test_the_conditions_have_ticks(rig, sample):
     play.device(enabled=True, clutched=True)
     assert play.steps(2, sample()).unmet >= {RELEASED}
     assert play.steps(2, sample()).unmet <= set(CONDITIONS)
+    play.step()
     assert "in the box" in play.steps(12, sample(position=(0.2, BOX_HEIGHT, 0.0))).unmet
     assert {"in the box", "slow", "came in"} <= play.steps(12).unmet
     assert play.engaged(sample()).results[-1].unmet == frozenset()

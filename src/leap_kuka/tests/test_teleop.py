@@ -511,7 +511,9 @@ def test_a_hand_that_comes_level_while_it_hurries_away_starts_nothing(recording,
 @pytest.mark.parametrize("rate", [50.0, 110.0, 295.0])
 @pytest.mark.parametrize("wait", [0.07, 0.12, 0.3])
 def test_another_hand_never_continues_the_stream_of_desired_tools(leap, arm, player, sample, time_out, rate, wait):
-    """The engagement ends at once; a second hand comes in fast. The controller must see a pause, and go home."""
+    """The engagement ends at once; a second hand comes in fast. The controller must see a pause; with a long
+    time-out the arm then goes to the new hand from where it is.
+    """
     play = player(ArmTeleop(leap(), arm(time_out=time_out)))
 
     def other(x):
@@ -528,7 +530,7 @@ def test_another_hand_never_continues_the_stream_of_desired_tools(leap, arm, pla
         x = max(0.085, 0.125 - 0.5 * max(0.0, play.now - ended - wait))
         result = play.step(sample(confidence=0.0), other(x), dt=1.0 / rate)
     assert result.owner == (20, True)
-    assert play.now - last > max(0.2, time_out) + 0.09
+    assert 0.29 < play.now - last < 0.6
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from relative_rig import Rig
 
 from common import clock
 from common.config import parse
+from common.poses import pose
 from leap_kuka.operator_devices import OperatorInput, OperatorInputConfig
 from leap_kuka.operator_switches import DeviceSwitches, SecondHandSwitch
 from leap_kuka.start_gate import READY
@@ -72,7 +73,7 @@ def test_the_second_hand_moves_the_tool_after_100_ms_and_has_left_after_100_ms(s
 
 
 def test_a_controller_that_reports_no_longer_is_silent_after_a_second_and_a_half(leap, arm, sample):
-    rig = Rig(leap, arm, np.eye(4))
+    rig = Rig(leap, arm, sample, pose(p=(0.42, -0.42, 0.4)))
     number = iter(range(1000, 2000))
 
     def silent(now):
@@ -116,8 +117,10 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
     from common.frames import BASE, FLANGE_MEASURED
     from common.ros.conversions import stamped_transform
     from leap_kuka.ros.measured_tool import MeasuredTool
+    from rig_msgs.msg import KukaStatus
 
     publisher, measured = rospy.Publisher("/tf", TFMessage, queue_size=10), MeasuredTool(np.eye(4))
+    status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
     clock.sleep(0.1)
 
     def send(age, parent=BASE):
@@ -125,6 +128,11 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
         publisher.publish(TFMessage([stamped_transform(np.eye(4), parent, FLANGE_MEASURED, stamp)]))
         clock.sleep(0.005)
 
+    send(0.0)
+    with pytest.raises(ValueError, match="the controller of the arm publishes no"):
+        measured()  # anybody's
+    status.publish(KukaStatus())
+    clock.sleep(0.01)
     send(0.0, "world")
     with pytest.raises(ValueError, match="is not in"):
         measured()

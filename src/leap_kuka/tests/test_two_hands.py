@@ -29,6 +29,8 @@ RELATIVE = {"engagement": "relative", "hold_time": 1.0}
 def hands_of(side, phases, sample):
     """The hand of a side, or None, frame by frame."""
     is_left, number = side == "left", LEFT_ID if side == "left" else RIGHT_ID
+    far = sample(position=(OFFSET[side], 0.35, 0.3), id=number, is_left=is_left)
+    yield from (far, far, far, None)  # it comes in while control is on
     for frames, what, grab in phases:
         number += 10 * (what == "renumbered")
         x = -OFFSET[side] if what == "in the other box" else OFFSET[side] + (0.2 if what == "beside" else 0.0)
@@ -88,10 +90,10 @@ def test_two_hands_steer_two_arms_and_the_loss_of_one_ends_its_stream_alone(leap
     right = [*hands_of("right", [(120, "in", 0.0)], sample)]
     frames = [*zip(left, right)]
     followed = {side: [r.follows for r in run(made(leap, arm, side), frames)] for side in ("left", "right")}
-    assert followed["left"][59] and not followed["left"][60]
-    assert all(followed["right"][59:])
+    assert followed["left"][63] and not followed["left"][64]
+    assert all(followed["right"][63:])
     reasons = [r.reason for r in run(made(leap, arm, "left"), frames)]
-    assert reasons[60] == "left hand 5 is not seen; the tool stays"
+    assert reasons[64] == "left hand 5 is not seen; the tool stays"
     assert reasons[-1] == "no left hand is seen"
     tool = run(made(leap, arm, "right"), frames)[-1]
     np.testing.assert_allclose((tool.T_base_virtual @ tool.T_virtual_tool)[:3, 3], [0.42, -0.42, 0.4], atol=0.01)
@@ -109,5 +111,5 @@ def test_the_second_hand_clutches_although_it_steers_nothing(leap, arm, sample):
     right = [*hands_of("right", [(60, "in", 0.0)], sample)]
     left = [*hands_of("left", [(30, "beside", 0.0), (30, "beside", 1.0)], sample)]
     results = run(teleop, [*zip(left, right)])
-    assert results[29].follows and not results[29].clutched
+    assert results[33].follows and not results[33].clutched
     assert results[-1].clutched and not results[-1].follows

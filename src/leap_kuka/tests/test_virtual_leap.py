@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from common.mounting import mounting_frame
 from common.poses import check_pose, pose
 from common.rotations import check_rotation, rotation_about, rotation_angle, rotation_from_zyx
+from leap_kuka.origin import absolute
 from leap_kuka.virtual_leap import (
     R_LEAP_REFERENCE,
     UPRIGHT,
@@ -17,7 +18,6 @@ from leap_kuka.virtual_leap import (
     SteadyAttitude,
     attitude,
     heading,
-    tool_rotation,
     virtual_leap_pose,
 )
 
@@ -31,6 +31,11 @@ def hand(yaw, pitch, roll):
     return R_LEAP_REFERENCE @ rotation_from_zyx(yaw, pitch, roll)
 
 
+def tool_of(angles, psi, tool_reversed):
+    """The orientation of the tool for a hand whose yaw counts from psi."""
+    return absolute(np.eye(4), psi, tool_reversed).rotation(angles, 0.0)
+
+
 @given(small, small, small, anywhere)
 def test_attitude_gives_back_the_angles_of_the_hand_against_the_heading(yaw, pitch, roll, psi):
     got = attitude(hand(psi + yaw, pitch, roll), psi)
@@ -40,7 +45,7 @@ def test_attitude_gives_back_the_angles_of_the_hand_against_the_heading(yaw, pit
 @given(anywhere, tilt, anywhere, anywhere)
 def test_an_unclipped_attitude_composes_to_the_hand_again(yaw, pitch, roll, psi):
     R = hand(yaw, pitch, roll)
-    np.testing.assert_allclose(tool_rotation(attitude(R, psi), psi, turned=False), R, atol=1e-7)
+    np.testing.assert_allclose(tool_of(attitude(R, psi), psi, False), R, atol=1e-7)
 
 
 @given(anywhere, tilt, anywhere, anywhere)
@@ -60,7 +65,7 @@ def test_turning_hand_and_heading_together_turns_the_tool_alike(yaw, pitch, roll
     def tool_in_base(psi):
         measured = attitude(hand(psi + yaw, pitch, roll), psi)
         T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.4, -0.4, 0.4), (0.0, 0.35, 0.0), psi)
-        return T[:3, :3] @ tool_rotation(measured.clipped(LIMITS), psi, turned=True)
+        return T[:3, :3] @ tool_of(measured.clipped(LIMITS), psi, True)
 
     np.testing.assert_allclose(tool_in_base(psi), tool_in_base(psi + turn), atol=1e-9)
 
@@ -77,7 +82,7 @@ def test_a_mirrored_hand_gives_the_mirrored_angles(yaw, pitch, roll):
 def test_the_clipped_tool_moves_little_when_the_hand_moves_little(yaw, pitch, roll, axis, step):
     before = hand(yaw, pitch, roll)
     after = before @ rotation_about(axis, step)
-    tools = [tool_rotation(attitude(R, 0.0).clipped(LIMITS), 0.0, turned=True) for R in (before, after)]
+    tools = [tool_of(attitude(R, 0.0).clipped(LIMITS), 0.0, True) for R in (before, after)]
     assert rotation_angle(tools[0].T @ tools[1]) < 2.0 * 1e-3 / math.cos(1.2) + 1e-7
 
 
@@ -114,7 +119,7 @@ def test_the_tool_never_turns_faster_than_a_multiple_of_the_hand(seed, rate, psi
         if steady is None:
             steady = SteadyAttitude(R, psi, LIMITS)
         steady.follow(R)
-        tool = tool_rotation(steady.clipped, psi, turned=True)
+        tool = tool_of(steady.clipped, psi, True)
         assert np.all(np.abs(steady.clipped.angles) <= np.array(LIMITS.angles) + 1e-12)
         if before is not None:
             assert rotation_angle(before[1].T @ tool) <= 3.0 * rotation_angle(before[0].T @ R) + 1e-6
@@ -134,7 +139,7 @@ def test_a_hand_that_points_straight_up_and_rests_leaves_the_tool_at_rest(pitch,
     tools = []
     for mean in means:
         steady.follow(hand(0.0, np.radians(pitch), 0.0) @ rotation_from_zyx(*mean))
-        tools.append(tool_rotation(steady.clipped, 0.0, turned=True))
+        tools.append(tool_of(steady.clipped, 0.0, True))
     assert max(rotation_angle(tools[0].T @ T) for T in tools) < np.radians(8.0)
     assert max(rotation_angle(a.T @ b) for a, b in zip(tools, tools[1:])) * rate < np.radians(60.0)
 
@@ -209,7 +214,7 @@ def test_heading_is_the_trackers_yaw():
 def test_a_level_hand_asks_for_the_rotation_of_the_home_tool_frame(center_line, psi):
     """z down; x back to the base, or along the centre line where that points backwards (docs/decisions/mounting.md)."""
     T = virtual_leap_pose(mounting_frame(center_line), (0.5, 0.0, 0.5), (0.0, 0.45, 0.0), psi)
-    R = T[:3, :3] @ tool_rotation(attitude(hand(psi, 0.0, 0.0), psi), psi, turned=center_line[0] >= 0.0)
+    R = T[:3, :3] @ tool_of(attitude(hand(psi, 0.0, 0.0), psi), psi, center_line[0] >= 0.0)
     check_rotation(R)
     ahead = np.array(center_line) / np.linalg.norm(center_line)
     np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-9)

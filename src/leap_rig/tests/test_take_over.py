@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -126,6 +127,8 @@ class Rig:
         self.modes.clear()
         T_base_desired = self.rig.chain.desired(T_base_tool, Scaling(self.scale))
         assert self.teleop.hold(T_base_desired, seconds, self.now).success
+        for x in (0.3, 0.3, 0.3, None):  # the hand comes in while control is on
+            self.run(DT * FRAME_CYCLES, *([] if x is None else [hand(0.0, 0.0, 0.0, (x, 0.0, 0.0))]))
         return self.run(1.0)
 
     def tool(self, x, y, z, turn):
@@ -202,6 +205,8 @@ def test_a_recorded_hand_takes_over_without_a_jump(shared_data, name, lift):
             )
             for line in file
         ]
+    first = next(hands for hands in frames if hands)  # the recording begins with hands in the box: they come in before
+    rig.play([tuple(replace(h, palm=np.add(h.palm, (0.4, 0.0, 0.0))) for h in first)] * 3 + [()])
     frames = iter(frames)
     while rig.result.hold == HoldState.HELD:
         rig.play([next(frames)])

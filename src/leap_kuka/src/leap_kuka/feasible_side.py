@@ -6,11 +6,10 @@ the tool to a border before that, along which the tool slides. The workspace ins
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from leap_kuka.config import ArmPlacement
+from leap_kuka.scaling import Scaling
 
 AHEAD_M = 0.1  # least distance in front of the base, nearer than the workspace comes; at most half of its centre's
 ABOVE_M = 1e-3  # least height over the foot; the workspace may end at the foot
@@ -21,16 +20,11 @@ class FeasibleSide:
 
     def __init__(self, arm: ArmPlacement) -> None:
         self._forward = arm.center_line / np.linalg.norm(arm.center_line)
-        self._centre = arm.ws_center
-        self._least = min(AHEAD_M, 0.5 * float(self._forward @ self._centre))
+        self._least = min(AHEAD_M, 0.5 * float(self._forward @ arm.ws_center))
 
-    def back(self, position: np.ndarray, scale: float) -> np.ndarray:
-        """Returns the way from a desired position, shape (3,) [m], to its border, zero on the feasible side; `scale`
-        is the factor by which the controller multiplies the position's distance to the centre of the workspace.
-        """
-        if not 0.0 < scale < math.inf:
-            scale = 1.0  # the controller has not said it
-        scaled = self._centre + scale * (position - self._centre)
+    def back(self, position: np.ndarray, scaling: Scaling) -> np.ndarray:
+        """Returns the way from a desired position, shape (3,) [m], to its border, zero on the feasible side."""
+        scaled = scaling.scaled(position)
         ahead = max(self._least - float(self._forward @ scaled), 0.0)
         above = max(ABOVE_M - float(scaled[2]), 0.0)
-        return (ahead * self._forward + np.array([0.0, 0.0, above])) / scale
+        return (ahead * self._forward + np.array([0.0, 0.0, above])) / (1.0 if scaling.fault else scaling.factor)

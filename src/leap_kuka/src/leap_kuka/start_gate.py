@@ -1,21 +1,20 @@
 """The start gate: a hand that came into the interaction box starts a stream, level, slow and tracked with confidence.
 
-A running stream ends only on low confidence. The interaction box is centred on the Leap's y axis, or leap/box_offset
+The interaction box is centred on the Leap's y axis, or leap/box_offset
 beside it; its axes are the Leap's.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from common.errors import ConfigError
 from common.poses import read_only
-from leap_kuka.config import ABSOLUTE, ArmPlacement, LeapConfig
+from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.virtual_leap import attitude, heading
 
@@ -60,52 +59,30 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
 
 
 class StartGate:
-    """Decides whether the stream runs, with hysteresis: its start has more conditions than its continuation.
-
-    `unmet` has the conditions of a start that are not met, none while the stream runs.
-    """
+    """The conditions of a start that are the hand's own; a running stream needs only its confidence."""
 
     def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
         self._leap, self._box = leap, box
-        self.running = False
-        self.unmet = OF_A_HAND
 
-    def step(
-        self,
-        hand: MeanHand,
-        obstacles: Mapping[str, str] = MappingProxyType({}),
-        last: Callable[[], tuple[str, str] | None] = lambda: None,
-        resumes: bool = False,
-    ) -> list[str]:
-        """Updates `running` from the averaged hand; returns sentences about the unmet conditions, none while it runs.
+    def faults(self, hand: MeanHand, obstacles: Mapping[str, str], resumes: bool) -> dict[str, str]:
+        """Returns the conditions that the averaged hand does not meet, with a sentence each.
 
-        `obstacles` are further conditions of a start that are not met, the first of them is named; `last` is asked for
-        one when all others are met. A hand that `resumes` need not be in the box and level.
+        `obstacles` are further conditions that are not met, the first of them is named. A hand that `resumes` need not
+        be in the box and level.
         """
-        faults: dict[str, str] = {}
-        if not self.running:
-            if not resumes:
-                faults = self._outside(hand) | self._tilted(hand)
-            faults |= dict([*obstacles.items()][:1])
-            if not hand.speed < START_SPEED_M_S:
-                too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
-                faults[SLOW] = f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s"
-        if not hand.confidence > self._leap.min_confidence:
-            least = self._leap.min_confidence
-            faults[CONFIDENCE] = f"the confidence is {hand.confidence:.2f} and must be above {least:g}"
-        unmet = {*faults, *obstacles}
-        if faults and self._leap.engagement == ABSOLUTE:  # a relative stream starts where the arm is
-            unmet |= {REACH}
-        elif not faults and not self.running and (found := last()):
-            faults.update([found])
-            unmet = {*faults}
-        self.running = not faults
-        self.unmet = frozenset() if self.running else frozenset(unmet)
-        return [*faults.values()]
+        faults = {} if resumes else {**self._outside(hand), **self._tilted(hand)}
+        faults.update([*obstacles.items()][:1])
+        if not hand.speed < START_SPEED_M_S:
+            too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
+            faults[SLOW] = f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s"
+        return {**faults, **self.confidence_fault(hand)}
 
-    def stop(self) -> None:
-        """Ends the stream; no hand is known."""
-        self.running, self.unmet = False, OF_A_HAND
+    def confidence_fault(self, hand: MeanHand) -> dict[str, str]:
+        """Returns the same of its confidence alone."""
+        least = self._leap.min_confidence
+        if hand.confidence > least:
+            return {}
+        return {CONFIDENCE: f"the confidence is {hand.confidence:.2f} and must be above {least:g}"}
 
     def _outside(self, hand: MeanHand) -> dict[str, str]:
         offset = hand.palm - self._box.center

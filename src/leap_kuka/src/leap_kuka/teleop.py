@@ -1,26 +1,23 @@
 """From tracking frames to the desired tool frame of the arm: lock on a hand, filter, start gate, virtual Leap, tool.
 
-One object composes the steps. A stream is one engagement of one hand (common.hand_tracking.HandLock). While that hand
-is missing, or the tracker is slower than MIN_RATE_HZ, the stream runs on and the tool stays. Poses are in the frame of
-the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the robot's
-base frame; metres and radians.
+One object composes the steps. A stream is one engagement of one hand (common.hand_tracking.HandLock). Poses are in the
+frame of the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the
+robot's base frame; metres and radians.
 
 Where leap/hand names a side, the other hands steer nothing; as second hand, which clutches or enables, they count. Of
 several arms one may be chosen for any hand (arm_choice.py): the tools of the others stay, as with the clutch.
 
-While no hand steers, the tool may be held at a pose for a hand that then starts from there (tool_hold.py): as long as
-tracking frames come in and control of the arm is on.
+While no hand steers, a program may hold the tool at a pose for a hand that then starts from there (tool_hold.py).
 
-With relative engagement (relative.py) a stream starts where the tool is. When it stops, the tool is kept, for hold_time
-from the time on when the clutch is released and enabling pressed. After the clutch or a released enabling device the
-same hand continues where it is; after any other end, a hand must come in as at the start.
+The table of engagement.py says what follows when something happens. Absolute and relative streams differ in their
+origin (origin.py): a relative one starts where the tool is. When it stops, the tool is kept, for hold_time from the
+time on when the clutch is released and enabling pressed.
 """
 
 from __future__ import annotations
 
-import contextlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Callable
 
@@ -30,14 +27,18 @@ from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLo
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
+from leap_kuka.engagement import State, Trigger, next_state
 from leap_kuka.feasible_side import FeasibleSide
 from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
+from leap_kuka.measured import Measured, TrueTool, no_measured_tool, tool_at_home
 from leap_kuka.operator_switches import OperatorSwitches
-from leap_kuka.relative import RelativeMotion, relative_motion, unscaled
+from leap_kuka.origin import Origin, absolute, relative, taken_over
+from leap_kuka.scaling import NO_OFFSET, Scaling
 from leap_kuka.start_gate import (
     BOX,
     CAME_IN,
     CHOSEN,
+    CONFIDENCE,
     ENABLED,
     OF_A_HAND,
     PITCH,
@@ -49,8 +50,8 @@ from leap_kuka.start_gate import (
     StartGate,
     interaction_box,
 )
-from leap_kuka.tool_hold import HandOver, HoldAnswer, HoldState, ToolHold, hand_over
-from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, tool_rotation, virtual_leap_pose
+from leap_kuka.tool_hold import Held, HoldAnswer, HoldState, hold_fault
+from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
@@ -58,10 +59,12 @@ TURN_S = 0.5  # how long a hand whose mean is full may start, before another han
 MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
 REACH_PERIOD_S = 0.2  # time between two questions whether the arm reaches the desired tool
 PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
-"""The controller sees a new stream after a pause of 0.2 s, and goes home after `time_out`. Another engagement waits for
-both, and for the delay on the way, so that it never continues the stream of the one before."""
+"""The controller sees a new stream after a pause of 0.2 s. Another engagement waits for that, and for the delay on the
+way, so that it never continues the stream of the one before: the arm then goes home, or, with a longer `time_out`, to
+the new hand by a pick-up motion."""
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
-MAX_LAG_M = 0.03  # a tool that is farther behind the desired one is kept where it is
+MAX_LAG_M = 0.03  # a tool that is farther behind the desired one is kept where the arm stops
+RESTS_S, RESTS_M, RESTS_RAD = 0.1, 1e-3, math.radians(0.2)  # it has stopped when it moved less than this meanwhile
 
 MAX_STATUS_AGE_S = 1.5  # of the controller's, for a relative start
 AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
@@ -69,11 +72,6 @@ HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues 
 FOLLOWS = (AT_HOME, "pick_up", SERVO)  # modes in which it follows the desired tool, or is about to
 
 CanReach = Callable[[np.ndarray, bool], "str | None"]
-
-
-def no_measured_tool() -> np.ndarray:
-    """Raises ValueError: nobody measures the tool."""
-    raise ValueError("the measured tool is unknown")
 
 
 class StreamState(Enum):
@@ -135,8 +133,8 @@ class ArmTeleop:
     `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
     (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
     frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_PERIOD_S while it runs.
-    `measured_tool` returns the measured T_base_tool, shape (4, 4) [m], or raises ValueError with what is wrong with it:
-    it is asked last before a relative stream starts where no tool is held.
+    `measured_tool` returns the measured T_base_tool, shape (4, 4) [m], or raises ValueError with what is wrong with it;
+    a relative stream needs it.
 
     Raises:
         ConfigError: the interaction box would reach into the Leap.
@@ -147,13 +145,13 @@ class ArmTeleop:
         leap: LeapConfig,
         arm: ArmPlacement,
         can_reach: CanReach = lambda T, starts: None,
-        measured_tool: Callable[[], np.ndarray] = no_measured_tool,
+        measured_tool: Measured = no_measured_tool,
     ) -> None:
         self._can_reach, self._asked, self._out_of_reach = can_reach, 0.0, ""
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
-        self._R_level_home = arm.R_level_home if arm.use_home_pos else None
+        self._R_home = arm.R_level_home
         self.box, self._side = interaction_box(leap, arm), leap.hand
         self._own_side = leap.hand
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
@@ -164,67 +162,73 @@ class ArmTeleop:
         )
         self._average = HandAverage(leap.buffer_size, leap.filter)
         self._gate = StartGate(leap, self.box)
-        self._control_known = False
-        self._attitude = SteadyAttitude(np.eye(3), 0.0, self._limits)
+        self._relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
+        self._keeps = self._relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
+        self._state, self._taken = State.WAITING, False  # and whether the stream took a held tool over
+        self._held: Held | None = None
+        self._hold_ended: str | None = None  # why, a sentence that is said once
+        self._measured_tool, self._true_tool = measured_tool, TrueTool()
+        self._stops_from: tuple[float, np.ndarray] | None = None  # a kept tool goes with the arm until that rests
         self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
         self._mean: MeanHand | None = None  # in the newest frame
         self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
+        self._unmet: frozenset[str] = OF_A_HAND  # conditions of a start
         self._name = ""  # of the hand that was followed last
         self._slow = False
-        self._pause = max(PAUSE_S, arm.time_out) + PAUSE_MARGIN_S
         self._tool_at = -math.inf  # when a desired tool was returned last [s]
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
         self._reason = "no tracking frames come in"
-        self._hold = ToolHold(self._mounting.up, arm.R_level_home[2])
-        self._hand_over: HandOver | None = None
-        self._is_relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
-        self._keeps = self._is_relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
-        self._measured_tool = measured_tool
         self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
-        self._relative: RelativeMotion | None = None
-        self._taken = False  # whether the stream took over a tool that was held on request
-        self._mode, self._scale, self._status_at = "", 1.0, -math.inf  # of the controller
-        self._control_on = False
+        self._mode, self._scaling, self._status_at = "", Scaling(arm.ws_center), -math.inf  # of the controller
+        self._control_on: bool | None = None
         self._seen_at, self._begins = 0.0, 0  # stamp of the newest sample; frames left in which the mean knows a gap
         self.switches = OperatorSwitches(leap)
-        self._T_base_virtual: np.ndarray
-        self._turn(0.0)
+        self._heading = 0.0
+        self._origin = self._absolute(0.0)
+        self._attitude = SteadyAttitude(self._origin.R_leap_zero, 0.0, self._limits)
 
     def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> HoldAnswer:
         """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
-        inhibit_reason = "a hand is followed" if self._lock.owner is not None else self._watch.silence(now)
-        answer = self._hold.start(T_base_tool, duration, now, inhibit_reason)
-        self.counts.holds += answer.success
-        return answer
+        fault = hold_fault(T_base_tool, duration, self._mounting.up, self._R_home[2])
+        if fault is None and np.any(self._border.back(T_base_tool[:3, 3], self._scaling)):
+            fault = "it is behind the base, or below its foot"
+        if fault is None:
+            fault = "a hand is followed" if self._state.owned else self._watch.silence(now)
+        if fault is None and self._state.held:
+            fault = "it is held already" + ("" if self._state.kept else "; end that hold first with a duration of 0")
+        if fault is None and not self._control_on:
+            fault = "control of the arm is off"
+        if fault:
+            return HoldAnswer(False, f"The tool is not held: {fault}.")
+        self._fire(Trigger.HOLD, now)
+        self._held, self._hold_ended = Held(read_only(T_base_tool), now + duration), None
+        self.counts.holds += 1
+        return HoldAnswer(True, f"The tool is held for a hand, for {duration:g} s at most.")
 
     def end_hold(self) -> HoldAnswer:
         """Ends a hold on request; a hand that took the tool over continues, and so does a tool that is kept."""
-        held = self._hold.held is not None and not self._hold.kept
-        if held:
-            self._hold.end("it was ended")
+        held = self._state is State.HELD
+        self._fire(Trigger.HOLD_ENDED, 0.0)
         return HoldAnswer(True, "The hold has ended." if held else "The tool is not held.")
 
-    def control(self, on: bool, mode: str = AT_HOME, scale: float = 1.0, now: float = 0.0) -> None:
-        """Sets whether control of the arm is on, the controller's mode, and its scaling factor, as it says `now` [s].
+    def control(
+        self, on: bool, mode: str = AT_HOME, scale: float = 1.0, now: float = 0.0, offset: np.ndarray = NO_OFFSET
+    ) -> None:
+        """Sets whether control of the arm is on, the controller's mode, and its scaling, as it says `now` [s].
 
-        Control off ends a hold. It ends a relative stream, too, as does an arm that no longer follows. Where control is
-        on from the beginning, this program was started anew, perhaps under the operator's hand.
+        The arm follows only a hand that comes in while control is on.
         """
-        if on and not self._control_known:
+        before, self._control_on = self._control_on, on
+        self._mode, self._scaling, self._status_at = mode, Scaling(self._ws_center, scale, offset), now
+        if not on:
+            self._fire(Trigger.CONTROL_OFF, now)
+        elif not before:
             self._lock.end()
-            self._end(
-                "control of the arm was on at the start; take the hand out of the box and back in", now, keep=False
-            )
-        self._control_known = True
-        self._control_on, self._mode, self._scale, self._status_at = on, mode, scale, now
-        self._hold.control(on)
-        if self._is_relative and (self._lock.owner is not None or self._hold.kept) and not (on and mode in FOLLOWS):
-            end = (
-                f"the arm does not follow, its controller is in the mode {mode}" if on else "control of the arm is off"
-            )
-            self._end(end, now, keep=False)
+            self._fire(Trigger.CONTROL_FOUND_ON if before is None else Trigger.CONTROL_ON, now)
+        elif mode not in FOLLOWS:
+            self._fire(Trigger.ARM_LEFT, now, mode)
 
     def choose(self, elsewhere: str | None, any_hand: bool) -> None:
         """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this one,
@@ -239,15 +243,14 @@ class ArmTeleop:
 
     def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
         """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]."""
-        ran = self._gate.running
+        ran, self._ended = self._state.running, ""
         arrival = self._watch.arrived(frame.id, frame.age, now)
-        end = arrival.broken
-        if end:
-            self._end(end, now, keep=False)
+        if arrival.broken:
+            self._lose_tracker(arrival.broken, now)
         if arrival.restarted:
             self._lock.forget()
-        if not (self._hold.kept and self.switches.stop):
-            self._hold.expire(now)
+        if self._held is not None and now >= self._held.until and not (self._state.kept and self.switches.stop):
+            self._fire(Trigger.EXPIRED, now)
         if not arrival.usable:
             self.counts.frames_refused += 1
             return self._result(False, now)
@@ -255,29 +258,29 @@ class ArmTeleop:
         rate = self._watch.rate
         self._slow = rate is not None and rate < (ENOUGH_RATE_HZ if self._slow else MIN_RATE_HZ)
         self._obstacle = self._mean = self._measured = None
-        if self._lock.owner is not None and not self._gate.running and self._hold.T_base_tool is None:
-            self._end("the hold has ended", now, keep=False)
         owner = self._lock.owner
         hand = self._lock.update(of_side(frame.hands, self._side), arrival.stamp)
-        if owner is not None and self._lock.owner is None:
-            end = f"{self._name} was lost"
-            self._end(end, now, keep=True)
+        if self._state.owned and self._lock.owner is None:
+            self._fire(Trigger.HAND_LOST, now)
         elif self._lock.changed:
             self._average.reset()
         self.counts.id_changes += self._lock.owner not in (owner, None)
-        end = self._update_switches(frame, hand, arrival.stamp, now) or end
+        self._update_switches(frame, hand, arrival.stamp, now)
         if hand is not None:
             self._follow(hand, arrival.stamp, now)
-        elif self._gate.running:
+        elif self._state.running:
             self.counts.frames_without_owner += 1
-            self._reason = self._obstacle = f"{self._name} is not seen; the tool stays"
+            self._reason = self._obstacle = self._fire(Trigger.NOT_SEEN, now)
         else:
             self._reason = "no hand is seen" if self._side == ANY else f"no {self._side} hand is seen"
-        if ran and end:
-            self._reason = end
-        if not self._gate.running and self._mean is None:
-            resumes = self._lock.owner is not None
-            self._gate.unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
+        if ran and self._ended:
+            self._reason = self._ended
+        if self._state.running:
+            self._true_tool.look(self._measured_tool, self._T_base_scaled(self._newest), now)
+        elif self._mean is None:
+            resumes = self._state is State.PAUSED
+            self._unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
+        self._keep_with_arm(now)
         result = self._result(True, now)
         self._tool_at = self._tool_at if result.T_virtual_tool is None else now
         return result
@@ -287,43 +290,92 @@ class ArmTeleop:
         silence = self._watch.silence(now)
         if silence is None:
             return None
-        self._end(silence, now, keep=False)
+        self._lose_tracker(silence, now)
         self.switches.update([], now, now, False)
-        self._gate.unmet = OF_A_HAND | {RATE} | self._obstacles(False, now).keys()
+        self._unmet = OF_A_HAND | {RATE} | self._obstacles(False, now).keys()
         return self._result(False, now)
 
-    def _update_switches(self, frame: TrackingFrame, hand: TrackedHand | None, stamp: float, now: float) -> str | None:
-        """Updates enabling and clutch, which are not by the hand that steers; returns why the stream ends, or None."""
+    def _lose_tracker(self, why: str, now: float) -> None:
+        self._fire(Trigger.TRACKER_LOST, now, why)
+        self._forget_hand()
+        self._reason = why
+
+    def _fire(self, trigger: Trigger, now: float, detail: str = "") -> str:
+        """Goes to the state that the table says, and does what that means; returns the sentence of the trigger."""
+        sentence = trigger.sentence.format(hand=self._name, detail=detail)
+        before = self._state
+        after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
+        if after is before:
+            return sentence
+        if after is State.WAITING and before.held:
+            self._hold_ended = f"the tool is no longer held: {sentence}"
+        if after.kept and before.running:
+            self._keep(now)
+        elif not after.held:
+            self._held = self._stops_from = None
+        if before.owned and not after.owned:
+            self._lock.end()
+            self._reason = self._ended = sentence
+            if trigger is not Trigger.UNSURE:  # its mean still tells why
+                self._forget_hand()
+        return sentence
+
+    def _forget_hand(self) -> None:
+        self._average.reset()
+        self._mean = self._measured = None
+
+    def _update_switches(self, frame: TrackingFrame, hand: TrackedHand | None, stamp: float, now: float) -> None:
+        """Updates enabling and clutch, which are not by the hand that steers."""
         owner, switches = self._lock.owner, self.switches
         number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
-        switches.update(others, stamp, now, owner is not None or self._hold.kept)
-        if self._hold.kept and switches.stop:
-            self._hold.renew(self._hold_time, now)
-        if owner is not None and switches.lost:
-            self._end(switches.lost, now, keep=True)
-            return switches.lost
-        if not self._gate.running or not switches.stop:
-            return None
-        self.counts.clutched += switches.clutched
-        self._keep(now)
-        self._gate.stop()
-        return None
+        switches.update(others, stamp, now, owner is not None or self._state.kept)
+        if switches.lost:
+            self._fire(Trigger.CLUTCH_LOST, now)
+        if switches.stop:
+            self.counts.clutched += self._state.running and switches.clutched
+            self._fire(Trigger.STOPPED, now, switches.stop)
+            if self._state.kept and self._held is not None:
+                self._held = replace(self._held, until=now + self._hold_time)
 
     def _keep(self, now: float) -> None:
-        """Keeps the tool where the relative stream wants it, or where it is, if it is far behind."""
+        """Keeps the tool where the relative stream wants it, or with an arm that is far behind."""
         assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
         self.counts.kept += 1
-        T_base_tool = self._T_base_virtual @ self._newest
-        if self._mode == SERVO:
-            with contextlib.suppress(ValueError):
-                T_measured = unscaled(self._measured_tool(), self._ws_center, self._scale)
-                if self._scale * np.linalg.norm((T_measured - T_base_tool)[:3, 3]) > MAX_LAG_M:
-                    T_base_tool = T_measured
-        self._hold.keep(T_base_tool, self._hold_time, now)
+        T_base_tool, self._stops_from = self._origin.T_base_virtual @ self._newest, None
+        self._held, self._hold_ended = Held(read_only(T_base_tool), now + self._hold_time), None
+        T_measured = self._true_tool.newest if self._mode == SERVO else None
+        if T_measured is not None:
+            lag = float(np.linalg.norm((T_measured - self._T_base_scaled(self._newest))[:3, 3]))
+            self._stops_from = (now, T_measured) if lag > MAX_LAG_M else None
+
+    def _keep_with_arm(self, now: float) -> None:
+        """Lets a kept tool go with an arm that was far behind, until it rests: the controller brakes for the jump back,
+        stops as early as it can, and finds the tool there.
+        """
+        if self._stops_from is None or self._held is None:
+            return
+        T_measured = self._true_tool.look(self._measured_tool, None, now)
+        if T_measured is None:
+            self._stops_from = None
+            return
+        self._held = replace(self._held, T_base_tool=self._scaling.unscaled(T_measured))
+        since, T = self._stops_from
+        turn = rotation_angle(T[:3, :3].T @ T_measured[:3, :3])
+        if np.linalg.norm((T_measured - T)[:3, 3]) > RESTS_M or turn > RESTS_RAD:
+            self._stops_from = now, T_measured
+        elif now - since >= RESTS_S:
+            self._stops_from = None
+
+    def _T_base_scaled(self, T_virtual_tool: np.ndarray | None) -> np.ndarray | None:
+        """Returns where the controller's scaling factor brings a desired tool, shape (4, 4) [m]."""
+        if T_virtual_tool is None:
+            return None
+        T = self._origin.T_base_virtual @ T_virtual_tool
+        return pose(T[:3, :3], self._scaling.scaled(T[:3, 3]))
 
     def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
-        """Adds a sample of the followed hand to the mean, and updates the gate."""
+        """Adds a sample of the followed hand to the mean, and starts or steers with it."""
         self._name = hand.name
         left_out = self._average.add(hand, stamp)
         if not left_out:
@@ -338,45 +390,61 @@ class ArmTeleop:
             self._reason = f"{hand.name}: {self._average.count} of {self._average.size} samples are in"
         elif mean is None:
             self._reason = f"{hand.name} turns too fast"
+        elif self._state.running:
+            self._steer(mean, now)
         else:
-            self._update_gate(hand, mean, now)
-        if self._average.lost or (self._gate.running and mean is None):
-            self._end(f"{hand.name} was lost: {left_out or 'it turns too fast'}", now, keep=True)
+            self._try_start(mean, now)
+        if self._average.lost or (self._state.running and mean is None):
+            self._fire(Trigger.HAND_LOST, now, f": {left_out or 'it turns too fast'}")
+            self._forget_hand()
 
-    def _update_gate(self, hand: TrackedHand, mean: MeanHand, now: float) -> None:
-        ran, resumes = self._gate.running, self._lock.owner is not None
-        obstacles = {} if ran else self._obstacles(resumes, now)
-        faults = self._gate.step(mean, obstacles, lambda: self._start_fault(mean), resumes)
-        self._reason = f"{hand.name}: {'; '.join(faults)}" if faults else f"{hand.name} is followed"
-        if ran and faults:
-            if self._keeps:
-                self._keep(now)
-            self._lock.end()
-        elif self._gate.running and not ran:
-            self._lock.engage()
-            self._start(mean, now, resumes)
-            self._stays, self._asked, self._out_of_reach = None, now, ""
-            self.counts.streams += 1
-        elif self._gate.running:
-            waits = self._is_relative and self._mode != SERVO
-            if waits or (self._is_relative and self._begins > 0 and not self._slow and self._stays is None):
-                assert self._newest is not None, (
-                    "a stream runs from the frame on in which it brought the tool somewhere"
-                )
-                self._stays, self._start_tool = None, self._T_base_virtual @ self._newest
-                self._start_relative(mean)
-                if waits:
-                    self._reason = self._obstacle = (
-                        f"{hand.name} is followed once the arm is ready; it is in {self._mode}"
-                    )
+    def _try_start(self, mean: MeanHand, now: float) -> None:
+        """Starts a stream if all conditions are met."""
+        resumes = self._state is State.PAUSED
+        obstacles = self._obstacles(resumes, now)
+        faults = self._gate.faults(mean, obstacles, resumes)
+        unmet = {*faults, *obstacles}
+        if faults and not self._relative:  # a relative stream starts where the arm is
+            unmet |= {REACH}
+        elif not faults:
+            faults = unmet = self._start_fault(mean)
+        self._unmet = frozenset(unmet)
+        self._reason = f"{self._name}: {'; '.join(faults.values())}" if faults else self._start(mean, now)
+
+    def _steer(self, mean: MeanHand, now: float) -> None:
+        """Lets the tool follow the hand of the stream, or stay while the arm or the tracker is not ready."""
+        unsure = self._gate.confidence_fault(mean)
+        if unsure:
+            self._unmet = frozenset(unsure)
+            self._fire(Trigger.UNSURE, now, unsure[CONFIDENCE])
+            return
+        self._reason = Trigger.HAND_READY.sentence.format(hand=self._name)
+        waits = self._relative and self._mode != SERVO
+        if waits or (self._relative and self._begins > 0 and not self._slow and self._stays is None):
+            assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
+            self._stays, T_base_tool = None, self._origin.T_base_virtual @ self._newest
+            self._begin(relative(T_base_tool, self._origin.T_base_virtual[:3, :3], mean.T_leap_hand), mean)
+            if waits:
+                self._reason = self._obstacle = self._fire(Trigger.ARM_BUSY, now, self._mode)
+            return
+        self._fire(Trigger.ARM_READY, now)
+        self._attitude.follow(self._origin.turn(mean.T_leap_hand[:3, :3]))
+        if self._slow:
+            self.counts.slow_frames += 1
+            self._stays = self._newest if self._stays is None else self._stays
+            slow = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
+            self._reason = self._obstacle = self._fire(Trigger.SLOW, now, slow)
+            return
+        if self._stays is not None:
+            step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
+            if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
+                self._fire(Trigger.MOVED, now)
                 return
-            R_leap_hand = mean.T_leap_hand[:3, :3]
-            self._attitude.follow(R_leap_hand if self._relative is None else self._relative.change(R_leap_hand))
-            self._stay_while_slow(hand, mean, now)
+        self._fire(Trigger.SEEN, now)
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, str]:
         """Returns the conditions of a start, apart from the hand's own, that are not met, with a sentence each."""
-        found, held, switches = {}, self._hold.T_base_tool is not None, self.switches
+        found, held, switches = {}, self._state.held, self.switches
         if not self._lock.came_in and not resumes:
             found[CAME_IN] = "it was in the box already, or was found there; take it out of the box and back in"
         if switches.clutched or switches.lost:
@@ -385,13 +453,14 @@ class ArmTeleop:
             found[CHOSEN] = switches.elsewhere
         if not switches.enabled:
             found[ENABLED] = "the enabling device is not pressed"
-        if not held and now - self._tool_at <= self._pause:
-            found[READY] = f"the arm still waits for the hand before, {self._pause:g} s after its last frame"
-        elif not held and self._is_relative and self._mode != AT_HOME:
+        pause = PAUSE_S + PAUSE_MARGIN_S
+        if not held and now - self._tool_at <= pause:
+            found[READY] = f"the arm still waits for the hand before, {pause:g} s after its last frame"
+        elif not held and self._relative and self._mode != AT_HOME:
             found[READY] = f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}"
-        elif self._is_relative and not self._control_on:
+        elif self._relative and not self._control_on:
             found[READY] = "control of the arm is off"
-        elif self._is_relative and not now - self._status_at <= MAX_STATUS_AGE_S:
+        elif self._relative and not now - self._status_at <= MAX_STATUS_AGE_S:
             found[READY] = "the arm's controller is silent"
         if self._slow:
             found[RATE] = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
@@ -401,140 +470,94 @@ class ArmTeleop:
     def _slowness(self) -> str:
         return f"the tracker delivers only {self._watch.rate or 0.0:.0f} frames per second"
 
-    def _start_fault(self, mean: MeanHand) -> tuple[str, str] | None:
-        """Returns the condition and the sentence of what inhibits a start that is allowed otherwise, or None: the arm
-        cannot come to where the hand would start, or it is unknown where the tool is. A held tool is there already.
+    def _start_fault(self, mean: MeanHand) -> dict[str, str]:
+        """Returns the condition and the sentence of what inhibits a start that is allowed otherwise, if anything: the
+        arm cannot come to where the hand would start, or it is unknown where the tool is. A held tool is there already.
         """
-        T_base_held = self._hold.T_base_tool
-        if T_base_held is not None:
-            self._start_tool = T_base_held
-            return None
-        if self._is_relative:
+        if self._held is not None:
+            self._start_tool = self._held.T_base_tool
+            return {}
+        if self._relative:
             try:
-                self._start_tool = unscaled(self._measured_tool(), self._ws_center, self._scale)
+                T_measured = tool_at_home(self._measured_tool, self._ws_center)
+                self._start_tool = self._scaling.unscaled(T_measured)
             except ValueError as error:
-                return READY, f"where the tool is cannot be said: {error}"
-            return None
-        R_leap_hand, psi = mean.T_leap_hand[:3, :3], heading(mean.T_leap_hand[:3, 0])
-        clipped = SteadyAttitude(R_leap_hand, psi, self._limits).clipped
-        T_virtual_tool = pose(self._as_at_home(self._level(clipped, psi)), mean.palm)
-        reason = self._can_reach(self._virtual_leap(psi) @ T_virtual_tool, True)
-        return (REACH, reason) if reason else None
-
-    def _start(self, mean: MeanHand, now: float, resumes: bool) -> None:
-        """Starts the stream of the hand: where the tool is held or is, if it is held or the engagement relative.
-
-        A hand that resumes keeps its directions.
-        """
+                return {READY: f"where the tool is cannot be said: {error}"}
+            return {}
         R_leap_hand = mean.T_leap_hand[:3, :3]
-        self._turn(self._heading if resumes else heading(R_leap_hand[:, 0]))
-        self._taken = self._hold.held is not None and not self._hold.kept
-        T_base_held, self._hand_over = self._hold.take(), None
-        if self._is_relative:
-            self._start_relative(mean)
-            return
-        self._attitude = SteadyAttitude(R_leap_hand, self._heading, self._limits)
-        if T_base_held is not None:
-            self._take_over(T_base_held, mean, now)
+        origin = self._absolute(heading(R_leap_hand[:, 0]))
+        clipped = SteadyAttitude(origin.turn(R_leap_hand), 0.0, self._limits).clipped
+        reason = self._can_reach(origin.T_base_virtual @ pose(origin.rotation(clipped, 0.0), mean.palm), True)
+        return {REACH: reason} if reason else {}
 
-    def _start_relative(self, mean: MeanHand) -> None:
-        """Lets the tool start from `_start_tool`, and the hand from where it is."""
-        self._relative = relative_motion(self._start_tool, self._T_base_virtual[:3, :3], mean.T_leap_hand)
-        self._T_base_virtual = self._relative.T_base_virtual
-        self._attitude = SteadyAttitude(self._relative.change(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
+    def _start(self, mean: MeanHand, now: float) -> str:
+        """Starts the stream of the hand, where the tool is held or is, if it is held or the engagement relative, and
+        returns the sentence. A hand that continues keeps its directions.
+        """
+        R_leap_hand, held = mean.T_leap_hand[:3, :3], self._held
+        if self._state is not State.PAUSED:
+            self._heading = heading(R_leap_hand[:, 0])
+        self._taken = self._state is State.HELD
+        reason = self._fire(Trigger.HAND_READY, now)
+        self._lock.engage()
+        origin = self._absolute(self._heading)
+        if self._relative:
+            origin = relative(self._start_tool, origin.T_base_virtual[:3, :3], mean.T_leap_hand)
+        elif held is not None:
+            angles = SteadyAttitude(origin.turn(R_leap_hand), 0.0, self._limits).clipped
+            origin = taken_over(origin, held.T_base_tool, angles, mean.palm, now)
+        self._begin(origin, mean)
+        self._stays, self._asked, self._out_of_reach = None, now, ""
+        self.counts.streams += 1
+        return reason
 
-    def _virtual_leap(self, psi: float) -> np.ndarray:
-        return virtual_leap_pose(self._mounting, self._ws_center, self.box.center, psi)
+    def _begin(self, origin: Origin, mean: MeanHand) -> None:
+        """Lets tool and hand start from an origin."""
+        self._origin = origin
+        self._attitude = SteadyAttitude(origin.turn(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
 
-    def _turn(self, psi: float) -> None:
-        """Turns the virtual Leap so that the heading psi [rad] points forward."""
-        self._heading = psi
-        self._T_base_virtual = read_only(self._virtual_leap(psi))
-
-    def _take_over(self, T_base_held: np.ndarray, mean: MeanHand, now: float) -> None:
-        """Shifts the stream of the hand such that it starts at the held tool."""
-        T_virtual_tool = pose(self._level(self._attitude.clipped, self._heading), mean.palm)
-        R_virtual_level = self._level(Attitude(0.0, 0.0, 0.0), self._heading)
-        if self._R_level_home is not None:
-            T_base_held = pose(T_base_held[:3, :3] @ self._R_level_home.T, T_base_held[:3, 3])
-        self._hand_over = hand_over(T_base_held, self._T_base_virtual, T_virtual_tool, R_virtual_level, now)
-        self._T_base_virtual = self._hand_over.T_base_virtual
-
-    def _stay_while_slow(self, hand: TrackedHand, mean: MeanHand, now: float) -> None:
-        """Keeps the tool where it is while the tracker is slow; afterwards only a hand that stayed too steers on."""
-        if self._slow:
-            self.counts.slow_frames += 1
-            self._stays = self._newest if self._stays is None else self._stays
-            self._reason = self._obstacle = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
-        elif self._stays is not None:
-            step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
-            if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
-                self._end(f"{hand.name} moved while the tracker was slow", now, keep=True)
-
-    def _end(self, reason: str, now: float, *, keep: bool) -> None:
-        """Ends the stream, if it runs; with `keep` its tool is kept from `now` [s] on, and a hold continues."""
-        if not keep:
-            self._hold.end(reason)
-        elif self._gate.running and self._keeps:
-            self._keep(now)
-        if self._lock.owner is not None:
-            self._lock.end()
-        self._average.reset()
-        self._gate.stop()
-        self._mean, self._measured, self._reason = None, None, reason
+    def _absolute(self, psi: float) -> Origin:
+        T_base_virtual = read_only(virtual_leap_pose(self._mounting, self._ws_center, self.box.center, psi))
+        return absolute(T_base_virtual, psi, self._mounting.tool_reversed, self._R_home)
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         """Returns T_virtual_tool as the hand of the stream asks for it."""
-        if self._relative is not None:
-            R_virtual_tool = self._relative.rotation(self._attitude.clipped)
-        else:
-            R_virtual_tool = self._level(self._attitude.clipped, self._heading)
-            if self._hand_over is not None:
-                R_virtual_tool = self._hand_over.rotation(R_virtual_tool, now)
-            R_virtual_tool = self._as_at_home(R_virtual_tool)
-        R_base_virtual, p_base_virtual = self._T_base_virtual[:3, :3], self._T_base_virtual[:3, 3]
-        out = self._border.back(R_base_virtual @ mean.palm + p_base_virtual, self._scale)
+        T_base_virtual = self._origin.T_base_virtual
+        R_base_virtual, p_base_virtual = T_base_virtual[:3, :3], T_base_virtual[:3, 3]
+        out = self._border.back(R_base_virtual @ mean.palm + p_base_virtual, self._scaling)
         self._stopped_by = bool(np.any(out))
-        return pose(R_virtual_tool, mean.palm + R_base_virtual.T @ out if self._stopped_by else mean.palm)
-
-    def _level(self, angles: Attitude, heading: float) -> np.ndarray:
-        """Returns R_virtual_tool, shape (3, 3), of a tool that points down for a level hand."""
-        return tool_rotation(angles, heading, self._mounting.tool_reversed)
-
-    def _as_at_home(self, R_virtual_tool: np.ndarray) -> np.ndarray:
-        """Returns it for a tool that is as at home for a level hand."""
-        return R_virtual_tool if self._R_level_home is None else R_virtual_tool @ self._R_level_home
+        position = mean.palm + R_base_virtual.T @ out if self._stopped_by else mean.palm
+        return pose(self._origin.rotation(self._attitude.clipped, now), position)
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
-        mean = self._mean
+        mean, state, switches, T_base_virtual = self._mean, self._state, self.switches, self._origin.T_base_virtual
         T_virtual_filtered = None if mean is None else mean.T_leap_hand
-        hold_end, switches, left = self._hold.end_reason(), self.switches, self._hold.left(now)
+        hold_ended, self._hold_ended = self._hold_ended, None
         more: dict[str, Any] = {"enabled": switches.enabled, "clutched": switches.clutched, "source": switches.source}
-        if not self._gate.running:
-            T_held, T_virtual_tool, hold, reason = self._hold.T_base_tool, None, HoldState.NONE, self._reason
-            if T_held is not None:
-                T_virtual_tool = read_only(inverse(self._T_base_virtual) @ T_held)
-                hold = HoldState.KEPT if self._hold.kept else HoldState.HELD
-            if hold is HoldState.KEPT:
+        if not state.running:
+            T_virtual_tool, reason, left = None, self._reason, 0.0
+            if self._held is not None:
+                T_virtual_tool = read_only(inverse(T_base_virtual) @ self._held.T_base_tool)
+                left = max(self._held.until - now, 0.0)
+            if state.kept:
                 reason += f"; the tool stays for {math.ceil(left)} s"
             return TeleopResult(
                 StreamState.WAITING,
-                hold_end or reason,
+                hold_ended or reason,
                 usable,
-                self._T_base_virtual,
+                T_base_virtual,
                 self._measured,
                 T_virtual_filtered,
                 T_virtual_tool,
-                hold=hold,
-                keep_grip=hold is HoldState.KEPT,
+                hold=HoldState.KEPT if state.kept else HoldState.HELD if state.held else HoldState.NONE,
+                keep_grip=state.kept,
                 hold_left=left,
-                unmet=self._gate.unmet,
+                unmet=self._unmet,
                 **more,
             )
-        hold = HoldState.TAKEN if self._taken else HoldState.NONE
         if self._newest is not None and now - self._asked >= REACH_PERIOD_S:
             self._asked = now
-            self._out_of_reach = self._can_reach(self._T_base_virtual @ self._newest, False) or ""
+            self._out_of_reach = self._can_reach(T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:
             self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
         reason, T_virtual_tool, measured, clipped = self._reason, None, None, None
@@ -550,13 +573,13 @@ class ArmTeleop:
             state=StreamState.RUNNING,
             reason=reason,
             usable=usable,
-            T_base_virtual=self._T_base_virtual,
+            T_base_virtual=T_base_virtual,
             T_virtual_hand=self._measured,
             T_virtual_filtered=T_virtual_filtered,
             T_virtual_tool=T_virtual_tool,
             measured=measured,
             clipped=clipped,
-            hold=hold,
+            hold=HoldState.TAKEN if self._taken else HoldState.NONE,
             owner=self._lock.owner,
             obstacle=self._obstacle,
             keep_grip=self._keeps,

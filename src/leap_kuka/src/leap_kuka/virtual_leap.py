@@ -30,7 +30,7 @@ import numpy as np
 
 from common.mounting import MountingFrame
 from common.poses import pose
-from common.rotations import rotation_about, rotation_angle, rotation_from_zyx, zyx_from_rotation
+from common.rotations import rotation_about, rotation_angle, zyx_from_rotation
 
 FULL_TURN = 2.0 * math.pi
 UPRIGHT = tuple(
@@ -135,12 +135,3 @@ def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = 
     if before is not None and any(abs(angle) > most for angle, most in zip(smallest.angles, UPRIGHT)):
         return nearest(before.angles)
     return smallest
-
-
-def tool_rotation(angles: Attitude, heading: float, turned: bool) -> np.ndarray:
-    """Returns R_virtual_tool, shape (3, 3), for the clipped attitude of a hand whose yaw counts from `heading` [rad].
-
-    A tool that is `turned` is turned by 180 deg about the tool's z axis, as the home pose has it (see common.mounting).
-    """
-    R_virtual_tool = R_LEAP_REFERENCE @ rotation_from_zyx(angles.yaw + heading, angles.pitch, angles.roll)
-    return R_virtual_tool @ TURNED if turned else R_virtual_tool

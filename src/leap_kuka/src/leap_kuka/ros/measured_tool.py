@@ -10,25 +10,32 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.ros.conversions import pose_from_transform
+from rig_msgs.msg import KukaStatus
 
 FRESH_S = 0.5  # an older measurement, or one with a stamp that is farther off, does not count
 
 
 class MeasuredTool:
-    """Keeps the newest message with the flange; it is read only when it is asked for, since many others come on /tf."""
+    """Keeps the newest message with the flange; it is read only when it is asked for, since many others come on /tf.
 
-    def __init__(self, T_flange_tool: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
+    Only the controller's counts, the node that publishes kuka/status. `of`: its namespace with a slash, if it is not
+    this node's own.
+    """
+
+    def __init__(self, T_flange_tool: np.ndarray, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._T_flange_tool = T_flange_tool
         self._base, self._flange = frames(BASE), frames(FLANGE_MEASURED)
         self._looked_for = self._flange.encode()
+        self._controller = ""
         self._newest = b"", 0.0, rospy.Time()
+        rospy.Subscriber(f"{of}kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("/tf", rospy.AnyMsg, self._on_tf, queue_size=100, tcp_nodelay=True)
 
     def __call__(self) -> np.ndarray:
         """Returns T_base_tool, shape (4, 4) [m]; raises ValueError if it is unknown, old or not a pose."""
         data, at, received = self._newest
         if not data:
-            raise ValueError(f"nobody publishes {self._flange}")
+            raise ValueError(f"the controller of the arm publishes no {self._flange}")
         if clock.monotonic() - at > FRESH_S:
             raise ValueError(f"the newest {self._flange} is {clock.monotonic() - at:.1f} s old")
         try:
@@ -43,6 +50,9 @@ class MeasuredTool:
             raise ValueError(f"the stamp of {self._flange} is {age:.1f} s old")
         return pose_from_transform(flange.transform) @ self._T_flange_tool
 
+    def _on_status(self, status: KukaStatus) -> None:
+        self._controller = status._connection_header["callerid"]
+
     def _on_tf(self, message: rospy.AnyMsg) -> None:
-        if self._looked_for in message._buff:
+        if self._looked_for in message._buff and message._connection_header["callerid"] == self._controller:
             self._newest = message._buff, clock.monotonic(), rospy.Time.now()

@@ -11,6 +11,7 @@ from common.poses import pose
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
 from common.rotations import rotation_angle
+from leap_kuka.scaling import Scaling
 from rig_msgs.srv import CheckToolPose
 
 TIMEOUT_S = 0.5
@@ -25,13 +26,12 @@ SILENT = "the controller does not answer whether the arm can come"
 class ReachCheck:
     """The controller's newest answer. Only where nobody offers the service, every pose counts as reachable.
 
-    `ws_center` is the point from which the scaling factor `scale` counts, shape (3,) [m]; `of`: the controller's
-    namespace with a slash, if it is not this node's own.
+    `scaling` is the controller's; `of`: its namespace with a slash, if it is not this node's own.
     """
 
-    def __init__(self, ws_center: np.ndarray, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
+    def __init__(self, scaling: Scaling, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._base = frames(BASE)
-        self._ws_center, self.scale = ws_center, 1.0
+        self.scaling = scaling
         self._client = ServiceClient(f"{of}kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
         self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
@@ -43,7 +43,7 @@ class ReachCheck:
 
         Where a stream `starts`, only the answer for a pose near this one counts.
         """
-        p = self._ws_center + self.scale * (T_base_desired[:3, 3] - self._ws_center)
+        p = self.scaling.scaled(T_base_desired[:3, 3])
         self._question = pose(T_base_desired[:3, :3], p)
         self._period = PERIOD_S if starts else RUNNING_PERIOD_S
         self._asked.set()

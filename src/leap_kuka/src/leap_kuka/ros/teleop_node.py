@@ -16,6 +16,7 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.config import required
 from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
+from common.poses import read_only
 from common.ros.conversions import pose_in, transform_message
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
@@ -23,13 +24,15 @@ from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
 from leap_kuka.arm_choice import BOTH, elsewhere
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
+from leap_kuka.measured import no_measured_tool
 from leap_kuka.ros.arm_choice_node import CHOSEN_ARM
 from leap_kuka.ros.hand_to_arm import DelayMonitor
 from leap_kuka.ros.measured_tool import MeasuredTool
 from leap_kuka.ros.reach import ReachCheck
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.ros.teleop_state import TeleopStatePublisher
-from leap_kuka.teleop import ArmTeleop, TeleopResult, no_measured_tool
+from leap_kuka.scaling import Scaling
+from leap_kuka.teleop import ArmTeleop, TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe
@@ -104,8 +107,11 @@ class ArmTeleopNode:
     def _on_status(self, status: KukaStatus) -> None:
         self._servo = status.mode == KukaStatus.SERVO
         with self._lock:
-            self._reach.scale = status.scaling_factor
-            self._teleop.control(status.control_on, status.mode, status.scaling_factor, clock.monotonic())
+            o = status.scaling_offset
+            offset = read_only([o.x, o.y, o.z])
+            self._reach.scaling = dataclasses.replace(self._reach.scaling, factor=status.scaling_factor, offset=offset)
+            now = clock.monotonic()
+            self._teleop.control(status.control_on, status.mode, status.scaling_factor, now, offset)
 
     def _on_input(self, message: OperatorInput) -> None:
         age = (rospy.Time.now() - message.header.stamp).to_sec()
@@ -178,8 +184,8 @@ def start(subscribe: Subscribe = subscribe, of: str = "") -> None:
     leap = wait_for_config(LeapConfig, f"{of}leap", others=(OPERATOR_INPUT,))
     arm = read_arm_placement(of)
     frames = arm_frames(of)
-    reach = ReachCheck(arm.ws_center, frames, of)
-    measured = MeasuredTool(arm.T_flange_tool, frames) if leap.engagement == RELATIVE else no_measured_tool
+    reach = ReachCheck(Scaling(arm.ws_center), frames, of)
+    measured = MeasuredTool(arm.T_flange_tool, frames, of) if leap.engagement == RELATIVE else no_measured_tool
     ArmTeleopNode(ArmTeleop(leap, arm, reach, measured), reach, leap.engagement, subscribe, frames, of).watch()
 
 

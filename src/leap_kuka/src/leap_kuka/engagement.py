@@ -1,0 +1,144 @@
+"""The states of an engagement, absolute or relative, and the one table of their transitions.
+
+teleop.py says what has happened, a trigger; the table names the next state. Where a state has no row for a trigger,
+nothing changes. docs/reference/engagement.md is made from this table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Tool(Enum):
+    """What the desired tool does."""
+
+    GONE = "is not published; the arm brakes, and goes home after `time_out`"
+    STAYS = "stays"
+    FOLLOWS = "follows the hand"
+
+
+class State(Enum):
+    """A state: what the tool does, whether a hand owns the engagement, and who may steer next."""
+
+    WAITING = Tool.GONE, False, "a hand that comes in"
+    HELD = Tool.STAYS, False, "a hand that comes in; held on request"
+    STARTING = Tool.STAYS, True, "the same hand, once the arm servos"
+    STEERING = Tool.FOLLOWS, True, "the same hand"
+    STAYING = Tool.STAYS, True, "the same hand, once it is seen and the tracker is fast enough"
+    PAUSED = Tool.STAYS, True, "the same hand, once it may, anywhere in view, in any orientation"
+    KEPT = Tool.STAYS, False, "a hand that comes in"
+
+    def __init__(self, tool: Tool, owned: bool, continues: str) -> None:
+        self.tool = tool
+        self.owned = owned
+        self.continues = continues
+
+    @property
+    def running(self) -> bool:
+        """Whether a hand steers, or would if nothing kept the tool for a moment."""
+        return self in _RUNNING
+
+    @property
+    def kept(self) -> bool:
+        """Whether the tool stays where an engagement stopped."""
+        return self in (State.PAUSED, State.KEPT)
+
+    @property
+    def held(self) -> bool:
+        """Whether the tool stays without a hand that steers."""
+        return self is State.HELD or self.kept
+
+
+class Trigger(Enum):
+    """What happens, and how the operator reads it, with the hand's name and a detail."""
+
+    HAND_READY = "a hand meets all conditions", "{hand} is followed"
+    NOT_SEEN = "the hand is not in the frame", "{hand} is not seen; the tool stays"
+    SLOW = "fewer than 20 frames per second come", "{detail}"
+    SEEN = "it is seen, and enough frames come", "{hand} is followed"
+    ARM_BUSY = "the arm is not in servo mode", "{hand} is followed once the arm is ready; it is in {detail}"
+    ARM_READY = "the arm is in servo mode", "{hand} is followed"
+    STOPPED = "not enabled, clutched, or not chosen", "{detail}"
+    HAND_LOST = "the hand is lost for 0.2 s, or jumps", "{hand} was lost{detail}"
+    MOVED = "it moved while the tracker was slow", "{hand} moved while the tracker was slow"
+    UNSURE = "its confidence is too low", "{hand}: {detail}"
+    CLUTCH_LOST = "the clutch device is silent", "the clutch device is silent"
+    TRACKER_LOST = "no frame for 0.2 s, or inconsistent ones", "{detail}"
+    CONTROL_ON = "control goes on", "control of the arm went on; take the hand out of the box and back in"
+    CONTROL_FOUND_ON = (
+        "control is on when it is first heard of",
+        "control of the arm was on at the start; take the hand out of the box and back in",
+    )
+    CONTROL_OFF = "control goes off", "control of the arm is off"
+    ARM_LEFT = "the arm no longer follows", "the arm does not follow, its controller is in the mode {detail}"
+    EXPIRED = "the time is over", "no hand took it over in time"
+    HOLD = "a program holds the tool", "the tool is held"
+    HOLD_ENDED = "the program ends that", "it was ended"
+
+    def __init__(self, happens: str, sentence: str) -> None:
+        self.happens = happens
+        self.sentence = sentence
+
+
+class When(Enum):
+    """A guard of a transition."""
+
+    ALWAYS = ""
+    RELATIVE = "relative"
+    KEEPS = "relative, `hold_time` above 0"
+    DROPS = "absolute, or `hold_time` 0"
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One row."""
+
+    sources: tuple[State, ...]
+    trigger: Trigger
+    target: State
+    when: When = When.ALWAYS
+
+
+_S, _T = State, Trigger
+_RUNNING = (_S.STARTING, _S.STEERING, _S.STAYING)
+_OWNED = (*_RUNNING, _S.PAUSED)
+_LOSSES = (_T.HAND_LOST, _T.MOVED, _T.UNSURE, _T.CLUTCH_LOST)
+
+TRANSITIONS = (
+    Transition((_S.WAITING, _S.HELD, _S.PAUSED, _S.KEPT), _T.HAND_READY, _S.STEERING),
+    # The hand steers on, but the tool waits.
+    Transition((_S.STEERING, _S.STAYING), _T.ARM_BUSY, _S.STARTING, When.RELATIVE),
+    Transition((_S.STARTING,), _T.ARM_READY, _S.STEERING),
+    Transition((_S.STEERING,), _T.NOT_SEEN, _S.STAYING),
+    Transition((_S.STEERING,), _T.SLOW, _S.STAYING),
+    Transition((_S.STAYING,), _T.SEEN, _S.STEERING),
+    # Not enabled, clutched, or not chosen.
+    Transition(_RUNNING, _T.STOPPED, _S.PAUSED, When.KEEPS),
+    Transition(_RUNNING, _T.STOPPED, _S.WAITING, When.DROPS),
+    # The hand is gone, or nobody knows what the operator wants.
+    *(Transition(_RUNNING, loss, _S.KEPT, When.KEEPS) for loss in _LOSSES),
+    *(Transition(_RUNNING, loss, _S.WAITING, When.DROPS) for loss in _LOSSES),
+    *(Transition((_S.PAUSED,), loss, _S.KEPT) for loss in _LOSSES),
+    # Nobody watches, or the arm is not there for a hand.
+    Transition((_S.HELD, _S.KEPT, *_OWNED), _T.TRACKER_LOST, _S.WAITING),
+    Transition((_S.KEPT, *_OWNED), _T.CONTROL_ON, _S.WAITING),
+    Transition((_S.KEPT, *_OWNED), _T.CONTROL_FOUND_ON, _S.WAITING),
+    Transition((_S.HELD, _S.KEPT, _S.PAUSED), _T.CONTROL_OFF, _S.WAITING),
+    Transition(_RUNNING, _T.CONTROL_OFF, _S.WAITING, When.RELATIVE),
+    Transition((_S.KEPT, *_OWNED), _T.ARM_LEFT, _S.WAITING, When.RELATIVE),
+    # Holds.
+    Transition((_S.HELD, _S.KEPT, _S.PAUSED), _T.EXPIRED, _S.WAITING),
+    Transition((_S.WAITING,), _T.HOLD, _S.HELD),
+    Transition((_S.HELD,), _T.HOLD_ENDED, _S.WAITING),
+)
+"""All transitions. No end of an engagement is a motion: the tool stays, or is no longer published."""
+
+
+def next_state(state: State, trigger: Trigger, relative: bool, keeps: bool) -> State:
+    """Returns the state after a trigger; `keeps`: whether the tool stays for the next hand."""
+    valid = {When.ALWAYS, When.KEEPS if keeps else When.DROPS, *([When.RELATIVE] if relative else [])}
+    for row in TRANSITIONS:
+        if state in row.sources and row.trigger is trigger and row.when in valid:
+            return row.target
+    return state
