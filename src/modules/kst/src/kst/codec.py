@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kst.limits import check_pose
 
@@ -145,16 +146,16 @@ def relative_velocity(velocity: float) -> KstCommand:
     return KstCommand(_with_numbers("jRelVel", (velocity,)), ServerThread.MAIN, ReplyKind.DONE)
 
 
-def start_guarded_ptp(torques: np.ndarray) -> KstCommand:
+def start_guarded_ptp(torques: ArrayLike) -> KstCommand:
     """Returns the command that starts a PTP motion which ends where an external joint torque leaves its range.
 
     Args:
         torques: lowest and highest torque of each joint, shape (7, 2) [Nm], finite and in order; else ValueError.
     """
-    torques = np.asarray(torques, dtype=float)
-    if torques.shape != (7, 2) or not np.all(torques[:, 0] < torques[:, 1]):
-        raise ValueError(f"the ranges of the torques are {torques.tolist()}, but must be seven pairs, lowest first")
-    fields = (str(field) for joint, (low, high) in enumerate(torques) for field in (joint, number(low), number(high)))
+    ranges = np.asarray(torques, dtype=float)
+    if ranges.shape != (7, 2) or not np.all(ranges[:, 0] < ranges[:, 1]):
+        raise ValueError(f"the ranges of the torques are {ranges.tolist()}, but must be seven pairs, lowest first")
+    fields = (str(field) for joint, (low, high) in enumerate(ranges) for field in (joint, number(low), number(high)))
     return GUARDED_PTP._replace(line=f"{GUARDED_PTP.line}_{'_'.join(fields)}_")
 
 

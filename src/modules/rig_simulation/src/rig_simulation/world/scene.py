@@ -249,7 +249,8 @@ def add_table(world: ET.Element, table: Table, posts: Mapping[str, Post]) -> Non
     geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -TABLE_THICKNESS / 2.0), **look)
     for name, post in posts.items():
         size = (post.radius, post.height / 2.0)
-        standing = body(world, f"post/{name}", table_pose(table) @ translation(*post.position, post.height / 2.0))
+        x, y = post.position.tolist()
+        standing = body(world, f"post/{name}", table_pose(table) @ translation(x, y, post.height / 2.0))
         geom(standing, f"post/{name}", BOARD, "cylinder", size, friction=table.friction, colour=POST_COLOUR)
 
 
