@@ -36,10 +36,10 @@ def test_there_are_never_more_connections_than_allowed_and_who_leaves_makes_room
             count[address] -= 1
 
 
-def test_a_machine_is_one_whatever_address_of_its_network_it_takes():
+def test_a_machine_is_one_however_its_address_is_written():
     limits = ConnectionLimits(5, 1)
-    assert limits.enter("2001:db8::1") and not limits.enter("2001:db8::2:1") and limits.enter("2001:db8:0:1::1")
     assert limits.enter("10.0.0.1") and not limits.enter("::ffff:10.0.0.1")
+    assert limits.enter("fe80::1%eth0") and not limits.enter("fe80:0::1") and limits.enter("fe80::2%eth0")
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 100.0), st.text(max_size=3), st.sampled_from([THERE, "10.0.0.7"]))))

@@ -115,8 +115,5 @@ def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _machine(address: str) -> str:
-    """Returns what stands for a machine: its address, of IPv6 the network of which it may choose any."""
-    found = _ip(address)
-    if isinstance(found, ipaddress.IPv6Address) and not found.is_loopback:
-        return str(ipaddress.ip_network((found, 64), strict=False))
-    return str(found or address)
+    """Returns an address in the one form that stands for its machine."""
+    return str(_ip(address) or address)

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import http
 import math
-import socket
 from urllib.parse import parse_qs, urlsplit
 
 from websockets.asyncio.server import ServerConnection
@@ -16,7 +15,7 @@ from websockets.http11 import Request, Response
 from leap_motion.service import wire
 from leap_motion.service.access import AccessCode, hostname, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate, CertificateError
-from leap_motion.service.socket_service import SocketService, listen
+from leap_motion.service.socket_service import SocketService, listen, own_names
 
 GATED_FROM_VERSION = 4
 SHORTEST_CODE = 8
@@ -140,7 +139,7 @@ class LeapService(SocketService):
         """Refuses the pages of other sites, and who comes by the secure port without the code."""
         arrived_at = connection.local_address[0]
         hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
-        if not all(is_own_host(host, arrived_at, (socket.gethostname(),)) for host in hosts) or not all(
+        if not all(is_own_host(host, arrived_at, own_names()) for host in hosts) or not all(
             is_loopback(hostname(origin)) for origin in origins
         ):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "Pages of other sites get no hands.\n")

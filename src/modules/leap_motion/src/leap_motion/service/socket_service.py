@@ -33,6 +33,12 @@ def listen(host: str, port: int) -> socket.socket:
     return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
 
 
+def own_names() -> tuple[str, ...]:
+    """Returns the names by which this computer is known in its network."""
+    name = socket.gethostname()
+    return name, f"{name}.local"
+
+
 class SocketService:
     """Serves WebSockets on listening sockets, with TLS or without, until `stop`; a subclass answers requests in `_meet`
     and converses in `_converse`.

@@ -36,7 +36,7 @@ from common.ros.params import private_config
 from leap_motion.headset.transport import MAX_MESSAGE_BYTES, SEND_S
 from leap_motion.service.access import ConnectionLimits, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate, CertificateError, own_certificate
-from leap_motion.service.socket_service import SocketService, listen
+from leap_motion.service.socket_service import SocketService, listen, own_names
 from rig_msgs.msg import OperatorView
 from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.ros.stereo.headset_hands import HeadsetHands
@@ -79,8 +79,7 @@ class StereoWeb(SocketService):
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         self._pages: list[ServerConnection] = []
         self._limits = ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS)
-        opened = (socket.gethostname(), f"{socket.gethostname()}.local", *([config.name] if config.name else ()))
-        self._names = () if is_loopback(config.host) else opened
+        self._names = () if is_loopback(config.host) else (*own_names(), config.name)
         self.fingerprint = ""
         try:
             self._page = pathlib.Path(config.page).read_bytes()
