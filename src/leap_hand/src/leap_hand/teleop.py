@@ -22,7 +22,7 @@ from enum import Enum
 
 import numpy as np
 
-from common.hand_reasons import FOLLOWED, IN_VIEW, NO_HAND
+from common.hand_reasons import FOLLOWED, IN_VIEW, NO_HAND, NOT_SEEN
 from common.hand_tracking import ANY, FrameWatch, HandLock, of_side, succeeds
 from common.poses import read_only
 from leap_hand.config import FINGERS, STEERING, HandConfig
@@ -90,9 +90,7 @@ class HandTeleop:
         self._opened_in_silence = False
         self._state = GripperState.WAITING
         self._followed_at = -math.inf
-        self._followed: tuple[TrackedHand, float] | None = (
-            None  # as it was followed last, and the time of its stamp [s]
-        )
+        self._followed: tuple[TrackedHand, float] | None = None  # the hand as it was last, and its frame's stamp [s]
         self._command = self.open_pose  # that was sent last
         self._kept = np.zeros(len(self._robot), dtype=bool)  # fingers that keep it until the operator's come near
 
@@ -179,7 +177,7 @@ class HandTeleop:
             silent = self._arm_reports or self._steering_only
             return "leap_kuka does not report which hand steers the arm" if silent else ""
         if self._owner is not None:
-            return "the hand that steers the arm is not seen"
+            return NOT_SEEN.format(hand="the hand that steers the arm")
         refused = self._steering_only or self._keep_grip
         return "no hand steers the arm; bring one into the interaction box" if refused else ""
 
