@@ -1,5 +1,7 @@
 """The arm in the physics: it follows, does not sink, feels what it touches and holds, and stops when it presses."""
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -205,6 +207,12 @@ def test_a_post_stands_fast_and_what_the_arm_feels_of_it_ends_a_guarded_motion()
         forces[guard] = greatest
     guarded, plain = forces.pop(guard), forces.pop(None)
     assert 30.0 < guarded < 0.95 * plain, (guarded, plain)
+    # An arm that is sent on while it still presses does not move.
+    rig.arm.settings = dataclasses.replace(rig.arm.settings, torque_limit=np.inf)
+    at = rig.arm.q
+    rig.arm.start_motion(JointMove(at, goal, 0.15 * rig.arm.robot.max_speed, rig.arm.motion_acceleration), guard)
+    rig.run(lambda: not rig.arm.in_motion, 0.1)
+    np.testing.assert_allclose(rig.arm.q, at, atol=1e-4)
 
 
 def test_without_a_stop_there_is_nothing_to_back_off_from():
