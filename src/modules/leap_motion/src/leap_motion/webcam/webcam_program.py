@@ -62,10 +62,16 @@ class WebcamTracker:
         place = placement(options.setup, math.radians(options.tilt), options.distance)
         self._tracks = HandTracks(place, _width(options))
         self._detector = HandDetector(options.hands == 1)
-        about = {"version": SERVICE, "serial": serial_of(options)}
         own = None if is_loopback(options.host) else own_certificate(_folder() / "tracker")
-        opened = {"code": options.code, "certificate": own, "secure_port": options.secure_port}
-        self._service = LeapService(options.host, options.port, **about, **opened)
+        self._service = LeapService(
+            options.host,
+            options.port,
+            version=SERVICE,
+            serial=serial_of(options),
+            code=options.code,
+            certificate=own,
+            secure_port=options.secure_port,
+        )
         self.address = f"{self._service.host}:{self._service.port}"
         self.invitation = ""
         if own is not None:
