@@ -161,6 +161,7 @@ class World:
         self.clock, self.skew = CLOCK, 0.0  # the wall clock at the start, and how far stamps are ahead of it [s]
         self.conflict = None
         self.foreign = False  # whether a node publishes the tool frame instead of the hand
+        self.engagement = None  # of the hand
         self.newest = None
         self.move = None
         self.number = 0
@@ -178,7 +179,8 @@ class World:
         for i in range(max(1, round(seconds / DT))):
             if tool is not None and i % 3 == 0:
                 T = tool(self.now - start) if callable(tool) else tool
-                self.newest = DesiredFrame(T, self.clock + self.now + self.skew, self.conflict, foreign=self.foreign)
+                stamp, hand = self.clock + self.now + self.skew, self.engagement
+                self.newest = DesiredFrame(T, stamp, self.conflict, foreign=self.foreign, engagement=hand)
             exits = {"exit_requested": self.exit_requested, "exit_in_place": self.exit_in_place}
             switches = SwitchState(self.control_on, self.enable_count, scale=self.scale, **exits)
             inputs = Inputs(self.newest, self.clock + self.now, switches, self.move)

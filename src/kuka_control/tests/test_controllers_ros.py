@@ -699,4 +699,4 @@ def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, 
         patch.setattr(controller_node, "wait_for_config", lambda *_, **__: rig(RealTimeConfig)[0])
         patch.setattr(controller_node.rospy, "set_param", lambda key, _: uploaded.append(key))
         controller_node._run(RealTimeConfig, lambda *_: None, types.SimpleNamespace(lift_workspace=False))
-    assert uploaded == ["kuka/joints_home", "kuka/rotation_home", "kuka/ws_center"]
+    assert uploaded == ["kuka/running", "kuka/joints_home", "kuka/rotation_home", "kuka/ws_center"]

@@ -34,7 +34,7 @@ class Stream:
         self.last = None
         clock.sleep(0.1)
 
-    def run(self, seconds, ahead=0.0):
+    def run(self, seconds, ahead=0.0, hand=True):
         """Returns how many frames were accepted, and the sentences about those that were refused."""
         import rospy
         from tf2_msgs.msg import TFMessage
@@ -44,7 +44,7 @@ class Stream:
         accepted, refused = 0, []
         for _ in range(round(seconds / DT)):
             stamp = rospy.Time.from_sec(rospy.get_time() + ahead)
-            frames = [stamped_transform(translation(0.5, 0.0, 0.5), self.parent, TOOL_DESIRED, stamp)]
+            frames = [stamped_transform(translation(0.5, 0.0, 0.5), self.parent, TOOL_DESIRED, stamp)] * hand
             if self.parent != BASE:
                 frames.append(stamped_transform(translation(0.0, 0.0, 0.0), BASE, self.parent, stamp))
             self._publisher.publish(TFMessage(frames))
@@ -153,6 +153,18 @@ def test_a_master_that_does_not_answer_leaves_the_frame_refused(virtual_graph):
 def test_a_frame_that_stands_in_the_virtual_leap_is_a_hands(virtual_graph, parent, foreign):
     stream = Stream(parent)
     assert stream.run(0.5)[0] and stream.last.foreign is foreign
+    assert stream.last.engagement == (None if foreign else 0)
+
+
+def test_a_hand_has_come_in_where_the_virtual_leap_came_without_one(virtual_graph):
+    """And not where all was silent, as with an interrupted link."""
+    stream = Stream(VIRTUAL_LEAP)
+    for pause, engagement in ((False, 0), (False, 0), (True, 1), (False, 1), (True, 2)):
+        clock.sleep(1.0)
+        if pause:
+            stream.run(0.1, hand=False)
+        stream.run(0.5)
+        assert stream.last.engagement == engagement
 
 
 class Shifted(SimpleXMLRPCRequestHandler):

@@ -147,6 +147,23 @@ def test_a_repetition_waits_and_says_how_long_and_control_off_and_on_ends_that(s
     assert reached(world, NEAR)
 
 
+@both
+def test_each_hand_that_comes_in_is_followed_at_once_and_one_whose_link_is_interrupted_is_not(schema):
+    world = World(schema).at_home()
+    world.control_on = True
+    for hand in range(4):
+        world.engagement = hand
+        stream(world, 1.5, NEAR)
+        assert reached(world, NEAR)
+        world.run(0.8)
+        assert world.mode == "home"
+    for _ in range(4):
+        stream(world, 1.5, NEAR)
+        went = reached(world, NEAR)
+        world.run(0.8)
+    assert not went and "it waits" in " ".join(world.events)
+
+
 def test_each_ptp_of_the_ptp_algorithm_is_asked_for_by_its_stream():
     world = World(PtpConfig).at_home()
     world.control_on = world.foreign = True

@@ -184,6 +184,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._early: int | None = None  # the stream that ran before control went on, until the arm follows it
         self._announced: float | None = None  # when it was said that the arm takes it over [s]
         self._own = OwnMotions()
+        self._engagement: int | None = None  # of the hand that was accepted last
         self._waits: tuple[str, float] | None = None  # why the arm does not repeat a motion, and since when [s]
         self._move: ProgramMotion | None = None  # the last motion for a program that started
         self._q_before = Q_ZERO  # joints where it started
@@ -217,6 +218,9 @@ class ControlLoop(ABC, Generic[Settings]):
             self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
         elif update.fresh is not None and not update.fresh.foreign and self._stream.number == self._early:
             self._barred, self._barred_because, self._early = self._early, BARRED, None
+        if update.fresh is not None and update.fresh.engagement not in (None, self._engagement):
+            self._engagement = update.fresh.engagement
+            self._own.forget()
         self._scale(inputs.switches.scale)
         self._look_out(observation, update.fresh, now)
         command = self._command(Cycle(observation, update.fresh, now))

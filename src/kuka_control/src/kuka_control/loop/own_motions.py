@@ -29,9 +29,9 @@ TAKEN_OVER = (
 class OwnMotions:
     """Counts the pick-up motions and the returns home that follow from the desired tool frame alone.
 
-    Each of both is repeated at the earliest after AGAIN_S, unless control was switched on or a program moved the arm
-    meanwhile. Where a hand may have come in, one repetition is free in that time: it is an operator's action, but a bad
-    link looks the same.
+    Each of both is repeated at the earliest after AGAIN_S, unless the operator has acted meanwhile: has switched
+    control on, moved the arm by a program, or brought a hand in, before which its publisher told of none; with an
+    interrupted link it tells nothing. Where the publisher does not show that, a hand's frames have one repetition free.
     """
 
     def __init__(self) -> None:

@@ -42,6 +42,7 @@ class DesiredFrame:
     refused: str | None = None  # why this frame alone does not count, a sentence, if that is known on arrival
     clock: int = 0  # number of the measurement by which its stamp is of this machine's clock (clock_offset.py)
     foreign: bool = False  # whether it does not stand in the virtual Leap, so that no operator's hand brings it
+    engagement: int | None = None  # of a hand, another one after each time that its publisher went on without one
 
 
 def rejection_reason(T_base_tool: np.ndarray) -> str | None:

@@ -68,6 +68,7 @@ class DesiredTool:
         self._clock = NodeClock("")  # of the node that published it last
         self._clocks: dict[str, NodeClock] = {}  # of all that did
         self._foreign = True  # whether it does not stand in the virtual Leap
+        self._engagement, self._without_hand = 0, False  # the second: whether that came last without it
         self._lock = clock.Lock()  # each publisher on /tf has a thread of its own
         self._last_time = rospy.Time.now()
         self._passed = clock.monotonic()  # when ROS time was seen to pass [s]
@@ -92,6 +93,7 @@ class DesiredTool:
         with self._lock:
             self._check_for_reset()
             arrived = False
+            self._count_engagements({transform.child for transform in transforms})
             for transform in transforms:
                 # Also one that is left out names the frames of a conflict.
                 known = self._parents.get(transform.child) == transform.parent
@@ -157,6 +159,12 @@ class DesiredTool:
         for frame in self._needed.intersection(self._others):
             for transform in self._others.pop(frame):
                 self._take(transform)
+
+    def _count_engagements(self, frames: set[str]) -> None:
+        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one."""
+        if self._hand in frames:
+            self._engagement += self._without_hand and self._tool in frames
+            self._without_hand = self._tool not in frames
 
     def _measure(self, node: str, transform: RawTransform, now: float) -> None:
         """Compares the clock of the node that publishes the desired tool frame with this machine's."""
@@ -232,8 +240,8 @@ class DesiredTool:
             T_base_tool = pose_from_transform(message.transform)
             self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.offset)
             jump = self._chain_jump(stamp, T_base_tool)
-            number, foreign = self._clock.offset.number, self._foreign
-            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, clock=number, foreign=foreign)
+            number, hand = self._clock.offset.number, None if self._foreign else self._engagement
+            self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, None, number, self._foreign, hand)
         except tf2_ros.ExtrapolationException:
             return False
         except tf2_ros.TransformException:
