@@ -20,7 +20,7 @@ from websockets.http11 import Request, Response
 from leap_motion.service.access import ConnectionLimits
 
 LONGEST_SLEEP_S = 0.2
-OPEN_TIMEOUT_S = 5.0  # for the handshakes of TLS and WebSocket together
+OPEN_TIMEOUT_S = 5.0  # for the handshake of TLS, and then for that of the WebSocket
 CLOSE_TIMEOUT_S = 0.5
 GONE_S = 10.0  # what could not be sent within this time after the end of a connection is dropped
 PING_S = 10.0  # another machine that answers no ping is gone
