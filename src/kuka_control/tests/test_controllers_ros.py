@@ -186,6 +186,14 @@ def test_the_life_of_the_real_time_controller(ros, robot, run):
     node.wait_for_mode("servo")
     ros.wait_until(lambda: robot.is_at(shifted(T_home, 0.05, 0.0, 0.03)), 5.0, "the tool at half the way of the hand")
     ros.wait_until(lambda: heard["kuka/moving_rt"][-1].data, 0.1, "moving_rt")
+    for factor in (1.0, 0.5):
+        assert node.call("scaling_factor", "setScalingFactor", factor).success
+        clock.sleep(1.0)
+        status = rospy.wait_for_message("kuka/status", KukaStatus, 1.0)
+        offset = [status.scaling_offset.x, status.scaling_offset.y, status.scaling_offset.z]
+        np.testing.assert_allclose(offset, (factor - 0.5) / 0.5 * np.array([-0.05, 0.0, -0.03]), atol=1e-6)
+        assert status.mode == "servo" and status.scaling_factor == factor
+        assert robot.is_at(shifted(T_home, 0.05, 0.0, 0.03)), "a new factor moves nothing"
 
     for messages in heard.values():
         messages.clear()
