@@ -18,6 +18,7 @@ from leap_hand import teleop as hand_teleop
 from leap_hand.config import HandConfig
 from leap_kuka import teleop as arm_teleop
 from leap_kuka.config import ArmPlacement, LeapConfig
+from leap_kuka.teleop_result import StreamState
 from leap_motion.codec import read_message
 from leap_motion.frames import LeapFrame, TrackingFrame
 from leap_motion.msg import Human
@@ -53,7 +54,7 @@ def rows(quick: bool) -> list[Row]:
 
     arm, hand = _arm_teleop(), hand_teleop.HandTeleop(_config(HandConfig, "leap_hand", "leap_hand", "leap_hand"), True)
     times, results = timed(lambda d, s: arm.step(_frame(ReceivedPalms, d, s), s.to_sec()), zip(packed, stamps))
-    running = sum(result.state == arm_teleop.StreamState.RUNNING for result in results)
+    running = sum(result.state == StreamState.RUNNING for result in results)
     table.append(row("leap_kuka: Human to desired tool", times, "us", f"the stream runs in {running} of them"))
     times, results = timed(lambda d, s: hand.step(_frame(ReceivedHuman, d, s), s.to_sec()), zip(packed, stamps))
     following = sum(result is not None and result.state == hand_teleop.GripperState.FOLLOWING for result in results)

@@ -33,7 +33,8 @@ from leap_hand.config import HandConfig
 from leap_hand.force_limit import FingerFeedback, ForceLimit
 from leap_hand.teleop import GripperResult, HandTeleop
 from leap_kuka.config import OPERATOR_INPUT, ArmPlacement, LeapConfig
-from leap_kuka.teleop import ArmTeleop, TeleopResult
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import TeleopResult
 from leap_motion.codec import LeapProtocolError, read_message
 from leap_motion.frames import (
     DISTAL,
@@ -278,6 +279,7 @@ class PureChain:
         self._loop = algorithms.real_time_loop(world.config, world.rig)
         self._controller = Controller(world.arm, self._loop)
         self._newest: DesiredFrame | None = None
+        self._engagements = 0
         self._last: tuple[int, int] | None = None
 
     def run(self) -> Trace:
@@ -322,9 +324,11 @@ class PureChain:
         result = self._arm.step(tracking, now)
         self._tell(result, now)
         tool = None
-        if result.usable and result.T_virtual_tool is not None:
+        if result.usable and result.T_virtual_tool is None:
+            self._engagements += self._newest is not None and self._newest.engagement == self._engagements
+        elif result.usable:
             tool = result.T_base_virtual @ result.T_virtual_tool
-            self._newest = DesiredFrame(tool, CLOCK_S + now)
+            self._newest = DesiredFrame(tool, CLOCK_S + now, engagement=self._engagements)
         return tool, self._carry_out(self._hand.step(tracking, now), now)
 
     def look(self, now: float) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from common.poses import pose
-from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
 from leap_motion.frames import TrackingFrame
 
 BOX_HEIGHT = 0.35

@@ -14,7 +14,7 @@ from common.errors import ConfigError
 from common.poses import pose
 from leap_kuka.arm_choice import BOTH, CLEARLY_M, NOBODY, ArmChoice, elsewhere, meaning
 from leap_kuka.start_gate import CHOSEN
-from leap_kuka.teleop import StreamState
+from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
 
 BOXES = {"left": -0.16, "right": 0.16}

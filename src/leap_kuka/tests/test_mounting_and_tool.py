@@ -11,7 +11,8 @@ from common.errors import ConfigError
 from common.mounting import mounting_frame, rotation_of_mounting
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_about, rotation_from_quaternion, rotation_from_zyx
-from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
 
 degrees = st.floats(-180.0, 180.0)
 mountings = st.tuples(degrees, degrees, degrees)

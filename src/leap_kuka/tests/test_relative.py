@@ -12,7 +12,7 @@ from relative_rig import BOX_HEIGHT, HOLD_S, Rig
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
 from leap_kuka.start_gate import CONDITIONS, ENABLED, RATE, READY, RELEASED
-from leap_kuka.teleop import StreamState
+from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
 
 angle = st.floats(-180.0, 180.0)

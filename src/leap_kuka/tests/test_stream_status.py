@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("rospy")
 from leap_kuka.ros import stream_status
 from leap_kuka.start_gate import InteractionBox
-from leap_kuka.teleop import StreamState, TeleopResult
+from leap_kuka.teleop_result import StreamState, TeleopResult
 
 pytestmark = pytest.mark.ros
 

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from common.poses import inverse
 from common.rotations import rotation_about, rotation_angle
-from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 LIFT = {"confidence-74fps": (0.0, 0.19, 0.0), "rollAndPitchWithEntry": (-0.05, 0.19, 0.0)}

@@ -12,7 +12,8 @@ from common.poses import pose
 from leap_kuka.operator_devices import OperatorInput, OperatorInputConfig
 from leap_kuka.operator_switches import DeviceSwitches, SecondHandSwitch
 from leap_kuka.start_gate import READY
-from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
 from leap_motion.frames import TrackingFrame
 
 DT = 0.01

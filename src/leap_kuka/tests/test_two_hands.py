@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.poses import translation
-from leap_kuka.teleop import ArmTeleop, StreamState
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
 from leap_motion.frames import TrackingFrame
 
 OFFSET = {"left": -0.15, "right": 0.15}

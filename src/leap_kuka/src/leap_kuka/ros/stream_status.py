@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common import clock
 from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.start_gate import InteractionBox
-from leap_kuka.teleop import StreamState, TeleopResult
+from leap_kuka.teleop_result import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
 
 GREEN = (0.2, 0.8, 0.3)

@@ -32,7 +32,8 @@ from leap_kuka.ros.reach import ReachCheck
 from leap_kuka.ros.stream_status import StreamStatus
 from leap_kuka.ros.teleop_state import TeleopStatePublisher
 from leap_kuka.scaling import Scaling
-from leap_kuka.teleop import ArmTeleop, TeleopResult
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import TeleopResult
 from leap_kuka.tool_hold import HoldAnswer
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe

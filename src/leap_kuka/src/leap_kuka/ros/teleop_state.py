@@ -7,7 +7,7 @@ import rospy
 from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.ros.stream_status import NewestResult
 from leap_kuka.start_gate import CONDITIONS
-from leap_kuka.teleop import StreamState, TeleopResult
+from leap_kuka.teleop_result import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
 from rig_msgs.msg import TeleopState
 

@@ -1,0 +1,224 @@
+"""Laws of the engagement: whatever happens in whatever order, the arm moves only for a hand that may steer it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
+
+from common.config import parse
+from common.poses import pose
+from common.rotations import rotation_from_zyx
+from golden.chain import parsed
+from leap_kuka.config import ArmPlacement
+from leap_kuka.engagement import TRANSITIONS, State, Tool, Trigger, When, next_state
+from leap_kuka.teleop import ArmTeleop
+from leap_kuka.teleop_result import StreamState
+from leap_kuka.tool_hold import HoldState
+from leap_kuka.virtual_leap import R_LEAP_REFERENCE
+from leap_motion.frames import TrackedHand, TrackingFrame
+
+HOME = pose(np.diag([-1.0, 1.0, -1.0]), (0.42, -0.42, 0.4))
+PLACES = {"box": 0.0, "edge": 0.08, "beside": 0.115, "out": 0.25}  # of the palm, to the right of the box's centre [m]
+ENDS = {Tool.GONE, Tool.STAYS}
+
+
+def placement():
+    values = {**vars(parsed("kuka", {})), "ws_center": HOME[:3, 3]}
+    return parse(ArmPlacement, values, "kuka/", others=values)
+
+
+BOX = ArmTeleop(parsed("leap", {}, others=("operator_input",)), placement()).box.center
+
+
+def hand(number, place, yaw=0.0, confidence=1.0, grab=0.0):
+    R = R_LEAP_REFERENCE @ rotation_from_zyx(np.radians(yaw), 0.0, 0.0)
+    position = np.add(BOX, (PLACES[place], 0.0, 0.0))
+    return TrackedHand(number, number % 2 == 1, position, R[:, 0], R[:, 2], confidence, grab=grab)
+
+
+class Engagement(RuleBasedStateMachine):
+    """An arm that is where it is told at once, its controller, two hands, the operator's device, a choice of arm."""
+
+    @initialize(
+        relative=st.booleans(), hold_time=st.sampled_from([0.0, 1.0]), switched=st.booleans(), known=st.booleans()
+    )
+    def begin(self, relative, hold_time, switched, known):
+        keeps = relative and hold_time > 0.0
+        changes = {"engagement": "relative" if relative else "absolute", "hold_time": hold_time}
+        if keeps and switched:
+            changes |= {"enabling": "device", "clutch": "device", "arm_choice": "service"}
+        self.keeps, self.switched = keeps, keeps and switched
+        self.teleop = ArmTeleop(parsed("leap", changes, others=("operator_input",)), placement(), measured_tool=self.at)
+        self.box = self.teleop.box
+        self.tool, self.mode, self.control_on, self.silent = HOME, "home", False, 1.0
+        self.pressed, self.clutched, self.device_there, self.chosen = False, False, True, True
+        self.hands, self.now, self.number = {}, 50.0, 0
+        self.outside, self.may = {}, set()  # frames in a row outside of the box; hands that came in while control is on
+        self.last = self.sent = None
+        self.told = known
+        self.frames(1)
+
+    def at(self):
+        return self.tool
+
+    @rule(number=st.sampled_from([2, 3, 4]), place=st.sampled_from([*PLACES]), yaw=st.sampled_from([0.0, 30.0]))
+    def move(self, number, place, yaw):
+        self.hands[number] = hand(number, place, yaw)
+        self.frames(5)
+
+    @rule(number=st.sampled_from([2, 3, 4]))
+    def leave(self, number):
+        self.hands.pop(number, None)
+        self.frames(2)
+
+    @rule(number=st.sampled_from([2, 4]))
+    def come_in(self, number):
+        """As an operator does."""
+        self.hands = {number: hand(number, "out")}
+        self.frames(4)
+        self.hands = {}
+        self.frames(2)
+        self.hands = {number: hand(number, "box")}
+        self.frames(45)
+
+    @rule(number=st.sampled_from([2, 4]), unsure=st.booleans())
+    def hide(self, number, unsure):
+        if number in self.hands:
+            self.hands[number] = dataclasses.replace(self.hands[number], confidence=0.0 if unsure else 1.0)
+        self.frames(2)
+
+    @rule(count=st.integers(1, 60))
+    def frames(self, count):
+        for _ in range(count):
+            self.frame()
+
+    @rule()
+    def drift(self):
+        """The hands move slowly."""
+        for _ in range(20):
+            for number, seen in self.hands.items():
+                self.hands[number] = dataclasses.replace(seen, palm=np.add(seen.palm, (0.0, 0.001, 0.0)))
+            self.frame()
+
+    @rule(on=st.booleans())
+    def switch(self, on):
+        self.told = True
+        if on and not self.control_on:
+            self.may, self.outside = set(), {}
+        self.control_on = on
+        self.frames(1)
+
+    @rule()
+    def press(self):
+        """The enabling device, released and pressed."""
+        self.pressed = False
+        self.frames(2)
+        self.pressed = True
+        self.frames(2)
+
+    @rule(pressed=st.booleans(), clutched=st.booleans(), there=st.booleans(), chosen=st.booleans())
+    def device(self, pressed, clutched, there, chosen):
+        self.pressed, self.clutched, self.device_there, self.chosen = pressed, clutched, there, chosen
+        self.frames(3)
+
+    @rule(mode=st.sampled_from(["stopped", "moving", "holding", "pick_up", "servo", "home"]))
+    def arm(self, mode):
+        self.mode = mode
+        self.frames(2)
+
+    @rule(dt=st.sampled_from([0.06, 0.19, 0.3, 1.1]))
+    def pause(self, dt):
+        """No frames come, and the watch looks."""
+        self.now += dt
+        self.teleop.silence(self.now)
+        if dt > 0.2:
+            self.sent = None
+        self.frame(dt)
+
+    def frame(self, dt=0.01):
+        self.now += dt
+        self.number += 1
+        if self.told:
+            self.teleop.control(self.control_on, self.mode, 1.0, self.now)
+        if self.switched:
+            self.teleop.choose(None if self.chosen else "the hand steers the other arm", True)
+            if self.device_there:
+                self.teleop.switches.device.take(self.pressed, self.clutched, "pedal", 0.0, self.now)
+        owner, hands = self.last.owner if self.last else None, tuple(self.hands.values())
+        for seen in hands:
+            out = self.box.outside(seen.palm) > 0.02
+            self.outside[seen.id] = self.outside.get(seen.id, 0) + 1 if out else 0
+            if self.outside[seen.id] >= 3:
+                self.may.add(seen.id)
+        result = self.teleop.step(TrackingFrame(self.number, 0.0, hands), self.now)
+        self.judge(result)
+        if owner is not None and result.owner is None and result.hold is not HoldState.KEPT:
+            self.may, self.outside = set(), {}
+        self.last = result
+        tool = None if result.T_virtual_tool is None else result.T_base_virtual @ result.T_virtual_tool
+        self.sent = tool
+        follows = self.control_on and tool is not None and self.mode in ("home", "pick_up", "servo")
+        self.silent = 0.0 if follows else self.silent + dt
+        if follows:
+            self.tool, self.mode = tool, "servo"
+        elif self.mode == "servo" and self.silent > 0.2:
+            self.tool, self.mode = HOME, "home"
+
+    def judge(self, result):
+        if result.T_virtual_tool is None or not (self.told and self.control_on):
+            return
+        tool, running = result.T_base_virtual @ result.T_virtual_tool, result.state is StreamState.RUNNING
+        moved = self.sent is None or not np.allclose(tool, self.sent, atol=1e-9)
+        if self.sent is None and result.hold is HoldState.NONE:
+            assert running, "a tool appears only for a hand"
+        if moved and self.sent is not None:
+            assert running and result.follows, result.reason
+        if not (running and moved):
+            return
+        assert result.owner is not None and result.owner[0] in self.may, f"{result.owner} did not come in: {self.may}"
+        if self.switched:
+            assert self.chosen and not self.clutched and self.device_there and self.pressed, result.reason
+
+
+def test_the_machine_engages():
+    """The laws would hold for a machine in which no hand ever steers."""
+    for relative, switched in ((False, False), (True, False), (True, True)):
+        machine = Engagement()
+        machine.begin(relative, 1.0, switched, True)
+        machine.switch(True)
+        machine.press()
+        machine.come_in(2)
+        machine.drift()
+        assert machine.last.follows and not np.allclose(machine.sent, HOME), machine.last.reason
+
+
+TestEngagement = Engagement.TestCase
+TestEngagement.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+
+
+def test_the_tool_moves_only_in_one_state_and_each_end_is_a_rest():
+    assert [state for state in State if state.tool is Tool.FOLLOWS] == [State.STEERING]
+    for row in TRANSITIONS:
+        for source in row.sources:
+            if source.running and not row.target.running:
+                assert row.target.tool in ENDS and row.trigger is not Trigger.HAND_READY
+            if row.target.running and not source.running:
+                assert row.trigger is Trigger.HAND_READY, "only a hand that meets all conditions starts"
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("relative, keeps", [(False, False), (True, False), (True, True)])
+def test_one_row_at_most_holds_for_what_happens(state, relative, keeps):
+    valid = {When.ALWAYS, When.KEEPS if keeps else When.DROPS, *([When.RELATIVE] if relative else [])}
+    for trigger in Trigger:
+        rows = [r for r in TRANSITIONS if state in r.sources and r.trigger is trigger and r.when in valid]
+        assert len(rows) <= 1
+        assert next_state(state, trigger, relative, keeps) is (rows[0].target if rows else state)
+    for end in (Trigger.TRACKER_LOST, Trigger.CONTROL_OFF):
+        after = next_state(state, end, relative, keeps)
+        assert after is State.WAITING or (end is Trigger.CONTROL_OFF and after.running and not relative)
