@@ -124,7 +124,9 @@ class RealTimeConfig(ControllerConfig):
     servo_law: str = choice(
         "auto", "none", "lts", doc="servo law of the robot's controller, for which goals are made; auto: as identified"
     )
-    shaping: str = choice("ruckig", "none", doc="whether the stream keeps the limits, or each target is a goal")
+    shaping: str = choice(
+        "ruckig", "none", doc="whether the stream keeps the limits, or, without collision_guard alone, each target is a goal"
+    )
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, fraction of the data sheet's speeds")
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of all points of the arm; stopped at 0.8")
     joint_acceleration: float = number("rad/s^2", low=1.0, high=16.0, doc="limit of the stream, slowest joint")
@@ -134,7 +136,9 @@ class RealTimeConfig(ControllerConfig):
     def faults_among(read: Mapping[str, Any]) -> list[str]:
         faults = ControllerConfig.faults_among(read)
         if read.get("collision_guard") and read.get("shaping") == "none":
-            faults.append("collision_guard is true, but guards no stream with shaping none; use shaping ruckig.")
+            faults.append(
+                "collision_guard is true, but guards no stream with shaping none; use shaping ruckig, or switch it off."
+            )
         return faults
 
 
