@@ -125,7 +125,7 @@ class RealTimeConfig(ControllerConfig):
         "auto", "none", "lts", doc="servo law of the robot's controller, for which goals are made; auto: as identified"
     )
     shaping: str = choice(
-        "ruckig", "none", doc="whether the stream keeps the limits, or, without collision_guard alone, each target is a goal"
+        "ruckig", "none", doc="the stream keeps the limits; none, only without collision_guard: each target is a goal"
     )
     joint_speed: float = number(above=0.0, high=1.0, doc="limit of the stream, fraction of the data sheet's speeds")
     tcp_speed: float = number("m/s", above=0.0, below=0.8, doc="limit of all points of the arm; stopped at 0.8")
