@@ -22,7 +22,7 @@ from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.rig import Rig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 
 CLOCK_S = 1.7e9
 GOAL_S = 1.0 / 250.0
@@ -82,7 +82,7 @@ def rows(quick: bool) -> list[Row]:
     near = [rig.home.q]
 
     def resolve(T: np.ndarray):
-        target = rig.chain.resolve(T, Scaling(), near[0])
+        target = rig.chain.resolve(T, MotionScaling(), near[0])
         near[0] = target.q
         return target
 

@@ -28,7 +28,7 @@ from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode, SwitchState
-from kuka_control.model.target import Scaling, check_tool_pose, scaled, seed
+from kuka_control.model.target import MotionScaling, check_tool_pose, scaled, seed
 from leap_hand.config import HandConfig
 from leap_hand.force_limit import FingerFeedback, ForceLimit
 from leap_hand.teleop import GripperResult, HandTeleop
@@ -245,7 +245,9 @@ class World:
         scale, centre = self.switches.scale, self.rig.home.centre
         T = pose(T_base_desired[:3, :3], scaled(T_base_desired[:3, 3], centre, scale))
         q = seed(self.mode, self.arm.measured_joints, self.rig.home.q)
-        return check_tool_pose(self.rig.chain, T, Scaling(scale), q, self.mode is Mode.SERVO, self._meets).obstacle
+        return check_tool_pose(
+            self.rig.chain, T, MotionScaling(scale), q, self.mode is Mode.SERVO, self._meets
+        ).obstacle
 
     def _meets(self, q: np.ndarray) -> str | None:
         if self._guard is None:

@@ -18,7 +18,7 @@ from kuka_control.loop.algorithms import motion_limits
 from kuka_control.loop.goal_stream import GoalStream, GoalStreamSettings
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 from rig_simulation.devices.sunrise.robot import Drives, lts_law
 
 FAULT = 100.0
@@ -284,7 +284,7 @@ def dash(limit, late):
             s = abs((t / 0.35 + 1.0) % 2.0 - 1.0)
             left = 0.16 * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s) - 0.5)
             T = translation(left / np.sqrt(2.0), left / np.sqrt(2.0), 0.0) @ rig.home.T_base_tool
-            before = rig.chain.resolve(T, Scaling(), goals.q_target, before, 0.02)
+            before = rig.chain.resolve(T, MotionScaling(), goals.q_target, before, 0.02)
             assert goals.take(DesiredFrame(T, t), before.q, q, t) is None
         if t >= next_goal:
             next_goal = t + 0.01 + (late if rng.random() < 0.05 else 0.0)

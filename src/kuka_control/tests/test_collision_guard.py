@@ -25,7 +25,7 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.obstacles import ConvexBody, ConvexShape, obstacles_from
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode
-from kuka_control.model.target import Scaling, check_tool_pose
+from kuka_control.model.target import MotionScaling, check_tool_pose
 
 CONFIG, RIG = rig(RealTimeConfig, collision_guard=True)
 MODEL, ARM = RIG.model, RIG.kinematics
@@ -425,11 +425,11 @@ def test_a_failure_of_the_library_stops_the_arm(monkeypatch):
 @pytest.mark.parametrize("gap, words", [(-0.02, "would hit the wall"), (0.01, "10 mm from the wall, not 30 mm")])
 def test_a_tool_pose_that_collides_is_refused_with_the_pair(gap, words):
     face = wall(0.21 - to_wall(HOME.q) + gap)
-    answer = check_tool_pose(RIG.chain, HOME.T_base_tool, Scaling(), HOME.q, False, guard(face).fault_at)
+    answer = check_tool_pose(RIG.chain, HOME.T_base_tool, MotionScaling(), HOME.q, False, guard(face).fault_at)
     assert answer.q is None and words in answer.sentence and words in answer.obstacle
-    beyond = check_tool_pose(RIG.chain, aside(-0.1), Scaling(), HOME.q, False, guard(face).fault_at)
+    beyond = check_tool_pose(RIG.chain, aside(-0.1), MotionScaling(), HOME.q, False, guard(face).fault_at)
     assert beyond.q is not None
-    following = check_tool_pose(RIG.chain, HOME.T_base_tool, Scaling(), HOME.q, True, guard(face).fault_at)
+    following = check_tool_pose(RIG.chain, HOME.T_base_tool, MotionScaling(), HOME.q, True, guard(face).fault_at)
     assert following.q is None and following.obstacle is None, "an arm that follows comes as near as it may"
 
 

@@ -18,7 +18,7 @@ from kuka_control.loop.moves import MoveState
 from kuka_control.loop.own_motions import AGAIN_S, ANNOUNCED_S, NEAR_M, NEAR_RAD, TAKEN_OVER, too_far
 from kuka_control.loop.transitions import State, Trigger
 from kuka_control.model.config import PtpConfig, RealTimeConfig
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 
 both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 schemas = st.sampled_from([RealTimeConfig, RealTimeConfig, PtpConfig])
@@ -255,7 +255,7 @@ factors = st.lists(st.floats(0.1, 1.5), min_size=1, max_size=8)
 @given(positions, positions, factors)
 def test_a_new_factor_keeps_the_tool_where_it_is_and_scales_what_the_hand_does_from_there(position, step, changes):
     chain = rig(RealTimeConfig)[1].chain
-    T, scaling = pose(p=position), Scaling()
+    T, scaling = pose(p=position), MotionScaling()
     before = chain.desired(T, scaling)
     for factor in changes:
         scaling = chain.rescaled(scaling, factor, before[:3, 3])

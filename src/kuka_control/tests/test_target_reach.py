@@ -14,7 +14,7 @@ from common.rotations import rotation_angle, rotation_from_zyx, scaled_rotation
 from kuka_control.loop.goal_stream import is_jump
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
-from kuka_control.model.target import HALF_TURN_RAD, MAX_DEVIATION_RAD, Scaling, Target
+from kuka_control.model.target import HALF_TURN_RAD, MAX_DEVIATION_RAD, MotionScaling, Target
 from kuka_control.model.workspace import Infeasible
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -55,7 +55,7 @@ def test_no_pick_up_between_poses_of_the_workspace_is_absurd(rig):
     for k in range(300):
         T = tool(rig, rng.uniform(-0.2, 0.2, 3), rng.uniform(-TILT, TILT, 3))
         q_rest = rig.home.q if k % 2 else q
-        target = rig.chain.resolve(T, Scaling(), q_rest)
+        target = rig.chain.resolve(T, MotionScaling(), q_rest)
         if isinstance(target, Infeasible) or target.q is None:
             assert isinstance(target, Infeasible) or "would turn joint" not in target.failure
             continue
@@ -68,7 +68,7 @@ def test_no_pick_up_between_poses_of_the_workspace_is_absurd(rig):
 def test_an_absurd_turn_is_refused_with_a_sentence():
     rig = Rig.of(parse(RealTimeConfig, yaml.safe_load((CONFIG / "kuka_params_rt.yaml").read_text()), "kuka/"))
     q_rest = rig.home.q - np.radians([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 170.0])
-    target = rig.chain.resolve(tool(rig, np.zeros(3), np.radians([20.0, 0.0, 0.0])), Scaling(), q_rest)
+    target = rig.chain.resolve(tool(rig, np.zeros(3), np.radians([20.0, 0.0, 0.0])), MotionScaling(), q_rest)
     assert isinstance(target, Target) and target.q is None
     assert "would turn joint" in target.failure and "more than half a turn" in target.failure
 
@@ -92,7 +92,7 @@ def test_smooth_ways_at_permitted_tilts_are_followed_and_end_exactly(rig, seed):
     q, before = rig.home.q, None
     for x in [*way, *np.zeros((40, 6))]:
         T = tool(rig, 0.1 * x[:3], TILT * x[3:])
-        target = rig.chain.resolve(T, Scaling(), q, before, DT)
+        target = rig.chain.resolve(T, MotionScaling(), q, before, DT)
         assert target.q is not None, target.failure
         assert not is_jump(q, target.q, DT, speeds)
         reached = rig.kinematics.forward(target.q)
@@ -125,7 +125,7 @@ def test_a_far_orientation_in_which_nothing_near_is_reached_is_refused(rig):
         if isinstance(constrained, Infeasible):
             continue
         T[:3, 3] = constrained.position
-        target = rig.chain.resolve(T, Scaling(), rig.home.q)
+        target = rig.chain.resolve(T, MotionScaling(), rig.home.q)
         if target.q is not None:
             off = rotation_angle(T[:3, :3].T @ rig.kinematics.forward(target.q)[:3, :3])
             assert off <= MAX_DEVIATION_RAD + 1e-6

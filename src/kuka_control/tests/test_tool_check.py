@@ -15,7 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
-from kuka_control.model.target import Scaling, check_tool_pose, scaled, seed, unscaled
+from kuka_control.model.target import MotionScaling, check_tool_pose, scaled, seed, unscaled
 from kuka_control.model.workspace import Infeasible
 
 CONFIG = Path(__file__).parents[1] / "config" / "kuka_params_rt.yaml"
@@ -34,7 +34,7 @@ def tool(x=0.0, y=0.0, z=0.0, turn=0.0):
 
 
 def check(T, scale=1.0):
-    return check_tool_pose(RIG.chain, T, Scaling(scale), HOME.q)
+    return check_tool_pose(RIG.chain, T, MotionScaling(scale), HOME.q)
 
 
 @given(st.tuples(coordinates, coordinates, coordinates), scales)
@@ -48,11 +48,11 @@ def test_scaling_is_undone(position, scale):
 def test_the_answer_is_what_the_control_loop_makes_of_the_desired_frame(x, y, z, turn, scale):
     T = tool(x, y, z, turn)
     answer = check(T, scale)
-    target = RIG.chain.resolve(pose(T[:3, :3], unscaled(T[:3, 3], HOME.centre, scale)), Scaling(scale), HOME.q)
+    target = RIG.chain.resolve(pose(T[:3, :3], unscaled(T[:3, 3], HOME.centre, scale)), MotionScaling(scale), HOME.q)
     if answer.T_base_desired is None:
         assert isinstance(target, Infeasible) or target.bounds or target.failure or target.deviation
     else:
-        target = RIG.chain.resolve(answer.T_base_desired, Scaling(scale), HOME.q)
+        target = RIG.chain.resolve(answer.T_base_desired, MotionScaling(scale), HOME.q)
         np.testing.assert_allclose(target.T_base_tool, T, atol=1e-9)
         reached = RIG.kinematics.forward(target.q)
         np.testing.assert_allclose(reached[:3, 3], T[:3, 3], atol=1e-9)

@@ -23,7 +23,7 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig as KukaRig
 from kuka_control.model.switches import SwitchState
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.tool_hold import HoldState
@@ -125,7 +125,7 @@ class Rig:
         self.control_on = True
         self.teleop.control(True)
         self.modes.clear()
-        T_base_desired = self.rig.chain.desired(T_base_tool, Scaling(self.scale))
+        T_base_desired = self.rig.chain.desired(T_base_tool, MotionScaling(self.scale))
         assert self.teleop.hold(T_base_desired, seconds, self.now).success
         for x in (0.3, 0.3, 0.3, None):  # the hand comes in while control is on
             self.run(DT * FRAME_CYCLES, *([] if x is None else [hand(0.0, 0.0, 0.0, (x, 0.0, 0.0))]))

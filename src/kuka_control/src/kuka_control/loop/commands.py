@@ -12,7 +12,7 @@ from kuka_control.loop.moves import MoveProgress, ProgramMotion
 from kuka_control.loop.transitions import Action, State, Trigger
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.switches import Mode, SwitchState
-from kuka_control.model.target import Scaling, Target
+from kuka_control.model.target import MotionScaling, Target
 
 
 @dataclass(frozen=True)
@@ -109,4 +109,4 @@ class Step:
     limited_by: tuple[str, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
     transitions: tuple[tuple[State, Trigger], ...] = ()  # the transitions taken in this cycle
     move: MoveProgress | None = None  # of the last motion for a program
-    scaling: Scaling | None = None  # of the desired tool frame; None while nothing follows it
+    scaling: MotionScaling | None = None  # of the desired tool frame; None while nothing follows it

@@ -32,7 +32,7 @@ from kuka_control.loop.transitions import Action, State, Transition, Trigger, tr
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
-from kuka_control.model.target import Scaling, Target, TargetChain
+from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 
 if TYPE_CHECKING:
@@ -173,7 +173,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._infeasible: str | None = None
         self._doubt: tuple[np.ndarray, np.ndarray] | None = None  # where the arm stands whose joints are not believed
         self._target_stamp = 0.0
-        self._scaling = Scaling()
+        self._scaling = MotionScaling()
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
@@ -436,7 +436,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def _scale(self, factor: float) -> None:
         """Takes the scaling factor over; where the arm follows, about its present pose."""
         if self._active.state not in KEEPS_SCALING:
-            self._scaling = Scaling(factor)
+            self._scaling = MotionScaling(factor)
         elif factor != self._scaling.factor:
             self._scaling = self._chain.rescaled(self._scaling, factor, self._position)
 

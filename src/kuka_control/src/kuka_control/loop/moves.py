@@ -16,7 +16,7 @@ from kuka_control.model.desired_frame import rejection_reason
 from kuka_control.model.joint_configurations import range_faults
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode
-from kuka_control.model.target import Scaling, check_tool_pose
+from kuka_control.model.target import MotionScaling, check_tool_pose
 
 LEAST_PTP, LEAST_LINE_M_PER_S = 0.01, 0.005
 """The least velocities that a program may ask for: nothing can stop a PTP motion, and a slower one looks stopped."""
@@ -116,7 +116,7 @@ class MovePlanner:
 
     def _joints_of(self, T_base_tool: np.ndarray, q: np.ndarray) -> np.ndarray:
         _check_pose(T_base_tool)
-        check = check_tool_pose(self._rig.chain, T_base_tool, Scaling(), q)
+        check = check_tool_pose(self._rig.chain, T_base_tool, MotionScaling(), q)
         if check.q is None:
             raise MoveRefused(check.sentence)
         return check.q

@@ -53,7 +53,7 @@ def unscaled(position: np.ndarray, centre: np.ndarray, factor: float) -> np.ndar
     return centre + (position - centre) / factor
 
 
-class Scaling(NamedTuple):
+class MotionScaling(NamedTuple):
     """The scaling factor, and what is added to the scaled position since it was changed, shape (3,) [m]."""
 
     factor: float = 1.0
@@ -100,7 +100,7 @@ class TargetChain:
     def resolve(
         self,
         T_base_desired: np.ndarray,
-        scaling: Scaling,
+        scaling: MotionScaling,
         q_seed: np.ndarray,
         before: Target | None = None,
         dt: float = 0.0,
@@ -118,23 +118,23 @@ class TargetChain:
             return target
         return self._steady(target, T_base_scaled, q_seed, before, dt)
 
-    def desired(self, T_base_tool: np.ndarray, scaling: Scaling) -> np.ndarray:
+    def desired(self, T_base_tool: np.ndarray, scaling: MotionScaling) -> np.ndarray:
         """Returns the desired tool frame, shape (4, 4) [m], that the scaling makes the given one of."""
         position = unscaled(T_base_tool[:3, 3] - scaling.offset, self._centre, scaling.factor)
         return read_only(pose(T_base_tool[:3, :3], position))
 
-    def rescaled(self, scaling: Scaling, factor: float, position: np.ndarray) -> Scaling:
+    def rescaled(self, scaling: MotionScaling, factor: float, position: np.ndarray) -> MotionScaling:
         """Returns the scaling by another factor that brings a desired position, shape (3,) [m], to the same place."""
         shift = (scaling.factor - factor) * (position - self._centre)
-        return Scaling(factor, read_only(scaling.offset + shift))
+        return MotionScaling(factor, read_only(scaling.offset + shift))
 
-    def away(self, T_base_desired: np.ndarray, scaling: Scaling, q: np.ndarray) -> tuple[float, float]:
+    def away(self, T_base_desired: np.ndarray, scaling: MotionScaling, q: np.ndarray) -> tuple[float, float]:
         """Returns how far a desired tool frame is from the tool at the joints q, shape (7,) [rad]: [m] and [rad]."""
         T_base_tool, T_base_scaled = self._kinematics.forward(q), self._scaled(T_base_desired, scaling)
         distance = float(np.linalg.norm(T_base_scaled[:3, 3] - T_base_tool[:3, 3]))
         return distance, _angle(T_base_tool, T_base_scaled)
 
-    def _scaled(self, T_base_desired: np.ndarray, scaling: Scaling) -> np.ndarray:
+    def _scaled(self, T_base_desired: np.ndarray, scaling: MotionScaling) -> np.ndarray:
         T_base_scaled = T_base_desired.copy()
         T_base_scaled[:3, 3] = scaled(T_base_desired[:3, 3], self._centre, scaling.factor) + scaling.offset
         return T_base_scaled
@@ -227,7 +227,7 @@ def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarra
 def check_tool_pose(
     chain: TargetChain,
     T_base_tool: np.ndarray,
-    scaling: Scaling,
+    scaling: MotionScaling,
     q_seed: np.ndarray,
     follows: bool = False,
     collision: Callable[[np.ndarray], str | None] = lambda q: None,

@@ -33,7 +33,7 @@ from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfi
 from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 from kuka_control.model.tool_load import wrench_at_tool
 from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
@@ -335,8 +335,8 @@ class _Node:
     def _for_guard_view(self) -> tuple[np.ndarray | None, float]:
         return self._link.arm.state.joints, self._loop.guard_scale if self._controller.in_servo else 1.0
 
-    def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, Scaling]:
-        step, scaling = self._step, Scaling(self._switches.now.scale)
+    def _for_tool_check(self) -> tuple[Mode, np.ndarray | None, MotionScaling]:
+        step, scaling = self._step, MotionScaling(self._switches.now.scale)
         if step is not None and step.scaling is not None and step.scaling.factor == scaling.factor:
             scaling = step.scaling
         return Mode.STARTING if step is None else step.mode, self._link.arm.state.joints, scaling

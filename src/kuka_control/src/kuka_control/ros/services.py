@@ -13,7 +13,7 @@ from common.frames import BASE, ONE_ARM, ArmFrames
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import Mode, Switches, SwitchReply
-from kuka_control.model.target import Scaling, check_tool_pose, refused, seed
+from kuka_control.model.target import MotionScaling, check_tool_pose, refused, seed
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setPayload, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
@@ -64,7 +64,7 @@ class Services:
 
 def offer_tool_check(
     rig: Rig,
-    read: Callable[[], tuple[Mode, np.ndarray | None, Scaling]],
+    read: Callable[[], tuple[Mode, np.ndarray | None, MotionScaling]],
     collision: Callable[[np.ndarray], str | None],
     frames: ArmFrames = ONE_ARM,
 ) -> None:

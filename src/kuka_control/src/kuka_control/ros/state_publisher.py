@@ -26,7 +26,7 @@ from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import SwitchState
-from kuka_control.model.target import Scaling
+from kuka_control.model.target import MotionScaling
 from kuka_control.model.workspace import Workspace, boundary_lines
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus, SentGoals
@@ -216,7 +216,7 @@ class StatePublisher:
         self._moving_rt.publish(snapshot.moving_rt)
         self._moving_ptp.publish(snapshot.moving_ptp)
         status = KukaStatus(host=self._host, pid=self._pid, control_on=switched.control_on)
-        scaling = step.scaling or Scaling(switched.scale)
+        scaling = step.scaling or MotionScaling(switched.scale)
         status.gripper_on, status.scaling_factor = switched.gripper_on, scaling.factor
         status.scaling_offset = Vector3(*scaling.offset.tolist())
         status.mode, status.reason, status.limited_by = step.mode.value, step.reason, list(step.limited_by)
