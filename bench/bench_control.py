@@ -20,7 +20,6 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.rig import Rig
-from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import MotionScaling
 
@@ -98,14 +97,12 @@ def rows(quick: bool) -> list[Row]:
 def _guard(config: RealTimeConfig, rig: Rig, targets: list, settings: str) -> list[Row]:
     """Returns what the collision guard adds to a step of the motion limits, without and with a wall in the way."""
     x, y, z = rig.home.centre
-    middle = (x, y + 0.15, z)
+    middle = (x, y + 0.21, z)
     wall = ConvexBody("wall", 0, ConvexShape("box", (0.3, 0.02, 0.3)), read_only(pose(p=middle)))
     table = []
     for name, around in (("free", ()), ("at a wall", (wall,))):
         taken = []
         for guard in (None, algorithms.collision_guard(config, replace(rig, obstacles=around))):
-            if guard is not None:
-                guard.open(Opening((0.5, 0.5, 0.5), (0.1, 0.1, 0.1), 0.0))
             taken.append(_steps(algorithms.motion_limits(config, rig, guard), rig, targets))
         table.append(row(f"control: collision guard, {name}", taken[1] - taken[0], "us", settings, GUARD_US))
     return table

@@ -55,7 +55,7 @@ CYCLES_PER_LOOK = 25  # after so many, what happens ten times a second: silence 
 CLOCK_S = 1.7e9  # ROS time less monotonic time
 BEGIN_S = 100.0  # monotonic time at which a run begins
 AFTERWARDS_S = 0.6  # a run ends so long after its last frame
-OPENED_RAD = 0.02  # the collision guard takes a hand for another one when a finger has moved by more than this
+OPENED_RAD = 0.02  # the controller takes a hand for another one when a finger has moved by more than this
 SERVO_STEPS = 4  # of the robot's servo loop in a cycle
 DRIVES_S = 0.04  # time constant of the arm's drives
 SWITCHED_ON = ((0.0, "control", False), (0.1, "control", True), (0.1, "gripper", True))
@@ -250,10 +250,7 @@ class World:
         ).obstacle
 
     def _meets(self, q: np.ndarray) -> str | None:
-        if self._guard is None:
-            return None
-        self._guard.open(self.opening)
-        return self._guard.fault_at(q)
+        return None if self._guard is None else self._guard.fault_at(q)
 
 
 class Chain(Protocol):

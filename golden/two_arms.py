@@ -100,12 +100,9 @@ class Side(World):
 
     @property
     def opening(self) -> Opening:
+        """The joints of the robot hand."""
         state = self.robot_hand.state()
-        new = Opening(tuple(state["proximal"]), tuple(state["distal"]), state["angles"][3])
-        old = self._opening
-        if old is None or np.abs(np.subtract(new.proximal + new.distal, old.proximal + old.distal)).max() > 0.02:
-            self._opening = new
-        return self._opening
+        return Opening(tuple(state["proximal"]), tuple(state["distal"]), state["angles"][3])
 
     @property
     def feedback(self) -> FingerFeedback:

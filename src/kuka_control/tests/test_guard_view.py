@@ -34,7 +34,7 @@ def view(monkeypatch):
     monkeypatch.setattr(rospy.Time, "now", rospy.Time)
     monkeypatch.setattr(guard_view, "collision_guard", lambda *_: Guard())
     config = type("Config", (), {"guard_margin": 0.03})()
-    return guard_view.GuardView(config, None, None, lambda: (np.zeros(7), 1.0))
+    return guard_view.GuardView(config, None, lambda: (np.zeros(7), 1.0))
 
 
 class Guard:

@@ -6,8 +6,9 @@ Far pairs are not measured: the distance of a pair falls by no more than the joi
 from their axes. A pair is measured when this bound says that it may matter.
 
 The guard slows the approach of a pair with the distance, ends it SOFT_M before the margin, and leaves the retreat free.
-The guard of stops (speed_change.py) asks it whether the path to a stop keeps the margin itself. A pair that is nearer
-than the margin already, because an obstacle has appeared, may only part.
+The guard of stops (speed_change.py) asks it whether the path to a stop keeps the margin itself: of the goals, and of
+the arm, which follows them with a lag and so cuts corners. A pair that is nearer than the margin already, because an
+obstacle has appeared, may only part.
 
 Any failure, also a number that is not finite, raises GuardError: the arm then stops.
 """
@@ -15,24 +16,27 @@ Any failure, also a number that is not finite, raises GuardError: the arm then s
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import hppfcl
 import numpy as np
+from ruckig import Trajectory
 
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.chain import Vector, cross, joint_frames, pose_of_axes
-from kuka_control.limits.speed_change import GuardError, approach_speed
+from kuka_control.limits.speed_change import STOPPING, GuardError, approach_speed
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
-from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table, travel
+from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table
 
 # What each distance means: table in docs/handbook/limits.md.
 APPROACH_M_S2 = 2.0  # deceleration with which an approach is planned [m/s^2]; the jerk limit and the wrist allow more
 GAIN_PER_S = 20.0  # greatest approach speed per distance, near the end of an approach [1/s]
 SOFT_M = 0.003  # an approach ends so far before the margin, so that the tool can slide there [m]
 SAMPLED_M = 0.001  # points of a path keep the margin with this on top: it bends between them [m]
+ARM_M = 0.002  # and points of the path of the arm with this, whose lag is known less exactly [m]
 NOISE_M = 1e-6  # error of the library's distances [m]
 TOUCHING_M = 1e-9  # bodies whose nearest points are nearer touch [m]
 SWEEPS = 5  # passes over the pairs: a correction at one may add speed towards another
@@ -40,6 +44,9 @@ DAMPED = 0.05**2 * np.eye(6)  # of the pseudoinverse, in the tool's speed [m/s],
 LINEAR_M = 0.5 * APPROACH_M_S2 / GAIN_PER_S**2  # an approach at v may need v^2 / 2 APPROACH_M_S2 and this [m]
 LEAST = 1e-6  # least speed of a correction along its normal, near singular poses
 WRIST_LINK = 6  # the first link whose points follow the tool where it does not turn
+LAG_S = 0.027  # time constant with which a joint of the arm follows its goals, for drives of 40 ms [s]
+STEP_RAD = 0.063  # of a greater lag the loop may see no more (servo_law.py) [rad]
+BRAKING_PER_S = 8.0  # and it is no faster than it can brake before the goal, at so much of its full speed [1/s]
 
 
 def _guarding(method: Callable) -> Callable:
@@ -125,46 +132,65 @@ class CollisionGuard:
         self.margin, self.scale = margin, 1.0
         self.nearest: NearestPair | None = None
         self._kinematics, self._model, self._ring = kinematics, kinematics.model, ring
-        self._opening: Opening | None = None
         self._bound = margin + SAMPLED_M
-        obstacles = list(obstacles)
-        arm = [*arm_bodies(self._model, ring), *(body for body in obstacles if body.link)]
-        hand = hand_bodies(self._model, ring, None)
-        wide = frozenset((hand[0].name, *(body.name for body in obstacles if body.link)))
-        self._hand = range(len(arm), len(arm) + len(hand))
-        self.bodies = [*arm, *hand, table(), *(body for body in obstacles if not body.link)]
-        self._pairs = list(_pairs(self.bodies, len(arm) + len(hand), frozenset(allowed), wide))
-        self._fingers = [p for p, (i, _) in enumerate(self._pairs) if self.bodies[i].finger]
+        self._around, self._allowed = list(obstacles), frozenset(allowed)
+        self._opening: Opening | None = None
+        lengths, angles = kinematics.slack
+        self._slack = lengths + 1.5 * angles
+        self._request, self._result = hppfcl.DistanceRequest(True), hppfcl.DistanceResult()
+        self._fast: list[float] = self._model.max_speed.tolist()
+        self._braking = [2.0 * BRAKING_PER_S * fast for fast in self._fast]
+        self._linear = LAG_S**2 * min(self._braking)  # a lag up to which the braking does not count [rad]
+        self._q = np.zeros(7)
+        self._lag = [0.0] * 7  # how far the arm is behind its goals [rad]
+        self._arm = [0.0] * 7  # and so where it is [rad]
+        self._measured: np.ndarray | None = None
+        self._embody()
+
+    def open(self, opening: Opening | None) -> None:
+        """Judges the fingers at an opening from now on; None, as at first: wherever they may come to be."""
+        if opening != self._opening:
+            self._opening = opening
+            self._embody()
+
+    def _embody(self) -> None:
+        """Makes the bodies and their pairs."""
+        arm = [*arm_bodies(self._model, self._ring), *(body for body in self._around if body.link)]
+        hand = hand_bodies(self._model, self._ring, self._opening)
+        wide = frozenset((hand[0].name, *(body.name for body in self._around if body.link)))
+        self.bodies = [*arm, *hand, table(), *(body for body in self._around if not body.link)]
+        self._pairs = list(_pairs(self.bodies, len(arm) + len(hand), self._allowed, wide))
         self._reach = np.array([self._reaches(self.bodies[i], self.bodies[j].link) for i, j in self._pairs])
         self._radii = [_farthest(self.bodies[i]) for i, _ in self._pairs]
         self._levers = np.zeros((len(self._pairs), 16))
         for row, pair in zip(self._levers, self._pairs):
             for body in (self.bodies[n] for n in pair):
                 row[body.link], row[8 + body.link] = 1.0, _farthest(body)
-        lengths, angles = kinematics.slack
-        self._slack = lengths + 1.5 * angles
         self._geometry = [_geometry(body.shape) for body in self.bodies]
         self._local = [_transform(body.T_link_body) for body in self.bodies]
-        self._request, self._result = hppfcl.DistanceRequest(True), hppfcl.DistanceResult()
-        self._fast: list[float] = self._model.max_speed.tolist()
-        self._q = np.zeros(7)
-        self._at = _Posture(kinematics, [0.0] * 7)  # the links there
+        self._at = _Posture(self._kinematics, self._q.tolist())  # the links at the joints _q
         self._low = np.full(len(self._pairs), -math.inf)  # lower bounds of the distances there [m]
 
     @_guarding
-    def open(self, opening: Opening | None) -> None:
-        """Takes over the joints of the hand; None: they are not known, and each finger may be anywhere."""
-        before, self._opening = self._opening, opening
-        if opening == before:
-            return
-        for number, body in zip(self._hand, hand_bodies(self._model, self._ring, opening)):
-            self.bodies[number] = body
-            self._geometry[number], self._local[number] = _geometry(body.shape), _transform(body.T_link_body)
-        if opening is None:
-            self._low[self._fingers] = -math.inf
-        elif before is not None:  # a finger that was not known was in a sphere that it does not leave
-            self._low[self._fingers] -= travel(before, opening)
-        self._at = _Posture(self._kinematics, self._at.q)
+    def follow(self, goal: Sequence[float], measured: np.ndarray, dt: float) -> None:
+        """Follows the arm for the last `dt` [s], in which it had the goal, 7 [rad].
+
+        `measured`: joints of the arm, shape (7,) [rad], the same object until newer ones come: those before that time.
+        """
+        if measured is not self._measured:
+            self._measured, self._arm = measured, measured.tolist()
+        lag = [ahead - behind for ahead, behind in zip(goal, self._arm)]
+        if not math.isfinite(sum(lag)):
+            raise _NotFinite(f"the goal is {list(goal)}, and the arm was measured at {measured.tolist()}")
+        self._lag = [part * math.exp(-dt / constant) for part, constant in zip(lag, self._time_constants(lag))]
+        self._arm = [ahead - part for ahead, part in zip(goal, self._lag)]
+
+    def _time_constants(self, lag: Sequence[float]) -> list[float]:
+        """Returns with which time constant each joint works off a lag, 7 [rad], at first; 7 [s]."""
+        if max(map(abs, lag)) <= self._linear:
+            return [LAG_S] * 7
+        ways = zip(map(abs, lag), self._braking)
+        return [max(LAG_S, way / math.sqrt(braking * min(way, STEP_RAD) + 1e-12)) for way, braking in ways]
 
     @_guarding
     def slowed(self, q: Sequence[float], desired: Sequence[float]) -> tuple[list[float], bool]:
@@ -214,21 +240,49 @@ class CollisionGuard:
     def near(self, q: Sequence[float], lengths: Sequence[float]) -> list[int]:
         """Returns the pairs, by number, that may come within the margin while the joints turn from q, 7 [rad].
 
-        `lengths`: how far each joint turns at most, 7 [rad]. All other pairs keep the margin.
+        `lengths`: how far each joint turns at most, 7 [rad]; the arm follows. All other pairs keep the margin.
         """
-        posture, drop = self._moved_to(q), self._reach @ _finite(lengths)
+        lengths = [max(length, abs(part)) for length, part in zip(lengths, self._lag)]
+        posture, drop = self._moved_to(q), self._reach @ _finite(lengths) + (ARM_M - SAMPLED_M)
         pairs = (self._low - drop < self._bound).nonzero()[0].tolist()
         return [pair for pair in pairs if self._distance(pair, posture) - float(drop[pair]) < self._bound]
 
     @_guarding
-    def depths(self, q: Sequence[float], pairs: Iterable[int]) -> dict[int, float]:
-        """Returns how far these pairs are within the margin [m] at the joints q, 7 [rad]: only those that are.
+    def depths(self, stop: Trajectory, pairs: Sequence[int]) -> dict[int, float]:
+        """Returns how far these pairs come within the margin on the path to a stop [m]: only those that do.
 
-        `pairs` as `near` returns them; the result is by the same numbers.
+        Of the goals and of the arm behind them. `pairs` as `near` returns them; the result is by the same numbers.
         """
-        posture = self._at if q == self._at.q else _Posture(self._kinematics, _finite(q).tolist())
-        depths = {pair: self._bound - self._distance(pair, posture) for pair in pairs}
+        joints, spares = zip(*self._on_the_way(stop))
+        begin = self._moved_to(joints[0])
+        turned = np.abs(np.array(joints) - self._q)
+        low = np.array([self._distance(pair, begin) for pair in pairs]) - turned @ self._reach[pairs].T
+        near, depths = low < self.margin + np.array(spares)[:, None], dict.fromkeys(pairs, 0.0)
+        for row, q, spare in zip(near, joints, spares):
+            if row.any():
+                posture = _Posture(self._kinematics, _finite(q).tolist())
+                for pair in itertools.compress(pairs, row):
+                    depths[pair] = max(depths[pair], self.margin + spare - self._distance(pair, posture))
         return {pair: depth for pair, depth in depths.items() if depth > 0.0}
+
+    def _on_the_way(self, stop: Trajectory) -> Iterator[tuple[list[float], float]]:
+        """Yields joints of the goals on the path to a stop, and of the arm behind them, 7 [rad], and what to spare [m].
+
+        Between two of these times the goals move on evenly, and the arm as they do plus a rest that decays.
+        """
+        before, lag, time = None, self._lag, 0.0
+        for fraction in STOPPING:
+            now = fraction * stop.duration
+            goal: list[float] = stop.at_time(now)[0]
+            if before is not None and now > time:
+                even = []
+                for part, start, end, constant in zip(lag, before, goal, self._time_constants(lag)):
+                    steady = constant / (now - time) * (end - start)
+                    even.append(steady + math.exp((time - now) / constant) * (part - steady))
+                lag = even
+            yield goal, SAMPLED_M
+            yield [ahead - part for ahead, part in zip(goal, lag)], ARM_M
+            before, time = goal, now
 
     def check(self, path: Sequence[np.ndarray], softly: bool = False) -> PathCheck:
         """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of them.

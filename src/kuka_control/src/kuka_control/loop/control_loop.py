@@ -30,7 +30,7 @@ from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, t
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
-from kuka_control.model.robot_shape import Opening
+from kuka_control.model.robot_shape import REACH, Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
@@ -63,8 +63,11 @@ COUNTED = (
 """The names of the counters; all are there from the start."""
 
 TICK_S = 0.1  # longest time between two frames in which such a refusal is still shown [s]
-HAND_S = 1.0  # at the start the collision guard waits so long for the first report of the hand [s]
 BLOCKED_S = 0.25  # a pick-up motion that the collision guard refused is checked again after this time [s]
+
+FINGER_IN_THE_WAY = (
+    "A finger that opens or closes meanwhile could come that near; what the fingers may touch, name in allow_contact. "
+)
 
 MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.TO_GOAL, State.ZERO))
 """The states in which a PTP motion runs."""
@@ -192,7 +195,6 @@ class ControlLoop(ABC, Generic[Settings]):
         self._progress: MoveProgress | None = None  # of the last one that was asked for
         self._check: tuple[Sequence[np.ndarray], PathCheck] | None = None  # of a motion that is to begin, and its path
         self._opening: Opening | None = None  # of the hand
-        self._started: float | None = None  # when the first cycle was [s]
         # What this cycle has brought so far.
         self._checks = False  # whether that check continues
         self._events: list[Event] = []
@@ -254,12 +256,8 @@ class ControlLoop(ABC, Generic[Settings]):
         return Stays.IN_DOUBT if self._doubt is not None else Stays.TOUCHED if touched else None
 
     def open_hand(self, opening: Opening | None) -> None:
-        """Tells the collision guard the joints of the hand; None: not known. A running check keeps the old."""
-        if opening is None and self._opening is not None:
-            self._check = None
+        """Takes over the joints of the hand; None: not known. The collision guard reckons with any."""
         self._opening = opening
-        if self._settings.guard is not None and self._check is None:
-            self._settings.guard.open(opening)
 
     def _command(self, cycle: Cycle) -> Command:
         """Returns the command of the state in which the triggers of this cycle end."""
@@ -388,8 +386,9 @@ class ControlLoop(ABC, Generic[Settings]):
         if before[1].fault is None:
             return False, None
         self._check = None
-        keeps = f"it keeps {1e3 * guard.margin:.0f} mm"
-        return True, f"The collision guard refuses the {what}: on the way {before[1].fault}; {keeps}. Clear the way."
+        refuses = f"The collision guard refuses the {what}: on the way {before[1].fault}"
+        finger = FINGER_IN_THE_WAY if REACH in before[1].fault else ""
+        return True, f"{refuses}; it keeps {1e3 * guard.margin:.0f} mm. {finger}Clear the way."
 
     def _note_own(self, target: State, causes: tuple[Trigger | None, Trigger], now: float) -> None:
         """Counts a PTP motion, if nobody asked for it; with PTP motions alone, each of a stream is asked for."""
@@ -448,12 +447,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Wait()
 
     def _starting(self, cycle: Cycle) -> Outcome:
-        """The hand has a moment to report how far it is open: one that is not known may be in the way of itself."""
-        if self._exits(cycle):
-            return Fired(Trigger.EXIT)
-        self._started = cycle.now if self._started is None else self._started
-        unknown = self._settings.guard is not None and self._opening is None
-        return Wait() if unknown and cycle.now - self._started < HAND_S else Fired(Trigger.START)
+        return Fired(Trigger.EXIT if self._exits(cycle) else Trigger.START)
 
     def _moving(self, cycle: Cycle) -> Outcome:
         """A PTP motion runs, which nothing can stop."""

@@ -80,7 +80,7 @@ class ControllerConfig(RobotAddress):
     collision_guard: bool = flag("whether stream and PTP motions keep a distance from known bodies", absent=False)
     guard_margin: float = number("m", low=0.005, high=0.2, absent=0.03, doc="distance that the collision guard keeps")
     guard_obstacles: str = path(doc="file of obstacles for the collision guard; empty: table and base only", absent="")
-    allow_contact: tuple[str, ...] = names(doc="bodies that the fingers may touch", absent=("table",))
+    allow_contact: tuple[str, ...] = names(doc="bodies that the fingers may touch or come near", absent=("table",))
     ptp_contact_torque: float = number(
         "Nm",
         low=0.0,

@@ -116,7 +116,7 @@ BUILT_IN = frozenset(
     (
         *("base", "base plugs", "flange", "marker ring", "palm", "table"),
         *(f"link {i}" for i in range(1, 7)),
-        *(f"finger {i}, {part}" for i in (1, 2, 3) for part in ("proximal", "distal")),
+        *(f"reach of finger {i}" for i in (1, 2, 3)),
     )
 )
 """The names of the bodies that the guard knows by itself."""

@@ -1,4 +1,4 @@
-"""The robot as convex bodies that enclose it: links, media flange, marker board, and the ReFlex hand at its opening.
+"""The robot as convex bodies that enclose it: links, media flange, marker board, and the ReFlex hand at any opening.
 
 Numbers of the meshes and solids in rig_description. The axes of a link are those of the base while all joints are zero;
 its origin is the shoulder (links 1 and 2), the elbow (3 and 4) or the wrist (5 to 7). Lengths in m, angles in rad.
@@ -29,7 +29,7 @@ BASE_RADIUS, PLUGS = 0.113, ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
 PALM = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
 PHALANX_RADIUS = 0.0165
 PROXIMAL, DISTAL = ((0.0, 0.003), (0.054, 0.003)), ((0.003, 0.001), (0.038, 0.001))  # x, z of the ends of their axes
-TABLE = "table"
+TABLE, REACH = "table", "reach of finger"
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ def table() -> ConvexBody:
 
 
 def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[ConvexBody]:
-    """Returns the palm and two bodies of each finger; `ring`: the ring of the marker board is behind the hand.
+    """Returns the palm and the fingers; `ring`: the ring of the marker board is behind the hand.
 
-    Without an opening each finger is the sphere in which it may be.
+    Each finger is the sphere that it does not leave, whatever moves it; at an `opening` it is two capsules.
     """
     T_7_hand = translation(0.0, 0.0, model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH)
     T_7_hand[:3, :3] = rotation_about(2, hand.CONNECTOR_YAW)
@@ -90,14 +90,14 @@ def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[
             T[:3, :3] = T[:3, :3] @ rotation_about(axis, -_angle(joint.name, opening))
         frames[joint.child] = frames[joint.parent] @ T
     for finger in (1, 2, 3):
+        if opening is None:
+            T, sphere = pose(p=frames[f"proximal_{finger}"][:3, 3]), ConvexShape("sphere", (hand.FINGER_REACH,))
+            bodies.append(ConvexBody(f"{REACH} {finger}", 7, sphere, T, True))
+            continue
         for part, ends in (("proximal", PROXIMAL), ("distal", DISTAL)):
-            name = f"finger {finger}, {part}"
-            if opening is None:
-                knuckle = pose(p=frames[f"proximal_{finger}"][:3, 3])
-                bodies.append(ConvexBody(name, 7, ConvexShape("capsule", (hand.FINGER_REACH, 0.0)), knuckle, True))
-            else:
-                a, b = ((x, 0.0, z) for x, z in ends)
-                bodies.append(_capsule(name, 7, PHALANX_RADIUS, a, b, frames[f"{part}_{finger}"], True))
+            a, b = ((x, 0.0, z) for x, z in ends)
+            T = frames[f"{part}_{finger}"]
+            bodies.append(_capsule(f"finger {finger}, {part}", 7, PHALANX_RADIUS, a, b, T, True))
     return bodies
 
 
@@ -118,15 +118,6 @@ def _ball(body: ConvexBody, along: float, radius: float, model: RobotModel) -> B
     """Returns a ball about a point on the axis z of a body of link 7."""
     x, y, z = (body.T_link_body[:3, 3] + along * body.T_link_body[:3, 2]).tolist()
     return x, y, z - model.wrist_flange, radius
-
-
-def travel(before: Opening, after: Opening) -> float:
-    """Returns how far any point of a finger moves at most from one opening to the other [m]."""
-    turns = [
-        sum([abs(a - b) for a, b in zip(*ends)])
-        for ends in zip(zip(before.proximal, before.distal), zip(after.proximal, after.distal))
-    ]
-    return hand.FINGER_REACH * (max(turns) + abs(after.preshape - before.preshape))
 
 
 def _angle(joint: str, opening: Opening) -> float:

@@ -215,7 +215,7 @@ class _Node:
         self._stages = StageTimes("kuka_control")
         self._desired = DesiredTool(frames)
         self._opening = HandOpening() if config.collision_guard else None
-        self._guard_view = GuardView(config, rig, self._opening, self._for_guard_view, frames)
+        self._guard_view = GuardView(config, rig, self._for_guard_view, frames)
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
         planner = algorithms.move_planner(config, rig, named_configurations(named, rig.model))

@@ -1,4 +1,4 @@
-"""The collision guard's ends in ROS: the opening of the hand comes in; kuka/guard and kuka/guard_markers go out.
+"""What the collision guard shows, kuka/guard and kuka/guard_markers; and the opening of the hand, for speed limits.
 
 `kuka/guard` (rig_msgs/GuardState) at 10 Hz. `kuka/guard_markers` for RViz has the namespaces nearest (the nearest pair,
 green to red by the scale), distance, around (obstacles) and robot (the bodies that stand for it). Both only when heard.
@@ -31,7 +31,7 @@ from rig_msgs.msg import GuardState
 
 PERIOD_S = 0.1
 BODIES_EVERY = 5  # of so many times once
-TAKE_S = 0.04  # the opening is taken over this often [s]; the fingers move by less than the margin meanwhile
+TAKE_S = 0.04  # the opening is taken over this often [s]
 TURN_RAD = 0.02  # if some joint has turned by more than this [rad]
 SILENT_S = 1.0  # a hand that has not reported for so long may be open as wide as it can [s]
 FAILED_S = 10.0  # how often a failure of the guard is said [s]
@@ -77,13 +77,12 @@ class GuardView:
         self,
         config: ControllerConfig,
         rig: Rig,
-        opening: HandOpening | None,
         observe: Callable[[], tuple[np.ndarray | None, float]],
         frames: ArmFrames = ONE_ARM,
     ) -> None:
         self._base = frames(BASE)
         self._guard = collision_guard(config, rig)
-        self._margin, self._opening, self._observe = config.guard_margin, opening, observe
+        self._margin, self._observe = config.guard_margin, observe
         self._count = 0
         self._lock = clock.Lock()
         self._state = rospy.Publisher("kuka/guard", GuardState, queue_size=2)
@@ -99,14 +98,9 @@ class GuardView:
             return None
         try:
             with self._lock:
-                self._take_opening()
                 return self._guard.fault_at(q)
         except GuardError as error:
             return str(error).rstrip(".")
-
-    def _take_opening(self) -> None:
-        if self._guard is not None and self._opening is not None:
-            self._guard.open(self._opening.at(clock.monotonic()))
 
     def _show(self) -> None:
         with while_running(), self._lock:
@@ -124,7 +118,6 @@ class GuardView:
         state = GuardState(header=header, on=self._guard is not None, margin=self._margin, scale=scale)
         state.distance = float("inf")
         if self._guard is not None and joints is not None:
-            self._take_opening()
             nearest = self._guard.nearest_at(joints.tolist())
             if nearest is not None:
                 state.distance, state.pair = nearest.distance, list(nearest.pair)
