@@ -132,8 +132,6 @@ class MotionLimits:
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
             cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself.
         """
-        if self._room.collisions is not None:
-            self._room.collisions.follow(self._now.q, measured, dt)
         gap = LATE_GOAL if dt > GAP_S else None
         dt = self._after(dt)
         own = [0.0] * 7 if speed is None else speed.tolist()
@@ -199,7 +197,7 @@ class MotionLimits:
     def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
         fastest, limited_by = self._joint_fraction(desired), None
-        arm = self._arm_fraction(desired)
+        arm = self._arm_fraction(desired, scale)
         used = max(fastest, arm, LEAST_USED)
         if used > scale:
             factor = scale / used
@@ -221,9 +219,14 @@ class MotionLimits:
         """Returns the greatest fraction of a joint's speed limit that a velocity uses."""
         return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])
 
-    def _arm_fraction(self, velocity: list[float]) -> float:
-        """Returns the fraction of its speed limit that the arm's fastest point uses."""
-        return self._room.points.speed(self._now.q, velocity) / self._room.speed
+    def _arm_fraction(self, velocity: list[float], enough: float = 0.0) -> float:
+        """Returns the fraction of its speed limit that the arm uses; not exactly where it is below `enough`.
+
+        No point moves faster than all joints would move it if they did so in one direction.
+        """
+        points, q, limit = self._room.points, self._now.q, self._room.speed
+        most = sum([abs(rate) * reach for rate, reach in zip(velocity, points.tool_point(q)[1])])
+        return (most if most <= enough * limit else points.speed(q, velocity)) / limit
 
 
 class Unlimited:

@@ -17,6 +17,8 @@ class MovingPoints:
 
     def __init__(self, kinematics: Kinematics, carried: Iterable[Ball] = ()) -> None:
         self._kinematics = kinematics
+        self._q: Sequence[float] | None = None  # the joints last asked for, and the answer
+        self._point: tuple[Sequence[float], Sequence[float]] = (), ()
         self.carry(carried)
 
     def carry(self, balls: Iterable[Ball]) -> None:
@@ -24,6 +26,7 @@ class MovingPoints:
         tool = self._kinematics.T_flange_tool[:3, 3].tolist()
         self._balls = [(*tool, 0.0), *balls]
         self._around = max(math.dist(centre, tool) + radius for *centre, radius in [(0.0,) * 4, *self._balls])
+        self._q = None
 
     def speed(self, q: Sequence[float], v: Sequence[float]) -> float:
         """Returns the speed of the fastest point [m/s] at joints q, 7 [rad], for joint speeds v, 7 [rad/s]."""
@@ -32,6 +35,8 @@ class MovingPoints:
     def tool_point(self, q: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
         """Returns the tool point, x, y, z [m], and how far no point is beyond from each of the 7 joint axes [m].
 
-        At the joints q, 7 [rad].
+        At the joints q, 7 [rad]; of the same list they are calculated once.
         """
-        return self._kinematics.tool_point(q, self._around)
+        if q is not self._q:
+            self._q, self._point = q, self._kinematics.tool_point(q, self._around)
+        return self._point

@@ -253,9 +253,7 @@ class StoppingGuard:
         They cost less than the stop.
 
         On the way no point is further from a joint's axis than now, plus the path length on which the joints after it
-        carry the point. Where each joint i has a part s_i, 0 to 1, of its velocity left, a point moves at
-        |sum s_i u_i|, at most half of |sum u_i| + sum |u_i|; on top comes what an acceleration adds first, and what the
-        turns change.
+        carry the point.
         """
         room = self._room
         speeds, lengths = self._change.stopping_bounds(state)
@@ -263,25 +261,45 @@ class StoppingGuard:
             if not (angle + length <= upper and angle - length >= lower):
                 return False
         position, reaches = room.points.tool_point(state.q)
-        fastest, path = 0.5 * room.points.speed(state.q, state.v), 0.0
-        turned, others = sum(lengths), sum(speeds)  # by the joints up to i
-        for v, speed, length, reach in zip(*map(reversed, (state.v, speeds, lengths, reaches))):
-            reach += path
-            others -= speed
-            fastest += reach * (speed - 0.5 * abs(v) + speed * turned + length * others)
-            turned -= length
-            path += length * reach
-        if not fastest <= QUICK * room.speed:
+        fastest = path = 0.0
+        for i in (6, 5, 4, 3, 2, 1, 0):
+            reach = reaches[i] + path
+            fastest += speeds[i] * reach
+            path += lengths[i] * reach
+        limit = QUICK * room.speed
+        if not (fastest <= limit or self._fastest(state, speeds, lengths, path) <= limit):
             return False
         return room.workspace is None or path <= min(room.workspace.rooms(position))
 
+    def _fastest(self, state: JointState, speeds: list[float], lengths: list[float], path: float) -> float:
+        """Returns a closer bound of the arm's speed on the way to the stop from a state [m/s].
+
+        Where each joint i has a part s_i, 0 to 1, of its velocity left, a point moves at |sum s_i u_i|, at most half of
+        |sum u_i| + sum |u_i|. On top comes what an acceleration adds first, and what the turns change.
+
+        `speeds`, `lengths`: as `SpeedChange.stopping_bounds`; `path`: of a point at most [m].
+        """
+        points = self._room.points
+        fastest, turned, others = 0.5 * points.speed(state.q, state.v), 0.0, 0.0
+        for v, speed, length, reach in zip(state.v, speeds, lengths, points.tool_point(state.q)[1]):
+            turned += length
+            fastest += (reach + path) * (speed - 0.5 * abs(v) + speed * turned + length * others)
+            others += speed
+        return fastest
+
     def _depths(self, state: JointState) -> dict[int, float]:
         """Returns how far which pairs of bodies come within their margin on the way to the stop from a state [m]."""
+        depths: dict[int, float] = {}
         collisions = self._room.collisions
         if collisions is None:
-            return {}
+            return depths
         near = collisions.near(state.q, self._change.stopping_bounds(state)[1])
-        return collisions.depths(self._change.stopping(state), near) if near else {}
+        if near:
+            path = self._change.stopping(state)
+            for fraction in STOPPING:
+                for pair, depth in collisions.depths(path.at_time(fraction * path.duration)[0], near).items():
+                    depths[pair] = max(depths.get(pair, 0.0), depth)
+        return depths
 
     def _ranged(self, state: JointState, braking: JointState) -> tuple[JointState, _Stop]:
         """Returns the state with the joints that could not stop in their ranges braking instead, and its stop."""
