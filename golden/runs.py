@@ -16,6 +16,7 @@ from leap_motion.service import wire
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "leap"
 TAKEN = Path(__file__).parent / "runs"  # parts of recorded runs of the simulated rig (golden/take.py)
 FIRST_S = 0.4  # the first frame comes so long after the begin, when the arm is at home
+ASIDE_MM = (400.0, 0.0, 0.0)  # from where the hands come in before, which the recordings do not show
 
 # Offset of the palms [mm], which are lower than the interaction box; parameters that differ from the shipped ones: the
 # hand may start where it is, and every filter and servo law is used.
@@ -46,14 +47,32 @@ def hand(name: str) -> Run:
     begin = frames[0]["timestamp"]
     times = [FIRST_S + 1e-6 * (frame["timestamp"] - begin) for frame in frames]
     texts = tuple((t, json.dumps(wire.shifted(frame, offset))) for t, frame in zip(times, frames))
-    return Run(name, texts, ((0.0, "scale", SCALE.get(name, 1.0)), *SWITCHED_ON), settings)
+    return Run(name, coming_in(texts), ((0.0, "scale", SCALE.get(name, 1.0)), *SWITCHED_ON), settings)
+
+
+def coming_in(frames: tuple[tuple[float, str], ...]) -> tuple[tuple[float, str], ...]:
+    """Returns frames before which the hands of the first one come in: beside the box, then hidden for a moment."""
+    begin, text = frames[0]
+    first = json.loads(text)
+    beside = wire.shifted(first, ASIDE_MM)
+    shown = (beside, beside, beside, {**first, "hands": [], "pointables": []})
+    return (
+        tuple(
+            (
+                begin + 0.01 * i,
+                json.dumps({**frame, "id": first["id"] + i, "timestamp": first["timestamp"] + 10000 * i}),
+            )
+            for i, frame in zip(range(-len(shown), 0), shown)
+        )
+        + frames
+    )
 
 
 def taken(path: Path) -> Run:
     """Returns a part of a recorded run."""
     content = json.loads(lzma.decompress(path.read_bytes()))
     switched = sorted((*SWITCHED_ON, *map(tuple, content["switched"])), key=lambda switch: switch[0])
-    return Run(name_of(path), tuple(map(tuple, content["frames"])), tuple(switched), content["settings"])
+    return Run(name_of(path), coming_in(tuple(map(tuple, content["frames"]))), tuple(switched), content["settings"])
 
 
 def name_of(path: Path) -> str:
