@@ -100,6 +100,7 @@ class SimulatedRig:
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
         self.newest: DesiredFrame | None = None
+        self._hands = 0
         self.step = None
         self.events: list[str] = []
         self._clear()
@@ -127,6 +128,7 @@ class SimulatedRig:
         if self.newest is None:
             for control_on in [False] * 100 + [True]:  # a stream counts only if it begins while control is on
                 self._cycle(control_on)
+        self._hands += 1  # another one each time
         self._clear()
         frames = []
         for i in range(int(min(seconds, frames_for) * rate) + 1):
@@ -134,7 +136,7 @@ class SimulatedRig:
         while self.now - self.start < seconds:
             while frames and frames[0][0] <= self.now - self.start + 1e-9:
                 stamp = frames.pop(0)[1]
-                self.newest = DesiredFrame(tool(stamp), CLOCK_S + self.start + stamp)
+                self.newest = DesiredFrame(tool(stamp), CLOCK_S + self.start + stamp, engagement=self._hands)
             self._cycle(control_on=True)
         self.times, self.goals, self.sent, self.q, self.v = (
             np.array(column) for column in (self.times, self.goals, self.sent, self.q, self.v)
