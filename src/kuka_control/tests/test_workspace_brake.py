@@ -162,6 +162,24 @@ def test_no_joint_is_faster_or_goes_further_on_the_way_to_its_stop_than_its_boun
     assert np.all(np.sum(np.abs(np.diff(q, axis=0)), axis=0) <= np.array(lengths) + 1e-9)
 
 
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_no_point_is_faster_on_the_way_to_a_stop_than_the_closer_estimate(seed):
+    rng = np.random.default_rng(seed)
+    change, brake = guard()
+    points = brake._room.points
+    v, a = (rng.choice([0.1, 1.0]) * rng.uniform(-1.0, 1.0, 7) * most for most in (MODEL.max_speed, ACCELERATION))
+    v, a = (row * (rng.permutation(7) < rng.choice([2, 7])) for row in (v, a))
+    state = JointState(rng.uniform(MODEL.lower, MODEL.upper).tolist(), v.tolist(), a.tolist())
+    speeds, lengths = change.stopping_bounds(state)
+    length = 0.0
+    for i in reversed(range(7)):
+        length += lengths[i] * (points.tool_point(state.q)[1][i] + length)
+    bound, path = brake._fastest(state, speeds, lengths, length), change.stopping(state)
+    times = np.linspace(0.0, path.duration, 60)
+    assert max(points.speed(*path.at_time(t)[:2]) for t in times) <= bound + 1e-9
+
+
 @settings(max_examples=8)
 @given(st.lists(st.tuples(st.floats(-0.06, 0.06), st.floats(-0.06, 0.06)), min_size=2, max_size=4))
 def test_far_from_all_bounds_the_stream_is_the_same_as_without_a_brake(turns):

@@ -283,7 +283,7 @@ class StoppingGuard:
         fastest, turned, others = 0.5 * points.speed(state.q, state.v), 0.0, 0.0
         for v, speed, length, reach in zip(state.v, speeds, lengths, points.tool_point(state.q)[1]):
             turned += length
-            fastest += (reach + path) * (speed - 0.5 * abs(v) + speed * turned + length * others)
+            fastest += (reach + path) * (speed + 0.5 * (speed * turned + length * others - abs(v)))
             others += speed
         return fastest
 
