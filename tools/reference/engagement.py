@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from leap_kuka.engagement import TRANSITIONS, State, Trigger, When
+from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, When
 from tools.reference import markdown
 
 INTRO = (
@@ -18,8 +18,11 @@ STEERS = "a_hand_steers"
 
 def page() -> str:
     """Returns the page."""
-    states = ((_name(s), f"{s.tool.value}", s.continues) for s in State)
-    read = ((t.happens, markdown.text(t.sentence.replace("{detail}", "…").replace("{hand}", "…"))) for t in Trigger)
+    states = ((_name(s), f"{s.tool.value}", s.continues) for s in EngagementState)
+    read = (
+        (t.happens, markdown.text(t.sentence.replace("{detail}", "…").replace("{hand}", "…")))
+        for t in EngagementTrigger
+    )
     return "\n".join(
         [
             markdown.generated("States of an engagement", "leap_kuka/engagement.py", INTRO),
@@ -32,7 +35,7 @@ def page() -> str:
 
 def diagram() -> str:
     """Returns the diagram; what leads away from each state in which a hand steers is one arrow from all of them."""
-    running = [state for state in State if state.running]
+    running = [state for state in EngagementState if state.running]
     arrows: dict[tuple[str, str], dict[When, list[str]]] = {}
     for row in TRANSITIONS:
         together = set(running) <= set(row.sources)
@@ -40,7 +43,7 @@ def diagram() -> str:
         for source in [*([STEERS] if together else []), *alone]:
             arrows.setdefault((source, _name(row.target)), {}).setdefault(row.when, []).append(row.trigger.happens)
     inner = {_name(state) for state in running}
-    lines = ["```mermaid", "stateDiagram-v2", f"  [*] --> {_name(State.WAITING)}", f"  state {STEERS} {{"]
+    lines = ["```mermaid", "stateDiagram-v2", f"  [*] --> {_name(EngagementState.WAITING)}", f"  state {STEERS} {{"]
     lines += [f"    {_arrow(*key, texts)}" for key, texts in arrows.items() if inner >= {*key}]
     lines += ["  }", *(f"  {_arrow(*key, texts)}" for key, texts in arrows.items() if not inner >= {*key}), "```"]
     return "\n".join(lines) + "\n"
@@ -54,5 +57,5 @@ def _arrow(source: str, target: str, texts: dict[When, list[str]]) -> str:
     return f"{source} --> {target}: {'. '.join(parts)}"
 
 
-def _name(state: State) -> str:
+def _name(state: EngagementState) -> str:
     return state.name.lower()

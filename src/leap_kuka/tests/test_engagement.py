@@ -15,7 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
-from leap_kuka.engagement import TRANSITIONS, State, Tool, Trigger, When, next_state
+from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -51,7 +51,7 @@ class Engagement(RuleBasedStateMachine):
         keeps = relative and hold_time > 0.0
         changes = {"engagement": "relative" if relative else "absolute", "hold_time": hold_time}
         if keeps and switched:
-            changes |= {"enabling": "device", "clutch": "device", "arm_choice": "service"}
+            changes.update(enabling="device", clutch="device", arm_choice="service")
         self.keeps, self.switched = keeps, keeps and switched
         self.teleop = ArmTeleop(parsed("leap", changes, others=("operator_input",)), placement(), measured_tool=self.at)
         self.box = self.teleop.box
@@ -85,6 +85,17 @@ class Engagement(RuleBasedStateMachine):
         self.frames(2)
         self.hands = {number: hand(number, "box")}
         self.frames(45)
+
+    @rule(number=st.sampled_from([2, 4]))
+    def engage(self, number):
+        """All that an engagement needs."""
+        self.switch(True)
+        self.mode, self.tool = "home", HOME
+        self.clutched, self.device_there, self.chosen = False, True, True
+        self.frames(40)
+        self.press()
+        self.come_in(number)
+        self.drift()
 
     @rule(number=st.sampled_from([2, 4]), unsure=st.booleans())
     def hide(self, number, unsure):
@@ -124,7 +135,7 @@ class Engagement(RuleBasedStateMachine):
     @rule(pressed=st.booleans(), clutched=st.booleans(), there=st.booleans(), chosen=st.booleans())
     def device(self, pressed, clutched, there, chosen):
         self.pressed, self.clutched, self.device_there, self.chosen = pressed, clutched, there, chosen
-        self.frames(3)
+        self.drift()
 
     @rule(mode=st.sampled_from(["stopped", "moving", "holding", "pick_up", "servo", "home"]))
     def arm(self, mode):
@@ -190,35 +201,34 @@ def test_the_machine_engages():
     for relative, switched in ((False, False), (True, False), (True, True)):
         machine = Engagement()
         machine.begin(relative, 1.0, switched, True)
-        machine.switch(True)
-        machine.press()
-        machine.come_in(2)
-        machine.drift()
+        machine.engage(2)
         assert machine.last.follows and not np.allclose(machine.sent, HOME), machine.last.reason
 
 
 TestEngagement = Engagement.TestCase
-TestEngagement.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestEngagement.settings = settings(max_examples=40, stateful_step_count=20, deadline=None)
 
 
 def test_the_tool_moves_only_in_one_state_and_each_end_is_a_rest():
-    assert [state for state in State if state.tool is Tool.FOLLOWS] == [State.STEERING]
+    assert [state for state in EngagementState if state.tool is Tool.FOLLOWS] == [EngagementState.STEERING]
     for row in TRANSITIONS:
         for source in row.sources:
             if source.running and not row.target.running:
-                assert row.target.tool in ENDS and row.trigger is not Trigger.HAND_READY
+                assert row.target.tool in ENDS and row.trigger is not EngagementTrigger.HAND_READY
             if row.target.running and not source.running:
-                assert row.trigger is Trigger.HAND_READY, "only a hand that meets all conditions starts"
+                assert row.trigger is EngagementTrigger.HAND_READY, "only a hand that meets all conditions starts"
 
 
-@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("state", EngagementState)
 @pytest.mark.parametrize("relative, keeps", [(False, False), (True, False), (True, True)])
 def test_one_row_at_most_holds_for_what_happens(state, relative, keeps):
     valid = {When.ALWAYS, When.KEEPS if keeps else When.DROPS, *([When.RELATIVE] if relative else [])}
-    for trigger in Trigger:
+    for trigger in EngagementTrigger:
         rows = [r for r in TRANSITIONS if state in r.sources and r.trigger is trigger and r.when in valid]
         assert len(rows) <= 1
         assert next_state(state, trigger, relative, keeps) is (rows[0].target if rows else state)
-    for end in (Trigger.TRACKER_LOST, Trigger.CONTROL_OFF):
+    for end in (EngagementTrigger.TRACKER_LOST, EngagementTrigger.CONTROL_OFF):
         after = next_state(state, end, relative, keeps)
-        assert after is State.WAITING or (end is Trigger.CONTROL_OFF and after.running and not relative)
+        assert after is EngagementState.WAITING or (
+            end is EngagementTrigger.CONTROL_OFF and after.running and not relative
+        )

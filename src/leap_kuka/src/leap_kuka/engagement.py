@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from common import hand_reasons
+
 
 class Tool(Enum):
     """What the desired tool does."""
@@ -18,7 +20,7 @@ class Tool(Enum):
     FOLLOWS = "follows the hand"
 
 
-class State(Enum):
+class EngagementState(Enum):
     """A state: what the tool does, whether a hand owns the engagement, and who may steer next."""
 
     WAITING = Tool.GONE, False, "a hand that comes in"
@@ -42,23 +44,23 @@ class State(Enum):
     @property
     def kept(self) -> bool:
         """Whether the tool stays where an engagement stopped."""
-        return self in (State.PAUSED, State.KEPT)
+        return self in (EngagementState.PAUSED, EngagementState.KEPT)
 
     @property
     def held(self) -> bool:
         """Whether the tool stays without a hand that steers."""
-        return self is State.HELD or self.kept
+        return self is EngagementState.HELD or self.kept
 
 
-class Trigger(Enum):
+class EngagementTrigger(Enum):
     """What happens, and how the operator reads it, with the hand's name and a detail."""
 
-    HAND_READY = "a hand meets all conditions", "{hand} is followed"
-    NOT_SEEN = "the hand is not in the frame", "{hand} is not seen; the tool stays"
+    HAND_READY = "a hand meets all conditions", hand_reasons.FOLLOWED
+    NOT_SEEN = "the hand is not in the frame", hand_reasons.NOT_SEEN + "; the tool stays"
     SLOW = "fewer than 20 frames per second come", "{detail}"
-    SEEN = "it is seen, and enough frames come", "{hand} is followed"
-    ARM_BUSY = "the arm is not in servo mode", "{hand} is followed once the arm is ready; it is in {detail}"
-    ARM_READY = "the arm is in servo mode", "{hand} is followed"
+    SEEN = "it is seen, and enough frames come", hand_reasons.FOLLOWED
+    ARM_BUSY = "the arm is not in servo mode", hand_reasons.FOLLOWED + " once the arm is ready; it is in {detail}"
+    ARM_READY = "the arm is in servo mode", hand_reasons.FOLLOWED
     STOPPED = "not enabled, clutched, or not chosen", "{detail}"
     HAND_LOST = "the hand is lost for 0.2 s, or jumps", "{hand} was lost{detail}"
     MOVED = "it moved while the tracker was slow", "{hand} moved while the tracker was slow"
@@ -91,51 +93,51 @@ class When(Enum):
 
 
 @dataclass(frozen=True)
-class Transition:
+class EngagementRow:
     """One row."""
 
-    sources: tuple[State, ...]
-    trigger: Trigger
-    target: State
+    sources: tuple[EngagementState, ...]
+    trigger: EngagementTrigger
+    target: EngagementState
     when: When = When.ALWAYS
 
 
-_S, _T = State, Trigger
+_S, _T = EngagementState, EngagementTrigger
 _RUNNING = (_S.STARTING, _S.STEERING, _S.STAYING)
 _OWNED = (*_RUNNING, _S.PAUSED)
 _LOSSES = (_T.HAND_LOST, _T.MOVED, _T.UNSURE, _T.CLUTCH_LOST)
 
 TRANSITIONS = (
-    Transition((_S.WAITING, _S.HELD, _S.PAUSED, _S.KEPT), _T.HAND_READY, _S.STEERING),
+    EngagementRow((_S.WAITING, _S.HELD, _S.PAUSED, _S.KEPT), _T.HAND_READY, _S.STEERING),
     # The hand steers on, but the tool waits.
-    Transition((_S.STEERING, _S.STAYING), _T.ARM_BUSY, _S.STARTING, When.RELATIVE),
-    Transition((_S.STARTING,), _T.ARM_READY, _S.STEERING),
-    Transition((_S.STEERING,), _T.NOT_SEEN, _S.STAYING),
-    Transition((_S.STEERING,), _T.SLOW, _S.STAYING),
-    Transition((_S.STAYING,), _T.SEEN, _S.STEERING),
+    EngagementRow((_S.STEERING, _S.STAYING), _T.ARM_BUSY, _S.STARTING, When.RELATIVE),
+    EngagementRow((_S.STARTING,), _T.ARM_READY, _S.STEERING),
+    EngagementRow((_S.STEERING,), _T.NOT_SEEN, _S.STAYING),
+    EngagementRow((_S.STEERING,), _T.SLOW, _S.STAYING),
+    EngagementRow((_S.STAYING,), _T.SEEN, _S.STEERING),
     # Not enabled, clutched, or not chosen.
-    Transition(_RUNNING, _T.STOPPED, _S.PAUSED, When.KEEPS),
-    Transition(_RUNNING, _T.STOPPED, _S.WAITING, When.DROPS),
+    EngagementRow(_RUNNING, _T.STOPPED, _S.PAUSED, When.KEEPS),
+    EngagementRow(_RUNNING, _T.STOPPED, _S.WAITING, When.DROPS),
     # The hand is gone, or nobody knows what the operator wants.
-    *(Transition(_RUNNING, loss, _S.KEPT, When.KEEPS) for loss in _LOSSES),
-    *(Transition(_RUNNING, loss, _S.WAITING, When.DROPS) for loss in _LOSSES),
-    *(Transition((_S.PAUSED,), loss, _S.KEPT) for loss in _LOSSES),
+    *(EngagementRow(_RUNNING, loss, _S.KEPT, When.KEEPS) for loss in _LOSSES),
+    *(EngagementRow(_RUNNING, loss, _S.WAITING, When.DROPS) for loss in _LOSSES),
+    *(EngagementRow((_S.PAUSED,), loss, _S.KEPT) for loss in _LOSSES),
     # Nobody watches, or the arm is not there for a hand.
-    Transition((_S.HELD, _S.KEPT, *_OWNED), _T.TRACKER_LOST, _S.WAITING),
-    Transition((_S.KEPT, *_OWNED), _T.CONTROL_ON, _S.WAITING),
-    Transition((_S.KEPT, *_OWNED), _T.CONTROL_FOUND_ON, _S.WAITING),
-    Transition((_S.HELD, _S.KEPT, _S.PAUSED), _T.CONTROL_OFF, _S.WAITING),
-    Transition(_RUNNING, _T.CONTROL_OFF, _S.WAITING, When.RELATIVE),
-    Transition((_S.KEPT, *_OWNED), _T.ARM_LEFT, _S.WAITING, When.RELATIVE),
+    EngagementRow((_S.HELD, _S.KEPT, *_OWNED), _T.TRACKER_LOST, _S.WAITING),
+    EngagementRow((_S.KEPT, *_OWNED), _T.CONTROL_ON, _S.WAITING),
+    EngagementRow((_S.KEPT, *_OWNED), _T.CONTROL_FOUND_ON, _S.WAITING),
+    EngagementRow((_S.HELD, _S.KEPT, _S.PAUSED), _T.CONTROL_OFF, _S.WAITING),
+    EngagementRow(_RUNNING, _T.CONTROL_OFF, _S.WAITING, When.RELATIVE),
+    EngagementRow((_S.KEPT, *_OWNED), _T.ARM_LEFT, _S.WAITING, When.RELATIVE),
     # Holds.
-    Transition((_S.HELD, _S.KEPT, _S.PAUSED), _T.EXPIRED, _S.WAITING),
-    Transition((_S.WAITING,), _T.HOLD, _S.HELD),
-    Transition((_S.HELD,), _T.HOLD_ENDED, _S.WAITING),
+    EngagementRow((_S.HELD, _S.KEPT, _S.PAUSED), _T.EXPIRED, _S.WAITING),
+    EngagementRow((_S.WAITING,), _T.HOLD, _S.HELD),
+    EngagementRow((_S.HELD,), _T.HOLD_ENDED, _S.WAITING),
 )
 """All transitions. No end of an engagement is a motion: the tool stays, or is no longer published."""
 
 
-def next_state(state: State, trigger: Trigger, relative: bool, keeps: bool) -> State:
+def next_state(state: EngagementState, trigger: EngagementTrigger, relative: bool, keeps: bool) -> EngagementState:
     """Returns the state after a trigger; `keeps`: whether the tool stays for the next hand."""
     valid = {When.ALWAYS, When.KEEPS if keeps else When.DROPS, *([When.RELATIVE] if relative else [])}
     for row in TRANSITIONS:

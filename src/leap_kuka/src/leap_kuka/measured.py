@@ -6,7 +6,7 @@ A relative stream starts where it is at home, and a tool that stays is kept ther
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from typing import Callable
 
 import numpy as np
 

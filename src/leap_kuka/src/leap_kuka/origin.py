@@ -24,7 +24,7 @@ I3 = read_only(np.eye(3))
 
 
 @dataclass(frozen=True)
-class Origin:
+class StreamOrigin:
     """What a stream starts from; rotations have shape (3, 3)."""
 
     T_base_virtual: np.ndarray  # pose of the virtual Leap, shape (4, 4) [m]
@@ -47,15 +47,17 @@ class Origin:
         return R_virtual_tool @ self.R_home
 
 
-def absolute(T_base_virtual: np.ndarray, heading: float, tool_reversed: bool, R_home: np.ndarray = I3) -> Origin:
+def absolute(T_base_virtual: np.ndarray, heading: float, tool_reversed: bool, R_home: np.ndarray = I3) -> StreamOrigin:
     """Returns the origin of an absolute stream of a heading [rad], see virtual_leap_pose for T_base_virtual; a tool
     that is `tool_reversed` is turned by 180 deg about its z axis, as the home pose has it (see common.mounting).
     """
     R_leap_zero = R_LEAP_REFERENCE @ rotation_about(2, heading)
-    return Origin(T_base_virtual, R_leap_zero, TURNED if tool_reversed else I3, R_home)
+    return StreamOrigin(T_base_virtual, R_leap_zero, TURNED if tool_reversed else I3, R_home)
 
 
-def taken_over(origin: Origin, T_base_held: np.ndarray, angles: Attitude, palm: np.ndarray, now: float) -> Origin:
+def taken_over(
+    origin: StreamOrigin, T_base_held: np.ndarray, angles: Attitude, palm: np.ndarray, now: float
+) -> StreamOrigin:
     """Returns the origin of an absolute stream that starts `now` [s] with the tool where it is held, shape (4, 4) [m].
 
     `origin` is that of the same stream without a hold, `angles` are the hand's at its start, and `palm` has shape (3,).
@@ -75,11 +77,11 @@ def taken_over(origin: Origin, T_base_held: np.ndarray, angles: Attitude, palm: 
     )
 
 
-def relative(T_base_tool: np.ndarray, R_base_virtual: np.ndarray, T_leap_hand: np.ndarray) -> Origin:
+def relative(T_base_tool: np.ndarray, R_base_virtual: np.ndarray, T_leap_hand: np.ndarray) -> StreamOrigin:
     """Returns the origin of a stream that starts with the desired tool at a pose and the hand at another, shapes (4, 4)
     [m], and an orientation of the virtual Leap, shape (3, 3).
     """
     R_leap_hand = T_leap_hand[:3, :3]
     T_base_virtual = pose(R_base_virtual, T_base_tool[:3, 3] - R_base_virtual @ T_leap_hand[:3, 3])
     R_virtual_tool = R_base_virtual.T @ T_base_tool[:3, :3]
-    return Origin(read_only(T_base_virtual), R_leap_hand, read_only(R_leap_hand.T @ R_virtual_tool), I3)
+    return StreamOrigin(read_only(T_base_virtual), R_leap_hand, read_only(R_leap_hand.T @ R_virtual_tool), I3)

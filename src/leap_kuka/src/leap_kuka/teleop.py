@@ -22,16 +22,17 @@ from typing import Any, Callable
 
 import numpy as np
 
+from common.hand_reasons import NO_HAND
 from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock, of_side
 from common.poses import inverse, pose, read_only
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
-from leap_kuka.engagement import State, Trigger, next_state
+from leap_kuka.engagement import EngagementState, EngagementTrigger, next_state
 from leap_kuka.feasible_side import FeasibleSide
 from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
 from leap_kuka.measured import Measured, TrueTool, no_measured_tool, tool_at_home
 from leap_kuka.operator_switches import OperatorSwitches
-from leap_kuka.origin import Origin, absolute, relative, taken_over
+from leap_kuka.origin import StreamOrigin, absolute, relative, taken_over
 from leap_kuka.scaling import NO_OFFSET, Scaling
 from leap_kuka.start_gate import (
     BOX,
@@ -111,7 +112,7 @@ class ArmTeleop:
         self._gate = StartGate(leap, self.box)
         self._relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
         self._keeps = self._relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
-        self._state, self._taken = State.WAITING, False  # and whether the stream took a held tool over
+        self._state, self._taken = EngagementState.WAITING, False  # and whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: str | None = None  # why, a sentence that is said once
         self._measured_tool, self._true_tool = measured_tool, TrueTool()
@@ -149,15 +150,15 @@ class ArmTeleop:
             fault = "control of the arm is off"
         if fault:
             return HoldAnswer(False, f"The tool is not held: {fault}.")
-        self._fire(Trigger.HOLD, now)
+        self._fire(EngagementTrigger.HOLD, now)
         self._held, self._hold_ended = Held(read_only(T_base_tool), now + duration), None
         self.counts.holds += 1
         return HoldAnswer(True, f"The tool is held for a hand, for {duration:g} s at most.")
 
     def end_hold(self) -> HoldAnswer:
         """Ends a hold on request; a hand that took the tool over continues, and so does a tool that is kept."""
-        held = self._state is State.HELD
-        self._fire(Trigger.HOLD_ENDED, 0.0)
+        held = self._state is EngagementState.HELD
+        self._fire(EngagementTrigger.HOLD_ENDED, 0.0)
         return HoldAnswer(True, "The hold has ended." if held else "The tool is not held.")
 
     def control(
@@ -170,12 +171,12 @@ class ArmTeleop:
         before, self._control_on = self._control_on, on
         self._mode, self._scaling, self._status_at = mode, Scaling(self._ws_center, scale, offset), now
         if not on:
-            self._fire(Trigger.CONTROL_OFF, now)
+            self._fire(EngagementTrigger.CONTROL_OFF, now)
         elif not before:
             self._lock.end()
-            self._fire(Trigger.CONTROL_FOUND_ON if before is None else Trigger.CONTROL_ON, now)
+            self._fire(EngagementTrigger.CONTROL_FOUND_ON if before is None else EngagementTrigger.CONTROL_ON, now)
         elif mode not in FOLLOWS:
-            self._fire(Trigger.ARM_LEFT, now, mode)
+            self._fire(EngagementTrigger.ARM_LEFT, now, mode)
 
     def choose(self, elsewhere: str | None, any_hand: bool) -> None:
         """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this one,
@@ -197,7 +198,7 @@ class ArmTeleop:
         if arrival.restarted:
             self._lock.forget()
         if self._held is not None and now >= self._held.until and not (self._state.kept and self.switches.stop):
-            self._fire(Trigger.EXPIRED, now)
+            self._fire(EngagementTrigger.EXPIRED, now)
         if not arrival.usable:
             self.counts.frames_refused += 1
             return self._result(False, now)
@@ -208,7 +209,7 @@ class ArmTeleop:
         owner = self._lock.owner
         hand = self._lock.update(of_side(frame.hands, self._side), arrival.stamp)
         if self._state.owned and self._lock.owner is None:
-            self._fire(Trigger.HAND_LOST, now)
+            self._fire(EngagementTrigger.HAND_LOST, now)
         elif self._lock.changed:
             self._average.reset()
         self.counts.id_changes += self._lock.owner not in (owner, None)
@@ -217,15 +218,15 @@ class ArmTeleop:
             self._follow(hand, arrival.stamp, now)
         elif self._state.running:
             self.counts.frames_without_owner += 1
-            self._reason = self._obstacle = self._fire(Trigger.NOT_SEEN, now)
+            self._reason = self._obstacle = self._fire(EngagementTrigger.NOT_SEEN, now)
         else:
-            self._reason = "no hand is seen" if self._side == ANY else f"no {self._side} hand is seen"
+            self._reason = NO_HAND[self._side]
         if ran and self._ended:
             self._reason = self._ended
         if self._state.running:
             self._true_tool.look(self._measured_tool, self._T_base_scaled(self._newest), now)
         elif self._mean is None:
-            resumes = self._state is State.PAUSED
+            resumes = self._state is EngagementState.PAUSED
             self._unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
         self._keep_with_arm(now)
         result = self._result(True, now)
@@ -243,18 +244,18 @@ class ArmTeleop:
         return self._result(False, now)
 
     def _lose_tracker(self, why: str, now: float) -> None:
-        self._fire(Trigger.TRACKER_LOST, now, why)
+        self._fire(EngagementTrigger.TRACKER_LOST, now, why)
         self._forget_hand()
         self._reason = why
 
-    def _fire(self, trigger: Trigger, now: float, detail: str = "") -> str:
+    def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "") -> str:
         """Goes to the state that the table says, and does what that means; returns the sentence of the trigger."""
         sentence = trigger.sentence.format(hand=self._name, detail=detail)
         before = self._state
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
             return sentence
-        if after is State.WAITING and before.held:
+        if after is EngagementState.WAITING and before.held:
             self._hold_ended = f"the tool is no longer held: {sentence}"
         if after.kept and before.running:
             self._keep(now)
@@ -263,7 +264,7 @@ class ArmTeleop:
         if before.owned and not after.owned:
             self._lock.end()
             self._reason = self._ended = sentence
-            if trigger is not Trigger.UNSURE:  # its mean still tells why
+            if trigger is not EngagementTrigger.UNSURE:  # its mean still tells why
                 self._forget_hand()
         return sentence
 
@@ -278,10 +279,10 @@ class ArmTeleop:
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
         switches.update(others, stamp, now, owner is not None or self._state.kept)
         if switches.lost:
-            self._fire(Trigger.CLUTCH_LOST, now)
+            self._fire(EngagementTrigger.CLUTCH_LOST, now)
         if switches.stop:
             self.counts.clutched += self._state.running and switches.clutched
-            self._fire(Trigger.STOPPED, now, switches.stop)
+            self._fire(EngagementTrigger.STOPPED, now, switches.stop)
             if self._state.kept and self._held is not None:
                 self._held = replace(self._held, until=now + self._hold_time)
 
@@ -342,20 +343,17 @@ class ArmTeleop:
         else:
             self._try_start(mean, now)
         if self._average.lost or (self._state.running and mean is None):
-            self._fire(Trigger.HAND_LOST, now, f": {left_out or 'it turns too fast'}")
+            self._fire(EngagementTrigger.HAND_LOST, now, f": {left_out or 'it turns too fast'}")
             self._forget_hand()
 
     def _try_start(self, mean: MeanHand, now: float) -> None:
         """Starts a stream if all conditions are met."""
-        resumes = self._state is State.PAUSED
+        resumes = self._state is EngagementState.PAUSED
         obstacles = self._obstacles(resumes, now)
         faults = self._gate.faults(mean, obstacles, resumes)
-        unmet = {*faults, *obstacles}
-        if faults and not self._relative:  # a relative stream starts where the arm is
-            unmet |= {REACH}
-        elif not faults:
-            faults = unmet = self._start_fault(mean)
-        self._unmet = frozenset(unmet)
+        unasked = {REACH} if faults and not self._relative else set()  # a relative stream starts where the arm is
+        faults = faults or self._start_fault(mean)
+        self._unmet = frozenset({*faults, *obstacles, *unasked})
         self._reason = f"{self._name}: {'; '.join(faults.values())}" if faults else self._start(mean, now)
 
     def _steer(self, mean: MeanHand, now: float) -> None:
@@ -363,31 +361,31 @@ class ArmTeleop:
         unsure = self._gate.confidence_fault(mean)
         if unsure:
             self._unmet = frozenset(unsure)
-            self._fire(Trigger.UNSURE, now, unsure[CONFIDENCE])
+            self._fire(EngagementTrigger.UNSURE, now, unsure[CONFIDENCE])
             return
-        self._reason = Trigger.HAND_READY.sentence.format(hand=self._name)
+        self._reason = EngagementTrigger.HAND_READY.sentence.format(hand=self._name)
         waits = self._relative and self._mode != SERVO
         if waits or (self._relative and self._begins > 0 and not self._slow and self._stays is None):
             assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
             self._stays, T_base_tool = None, self._origin.T_base_virtual @ self._newest
             self._begin(relative(T_base_tool, self._origin.T_base_virtual[:3, :3], mean.T_leap_hand), mean)
             if waits:
-                self._reason = self._obstacle = self._fire(Trigger.ARM_BUSY, now, self._mode)
+                self._reason = self._obstacle = self._fire(EngagementTrigger.ARM_BUSY, now, self._mode)
             return
-        self._fire(Trigger.ARM_READY, now)
+        self._fire(EngagementTrigger.ARM_READY, now)
         self._attitude.follow(self._origin.turn(mean.T_leap_hand[:3, :3]))
         if self._slow:
             self.counts.slow_frames += 1
             self._stays = self._newest if self._stays is None else self._stays
             slow = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
-            self._reason = self._obstacle = self._fire(Trigger.SLOW, now, slow)
+            self._reason = self._obstacle = self._fire(EngagementTrigger.SLOW, now, slow)
             return
         if self._stays is not None:
             step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
             if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
-                self._fire(Trigger.MOVED, now)
+                self._fire(EngagementTrigger.MOVED, now)
                 return
-        self._fire(Trigger.SEEN, now)
+        self._fire(EngagementTrigger.SEEN, now)
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, str]:
         """Returns the conditions of a start, apart from the hand's own, that are not met, with a sentence each."""
@@ -442,10 +440,10 @@ class ArmTeleop:
         returns the sentence. A hand that continues keeps its directions.
         """
         R_leap_hand, held = mean.T_leap_hand[:3, :3], self._held
-        if self._state is not State.PAUSED:
+        if self._state is not EngagementState.PAUSED:
             self._heading = heading(R_leap_hand[:, 0])
-        self._taken = self._state is State.HELD
-        reason = self._fire(Trigger.HAND_READY, now)
+        self._taken = self._state is EngagementState.HELD
+        reason = self._fire(EngagementTrigger.HAND_READY, now)
         self._lock.engage()
         origin = self._absolute(self._heading)
         if self._relative:
@@ -458,12 +456,12 @@ class ArmTeleop:
         self.counts.streams += 1
         return reason
 
-    def _begin(self, origin: Origin, mean: MeanHand) -> None:
+    def _begin(self, origin: StreamOrigin, mean: MeanHand) -> None:
         """Lets tool and hand start from an origin."""
         self._origin = origin
         self._attitude = SteadyAttitude(origin.turn(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
 
-    def _absolute(self, psi: float) -> Origin:
+    def _absolute(self, psi: float) -> StreamOrigin:
         T_base_virtual = read_only(virtual_leap_pose(self._mounting, self._ws_center, self.box.center, psi))
         return absolute(T_base_virtual, psi, self._mounting.tool_reversed, self._R_home)
 
