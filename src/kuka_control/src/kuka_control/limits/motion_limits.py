@@ -132,6 +132,8 @@ class MotionLimits:
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
             cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself.
         """
+        if self._room.collisions is not None:
+            self._room.collisions.follow(self._now.q, measured, dt)
         gap = LATE_GOAL if dt > GAP_S else None
         dt = self._after(dt)
         own = [0.0] * 7 if speed is None else speed.tolist()

@@ -289,17 +289,11 @@ class StoppingGuard:
 
     def _depths(self, state: JointState) -> dict[int, float]:
         """Returns how far which pairs of bodies come within their margin on the way to the stop from a state [m]."""
-        depths: dict[int, float] = {}
         collisions = self._room.collisions
         if collisions is None:
-            return depths
+            return {}
         near = collisions.near(state.q, self._change.stopping_bounds(state)[1])
-        if near:
-            path = self._change.stopping(state)
-            for fraction in STOPPING:
-                for pair, depth in collisions.depths(path.at_time(fraction * path.duration)[0], near).items():
-                    depths[pair] = max(depths.get(pair, 0.0), depth)
-        return depths
+        return collisions.depths(self._change.stopping(state), near) if near else {}
 
     def _ranged(self, state: JointState, braking: JointState) -> tuple[JointState, _Stop]:
         """Returns the state with the joints that could not stop in their ranges braking instead, and its stop."""
