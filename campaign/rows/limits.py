@@ -21,9 +21,7 @@ from common.rotations import rotation_about, rotation_angle
 from kuka_control.limits.collision import CollisionGuard
 from kuka_control.model.obstacles import obstacles_from
 from kuka_control.model.rig import checked_rig
-from kuka_control.model.robot_shape import Opening
 from kuka_msgs.msg import MoveGoal
-from reflex_msgs.msg import Hand
 
 AHEAD = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
 LEFT = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
@@ -285,9 +283,6 @@ def collision(trial):
 def _press_against(trial) -> None:
     rig, (config, arm) = trial.rig, checked_rig(rospy.get_param("kuka"), "kuka/")
     guard = CollisionGuard(arm.kinematics, False, obstacles_from(AROUND, arm.model.wrist_flange), config.guard_margin)
-    hand = rospy.wait_for_message("reflex_takktile/hand_state", Hand, 5.0)
-    proximal, distal = zip(*((finger.proximal, finger.distal_approx) for finger in hand.finger))
-    guard.open(Opening(proximal, distal, hand.motor[3].joint_angle))
     rig.modes.clear()
     trial.follow(sway=False)
     rig.hand.glide(0.5, right=0.0)
