@@ -479,7 +479,7 @@ def test_the_wall_clock_may_be_set_while_the_arm_follows():
             each.run(0.048, None)  # the frames that were on their way are left out
             each.run(0.096, lambda t, start=start: sway(start + 0.048 + t))
         assert world.mode == "servo" and not set(world.modes) - {"servo"}, world.steps[-1].reason
-        np.testing.assert_allclose(world.arm.q, steady.arm.q, atol=np.radians(0.5))
+        np.testing.assert_allclose(world.arm.q, steady.arm.q, atol=np.radians(1.0))  # at a third of the speed it lags
 
 
 @pytest.mark.parametrize("skew", [-0.7, 0.7])
