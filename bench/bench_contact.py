@@ -84,6 +84,8 @@ def _go(arm: SimulatedArm, q: np.ndarray, velocity: float) -> None:
     arm.start_motion(JointMove(arm.q, q, velocity * arm.robot.max_speed, arm.motion_acceleration))
     while arm.in_motion:
         arm.step(CYCLE_S)
+        if arm.safety_stop is not None:
+            raise ValueError(f"The motion does not begin where it should: {arm.safety_stop}")
 
 
 def _force(world: World) -> float:
