@@ -68,11 +68,12 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path)
     # From where the arm is, nothing moves without a yes, nor with other limits than those of the recording.
     before = motions()
     for answers, port in (("", robot.port), ("no\n", 1)):
-        rospy.set_param("kuka/port", port)
+        rospy.set_param("kuka/running/parameters/port", port)
         assert ("what stands around this arm may differ" in replay(answers, 1)) == (port == 1)
-    rospy.set_param("kuka/tcp_speed", 0.1)
+    rospy.set_param("kuka/running/parameters/tcp_speed", 0.1)
     assert "tcp_speed" in replay("yes\n", 1) and motions() == before
-    rospy.set_param("kuka/tcp_speed", run.manifest["robot"]["limits"]["tcp_speed"])
+    rospy.set_param("kuka/running/parameters/tcp_speed", run.manifest["robot"]["limits"]["tcp_speed"])
+    rospy.set_param("kuka/tcp_speed", 0.1)  # which counts for the next controller only
 
     way = []
     watching = clock.Event()
