@@ -41,18 +41,24 @@ def hand(number, place, yaw=0.0, confidence=1.0, grab=0.0):
     return TrackedHand(number, number % 2 == 1, position, R[:, 0], R[:, 2], confidence, grab=grab)
 
 
+KINDS = {  # relative or not, hold_time, whether devices enable, clutch and choose
+    "absolute": (False, 0.0, False),
+    "home": (True, 0.0, False),
+    "kept": (True, 1.0, False),
+    "switched": (True, 1.0, True),
+}
+
+
 class Engagement(RuleBasedStateMachine):
     """An arm that is where it is told at once, its controller, two hands, the operator's device, a choice of arm."""
 
-    @initialize(
-        relative=st.booleans(), hold_time=st.sampled_from([0.0, 1.0]), switched=st.booleans(), known=st.booleans()
-    )
-    def begin(self, relative, hold_time, switched, known):
-        keeps = relative and hold_time > 0.0
+    @initialize(kind=st.sampled_from([*KINDS, "switched"]), known=st.booleans())
+    def begin(self, kind, known):
+        relative, hold_time, switched = KINDS[kind]
         changes = {"engagement": "relative" if relative else "absolute", "hold_time": hold_time}
-        if keeps and switched:
+        if switched:
             changes.update(enabling="device", clutch="device", arm_choice="service")
-        self.keeps, self.switched = keeps, keeps and switched
+        self.switched = switched
         self.teleop = ArmTeleop(parsed("leap", changes, others=("operator_input",)), placement(), measured_tool=self.at)
         self.box = self.teleop.box
         self.tool, self.mode, self.control_on, self.silent = HOME, "home", False, 1.0
@@ -95,6 +101,25 @@ class Engagement(RuleBasedStateMachine):
         self.frames(40)
         self.press()
         self.come_in(number)
+        self.drift()
+
+    @rule(number=st.sampled_from([2, 4]))
+    def rest(self, number):
+        """A hand came in before, and rests in the box when control goes on."""
+        self.switch(False)
+        self.come_in(number)
+        self.frames(60)
+        self.switch(True)
+        self.frames(45)
+        self.drift()
+
+    @rule(number=st.sampled_from([2, 4]), stop=st.sampled_from(["clutch", "release", "silence", "other arm"]))
+    def stop(self, number, stop):
+        """The operator stops the tool, and the hand moves on."""
+        self.engage(number)
+        self.clutched, self.pressed = stop == "clutch", stop != "release"
+        self.device_there, self.chosen = stop != "silence", stop != "other arm"
+        self.frames(1 if stop != "silence" else 30)
         self.drift()
 
     @rule(number=st.sampled_from([2, 4]), unsure=st.booleans())
@@ -198,15 +223,15 @@ class Engagement(RuleBasedStateMachine):
 
 def test_the_machine_engages():
     """The laws would hold for a machine in which no hand ever steers."""
-    for relative, switched in ((False, False), (True, False), (True, True)):
+    for kind in KINDS:
         machine = Engagement()
-        machine.begin(relative, 1.0, switched, True)
+        machine.begin(kind, True)
         machine.engage(2)
         assert machine.last.follows and not np.allclose(machine.sent, HOME), machine.last.reason
 
 
 TestEngagement = Engagement.TestCase
-TestEngagement.settings = settings(max_examples=40, stateful_step_count=20, deadline=None)
+TestEngagement.settings = settings(max_examples=50, stateful_step_count=15, deadline=None)
 
 
 def test_the_tool_moves_only_in_one_state_and_each_end_is_a_rest():
