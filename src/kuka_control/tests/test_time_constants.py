@@ -118,6 +118,12 @@ def test_a_lost_robot_is_tried_again_in_growing_pauses():
     assert said == [0.5, 32.5]
 
 
+def test_a_hand_that_does_not_report_delays_the_start_by_a_second():
+    world = World(collision_guard=True)
+    world.loop.open_hand(None)
+    assert first(lambda _: world.run(DT).mode != "starting") == pytest.approx(1.0, abs=6.0 * DT)
+
+
 def test_an_exit_waits_two_seconds_for_an_arm_that_something_holds():
     world = World().run(0.1)
     world.arm.held = world.exit_requested = True

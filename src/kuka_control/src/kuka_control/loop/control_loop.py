@@ -63,6 +63,7 @@ COUNTED = (
 """The names of the counters; all are there from the start."""
 
 TICK_S = 0.1  # longest time between two frames in which such a refusal is still shown [s]
+HAND_S = 1.0  # at the start the arm waits so long for the first report of the hand [s]
 BLOCKED_S = 0.25  # a pick-up motion that the collision guard refused is checked again after this time [s]
 
 FINGER_IN_THE_WAY = (
@@ -195,6 +196,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._progress: MoveProgress | None = None  # of the last one that was asked for
         self._check: tuple[Sequence[np.ndarray], PathCheck] | None = None  # of a motion that is to begin, and its path
         self._opening: Opening | None = None  # of the hand
+        self._started: float | None = None  # when the first cycle was [s]
         # What this cycle has brought so far.
         self._checks = False  # whether that check continues
         self._events: list[Event] = []
@@ -447,7 +449,12 @@ class ControlLoop(ABC, Generic[Settings]):
         return Wait()
 
     def _starting(self, cycle: Cycle) -> Outcome:
-        return Fired(Trigger.EXIT if self._exits(cycle) else Trigger.START)
+        """The hand has a moment to report: what its sensors feel at rest is taken before, which motion would spoil."""
+        if self._exits(cycle):
+            return Fired(Trigger.EXIT)
+        self._started = cycle.now if self._started is None else self._started
+        unknown = self._settings.guard is not None and self._opening is None
+        return Wait() if unknown and cycle.now - self._started < HAND_S else Fired(Trigger.START)
 
     def _moving(self, cycle: Cycle) -> Outcome:
         """A PTP motion runs, which nothing can stop."""
