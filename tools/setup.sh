@@ -114,7 +114,7 @@ build_workspace() {
     source "$noetic/setup.bash"
     set -u
   fi
-  { catkin_make -DPYTHON_EXECUTABLE="$PWD/.venv/bin/python" -DCATKIN_ENABLE_TESTING=OFF 2>&1 || echo "build-failed"; } |
+  { catkin_make --force-cmake -DPYTHON_EXECUTABLE="$PWD/.venv/bin/python" -DCATKIN_ENABLE_TESTING=OFF 2>&1 || echo "build-failed"; } |
     while IFS= read -r line; do
       echo "$line" >>"$log"
       case $line in
