@@ -200,6 +200,24 @@ def test_a_tool_that_is_far_behind_is_kept_where_the_arm_stops(rig, sample, behi
     np.testing.assert_allclose(play.centre + play.scale * (T_after[:3, 3] - play.centre), T[:3, 3], atol=1e-9)
 
 
+def test_a_kept_tool_goes_with_the_arm_for_a_second_at_most(rig, sample):
+    play = rig(hold_time=60.0).engaged(sample())
+    play.steps(3, sample())
+    arm, play._follow = play.T_arm, lambda *_: None
+    way = 0.05 * np.arange(0.0, 4.0, 0.01)  # it never rests
+    for z in way[:100]:
+        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
+        play.step(sample())
+    play.device(clutched=True)
+    heights = []
+    for z in way[100:]:
+        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
+        result = play.step(sample())
+        heights.append((result.T_base_virtual @ result.T_virtual_tool)[2, 3])
+    still = np.flatnonzero(np.diff(heights) == 0.0)
+    assert still[0] == pytest.approx(100, abs=2) and len(still) == len(heights) - 1 - still[0]
+
+
 def test_a_measured_tool_that_cannot_be_true_moves_nothing(rig, sample):
     """It jumped while the hand steered, and has been elsewhere since."""
     play = rig().engaged(sample())

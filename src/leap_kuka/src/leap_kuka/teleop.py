@@ -66,6 +66,7 @@ the new hand by a pick-up motion."""
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
 MAX_LAG_M = 0.03  # a tool that is farther behind the desired one is kept where the arm stops
 RESTS_S, RESTS_M, RESTS_RAD = 0.1, 1e-3, math.radians(0.2)  # it has stopped when it moved less than this meanwhile
+STOPS_S = 1.0  # longest time in which an arm that is to stop is still believed to move
 
 MAX_STATUS_AGE_S = 1.5  # of the controller's, for a relative start
 AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
@@ -117,6 +118,7 @@ class ArmTeleop:
         self._hold_ended: str | None = None  # why, a sentence that is said once
         self._measured_tool, self._true_tool = measured_tool, TrueTool()
         self._stops_from: tuple[float, np.ndarray] | None = None  # a kept tool goes with the arm until that rests
+        self._stops_by = -math.inf  # or until then [s]
         self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
         self._mean: MeanHand | None = None  # in the newest frame
         self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
@@ -127,6 +129,7 @@ class ArmTeleop:
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
+        self._ended = ""  # why an engagement has ended in this frame
         self._reason = "no tracking frames come in"
         self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
         self._mode, self._scaling, self._status_at = "", Scaling(arm.ws_center), -math.inf  # of the controller
@@ -295,7 +298,7 @@ class ArmTeleop:
         T_measured = self._true_tool.newest if self._mode == SERVO else None
         if T_measured is not None:
             lag = float(np.linalg.norm((T_measured - self._T_base_scaled(self._newest))[:3, 3]))
-            self._stops_from = (now, T_measured) if lag > MAX_LAG_M else None
+            self._stops_from, self._stops_by = (now, T_measured) if lag > MAX_LAG_M else None, now + STOPS_S
 
     def _keep_with_arm(self, now: float) -> None:
         """Lets a kept tool go with an arm that was far behind, until it rests: the controller brakes for the jump back,
@@ -304,7 +307,7 @@ class ArmTeleop:
         if self._stops_from is None or self._held is None:
             return
         T_measured = self._true_tool.look(self._measured_tool, None, now)
-        if T_measured is None:
+        if T_measured is None or now > self._stops_by:
             self._stops_from = None
             return
         self._held = replace(self._held, T_base_tool=self._scaling.unscaled(T_measured))
