@@ -11,6 +11,7 @@ from relative_rig import BOX_HEIGHT, HOLD_S, Rig
 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
+from leap_kuka.kept_tool import no_measured_tool
 from leap_kuka.start_gate import CONDITIONS, ENABLED, RATE, READY, RELEASED
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -175,60 +176,72 @@ def test_the_hold_does_not_end_while_the_operator_stops_the_tool(rig, sample, st
     assert play.steps(110).hold is HoldState.NONE
 
 
-@pytest.mark.parametrize("behind, mode", [(0.1, "servo"), (0.02, "servo"), (0.1, "pick_up")])
-def test_a_tool_that_is_far_behind_is_kept_where_the_arm_stops(rig, sample, behind, mode):
-    """The arm is slower than the hand, then brakes: the kept tool goes with it, and stays once it rests."""
-    play = rig(scale=2.0).engaged(sample())
-    play.steps(3, sample())
-    wanted, arm = play.T_arm, play.T_arm
-    play._follow = lambda *_: None
-    for z in np.linspace(0.0, behind, 20):
-        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
-        play.step(sample())
-    play.mode = mode
-    play.device(clutched=True)
-    goes_with = (behind, mode) == (0.1, "servo")
-    for z in [*np.linspace(behind, 0.06, 10), *[0.06] * 12]:
-        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
-        result = play.step(sample())
-        T = result.T_base_virtual @ result.T_virtual_tool
-        T[:3, 3] = play.centre + play.scale * (T[:3, 3] - play.centre)
-        np.testing.assert_allclose(T, play.T_arm if goes_with else wanted, atol=1e-9)
-    play.T_arm = pose(p=(0.0, 0.0, 0.1)) @ arm
-    result = play.step(sample())
-    T_after = result.T_base_virtual @ result.T_virtual_tool
-    np.testing.assert_allclose(play.centre + play.scale * (T_after[:3, 3] - play.centre), T[:3, 3], atol=1e-9)
+def tool_sent(play, result):
+    T = result.T_base_virtual @ result.T_virtual_tool
+    return play.centre + play.scale * (T[:3, 3] - play.centre)
 
 
-def test_a_kept_tool_goes_with_the_arm_for_a_second_at_most(rig, sample):
-    play = rig(hold_time=60.0).engaged(sample())
+@pytest.mark.parametrize("mode", ["servo", "pick_up"])
+@pytest.mark.parametrize("behind, shift", [(0.04, 0.0), (0.1, 0.05), (0.149, 0.099), (0.16, 0.0)])
+def test_the_kept_tool_glides_to_where_an_arm_that_is_behind_can_stop(rig, sample, behind, shift, mode):
+    """It never jumps, and the measured tool moves it by no more than this, wherever that goes afterwards."""
+    play = rig(scale=2.0, hold_time=60.0).engaged(sample())
     play.steps(3, sample())
-    arm, play._follow = play.T_arm, lambda *_: None
-    way = 0.05 * np.arange(0.0, 4.0, 0.01)  # it never rests
-    for z in way[:100]:
-        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
-        play.step(sample())
+    wanted, play._follow, play.mode = play.T_arm, lambda *_: None, mode
+    play.T_arm = pose(p=(0.0, 0.0, behind)) @ wanted
     play.device(clutched=True)
     heights = []
-    for z in way[100:]:
-        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
-        result = play.step(sample())
-        heights.append((result.T_base_virtual @ result.T_virtual_tool)[2, 3])
-    still = np.flatnonzero(np.diff(heights) == 0.0)
-    assert still[0] == pytest.approx(100, abs=2) and len(still) == len(heights) - 1 - still[0]
-
-
-def test_a_measured_tool_that_cannot_be_true_moves_nothing(rig, sample):
-    """It jumped while the hand steered, and has been elsewhere since."""
-    play = rig().engaged(sample())
-    play.steps(3, sample())
-    wanted, play._follow = play.T_arm, lambda *_: None
-    play.T_arm = pose(p=(0.1, 0.2, 0.1)) @ wanted
-    play.steps(60, sample())
-    play.device(clutched=True)
     for _ in range(60):
+        heights.append(tool_sent(play, play.step(sample()))[2] - wanted[2, 3])
+        play.T_arm = pose(p=(0.0, 0.0, 0.002)) @ play.T_arm
+    shift = shift if mode == "servo" else 0.0
+    expected = np.minimum(0.3 * 0.01 * np.arange(60), shift)
+    np.testing.assert_allclose(heights, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("known, brakes", [(0.3, True), (0.7, False)])
+def test_the_kept_tool_goes_with_an_arm_that_brakes_since_the_hand_jumped(rig, sample, known, brakes):
+    """The controller finds it where the arm rests, so that no PTP motion follows."""
+    play = rig(scale=1.0, hold_time=60.0).engaged(sample())
+    play.steps(10, sample())
+    arm, play._follow = play.T_arm, lambda *_: None
+    for x in np.arange(0.0, 0.3, 0.015):
+        play.step(sample(position=(x, BOX_HEIGHT, 0.0)))
+    play.steps(round(100 * (known - 0.2)), sample(position=(0.285, BOX_HEIGHT, 0.0)))
+    wanted = tool_sent(play, play.results[-1])
+    play.device(clutched=True)
+    for z in [*np.linspace(0.0, 0.05, 20), *[0.05] * 60]:
+        play.T_arm = pose(p=(0.0, 0.0, z)) @ arm
+        p = tool_sent(play, play.step(sample(position=(0.285, BOX_HEIGHT, 0.0))))
+        np.testing.assert_allclose(p, play.T_arm[:3, 3] if brakes else wanted, atol=1e-9)
+    play.T_arm = pose(p=(0.0, 0.0, 0.09)) @ arm
+    after = tool_sent(play, play.step(sample(position=(0.285, BOX_HEIGHT, 0.0))))
+    np.testing.assert_allclose(after, p, atol=1e-9, err_msg="half a second after it was left")
+
+
+@pytest.mark.parametrize("fault", ["far", "unknown", "scale"])
+def test_a_measured_tool_or_scaling_that_cannot_be_true_moves_nothing(rig, sample, fault):
+    play = rig(hold_time=60.0).engaged(sample())
+    play.steps(10, sample())
+    wanted, play._follow = tool_sent(play, play.results[-1]), lambda *_: None
+    play.T_arm = pose(p=(0.1, 0.2, 0.1) if fault == "far" else (0.0, 0.0, 0.1)) @ play.T_arm
+    play.device(clutched=True)
+    if fault == "unknown":
+        play.teleop._measured_tool = no_measured_tool
+    for _ in range(60):
+        play.scale = math.nan if fault == "scale" else 1.0
         result = play.step(sample())
-        np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, wanted, atol=1e-9)
+        play.scale = 1.0
+        np.testing.assert_allclose(tool_sent(play, result), wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("end, words", [("off", "control of the arm is off"), ("stopped", "in the mode stopped")])
+def test_why_an_engagement_ended_is_said(rig, sample, end, words):
+    play = rig(hold_time=0.0, enabling="none", clutch="none").engaged(sample())
+    play.steps(3, sample())
+    play.control_on, play.mode = end != "off", "stopped" if end == "stopped" else "servo"
+    play._follow = lambda *_: None
+    assert words in play.step(sample()).reason
 
 
 def test_an_arm_that_is_measured_away_from_home_starts_nothing(rig, sample):

@@ -30,7 +30,7 @@ from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.engagement import EngagementState, EngagementTrigger, next_state
 from leap_kuka.feasible_side import FeasibleSide
 from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
-from leap_kuka.measured import Measured, TrueTool, no_measured_tool, tool_at_home
+from leap_kuka.kept_tool import Leaving, Measured, ToolBehind, kept, no_measured_tool, tool_at_home
 from leap_kuka.operator_switches import OperatorSwitches
 from leap_kuka.origin import StreamOrigin, absolute, relative, taken_over
 from leap_kuka.scaling import NO_OFFSET, Scaling
@@ -64,9 +64,6 @@ PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
 way, so that it never continues the stream of the one before: the arm then goes home, or, with a longer `time_out`, to
 the new hand by a pick-up motion."""
 MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
-MAX_LAG_M = 0.03  # a tool that is farther behind the desired one is kept where the arm stops
-RESTS_S, RESTS_M, RESTS_RAD = 0.1, 1e-3, math.radians(0.2)  # it has stopped when it moved less than this meanwhile
-STOPS_S = 1.0  # longest time in which an arm that is to stop is still believed to move
 
 MAX_STATUS_AGE_S = 1.5  # of the controller's, for a relative start
 AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
@@ -116,9 +113,8 @@ class ArmTeleop:
         self._state, self._taken = EngagementState.WAITING, False  # and whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: str | None = None  # why, a sentence that is said once
-        self._measured_tool, self._true_tool = measured_tool, TrueTool()
-        self._stops_from: tuple[float, np.ndarray] | None = None  # a kept tool goes with the arm until that rests
-        self._stops_by = -math.inf  # or until then [s]
+        self._measured_tool, self._behind = measured_tool, ToolBehind()
+        self._left: Leaving | None = None  # how an engagement left the tool that is kept
         self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
         self._mean: MeanHand | None = None  # in the newest frame
         self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
@@ -129,7 +125,7 @@ class ArmTeleop:
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
-        self._ended = ""  # why an engagement has ended in this frame
+        self._ended = ""  # why an engagement has ended, which is not said yet
         self._reason = "no tracking frames come in"
         self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
         self._mode, self._scaling, self._status_at = "", Scaling(arm.ws_center), -math.inf  # of the controller
@@ -144,13 +140,15 @@ class ArmTeleop:
         """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
         fault = hold_fault(T_base_tool, duration, self._mounting.up, self._R_home[2])
         if fault is None and np.any(self._border.back(T_base_tool[:3, 3], self._scaling)):
-            fault = "it is behind the base, or below its foot"
+            fault = "it is too near to the base, behind it or below its foot"
         if fault is None:
             fault = "a hand is followed" if self._state.owned else self._watch.silence(now)
         if fault is None and self._state.held:
             fault = "it is held already" + ("" if self._state.kept else "; end that hold first with a duration of 0")
         if fault is None and not self._control_on:
             fault = "control of the arm is off"
+        elif fault is None and self._mode not in FOLLOWS:
+            fault = f"the arm does not follow, its controller is in the mode {self._mode}"
         if fault:
             return HoldAnswer(False, f"The tool is not held: {fault}.")
         self._fire(EngagementTrigger.HOLD, now)
@@ -194,7 +192,6 @@ class ArmTeleop:
 
     def step(self, frame: TrackingFrame, now: float) -> TeleopResult:
         """Processes the newest frame; `now` is its time of arrival on a monotonic clock [s]."""
-        ran, self._ended = self._state.running, ""
         arrival = self._watch.arrived(frame.id, frame.age, now)
         if arrival.broken:
             self._lose_tracker(arrival.broken, now)
@@ -224,14 +221,15 @@ class ArmTeleop:
             self._reason = self._obstacle = self._fire(EngagementTrigger.NOT_SEEN, now)
         else:
             self._reason = NO_HAND[self._side]
-        if ran and self._ended:
-            self._reason = self._ended
+        if self._ended:
+            self._reason, self._ended = self._ended, ""
         if self._state.running:
-            self._true_tool.look(self._measured_tool, self._T_base_scaled(self._newest), now)
+            if self._keeps and self._newest is not None:
+                self._behind.look(self._measured_tool, self._T_base_scaled(self._newest), now)
         elif self._mean is None:
             resumes = self._state is EngagementState.PAUSED
             self._unmet = OF_A_HAND - (HAND_CAME_IN if resumes else set()) | self._obstacles(resumes, now).keys()
-        self._keep_with_arm(now)
+        self._move_kept(now)
         result = self._result(True, now)
         self._tool_at = self._tool_at if result.T_virtual_tool is None else now
         return result
@@ -263,7 +261,7 @@ class ArmTeleop:
         if after.kept and before.running:
             self._keep(now)
         elif not after.held:
-            self._held = self._stops_from = None
+            self._held = self._left = None
         if before.owned and not after.owned:
             self._lock.end()
             self._reason = self._ended = sentence
@@ -290,38 +288,23 @@ class ArmTeleop:
                 self._held = replace(self._held, until=now + self._hold_time)
 
     def _keep(self, now: float) -> None:
-        """Keeps the tool where the relative stream wants it, or with an arm that is far behind."""
+        """Keeps the tool where the relative stream wants it, or nearer to an arm that is far behind."""
         assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
         self.counts.kept += 1
-        T_base_tool, self._stops_from = self._origin.T_base_virtual @ self._newest, None
-        self._held, self._hold_ended = Held(read_only(T_base_tool), now + self._hold_time), None
-        T_measured = self._true_tool.newest if self._mode == SERVO else None
-        if T_measured is not None:
-            lag = float(np.linalg.norm((T_measured - self._T_base_scaled(self._newest))[:3, 3]))
-            self._stops_from, self._stops_by = (now, T_measured) if lag > MAX_LAG_M else None, now + STOPS_S
+        self._held = Held(read_only(self._origin.T_base_virtual @ self._newest), now + self._hold_time)
+        self._hold_ended = self._left = None
+        if self._mode == SERVO:
+            self._left = self._behind.leave(self._measured_tool, self._T_base_scaled(self._newest), now)
 
-    def _keep_with_arm(self, now: float) -> None:
-        """Lets a kept tool go with an arm that was far behind, until it rests: the controller brakes for the jump back,
-        stops as early as it can, and finds the tool there.
-        """
-        if self._stops_from is None or self._held is None:
+    def _move_kept(self, now: float) -> None:
+        if self._left is None or self._held is None or self._scaling.fault:
             return
-        T_measured = self._true_tool.look(self._measured_tool, None, now)
-        if T_measured is None or now > self._stops_by:
-            self._stops_from = None
-            return
-        self._held = replace(self._held, T_base_tool=self._scaling.unscaled(T_measured))
-        since, T = self._stops_from
-        turn = rotation_angle(T[:3, :3].T @ T_measured[:3, :3])
-        if np.linalg.norm((T_measured - T)[:3, 3]) > RESTS_M or turn > RESTS_RAD:
-            self._stops_from = now, T_measured
-        elif now - since >= RESTS_S:
-            self._stops_from = None
+        T_base_tool = kept(self._left, self._measured_tool, now)
+        if T_base_tool is not None:
+            self._held = replace(self._held, T_base_tool=self._scaling.unscaled(T_base_tool))
 
-    def _T_base_scaled(self, T_virtual_tool: np.ndarray | None) -> np.ndarray | None:
-        """Returns where the controller's scaling factor brings a desired tool, shape (4, 4) [m]."""
-        if T_virtual_tool is None:
-            return None
+    def _T_base_scaled(self, T_virtual_tool: np.ndarray) -> np.ndarray:
+        """Returns where the controller's scaling brings a desired tool, shape (4, 4) [m]."""
         T = self._origin.T_base_virtual @ T_virtual_tool
         return pose(T[:3, :3], self._scaling.scaled(T[:3, 3]))
 

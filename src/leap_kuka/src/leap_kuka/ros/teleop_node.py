@@ -24,7 +24,7 @@ from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
 from leap_kuka.arm_choice import BOTH, elsewhere
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
-from leap_kuka.measured import no_measured_tool
+from leap_kuka.kept_tool import no_measured_tool
 from leap_kuka.ros.arm_choice_node import CHOSEN_ARM
 from leap_kuka.ros.hand_to_arm import DelayMonitor
 from leap_kuka.ros.measured_tool import MeasuredTool
