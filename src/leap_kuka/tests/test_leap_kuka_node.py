@@ -254,7 +254,7 @@ def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, han
     clock.sleep(0.5)
     assert hold(tool, 30.0).message == "The tool is not held: control of the arm is off."
     for on in (False, True):
-        status.publish(KukaStatus(control_on=on))
+        status.publish(KukaStatus(control_on=on, mode="home"))
         clock.sleep(0.1)
     assert hold(tool, 120.0).success
     clock.sleep(0.1)
