@@ -23,7 +23,16 @@ from leap_motion.client import LeapClient, LeapLink, wire_fault
 from leap_motion.service import wire
 from leap_motion.service.certificate import Certificate
 from leap_motion.service.server import LeapClientLink, LeapService, LeapServiceError
-from leap_motion.service.socket_service import CLOSE_TIMEOUT_S, MAX_OF_ADDRESS, OPEN_TIMEOUT_S, PING_S, SocketService
+from leap_motion.service.socket_service import (
+    CLOSE_TIMEOUT_S,
+    LONGEST_SLEEP_S,
+    MAX_OF_ADDRESS,
+    OPEN_TIMEOUT_S,
+    PING_S,
+    SEND_S,
+    SocketService,
+    listen,
+)
 from leap_motion.transport import LeapSocket, _Tls
 from simulated.wires import DELAY_S
 
@@ -116,6 +125,64 @@ def test_at_its_end_a_client_that_says_nothing_more_delays_it_for_half_a_second(
     assert service.clients == 1
     clock.sleep(4 * SOON_S)
     assert service.clients == 0
+
+
+BIG = "x" * 2 * SocketService.write_limit
+
+
+def that_reads_nothing(service, wires):
+    """A client that asked for frames."""
+    deaf = wires.connect(("127.0.0.1", service.port))
+    wires.connections[-1].down.room = 1000
+    deaf.sendall(REQUEST + b"\x81\x93" + bytes(4) + b'{"background":true}')
+    clock.sleep(SOON_S)
+    assert service.clients == 1
+    return deaf
+
+
+def test_a_client_that_does_not_read_is_gone_after_a_moment(start, wires):
+    service = start()
+    deaf = that_reads_nothing(service, wires)
+    service.offer(BIG)
+    clock.sleep(SEND_S - SOON_S)
+    assert service.clients == 1
+    clock.sleep(2 * SOON_S)
+    assert service.clients == 0
+    deaf.close()
+
+
+class BadServer(SocketService):
+    """A subclass whose message has no limit."""
+
+    def __init__(self):
+        super().__init__()
+        listener = listen("127.0.0.1", 0)
+        self.port, self.clients = listener.getsockname()[1], 0
+        self._open(listener)
+
+    async def _meet(self, connection, request):
+        return None
+
+    async def _converse(self, connection):
+        self.clients += 1
+        await connection.send(BIG)
+
+
+@pytest.mark.parametrize("kind", [lambda: LeapService(port=0), BadServer])
+@pytest.mark.parametrize("before", [0.0, 1.0])
+def test_a_client_that_does_not_read_does_not_keep_the_service_from_its_end(wires, kind, before):
+    service = kind()
+    thread = clock.Thread(target=service.run, daemon=True)
+    thread.start()
+    deaf = that_reads_nothing(service, wires)
+    if isinstance(service, LeapService):
+        service.offer(BIG)
+    clock.sleep(before)
+    service.stop()
+    begun = clock.monotonic()
+    thread.join(2.0 * SEND_S)
+    assert not thread.is_alive() and clock.monotonic() <= begun + LONGEST_SLEEP_S + SEND_S + SOON_S
+    deaf.close()
 
 
 def test_the_newest_offer_wins_and_a_burst_stays_together():

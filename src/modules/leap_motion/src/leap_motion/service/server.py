@@ -15,7 +15,7 @@ from websockets.http11 import Request, Response
 from leap_motion.service import wire
 from leap_motion.service.access import AccessCode, hostname, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate, CertificateError
-from leap_motion.service.socket_service import SocketService, listen, own_names
+from leap_motion.service.socket_service import SEND_S, SocketService, cut, listen, own_names
 
 GATED_FROM_VERSION = 4
 SHORTEST_CODE = 8
@@ -49,6 +49,15 @@ class LeapClientLink:
         if event is not None:
             self.events.append(wire.text(event))
             self.wake.set()
+
+    async def send(self, message: str) -> None:
+        """Sends a message; a client that does not take it within SEND_S is cut off. Raises ConnectionClosed."""
+        its_socket = self.connection.transport.get_extra_info("socket")
+        end = asyncio.get_running_loop().call_later(SEND_S, cut, its_socket)  # wait_for would take turns of the loop
+        try:
+            await self.connection.send(message)
+        finally:
+            end.cancel()
 
 
 class LeapService(SocketService):
@@ -186,15 +195,15 @@ class LeapService(SocketService):
 
     async def _send(self, client: LeapClientLink) -> None:
         with contextlib.suppress(ConnectionClosed):
-            await client.connection.send(wire.text(wire.header(client.version, self._service, self._version)))
+            await client.send(wire.text(wire.header(client.version, self._service, self._version)))
             client.notify(wire.device_event(client.version, self._service, self._serial, self._attached))
             while True:
                 await client.wake.wait()
                 client.wake.clear()
                 await self._while_held()
                 while client.events:
-                    await client.connection.send(client.events.pop(0))
+                    await client.send(client.events.pop(0))
                 frames, client.frames = client.frames, ()
                 for frame in frames:
-                    await client.connection.send(frame)
+                    await client.send(frame)
                     self.sent += 1

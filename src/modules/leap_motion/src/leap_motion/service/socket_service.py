@@ -22,7 +22,8 @@ from leap_motion.service.access import ConnectionLimits
 LONGEST_SLEEP_S = 0.2
 OPEN_TIMEOUT_S = 5.0  # for the handshake of TLS, and then for that of the WebSocket
 CLOSE_TIMEOUT_S = 0.5
-GONE_S = 10.0  # what could not be sent within this time after the end of a connection is dropped
+GONE_S = 10.0  # what could not be sent within this time after the end of a conversation is dropped,
+SEND_S = 2.0  # and within this one after the end of the service; a client that takes a message no sooner is gone
 PING_S = 10.0  # another machine that answers no ping is gone
 MAX_REFUSED = 100  # connections that are closed before others have their turn
 MAX_CONNECTIONS, MAX_OF_ADDRESS = 48, 12
@@ -49,6 +50,7 @@ class SocketService:
 
     def __init__(self) -> None:
         self._doors: list[tuple[BoundedListener, ssl.SSLContext | None]] = []
+        self._sockets: set[Any] = set()  # of the conversations
         self._stopping = False
         self._loop = asyncio.new_event_loop()
 
@@ -100,20 +102,26 @@ class SocketService:
                     logger=logger,
                 )
                 await stack.enter_async_context(server)
-            yield
+            try:
+                yield
+            finally:
+                for its_socket in self._sockets:
+                    self._loop.call_later(SEND_S, cut, its_socket)
 
     async def _hear_request(self, connection: ServerConnection, request: Request) -> Response | None:
         response = await self._meet(connection, request)
         if response is not None:
-            self._loop.call_later(GONE_S, _cut, connection.transport.get_extra_info("socket"))
+            self._loop.call_later(GONE_S, cut, connection.transport.get_extra_info("socket"))
         return response
 
     async def _use(self, connection: ServerConnection) -> None:
         its_socket = connection.transport.get_extra_info("socket")
+        self._sockets.add(its_socket)
         try:
             await self._converse(connection)
         finally:
-            self._loop.call_later(GONE_S, _cut, its_socket)
+            self._sockets.remove(its_socket)
+            self._loop.call_later(GONE_S, cut, its_socket)
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Returns the answer to a request; None for the WebSocket that it asks for."""
@@ -124,7 +132,7 @@ class SocketService:
         raise NotImplementedError
 
 
-def _cut(its_socket: Any) -> None:
+def cut(its_socket: Any) -> None:
     """Ends a connection, whatever its transport still waits for."""
     with contextlib.suppress(OSError):  # it has ended
         its_socket.shutdown(socket.SHUT_RDWR)

@@ -33,10 +33,10 @@ from common.operator_rows import OLD_ROWS_S, rows_of
 from common.ros.diagnostics import Diagnostics
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
-from leap_motion.headset.transport import MAX_MESSAGE_BYTES, SEND_S
+from leap_motion.headset.transport import MAX_MESSAGE_BYTES
 from leap_motion.service.access import ConnectionLimits, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate, CertificateError, own_certificate
-from leap_motion.service.socket_service import SocketService, listen, own_names
+from leap_motion.service.socket_service import SEND_S, SocketService, listen, own_names
 from rig_msgs.msg import OperatorView
 from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.ros.stereo.headset_hands import HeadsetHands
