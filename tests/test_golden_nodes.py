@@ -17,6 +17,7 @@ from common.frames import ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP
 from golden.chain import BEGIN_S, SWITCHED_ON, Trace, World
 from golden.runs import RUNS, Missing
 from golden.stored import Stored, differences, stored
+from leap_kuka.scaling import Scaling
 
 pytestmark = pytest.mark.ros
 
@@ -86,7 +87,9 @@ class NodeChain:
         self.begin("leap_kuka_node")
         world = self.world
         teleop = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
-        self.arm = ArmTeleopNode(teleop, SimpleNamespace(scale=1.0), world.leap.engagement, subscribe)
+        self.arm = ArmTeleopNode(
+            teleop, SimpleNamespace(scaling=Scaling(world.placement.ws_center)), world.leap.engagement, subscribe
+        )
         self.arm.watch()
 
     def hand_node(self):

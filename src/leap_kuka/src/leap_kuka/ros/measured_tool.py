@@ -27,13 +27,13 @@ class MeasuredTool:
         self._base, self._flange = frames(BASE), frames(FLANGE_MEASURED)
         self._looked_for = self._flange.encode()
         self._controller = ""
-        self._newest = b"", 0.0, rospy.Time()
+        self._newest: dict[str, tuple[bytes, float, rospy.Time]] = {}  # by publisher
         rospy.Subscriber(f"{of}kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         rospy.Subscriber("/tf", rospy.AnyMsg, self._on_tf, queue_size=100, tcp_nodelay=True)
 
     def __call__(self) -> np.ndarray:
         """Returns T_base_tool, shape (4, 4) [m]; raises ValueError if it is unknown, old or not a pose."""
-        data, at, received = self._newest
+        data, at, received = self._newest.get(self._controller, (b"", 0.0, rospy.Time()))
         if not data:
             raise ValueError(f"the controller of the arm publishes no {self._flange}")
         if clock.monotonic() - at > FRESH_S:
@@ -54,5 +54,6 @@ class MeasuredTool:
         self._controller = status._connection_header["callerid"]
 
     def _on_tf(self, message: rospy.AnyMsg) -> None:
-        if self._looked_for in message._buff and message._connection_header["callerid"] == self._controller:
-            self._newest = message._buff, clock.monotonic(), rospy.Time.now()
+        if self._looked_for in message._buff:
+            publisher = message._connection_header["callerid"]
+            self._newest[publisher] = message._buff, clock.monotonic(), rospy.Time.now()
