@@ -25,7 +25,7 @@ BOUNDS = {"tools": 1e-6, "hands": 1e-5, "goals": 1e-4}
 """m and no unit, rad, rad: messages hold confidence and bone centres as float32, and stamps in nanoseconds."""
 SENSITIVE = {"confidence-74fps": {"goals": 0.01}}
 """Its last second goes along the inner sphere, where limits act by turns on less than messages round."""
-LATE_S = 0.0081  # of a change of state: two cycles; a stop within the limits ends a cycle sooner or later
+LATE_S = 0.0041  # of a change of state: a cycle
 ON_S = max(at for at, _, _ in SWITCHED_ON)  # before, the hand opens when the controller first says that it is off
 FRAMES, FRAMES_OF_HAND = "leap_motion/leap_device", "leap_motion/leap_device_of_hand"
 """A frame comes to the hand's node once that of the arm has said whose hand it follows; else it hears that too late."""

@@ -126,16 +126,6 @@ def test_torn_images_are_not_shown_and_do_not_count_as_new(ros, camera, shown, s
     assert sentence() == "Shows images."
 
 
-def test_a_page_hears_after_half_a_second_that_no_image_came(ros):
-    from vision.ros.stereo.web_node import StereoWeb
-
-    pages = object.__new__(StereoWeb)
-    pages._change, pages._number, pages._frame = clock.Condition(), 3, None
-    begin = clock.monotonic()
-    assert pages._after(2) == (3, None) and clock.monotonic() == begin
-    assert pages._after(3) == (3, None) and clock.monotonic() - begin == pytest.approx(0.5)
-
-
 def test_wrong_parameters_end_the_node_with_a_sentence(ros):
     import rospy
 

@@ -214,7 +214,7 @@ class _Node:
         self._markers = publish_workspace(rig.workspace, rig.home.centre, frames)
         self._stages = StageTimes("kuka_control")
         self._desired = DesiredTool(frames)
-        self._opening = HandOpening() if config.collision_guard else None
+        self._opening = HandOpening()
         self._guard_view = GuardView(config, rig, self._for_guard_view, frames)
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
@@ -261,8 +261,7 @@ class _Node:
         while not rospy.is_shutdown():
             desired = self._desired.wait(deadline)
             started = clock.monotonic()
-            if self._opening is not None:
-                self._loop.open_hand(self._opening.at(started))
+            self._loop.open_hand(self._opening.at(started))
             inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move)
             step = self._controller.cycle(inputs, clock.monotonic())
             if isinstance(step.command, Servo) and step.command.stamp is not None:
