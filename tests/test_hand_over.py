@@ -11,7 +11,7 @@ import yaml
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from golden.two_arms import SIDES, SRC, TwoArms
-from kuka_control.loop import algorithms
+from kuka_control.limits.collision import CollisionGuard
 from rig_simulation.files import read_scene
 from rig_simulation.operator.hand_over import (
     GIVER,
@@ -37,7 +37,6 @@ class Watch:
 
     def __init__(self, rig):
         self._rig, self.hands, self.tools_apart, self.to_the_wall = rig, [], np.inf, np.inf
-        self._guards = {side: algorithms.collision_guard(of.config, of.rig) for side, of in rig.sides.items()}
 
     def look(self, touches):
         hands = sorted({name.split("/")[0] for name in touches if "/reflex/" in name})
@@ -45,8 +44,11 @@ class Watch:
             self.hands.append(hands)
         left, right = (self._rig.T_world_tool(side)[:3, 3] for side in SIDES)
         self.tools_apart = min(self.tools_apart, float(np.linalg.norm(left - right)))
-        for side, guard in self._guards.items():
-            guard.open(self._rig.sides[side].opening)
+        for side, of in self._rig.sides.items():
+            guard = CollisionGuard(
+                *(of.rig.kinematics, of.config.marker_ring, of.rig.obstacles, of.config.guard_margin),
+                *(of.config.allow_contact, of.opening),
+            )
             posture = guard._moved_to(self._rig.robots[side].q.tolist())
             walls = [n for n, (_, j) in enumerate(guard._pairs) if guard.bodies[j].name.startswith("side of")]
             assert walls

@@ -159,8 +159,7 @@ def guards(arms, opening):
     """The guard of each arm, with the walls between them."""
     made = {}
     for name in arms.placements:
-        made[name] = CollisionGuard(KINEMATICS, False, walls(arms, name), MARGIN, LIFTED.allow_contact)
-        made[name].open(opening)
+        made[name] = CollisionGuard(KINEMATICS, False, walls(arms, name), MARGIN, LIFTED.allow_contact, opening)
     return made
 
 

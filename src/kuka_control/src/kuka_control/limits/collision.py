@@ -80,7 +80,7 @@ class NearestPair(NamedTuple):
 
 
 class PathCheck:
-    """The check of one path, a part of it at a time, with the hand as it is meanwhile.
+    """The check of one path, a part of it at a time, for any opening of the hand.
 
     Attributes:
         done: whether the check has ended.
@@ -114,6 +114,7 @@ class CollisionGuard:
         obstacles: the bodies around the arm, and what is mounted at its flange.
         margin: the distance that is kept [m].
         allowed: names of obstacles that the fingers may touch.
+        opening: of the hand; None: wherever the fingers may come to be.
 
     Attributes:
         bodies: all of them.
@@ -128,13 +129,13 @@ class CollisionGuard:
         obstacles: Iterable[ConvexBody],
         margin: float,
         allowed: Iterable[str] = (),
+        opening: Opening | None = None,
     ) -> None:
         self.margin, self.scale = margin, 1.0
         self.nearest: NearestPair | None = None
-        self._kinematics, self._model, self._ring = kinematics, kinematics.model, ring
+        self._kinematics, self._model = kinematics, kinematics.model
         self._bound = margin + SAMPLED_M
-        self._around, self._allowed = list(obstacles), frozenset(allowed)
-        self._opening: Opening | None = None
+        around = list(obstacles)
         lengths, angles = kinematics.slack
         self._slack = lengths + 1.5 * angles
         self._request, self._result = hppfcl.DistanceRequest(True), hppfcl.DistanceResult()
@@ -145,21 +146,11 @@ class CollisionGuard:
         self._lag = [0.0] * 7  # how far the arm is behind its goals [rad]
         self._arm = [0.0] * 7  # and so where it is [rad]
         self._measured: np.ndarray | None = None
-        self._embody()
-
-    def open(self, opening: Opening | None) -> None:
-        """Judges the fingers at an opening from now on; None, as at first: wherever they may come to be."""
-        if opening != self._opening:
-            self._opening = opening
-            self._embody()
-
-    def _embody(self) -> None:
-        """Makes the bodies and their pairs."""
-        arm = [*arm_bodies(self._model, self._ring), *(body for body in self._around if body.link)]
-        hand = hand_bodies(self._model, self._ring, self._opening)
-        wide = frozenset((hand[0].name, *(body.name for body in self._around if body.link)))
-        self.bodies = [*arm, *hand, table(), *(body for body in self._around if not body.link)]
-        self._pairs = list(_pairs(self.bodies, len(arm) + len(hand), self._allowed, wide))
+        arm = [*arm_bodies(self._model, ring), *(body for body in around if body.link)]
+        hand = hand_bodies(self._model, ring, opening)
+        wide = frozenset((hand[0].name, *(body.name for body in around if body.link)))
+        self.bodies = [*arm, *hand, table(), *(body for body in around if not body.link)]
+        self._pairs = list(_pairs(self.bodies, len(arm) + len(hand), frozenset(allowed), wide))
         self._reach = np.array([self._reaches(self.bodies[i], self.bodies[j].link) for i, j in self._pairs])
         self._radii = [_farthest(self.bodies[i]) for i, _ in self._pairs]
         self._levers = np.zeros((len(self._pairs), 16))

@@ -449,7 +449,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Wait()
 
     def _starting(self, cycle: Cycle) -> Outcome:
-        """The hand has a moment to report: what its sensors feel at rest is taken before, which motion would spoil."""
+        """With the collision guard the hand has a moment to report: its sensors' rest is taken before the arm moves."""
         if self._exits(cycle):
             return Fired(Trigger.EXIT)
         self._started = cycle.now if self._started is None else self._started

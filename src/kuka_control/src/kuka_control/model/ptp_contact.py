@@ -31,7 +31,6 @@ def torque_ranges(
         margin: torque beyond what weight and inertia make [Nm].
     """
     kinematics, dq = load.kinematics, goal - start
-    low, high = np.zeros(7), np.zeros(7)
     seconds = max(full_speed_time(kinematics.model, start, goal), 1e-3)
     rate, gain = velocity / seconds, SPEED_UP_PER_S / seconds  # of the fraction of the way [1/s], [1/s^2]
     s = np.linspace(0.0, 1.0, int(np.max(np.abs(dq)) / STEP_RAD) + 3)

@@ -139,7 +139,10 @@ class Switches:
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
     def set_payload(self, mass: float) -> SwitchReply:
-        """Changes the mass of what the hand holds [kg], whose weight is taken off the torques that are shown."""
+        """Changes the mass of what the hand holds [kg].
+
+        Its weight is taken off the torques that are shown, and sets the contact ranges of PTP motions.
+        """
         if not 0.0 <= mass <= PAYLOAD_MAX_KG:
             kept = f"The payload stays {self.now.payload:g} kg"
             return SwitchReply(False, f"{kept}: {mass:g} kg is outside 0 to {PAYLOAD_MAX_KG:g} kg.")
