@@ -86,7 +86,8 @@ class ControllerConfig(RobotAddress):
         low=0.0,
         high=30.0,
         absent=0.0,
-        doc="a PTP motion ends where an external joint torque exceeds that of hand and load by this; 0: never",
+        doc="a PTP motion ends where an external joint torque leaves the range from zero to that of hand and load "
+        "by this; 0: never",
     )
     marker_ring: bool = flag("whether the marker board's ring is between flange and hand", absent=False)
     rate_joints: float = number("Hz", low=1.0, high=250.0, doc="how often joint_states are published")
