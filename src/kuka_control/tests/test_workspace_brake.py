@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 pytest.importorskip("rig_simulation")
 
 from bench.simulated import SimulatedRig
+from common.poses import translation
 from iiwa_kinematics import Kinematics
-from iiwa_kinematics.robot_model import robot_model
+from iiwa_kinematics.robot_model import ROBOTS, robot_model
 from kuka_control.limits.motion_limits import MotionLimits
 from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.limits.speed_change import (
@@ -45,6 +46,7 @@ HOME = ARM.inverse(np.array([
 REST = np.zeros(7)
 FINGERS = finger_balls()
 
+postures = st.lists(st.floats(-1.0, 1.0), min_size=7, max_size=7).map(np.array)
 speeds = st.lists(st.floats(-1.5, 1.5), min_size=7, max_size=7).map(np.array)
 shifts = st.tuples(st.floats(-0.35, 0.35), st.floats(-0.35, 0.35), st.floats(-0.35, 0.35))
 places = st.tuples(st.floats(-0.99, 0.99), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
@@ -61,6 +63,28 @@ def outside(q):
 
 def room(workspace=WORKSPACE, speed=0.7):
     return GuardedRoom(MODEL.lower, MODEL.upper, speed, MovingPoints(ARM, FINGERS), ARM.jacobian, workspace)
+
+
+balls = st.tuples(*[st.floats(-0.3, 0.3)] * 3, st.floats(0.0, 0.2))
+
+
+@given(
+    st.sampled_from(ROBOTS),
+    st.floats(0.05, 0.3),
+    st.lists(balls, max_size=4),
+    st.lists(balls, max_size=4),
+    postures,
+    st.one_of(speeds, st.sampled_from(list(np.eye(7)))),
+)
+def test_no_point_is_faster_than_the_joints_times_its_reach(robot, length, carried, then, q, v):
+    model = robot_model(robot, "MF_elektrisch")
+    points = MovingPoints(Kinematics(model, translation(0.0, 0.0, length)), (*finger_balls(length), *carried))
+    q = (q * model.upper).tolist()
+    for carries in (None, then):
+        if carries is not None:
+            points.carry(carries)
+        _, reaches = points.tool_point(q)
+        assert np.abs(v) @ reaches >= points.speed(q, v.tolist()) - 1e-12
 
 
 def guard(**changes):
