@@ -278,7 +278,7 @@ class PureChain:
         self._loop = algorithms.real_time_loop(world.config, world.rig)
         self._controller = Controller(world.arm, self._loop)
         self._newest: DesiredFrame | None = None
-        self._engagements = 0
+        self._engagements, self._without_hand = 0, False  # as DesiredTool counts them
         self._last: tuple[int, int] | None = None
 
     def run(self) -> Trace:
@@ -324,8 +324,11 @@ class PureChain:
         self._tell(result, now)
         tool = None
         if result.usable and result.T_virtual_tool is None:
-            self._engagements += self._newest is not None and self._newest.engagement == self._engagements
+            self._without_hand = self._newest is not None
         elif result.usable:
+            if result.T_virtual_filtered is not None:
+                self._engagements += self._without_hand
+                self._without_hand = False
             tool = result.T_base_virtual @ result.T_virtual_tool
             self._newest = DesiredFrame(tool, CLOCK_S + now, engagement=self._engagements)
         return tool, self._carry_out(self._hand.step(tracking, now), now)

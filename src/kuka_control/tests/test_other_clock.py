@@ -11,7 +11,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 import pytest
 
 from common import clock
-from common.frames import BASE, TOOL_DESIRED, VIRTUAL_LEAP
+from common.frames import BASE, HAND_FILTERED, TOOL_DESIRED, VIRTUAL_LEAP
 from common.poses import translation
 from kuka_control.model.clock_offset import WIDTH_S
 from kuka_control.model.desired_frame import DesiredStream
@@ -34,7 +34,7 @@ class Stream:
         self.last = None
         clock.sleep(0.1)
 
-    def run(self, seconds, ahead=0.0, hand=True):
+    def run(self, seconds, ahead=0.0, tool=True, hand=True):
         """Returns how many frames were accepted, and the sentences about those that were refused."""
         import rospy
         from tf2_msgs.msg import TFMessage
@@ -44,7 +44,9 @@ class Stream:
         accepted, refused = 0, []
         for _ in range(round(seconds / DT)):
             stamp = rospy.Time.from_sec(rospy.get_time() + ahead)
-            frames = [stamped_transform(translation(0.5, 0.0, 0.5), self.parent, TOOL_DESIRED, stamp)] * hand
+            frames = [stamped_transform(translation(0.5, 0.0, 0.5), self.parent, TOOL_DESIRED, stamp)] * tool
+            if hand:
+                frames.append(stamped_transform(translation(0.0, 0.0, 0.2), self.parent, HAND_FILTERED, stamp))
             if self.parent != BASE:
                 frames.append(stamped_transform(translation(0.0, 0.0, 0.0), BASE, self.parent, stamp))
             self._publisher.publish(TFMessage(frames))
@@ -162,9 +164,22 @@ def test_a_hand_has_come_in_where_the_virtual_leap_came_without_one(virtual_grap
     for pause, engagement in ((False, 0), (False, 0), (True, 1), (False, 1), (True, 2)):
         clock.sleep(1.0)
         if pause:
-            stream.run(0.1, hand=False)
+            stream.run(0.1, tool=False, hand=False)
         stream.run(0.5)
         assert stream.last.engagement == engagement
+
+
+def test_a_program_that_holds_the_tool_while_no_hand_is_in_view_brings_none_in(virtual_graph):
+    stream = Stream(VIRTUAL_LEAP)
+    for _ in range(3):
+        stream.run(0.5, tool=False, hand=False)
+        stream.run(0.5, hand=False)
+        assert stream.last.engagement == 0
+    stream.run(0.1)
+    assert stream.last.engagement == 1, "a hand took the tool over"
+    stream.run(0.5, tool=False)
+    stream.run(0.1, hand=False)
+    assert stream.last.engagement == 1
 
 
 class Shifted(SimpleXMLRPCRequestHandler):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from loop_world import DT, HOME, SLOW, World, ptp, reached, rig, shifted
+from loop_world import DT, FAST, HOME, SLOW, World, ptp, reached, rig, shifted
 
 from common.poses import pose
 from common.rotations import rotation_about
@@ -220,6 +220,72 @@ def test_a_far_stream_that_runs_already_is_refused_with_both_figures(schema):
     world.control_on = True
     stream(world, 3.0, NEAR)
     assert reached(world, NEAR)
+
+
+FAR = shifted(0.0, 0.25, 0.2)
+PAUSES = st.sampled_from([0.0, 0.25, 0.29, 0.35, 0.8, 1.9])
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    schemas,
+    st.sampled_from([NEAR, FAR]),
+    st.lists(st.tuples(PAUSES, st.floats(0.05, 0.9)), min_size=1, max_size=3),
+    PAUSES,
+)
+def test_a_publisher_that_lags_does_not_become_a_new_stream(schema, tool, runs, silence):
+    """Whatever pauses of less than 2 s a foreign stream has that was there when control went on: a far one is never
+    followed, a near one only slowly, and announced 1 s before; so it is where two publishers are in conflict meanwhile.
+    """
+    world = World(schema).at_home()
+    world.foreign = True
+    stream(world, 0.5, tool)
+    for pause, seconds in runs:  # control goes on in the midst of the first pause
+        world.run(min(pause, 1.0)) if world.enable_count == 0 and pause else None
+        pause -= min(pause, 1.0) if world.enable_count == 0 else 0.0
+        world.control_on = True
+        world.run(pause) if pause else None
+        stream(world, seconds, tool)
+    motions = [command for command in world.arm.commands if command[0] == "ptp"]
+    if motions:
+        assert tool is NEAR and motions[0][2] == SLOW and TAKEN_OVER in world.events
+    else:
+        world.conflict = "Both /a and /b publish it."
+        stream(world, 0.1, tool)
+        world.conflict = None
+        world.run(silence) if silence else None
+        stream(world, 3.0, tool)
+        assert world.arm.commands == [] and "Both /a and /b" in world.steps[-1].reason
+        world.run(2.1)
+        stream(world, 3.0, tool)
+        assert reached(world, tool), "after a longer pause it is a new one"
+
+
+def test_a_stream_that_pauses_when_control_goes_on_was_there_and_is_announced_again_after_each_pause():
+    world = World().at_home()
+    world.foreign = True
+    stream(world, 0.5, NEAR)
+    world.run(1.0)
+    world.control_on = True
+    stream(world, 0.2, NEAR)
+    assert world.arm.commands == [] and TAKEN_OVER in world.steps[-1].reason
+    world.run(0.4)
+    assert TAKEN_OVER not in world.steps[-1].reason
+    begin = world.now
+    while not world.arm.commands:
+        stream(world, DT, NEAR, DT)
+    assert world.arm.commands[0][2] == SLOW
+    assert world.now - begin == pytest.approx(ANNOUNCED_S, abs=4 * DT), "it is announced again after the pause"
+
+
+def test_a_hand_that_comes_in_soon_after_control_went_on_is_followed_at_once():
+    world = World().at_home()
+    stream(world, 0.5, NEAR)
+    world.run(0.1)
+    world.control_on = True
+    world.run(0.25)
+    stream(world, 2.0, NEAR)
+    assert reached(world, NEAR) and world.arm.commands[0][2] == FAST
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 3.0))

@@ -209,7 +209,7 @@ class ControlLoop(ABC, Generic[Settings]):
         inputs = observation.inputs
         if inputs.switches.enable_count != self._enable_count:
             self._enable_count = inputs.switches.enable_count
-            self._barred, self._early = None, self._stream.number if self._stream.runs else None
+            self._barred, self._early = None, self._stream.number if self._stream.lasts else None
             self._announced = None
             self._own.forget()
         move = inputs.move
@@ -218,6 +218,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if update.refused:
             self.counts["refused_frames"] += 1
             self._report("warn", update.refused)
+        if not self._stream.runs:
+            self._announced = None
         if update.conflict is not None:
             self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
         elif update.fresh is not None and not update.fresh.foreign and self._stream.number == self._early:

@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from kuka_control.loop.transitions import State
+from kuka_control.model.desired_frame import FOREIGN_PAUSE_S
 
 AGAIN_S = 10.0  # a PTP motion that nobody asked for is not repeated within this time [s]
 ANNOUNCED_S = 1.0  # a stream that ran already is taken over so long after that was announced [s]
@@ -62,5 +63,5 @@ def too_far(distance: float, turn: float) -> str | None:
         f"The desired tool frame came before control went on and is {1e3 * distance:.0f} mm and "
         f"{math.degrees(turn):.0f} deg from the tool at home, but the arm takes it over only within "
         f"{1e3 * NEAR_M:.0f} mm and {math.degrees(NEAR_RAD):.0f} deg: bring it nearer and switch control off and on, "
-        "or let it begin anew."
+        f"or let it pause for {FOREIGN_PAUSE_S:g} s."
     )

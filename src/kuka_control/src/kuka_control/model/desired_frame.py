@@ -23,6 +23,7 @@ MAX_OFFSET_S = 60.0  # a clock that differs by more was never set, and a stamp t
 PAUSE_S = 0.28  # after a longer pause than this a new stream of frames begins [s],
 PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between its last frames
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
+FOREIGN_PAUSE_S = 2.0  # no hand comes in with a foreign frame: a pause that is shorter begins no stream [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
 STALLED_S = 0.5  # stalls since the last frame count as silence where they are longer than this together [s]
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
@@ -194,7 +195,9 @@ class DesiredStream:
     """Watches the newest desired tool frame.
 
     `number` counts the streams: runs of frames without a pause, refused ones included. Number 0 may have begun before
-    this object. Once frames of a stream were accepted, only those whose clock is measured as theirs was count in it.
+    this object. A foreign frame continues a stream also after a pause of less than FOREIGN_PAUSE_S: its publisher lags,
+    or nothing came since two were in conflict. Once frames of a run were accepted, only those whose clock is measured
+    as theirs was count in it.
     """
 
     def __init__(self) -> None:
@@ -209,7 +212,7 @@ class DesiredStream:
         self._reported: set[str] = set()  # what the frames refused in a row were refused for, without the numbers
         self._refusal: tuple[str, float] | None = None
         self._stamps = SteadyStamps()
-        self._clock: int | None = None  # of the accepted frames of this stream
+        self._clock: int | None = None  # of the accepted frames since the last pause
 
     def take(self, newest: DesiredFrame | None, clock: float, now: float, in_servo: bool = False) -> StreamUpdate:
         """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
@@ -224,10 +227,10 @@ class DesiredStream:
             self._silence += elapsed
         if newest is None or newest.stamp == self._last_stamp:
             return StreamUpdate()
-        self._last_stamp = newest.stamp
         if not self.runs:
-            self.number += 1
+            self.number += not (newest.foreign and self.lasts)
             self._clock = None
+        self._last_stamp = newest.stamp
         self._period = min(self._pause, LONGEST_PERIOD_S)
         self._pause = 0.0
         fault = _fault(newest, clock)
@@ -250,6 +253,11 @@ class DesiredStream:
     def runs(self) -> bool:
         """Whether frames come, accepted or refused."""
         return self._pause <= max(PAUSE_S, PAUSE_PERIODS * self._period)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether a foreign frame that came now would continue the stream."""
+        return self.runs or (self._last_stamp is not None and self._pause < FOREIGN_PAUSE_S)
 
     @property
     def silence(self) -> float:

@@ -12,7 +12,7 @@ from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
 from common import clock
-from common.frames import BASE, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
+from common.frames import BASE, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
 from common.ros.conversions import pose_from_transform
 from kuka_control.model.desired_frame import (
     MAX_OFFSET_S,
@@ -52,7 +52,8 @@ class DesiredTool:
     """
 
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
-        self._base, self._tool, self._hand = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
+        self._base, self._tool, self._leap = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
+        self._filtered = frames(HAND_FILTERED)
         self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = clock.Event()
         self._newest: DesiredFrame | None = None
@@ -68,7 +69,7 @@ class DesiredTool:
         self._clock = NodeClock("")  # of the node that published it last
         self._clocks: dict[str, NodeClock] = {}  # of all that did
         self._foreign = True  # whether it does not stand in the virtual Leap
-        self._engagement, self._without_hand = 0, False  # the second: whether that came last without it
+        self._engagement, self._without_hand = 0, False  # the second: whether that came without it since the last hand
         self._lock = clock.Lock()  # each publisher on /tf has a thread of its own
         self._last_time = rospy.Time.now()
         self._passed = clock.monotonic()  # when ROS time was seen to pass [s]
@@ -155,16 +156,20 @@ class DesiredTool:
                 frame = self._parents.get(frame)
             self._needed |= passed
             if start == self._tool:
-                self._foreign = self._hand not in passed
+                self._foreign = self._leap not in passed
         for frame in self._needed.intersection(self._others):
             for transform in self._others.pop(frame):
                 self._take(transform)
 
     def _count_engagements(self, frames: set[str]) -> None:
-        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one."""
-        if self._hand in frames:
-            self._engagement += self._without_hand and self._tool in frames
-            self._without_hand = self._tool not in frames
+        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one and
+        the filtered hand. Without that a program holds the tool.
+        """
+        if self._leap in frames and self._tool not in frames:
+            self._without_hand = True
+        elif self._leap in frames and self._filtered in frames:
+            self._engagement += self._without_hand
+            self._without_hand = False
 
     def _measure(self, node: str, transform: RawTransform, now: float) -> None:
         """Compares the clock of the node that publishes the desired tool frame with this machine's."""
