@@ -252,6 +252,16 @@ def test_control_that_turns_out_to_be_on_ends_a_stream_that_began_before_that_wa
     assert play.steps(50, sample())[-1].state == StreamState.WAITING
 
 
+def test_control_that_goes_on_ends_a_stream_that_began_before(play, sample):
+    play.teleop.control(False)
+    assert play.come_in(sample())[-1].state == StreamState.RUNNING
+    play.teleop.control(True)
+    result = play.step(sample())
+    assert result.state == StreamState.WAITING and "control of the arm went on" in result.reason
+    assert play.steps(50, sample())[-1].state == StreamState.WAITING
+    assert play.come_in(sample())[-1].state == StreamState.RUNNING
+
+
 def test_no_stream_starts_where_the_arm_cannot_come(leap, arm, player, sample):
     """It is asked where everything else is met, for the tool frame that the stream would start with."""
     asked, answer = [], ["joint 4 would pass its limit"]
