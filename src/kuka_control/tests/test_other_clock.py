@@ -8,6 +8,7 @@ import threading
 import time
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
+import numpy as np
 import pytest
 
 from common import clock
@@ -73,16 +74,17 @@ def stated(refused):
 
 @pytest.fixture
 def elsewhere(virtual_graph, monkeypatch):
-    """The test's node runs on another machine; `clock`: what asking its clock brings [s], or raises."""
+    """The test's node runs on another machine; `clock`: what asking its clock brings [s], or raises; `takes`: how long
+    that takes [s]."""
     import rosgraph.network
 
     from kuka_control.ros import other_clock
 
     class Elsewhere:
-        clock = 0.0
+        clock, takes = 0.0, 1.2
 
     def measure(uri):
-        clock.sleep(1.2)
+        clock.sleep(Elsewhere.takes)
         if isinstance(Elsewhere.clock, Exception):
             raise Elsewhere.clock
         return Elsewhere.clock
@@ -180,6 +182,41 @@ def test_a_program_that_holds_the_tool_while_no_hand_is_in_view_brings_none_in(v
     stream.run(0.5, tool=False)
     stream.run(0.1, hand=False)
     assert stream.last.engagement == 1
+
+
+@pytest.fixture
+def asked(elsewhere, monkeypatch):
+    """The virtual times at which the clock of another machine was asked [s]."""
+    from kuka_control.ros import other_clock
+
+    times, measure = [], other_clock.measure
+    monkeypatch.setattr(other_clock, "measure", lambda uri: (times.append(clock.monotonic()), measure(uri))[1])
+    return times
+
+
+def test_frames_that_stay_off_let_the_clock_be_asked_every_five_seconds_one_question_at_a_time(elsewhere, asked):
+    Stream().run(16.0, -1.0)
+    assert np.diff(asked) == pytest.approx([5.0] * 3, abs=2.0 * DT)
+
+
+def test_a_clock_that_answers_slowly_is_not_asked_a_second_time_meanwhile(elsewhere, asked):
+    elsewhere.takes = 20.0
+    Stream().run(12.0, -1.0)
+    assert len(asked) == 1
+
+
+def test_a_clock_that_differs_is_asked_again_after_a_minute(elsewhere, asked):
+    elsewhere.clock = 1.0
+    Stream().run(130.0, 1.0)
+    assert np.diff(asked) == pytest.approx([60.0] * 2, abs=2.0 * DT)
+
+
+def test_while_ros_time_is_simulated_no_clock_is_asked(elsewhere, asked, monkeypatch):
+    from kuka_control.ros import other_clock
+
+    monkeypatch.setattr(other_clock.rospy.rostime, "is_wallclock", lambda: False)
+    accepted, refused = Stream().run(3.0, -1.0)
+    assert accepted == 0 and asked == [] and "ROS time is simulated" in refused[-1]
 
 
 class Shifted(SimpleXMLRPCRequestHandler):

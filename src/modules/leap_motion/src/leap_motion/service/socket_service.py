@@ -11,6 +11,7 @@ import functools
 import logging
 import socket
 import ssl
+from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
@@ -40,7 +41,7 @@ def own_names() -> tuple[str, ...]:
     return name, f"{name}.local"
 
 
-class SocketService:
+class SocketService(ABC):
     """Serves WebSockets on listening sockets, with TLS or without, until `stop`; a subclass answers requests in `_meet`
     and converses in `_converse`.
     """
@@ -123,13 +124,13 @@ class SocketService:
             self._sockets.remove(its_socket)
             self._loop.call_later(GONE_S, cut, its_socket)
 
+    @abstractmethod
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Returns the answer to a request; None for the WebSocket that it asks for."""
-        raise NotImplementedError
 
+    @abstractmethod
     async def _converse(self, connection: ServerConnection) -> None:
         """Serves a WebSocket to its end."""
-        raise NotImplementedError
 
 
 def cut(its_socket: Any) -> None:
