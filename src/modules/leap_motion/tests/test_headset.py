@@ -294,11 +294,14 @@ class Server(SocketService):
         listener = listen("127.0.0.1", 0)
         self.port = listener.getsockname()[1]
         self._open(listener)
-        self._converse = endpoint.converse
+        self._endpoint = endpoint
         clock.Thread(target=self.run, daemon=True).start()
 
     async def _meet(self, connection, request):
         return None
+
+    async def _converse(self, connection):
+        await self._endpoint.converse(connection)
 
 
 class Rig:
