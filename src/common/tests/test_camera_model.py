@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.camera_model import CameraModel, from_calibration, pinhole
+from common.camera_model import CameraModel, distortion, from_calibration, pinhole
 from common.errors import ConfigError
 
 XTION = {
@@ -64,10 +64,14 @@ def test_a_distortion_that_folds_the_picture_over_is_refused():
         ("image_width", 0),
         ("image_height", 480.0),
         ("camera_name", ""),
-        ("distortion_model", "rational_polynomial"),
+        ("distortion_model", "equidistant"),
+        ("distortion_model", None),
         ("camera_matrix", {"data": [0.0] * 9}),
         ("camera_matrix", {"data": [1.0] * 8}),
         ("distortion_coefficients", {"data": [float("nan")] * 5}),
+        ("distortion_coefficients", {"data": [0.1] * 3}),
+        ("distortion_coefficients", {"data": [0.1, 0, 0, 0, 0, 0.2, 0, 0]}),
+        ("distortion_coefficients", {"data": "0.1"}),
         ("rectification_matrix", None),
         ("projection_matrix", {"data": ["a"] * 12}),
     ],
@@ -82,4 +86,36 @@ def test_a_bad_calibration_is_refused_and_names_the_key(key, value):
 def test_all_faults_of_a_calibration_are_reported_at_once():
     with pytest.raises(ConfigError) as error:
         from_calibration({})
-    assert len(error.value.faults) == 8
+    assert len(error.value.faults) == 7
+
+
+@pytest.mark.parametrize(
+    ("model", "given", "used"),
+    [
+        ("plumb_bob", [], []),
+        ("", [], []),
+        ("none", [], []),
+        ("plumb_bob", [0.1, -0.2, 0.003, 0.004], [0.1, -0.2, 0.003, 0.004]),
+        ("plumb_bob", [0.1, -0.2, 0.003, 0.004, 0.05, 0, 0, 0], [0.1, -0.2, 0.003, 0.004, 0.05]),
+        ("rational_polynomial", [0.1, -0.2, 0.003, 0.004, 0.05, 0, 0, 0], [0.1, -0.2, 0.003, 0.004, 0.05]),
+        ("rational_polynomial", [0.1, 0, 0, 0, 0, 0.2, 0, 0], [0.1, 0, 0, 0, 0, 0.2, 0, 0]),
+        ("plumb_bob", [0.1, 0, 0, 0, 0, 0.2, 0, 0], None),
+        ("rational_polynomial", [0.1] * 9, None),
+        ("plumb_bob", [0.1, 0, 0], None),
+        ("plumb_bob", [float("inf"), 0, 0, 0, 0], None),
+        ("equidistant", [0, 0, 0, 0], None),
+        (None, [0, 0, 0, 0, 0], None),
+    ],
+)
+def test_coefficients_that_drivers_give_are_taken(model, given, used):
+    if used is None:
+        with pytest.raises(ValueError, match="calibrate"):
+            distortion(model, given)
+    else:
+        np.testing.assert_array_equal(distortion(model, given), np.append(used, np.zeros(max(0, 5 - len(used)))))
+
+
+def test_a_calibration_of_melodics_calibrator_is_read(camera):
+    """It wrote camera_model instead of distortion_model."""
+    melodic = {"camera_model" if key == "distortion_model" else key: value for key, value in XTION.items()}
+    np.testing.assert_array_equal(from_calibration(melodic).D, camera.D)

@@ -1,4 +1,5 @@
-"""A pinhole camera with the distortion that ROS calls plumb_bob, as `sensor_msgs/CameraInfo` describes it.
+"""A pinhole camera with the distortion that ROS calls plumb_bob, or its extension rational_polynomial, as
+`sensor_msgs/CameraInfo` describes it.
 
 Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as in
 OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
@@ -17,7 +18,10 @@ from numpy.typing import ArrayLike
 from common.errors import ConfigError
 from common.poses import read_only
 
-PLUMB_BOB = "plumb_bob"
+PLUMB_BOB, RATIONAL = "plumb_bob", "rational_polynomial"
+COEFFICIENTS = 12  # of the distortion, without those of a tilted sensor
+MODELS = (PLUMB_BOB, RATIONAL, "none", "")
+"""Distortion models that are the same where only the coefficients of plumb_bob are not 0."""
 MAX_ITERATIONS = 50
 TOLERANCE = 1e-10  # of the undistorted direction, at which the iteration stops
 
@@ -30,7 +34,7 @@ class CameraModel:
     width: int  # of the image [px]
     height: int
     K: np.ndarray  # camera matrix, shape (3, 3) [px]
-    D: np.ndarray  # distortion k1, k2, p1, p2, k3, shape (5,)
+    D: np.ndarray  # distortion k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 of OpenCV, or the first 5 or 8 of them
     R: np.ndarray  # rotation from the camera to the rectified camera, shape (3, 3)
     P: np.ndarray  # projection of the rectified camera, shape (3, 4) [px, and px m in the last column]
 
@@ -63,13 +67,14 @@ class CameraModel:
         return pinhole(self.name, self.width, self.height, self.P[:, :3])
 
     def _distort(self, xy: np.ndarray) -> np.ndarray:
-        """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, as in OpenCV)."""
-        k1, k2, p1, p2, k3 = self.D
+        """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, extended
+        as in OpenCV)."""
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(self.D, (0, COEFFICIENTS - len(self.D)))
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
-        dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        dx = 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + r2 * s2)
+        dy = p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y + r2 * (s3 + r2 * s4)
         return np.stack((x * radial + dx, y * radial + dy), axis=-1)
 
 
@@ -78,6 +83,21 @@ def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
     K = read_only(K)
     P = np.column_stack((K, np.zeros(3)))
     return CameraModel(name, width, height, K, read_only(np.zeros(5)), read_only(np.eye(3)), read_only(P))
+
+
+def distortion(model: object, coefficients: ArrayLike) -> np.ndarray:
+    """Returns the distortion `CameraModel.D` of the coefficients that drivers and calibrations give for a `model`; raises
+    ValueError if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0.
+    """
+    D = np.asarray(coefficients, dtype=float).ravel()
+    name = model.lower() if isinstance(model, str) else None
+    plain = not D[5:].any()
+    if name not in MODELS or len(D) not in COEFFICIENTS or not (plain or name == RATIONAL) or not np.isfinite(D).all():
+        raise ValueError(
+            f"the distortion model {model!r} with {D.tolist()} is neither {PLUMB_BOB} nor {RATIONAL}: calibrate the "
+            "camera with one of these"
+        )
+    return read_only(np.append(D, np.zeros(5))[:5] if plain else D)
 
 
 def from_calibration(values: Mapping[str, Any]) -> CameraModel:
@@ -92,10 +112,8 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
         size = values.get(key)
         if isinstance(size, bool) or not isinstance(size, int) or not 0 < size <= 16384:
             faults.append(f"{key} is {size!r}, but must be a whole number of pixels.")
-    if values.get("distortion_model") != PLUMB_BOB:
-        faults.append(f"distortion_model is {values.get('distortion_model')!r}, but must be {PLUMB_BOB}.")
     K = _matrix(values, "camera_matrix", (3, 3), faults)
-    D = _matrix(values, "distortion_coefficients", (1, 5), faults)
+    D = _distortion(values, faults)
     R = _matrix(values, "rectification_matrix", (3, 3), faults)
     P = _matrix(values, "projection_matrix", (3, 4), faults)
     for key, matrix in (("camera_matrix", K), ("projection_matrix", P)):
@@ -103,7 +121,20 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
             faults.append(f"{key} has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}, but they must be > 0.")
     if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
-    return CameraModel(str(name), values["image_width"], values["image_height"], K, read_only(D[0]), R, P)
+    return CameraModel(str(name), values["image_width"], values["image_height"], K, D, R, P)
+
+
+def _distortion(values: Mapping[str, Any], faults: list[str]) -> np.ndarray | None:
+    """Returns the distortion; ROS Melodic's calibrator called its model camera_model."""
+    entry = values.get("distortion_coefficients")
+    model = values.get("distortion_model", values.get("camera_model"))
+    try:
+        return distortion(model, entry["data"])  # type: ignore[index]
+    except (KeyError, TypeError):
+        faults.append(f"distortion_coefficients is {entry!r}, but must have finite numbers as data.")
+    except (OverflowError, ValueError) as error:
+        faults.append(f"distortion_model and distortion_coefficients: {error}.")
+    return None
 
 
 def _matrix(values: Mapping[str, Any], key: str, shape: tuple[int, int], faults: list[str]) -> np.ndarray | None:

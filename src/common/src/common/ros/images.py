@@ -9,7 +9,7 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.camera_model import PLUMB_BOB, CameraModel
+from common.camera_model import PLUMB_BOB, CameraModel, distortion
 from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import read_only
 
@@ -99,15 +99,13 @@ def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> Ca
 
 def camera_model_from_info(message: CameraInfo) -> CameraModel:
     """Returns the camera of a message; raises ValueError without a calibration or for another distortion model."""
-    D = np.asarray(message.D, dtype=float)
-    if message.distortion_model not in (PLUMB_BOB, "") or D.shape not in ((5,), (0,)):
-        raise ValueError(f"the distortion model {message.distortion_model!r} with {D.tolist()} is not {PLUMB_BOB}")
+    D = distortion(message.distortion_model, message.D)
     K, P = np.reshape(message.K, (3, 3)), np.reshape(message.P, (3, 4))
-    if not all(np.all(np.isfinite(matrix)) for matrix in (K, P, D)):
+    if not all(np.all(np.isfinite(matrix)) for matrix in (K, P)):
         raise ValueError("the numbers of the camera_info are not finite")
     if not (K[0, 0] > 0.0 and K[1, 1] > 0.0 and P[0, 0] > 0.0 and P[1, 1] > 0.0):
         raise ValueError("the camera is not calibrated: its focal lengths are 0; give its driver a calibration file")
-    matrices = (K, D if D.size else np.zeros(5), np.reshape(message.R, (3, 3)), P)
+    matrices = (K, D, np.reshape(message.R, (3, 3)), P)
     return CameraModel(message.header.frame_id, message.width, message.height, *map(read_only, matrices))
 
 
