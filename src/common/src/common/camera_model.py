@@ -19,7 +19,7 @@ from common.errors import ConfigError
 from common.poses import read_only
 
 PLUMB_BOB, RATIONAL = "plumb_bob", "rational_polynomial"
-COEFFICIENTS = 12  # of the distortion, without those of a tilted sensor
+COEFFICIENTS = (0, 4, 5, 8, 12)  # numbers of distortion coefficients; those that are left out are 0
 MODELS = (PLUMB_BOB, RATIONAL, "none", "")
 """Distortion models that are the same where only the coefficients of plumb_bob are not 0."""
 MAX_ITERATIONS = 50
@@ -67,9 +67,10 @@ class CameraModel:
         return pinhole(self.name, self.width, self.height, self.P[:, :3])
 
     def _distort(self, xy: np.ndarray) -> np.ndarray:
-        """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, extended
-        as in OpenCV)."""
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(self.D, (0, COEFFICIENTS - len(self.D)))
+        """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, with the additions of
+        OpenCV).
+        """
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(self.D, (0, COEFFICIENTS[-1] - len(self.D)))
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
         radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
@@ -86,8 +87,8 @@ def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
 
 
 def distortion(model: object, coefficients: ArrayLike) -> np.ndarray:
-    """Returns the distortion `CameraModel.D` of the coefficients that drivers and calibrations give for a `model`; raises
-    ValueError if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0.
+    """Returns `CameraModel.D` of the coefficients that drivers and calibrations give for a `model`; raises ValueError
+    if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0.
     """
     D = np.asarray(coefficients, dtype=float).ravel()
     name = model.lower() if isinstance(model, str) else None
