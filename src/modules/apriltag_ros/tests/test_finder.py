@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tag_renderer import CODES, cells, render
 
-from apriltag_ros.detector import TagFinder
-from apriltag_ros.settings import CORNERS, FAMILIES, detector_settings
+from apriltag_ros.detector import LOOK_AGAIN_S, TagDetector, TagFinder
+from apriltag_ros.settings import CORNERS, FAMILIES, detector_settings, targets
 from common.camera_model import pinhole
 from common.poses import pose
 from common.rotations import rotation_about
@@ -65,6 +65,56 @@ def test_a_tag_seen_twice_is_dropped_unless_wanted(straight):
     find = {drop: TagFinder(detector_settings({"tag_threads": 1, "remove_duplicates": drop})) for drop in (True, False)}
     assert [tag.id for tag in find[True].find(image)] == [2]
     assert sorted(tag.id for tag in find[False].find(image)) == [0, 0, 2]
+
+
+def detector(**settings):
+    return TagDetector(
+        detector_settings({"tag_threads": 1, **settings}), targets({"standalone_tags": [{"id": 0, "size": 0.1}]})
+    )
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+@pytest.mark.parametrize("side", [(0, -1), (-1, 0), (0, 1), (1, 0)])
+@pytest.mark.parametrize("decimate", [1.0, 2.0])
+def test_a_tag_whose_part_is_outside_the_image_has_no_pose_beside_the_truth(straight, tilt, side, decimate):
+    """The library finds such a tag with corners where the image ends: poses that are wrong by centimetres."""
+    find, counted = detector(tag_decimate=decimate), 0
+    for outside in range(-21, 10, 3):
+        middle = [outside * s + (half - 52.5) * s for half, s in zip((319.5, 239.5), side)]
+        T = pose(rotation_about(0, tilt) @ rotation_about(1, tilt / 2) @ FACING, (*np.array(middle) * 0.5 / 525, 0.5))
+        find.reset()
+        result = find.detect(render(straight, T, [(0, 0.1, 0.0, 0.0)], 0.14), straight, 0.0)
+        true = straight.project(0.1 * CORNERS @ T[:3, :3].T + T[:3, 3])
+        for tag in result.tags:
+            np.testing.assert_allclose(tag.corners, true, atol=0.8)
+        counted += len(result.targets)
+        assert not (result.targets and result.failed)
+    assert counted
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        (lambda image: image[:, ::-1], "is mirrored"),
+        (lambda image: image[::-1], "is mirrored"),
+        (lambda image: 255 - image, "black and white exchanged"),
+        (lambda image: np.vstack([image[213:], image[:213]]), "at the image's edge"),
+        (lambda image: np.hstack([image[:, 160:480], image[:, 160:480]]), "visible 2 times"),
+    ],
+)
+def test_a_known_tag_that_does_not_count_is_named(straight, changed, sentence):
+    image = render(straight, pose(FACING, (0.01, 0.02, 0.6)), [(0, 0.1, 0.0, 0.0)], 0.14)
+    find = detector()
+    seen = [find.detect(np.ascontiguousarray(changed(image)), straight, now) for now in (0.0, 1.0, LOOK_AGAIN_S)]
+    assert not any(result.targets for result in seen)
+    for result in (seen[0], seen[2]):
+        assert len(result.failed) == 1 and "the tag 0" in result.failed[0] and sentence in result.failed[0]
+
+
+def test_wanted_duplicates_have_a_pose_each(straight):
+    image = render(straight, pose(FACING, (0.0, 0.0, 0.6)), [(0, 0.1, -0.1, 0.0), (0, 0.1, 0.1, 0.0)], 0.34)
+    found = detector(remove_duplicates=False).detect(image, straight, 0.0).targets
+    assert sorted(round(float(target.pose.T_camera_tag[0, 3]), 2) for target in found) == [-0.1, 0.1]
 
 
 def test_other_arrays_than_grey_images_are_refused(finder):

@@ -25,6 +25,15 @@ OUTLINE_BGR, TOP_BGR = (0, 220, 0), (0, 0, 255)
 SUBPIXEL_BITS = 4
 MEMORY_S = 0.5
 """Maximum age of the orientation that decides an ambiguity."""
+EDGE_PX = 3.0
+"""A tag with a corner nearer to the edge of the scaled image may go on outside: its corners are at the edge then."""
+LOOK_AGAIN_S = 10.0
+"""Time between two looks for mirrored and inverted tags in images without tags."""
+UNREADABLE = {
+    "mirrored": "switch the mirroring of the camera's driver off",
+    "with black and white exchanged": "print it with a black border on white paper",
+}
+"""How an image may show a tag that nobody can read, and what to do about it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +65,11 @@ class TagFinder:
             quad_blur=settings.tag_blur,
         )
         self._detector = apriltag.Detector(options)
+        self.left_out: dict[int, str] = {}  # why the last image's other tags do not count, by id
 
     def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
-        """Returns the tags in a grey image, shape (height, width), uint8; raises ValueError for another shape or
-        type.
+        """Returns the tags that count in a grey image, shape (height, width), uint8; raises ValueError for another
+        shape or type.
         """
         if grey.ndim != 2 or grey.dtype != np.uint8:
             raise ValueError(
@@ -70,10 +80,21 @@ class TagFinder:
             for tag in self._detector.detect(np.ascontiguousarray(grey))
             if tag.hamming <= self._settings.max_hamming_dist
         ]
-        if not self._settings.remove_duplicates:
-            return tuple(found)
+        first = EDGE_PX * self._settings.tag_decimate
+        last = np.array(grey.shape[::-1]) - 1.0 - first
+        cut = {tag.id for tag in found if (tag.corners < first).any() or (tag.corners > last).any()}
         ids = [tag.id for tag in found]
-        return tuple(tag for tag in found if ids.count(tag.id) == 1)
+        twice = {i for i in ids if self._settings.remove_duplicates and ids.count(i) > 1}
+        self.left_out = {i: f"the tag {i} is at the image's edge and does not count: show the whole tag" for i in cut}
+        self.left_out.update({i: f"the tag {i} is visible {ids.count(i)} times and does not count" for i in twice})
+        return tuple(tag for tag in found if tag.id not in self.left_out)
+
+    def unreadable(self, grey: np.ndarray) -> dict[int, str]:
+        """Returns the tags that only a mirrored or an inverted image shows, by id, and what is to be done."""
+        changed = zip((grey[:, ::-1], ~grey), UNREADABLE.items())
+        return {
+            tag.id: f"the tag {tag.id} is {how}: {cure}" for other, (how, cure) in changed for tag in self.find(other)
+        }
 
 
 @dataclass(frozen=True)
@@ -92,7 +113,7 @@ class DetectionResult:
     targets: tuple[TargetDetection, ...]  # the targets with their poses
     tags: tuple[TagDetection, ...]  # every decoded tag, including those that belong to no target
     unknown: tuple[int, ...]  # ids of the tags that belong to no target
-    failed: tuple[str, ...]  # one sentence for each target whose corners fit no pose
+    failed: tuple[str, ...]  # one sentence for each target whose corners fit no pose, and each known tag left out
 
 
 class TagDetector:
@@ -108,6 +129,7 @@ class TagDetector:
     def reset(self) -> None:
         """Forgets the poses of earlier images."""
         self._last: dict[str, tuple[float, np.ndarray]] = {}
+        self._looked = -np.inf  # for mirrored and inverted tags [s]
 
     def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> DetectionResult:
         """Returns the detections in a grey image, shape (height, width), uint8, with the time stamp `now` [s]. With the
@@ -121,26 +143,36 @@ class TagDetector:
             raise ValueError(f"{size}: use the camera_info of this image topic")
         if self._settings.rectified:
             camera = camera.rectified()
-        tags = self._finder.find(grey)
-        corners = {tag.id: tag.corners for tag in tags}
-        detections, failed = [], []
+        tags, left_out = self._finder.find(grey), self._finder.left_out
+        if not tags and not left_out and not 0.0 <= now - self._looked < LOOK_AGAIN_S:
+            self._looked, left_out = now, self._finder.unreadable(grey)
+        detections, failed = [], [left_out[i] for i in sorted(self._known & left_out.keys())]
         for target in self._targets:
-            matched, points, pixels = target.matched(corners)
-            if not matched:
-                continue
-            try:
-                pose = tag_pose(points, pixels, camera, self._hint(target.name, now))
-            except ValueError as error:
-                failed.append(f"{target.name}: {error}")
-                continue
-            self._last[target.name] = (now, pose.T_camera_tag[:3, :3])
-            detections.append(TargetDetection(target, matched, pose))
+            seen = _occurrences(target, tags)
+            for corners in seen:
+                matched, points, pixels = target.matched(corners)
+                hint = self._hint(target.name, now) if len(seen) == 1 else None
+                try:
+                    pose = tag_pose(points, pixels, camera, hint)
+                except ValueError as error:
+                    failed.append(f"{target.name}: {error}")
+                    continue
+                self._last[target.name] = (now, pose.T_camera_tag[:3, :3])
+                detections.append(TargetDetection(target, matched, pose))
         unknown = tuple(sorted({tag.id for tag in tags} - self._known))
         return DetectionResult(tuple(detections), tags, unknown, tuple(failed))
 
     def _hint(self, name: str, now: float) -> np.ndarray | None:
         then, R = self._last.get(name, (-np.inf, None))
         return R if 0.0 <= now - then < MEMORY_S else None
+
+
+def _occurrences(target: TagTarget, tags: tuple[TagDetection, ...]) -> list[dict[int, np.ndarray]]:
+    """Returns the corners by tag id of each time that the target is seen: a bundle once, a single tag perhaps twice."""
+    own = [tag for tag in tags if tag.id in {member.id for member in target.tags}]
+    if len(target.tags) == 1:
+        return [{tag.id: tag.corners} for tag in own]
+    return [{tag.id: tag.corners for tag in own}] if own else []
 
 
 def draw_tags(grey: np.ndarray, tags: tuple[TagDetection, ...]) -> np.ndarray:
