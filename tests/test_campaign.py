@@ -285,7 +285,8 @@ def dash(limit, late):
             left = 0.16 * (s**3 * (10.0 - 15.0 * s + 6.0 * s * s) - 0.5)
             T = translation(left / np.sqrt(2.0), left / np.sqrt(2.0), 0.0) @ rig.home.T_base_tool
             before = rig.chain.resolve(T, MotionScaling(), goals.q_target, before, 0.02)
-            assert goals.take(DesiredFrame(T, t), before.q, q, t) is None
+            frame = DesiredFrame(T, t)
+            assert goals.take(frame, before.q, q, t, goals.hear(frame, t)) is None
         if t >= next_goal:
             next_goal = t + 0.01 + (late if rng.random() < 0.05 else 0.0)
             goal = goals.goal(q, t).q

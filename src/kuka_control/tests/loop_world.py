@@ -163,6 +163,7 @@ class World:
         self.foreign = False  # whether a node publishes the tool frame instead of the hand
         self.engagement = None  # of the hand
         self.newest = None
+        self.missing = None  # what is said while no desired tool frame comes
         self.move = None
         self.number = 0
         self.planner = planner(schema, **changes)
@@ -183,7 +184,7 @@ class World:
                 self.newest = DesiredFrame(T, stamp, self.conflict, foreign=self.foreign, engagement=hand)
             exits = {"exit_requested": self.exit_requested, "exit_in_place": self.exit_in_place}
             switches = SwitchState(self.control_on, self.enable_count, scale=self.scale, **exits)
-            inputs = Inputs(self.newest, self.clock + self.now, switches, self.move)
+            inputs = Inputs(self.newest, self.clock + self.now, switches, self.move, self.missing)
             step = self.controller.cycle(inputs, self.now)
             self.events += [e.sentence for e in step.events]
             if not self.modes or self.modes[-1] != step.mode:
@@ -263,6 +264,16 @@ def shifted(x, y, z):
     T = HOME.T_base_tool.copy()
     T[:3, 3] += (x, y, z)
     return T
+
+
+def at_rate(world, rate, tool, seconds):
+    """Frames at a rate [Hz]."""
+    start, frame = world.now, -1
+    while world.now - start < seconds:
+        number = int((world.now - start) * rate)
+        fresh, frame = number > frame, number
+        world.run(DT, tool(number / rate) if fresh else None)
+    return world
 
 
 def reached(world, tool):

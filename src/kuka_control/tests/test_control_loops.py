@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from loop_world import DT, FAST, HOME, SLOW, World, out_of_reach_and_back, ptp, reached, shifted, tipped
+from loop_world import DT, FAST, HOME, SLOW, World, at_rate, out_of_reach_and_back, ptp, reached, shifted, tipped
 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
 from kst import ConnectionLost, ReplyTimeout
 from kuka_control.loop.algorithms import SPEED_MARGIN
 from kuka_control.loop.commands import End
+from kuka_control.loop.control_loop import OFF
 from kuka_control.loop.controller import MAX_MISSED, MISSING_S
 from kuka_control.loop.goal_stream import CATCH_UP_SCALE
 from kuka_control.loop.transitions import State
@@ -408,7 +409,7 @@ def test_an_unreachable_frame_keeps_the_joints_and_is_said_once():
 def test_an_unreachable_frame_at_home_is_in_the_status_while_it_comes_and_control_is_on():
     world = World().at_home()
     world.run(0.5, tipped(1.4))
-    assert world.steps[-1].reason == "The arm is at home."
+    assert world.steps[-1].reason == f"The arm is at home. {OFF}"
     world.control_on = True
     world.run(0.3).run(0.5, tipped(1.4))
     assert world.mode == "home" and world.arm.commands == []
@@ -762,16 +763,6 @@ def test_after_a_stall_a_hand_that_is_elsewhere_still_counts_as_one_that_jumped(
 
 
 TOP_M_S = SPEED_MARGIN * 0.65
-
-
-def at_rate(world, rate, tool, seconds):
-    """Frames at a rate [Hz]."""
-    start, frame = world.now, -1
-    while world.now - start < seconds:
-        number = int((world.now - start) * rate)
-        fresh, frame = number > frame, number
-        world.run(DT, tool(number / rate) if fresh else None)
-    return world
 
 
 def away(t):

@@ -16,7 +16,15 @@ from kuka_control.limits.moving_points import MovingPoints
 from kuka_control.limits.speed_change import GuardedRoom, GuardError, ShapeLimits
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
-from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
+from kuka_control.loop.goal_stream import (
+    HOLD_HZ,
+    SETTLED_RAD,
+    TOLERANCE_RAD,
+    GoalStream,
+    GoalStreamSettings,
+    ServoStream,
+    rare_frames,
+)
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MovePlanner, ProgramMotion
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
@@ -90,6 +98,11 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             self._limits.carry(self._settings.carried(opening))
         super().open_hand(opening)
 
+    def _too_rare(self) -> str | None:
+        """As for all loops; in servo mode the goals hold."""
+        rate = self._stream.rate
+        return rare_frames(rate) if rate is not None and rate < HOLD_HZ else None
+
     def _followed(self, command: Servo) -> np.ndarray:
         """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
         return self.goal if self._active.state in STREAMS else command.q
@@ -140,6 +153,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if self._active.data is None:
             lts = self._law is not None and self._law.lts
             stream = GoalStream(self._settings.goals, self._limits, lts, joints, cycle.now)
+            self._rare = None
             self._active = replace(self._active, data=stream)
         goals: GoalStream = self._active.data
         lag = goals.lag(joints, cycle.now)
@@ -147,10 +161,14 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return Fired(Trigger.LAG, lag)
         stamp = None
         if cycle.fresh is not None:
-            q = self._resolve(cycle.observation, cycle.fresh, goals.q_target)
+            stall, held = goals.hear(cycle.fresh, cycle.now), self._rare
+            self._rare = goals.too_rare
+            if self._rare is not None and held is None:
+                self._report("warn", self._rare)
+            q = self._resolve(cycle.fresh, goals.q_target)
             if self._infeasible is not None:
                 return Fired(Trigger.INFEASIBLE, self._infeasible)
-            too_far = goals.take(cycle.fresh, q, joints, cycle.now)
+            too_far = goals.take(cycle.fresh, q, joints, cycle.now, stall)
             if too_far is not None:
                 if too_far in COUNTED_AS:
                     self.counts[COUNTED_AS[too_far]] += 1

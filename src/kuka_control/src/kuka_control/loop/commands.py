@@ -23,6 +23,7 @@ class Inputs:
     clock: float = 0.0  # ROS time [s], the clock of the stamps
     switches: SwitchState = SwitchState()  # what the operator switched
     move: ProgramMotion | None = None  # the motion that a program asked for last, if it has not ended
+    missing: str | None = None  # that no desired tool frame comes, and what comes instead, a sentence
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,11 @@ class Step:
 
     command: Command  # for the arm
     mode: Mode  # the published mode
-    reason: str  # why this mode, in sentences
+    reason: str  # why this mode, in sentences, and why the arm does not follow the desired tool frame that comes
     events: tuple[Event, ...]  # what to log
     target: Target | None = None  # where the arm goes, or what it follows
     limited_by: tuple[str, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
     transitions: tuple[tuple[State, Trigger], ...] = ()  # the transitions taken in this cycle
     move: MoveProgress | None = None  # of the last motion for a program
     scaling: MotionScaling | None = None  # of the desired tool frame; None while nothing follows it
+    inhibited: bool = False  # whether desired tool frames come or are awaited that cannot be followed

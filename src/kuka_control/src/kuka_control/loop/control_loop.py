@@ -29,7 +29,7 @@ from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wron
 from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
-from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
+from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, until_anew
 from kuka_control.model.robot_shape import REACH, Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
@@ -41,20 +41,11 @@ if TYPE_CHECKING:
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 EXIT_PATIENCE_S = 2.0  # on exit, wait at most this long for an arm that something holds [s]
 
-BARRED = (
-    "The desired tool frame moved before control went on and does not count: take the hand out of the box and bring it "
-    "in again."
-)
-
-UNTIL_ANEW = (
-    "The desired tool frame does not count until it begins anew: take the hand out of the box and bring it in again."
-)
-
-BARRED_BY_MOVE = (
-    "The desired tool frame began to move while a program moved the arm and does not count: take the hand out of the "
-    "box and bring it in again."
-)
-
+BARRED = f"The desired tool frame moved before control went on and does not count: {HAND_IN_AGAIN}"
+BARRED_BY_MOVE = "The desired tool frame began to move while a program moved the arm."
+OFF = "Control is off, so the desired tool frame is not followed."
+SILENT = "No desired tool frame comes."
+HELD_BACK = "The arm is in servo mode."  # instead of that it follows
 
 COUNTED = (
     *("goals_sent", "limited_goals", "goal_gaps", "workspace_clips", "ik_failures", "refused_frames"),
@@ -179,6 +170,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._target_stamp = 0.0
         self._scaling = MotionScaling()
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
+        self._rare: str | None = None  # that the frames in servo mode come too rarely, a sentence
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
         self._blocked: tuple[str, float] | None = None  # why a pick-up motion is refused, and until when [s]
@@ -221,7 +213,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if not self._stream.runs:
             self._announced = None
         if update.conflict is not None:
-            self._barred, self._barred_because = self._stream.number, f"{update.conflict} {UNTIL_ANEW}"
+            because = f"{update.conflict} {until_anew(self._stream.foreign)}"
+            self._barred, self._barred_because = self._stream.number, because
         elif update.fresh is not None and not update.fresh.foreign and self._stream.number == self._early:
             self._barred, self._barred_because, self._early = self._early, BARRED, None
         if update.fresh is not None and update.fresh.engagement not in (None, self._engagement):
@@ -233,7 +226,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if isinstance(command, Servo):
             self._joints.follow(self._followed(command), now)
         if self._active.state in BY_PROGRAM and self._stream.runs:
-            self._barred, self._barred_because = self._stream.number, BARRED_BY_MOVE
+            because = f"{BARRED_BY_MOVE} {until_anew(self._stream.foreign)}"
+            self._barred, self._barred_because = self._stream.number, because
         guard = self._settings.guard
         self.guard_scale = 1.0 if guard is None or COLLISION_GUARD not in self._limited_by else guard.scale
         self._note_move(observation)
@@ -241,16 +235,20 @@ class ControlLoop(ABC, Generic[Settings]):
             self._check = None
         active = self._active
         bounds = self._target.limited_by if self._target else ()
+        inhibited = self._inhibited_by(observation, now)
+        why = inhibited or self._limited(observation)
+        held_back = active.state is State.SERVO and why is not None
         return Step(
             command,
             active.state.mode,
-            " ".join(filter(None, (active.reason, self._inhibited_by(observation, now)))),
+            " ".join(filter(None, (HELD_BACK if held_back else active.reason, why))),
             tuple(self._events),
             self._target,
             bounds + self._limited_by,
             tuple(self._taken),
             self._progress,
             self._scaling,
+            inhibited is not None,
         )
 
     @property
@@ -431,10 +429,15 @@ class ControlLoop(ABC, Generic[Settings]):
         if observation.inputs.switches.control_on or not self._stream.runs:
             self.outlook = None
         elif fresh is not None:
-            slow = self._stream.too_slow(self._settings.time_out)
-            self.outlook = slow or (self._too_far(fresh) or TAKEN_OVER if fresh.foreign else BARRED)
+            not_taken = self._stream.too_slow(self._settings.time_out) or self._too_far(fresh)
+            taken_over = " ".join(filter(None, (TAKEN_OVER, self._too_rare())))
+            self.outlook = (not_taken or taken_over) if fresh.foreign else BARRED
         else:
             self.outlook = self._stream.refusal(now) or self.outlook
+
+    def _too_rare(self) -> str | None:
+        """Returns that the arm goes to frames at their rate, but does not follow them, a sentence, or None."""
+        return None
 
     def _scale(self, factor: float) -> None:
         """Takes the scaling factor over; where the arm follows, about its present pose."""
@@ -526,7 +529,7 @@ class ControlLoop(ABC, Generic[Settings]):
             return Wait()
         if self._stream.number == self._early and not self._takes_over(cycle.fresh, cycle.now):
             return Wait()
-        q = self._resolve(cycle.observation, cycle.fresh, cycle.observation.joints)
+        q = self._resolve(cycle.fresh, cycle.observation.joints)
         if q is None:
             return Wait()
         outcome = self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
@@ -637,9 +640,11 @@ class ControlLoop(ABC, Generic[Settings]):
             return Fired(Trigger.TIME_OUT, f"{self._settings.time_out:g}")
         return None
 
-    def _resolve(self, observation: Observation, fresh: DesiredFrame, q_seed: np.ndarray) -> np.ndarray | None:
+    def _resolve(self, fresh: DesiredFrame, q_seed: np.ndarray) -> np.ndarray | None:
         """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
-        before = self._target if self._active.state is State.SERVO else None
+        servo = self._active.state is State.SERVO
+        rests = servo and self._rare is not None
+        before = self._target if servo and not rests else None
         dt = fresh.stamp - self._target_stamp
         self._position = fresh.T_base_tool[:3, 3]
         target = self._chain.resolve(fresh.T_base_tool, self._scaling, q_seed, before, dt)
@@ -649,6 +654,8 @@ class ControlLoop(ABC, Generic[Settings]):
             return None
         keeps = target.q is None
         self._unreachable = f"The arm keeps its joints: {target.failure}" if keeps else target.limitation
+        if rests:  # nothing is followed, so nothing yields
+            self._unreachable = None
         if self._unreachable is None:
             self._unreachable_reported = None
         elif self._unreachable_reported is not keeps:
@@ -663,17 +670,29 @@ class ControlLoop(ABC, Generic[Settings]):
         return target.q
 
     def _inhibited_by(self, observation: Observation, now: float) -> str | None:
-        """Returns why incoming frames are not followed, or not exactly, although control is on; a sentence or None."""
+        """Returns the first reason why incoming frames are not followed, a sentence, or None."""
         if not observation.inputs.switches.control_on:
-            return None
-        unreachable = self._unreachable if self._stream.silence <= self._settings.time_out else None
+            return OFF if self._active.state in WAITING and self._stream.runs else None
         barred = self._barred_because if self._stream.number == self._barred and self._stream.runs else None
         slow = self._stream.too_slow(self._settings.time_out) if self._active.state in WAITING else None
         announced = TAKEN_OVER if self._announced is not None and self._stream.number == self._early else None
         blocked = self._blocked[0] if self._blocked is not None and now <= self._blocked[1] + TICK_S else None
         waits = self._waits[0] if self._waits is not None and now <= self._waits[1] + TICK_S else None
-        inhibited = self._stream.refusal(now) or barred or slow or announced or blocked or waits
-        return inhibited or unreachable or self._held_back()
+        rare = silent = None
+        if self._active.state is State.SERVO:
+            rare, silent = self._rare, None if self._stream.runs else SILENT
+        return self._stream.refusal(now) or barred or silent or rare or slow or announced or blocked or waits
+
+    def _limited(self, observation: Observation) -> str | None:
+        """Returns why frames are not followed exactly, or that none comes, a sentence, or None."""
+        if not observation.inputs.switches.control_on:
+            return None
+        if not self._stream.runs:
+            return observation.inputs.missing if self._active.state is State.HOME else None
+        if self._stream.silence > self._settings.time_out:
+            return None
+        outside = self._target.outside if self._target and self._active.state in KEEPS_SCALING else None
+        return self._unreachable or outside or self._held_back()
 
     def _held_back(self) -> str | None:
         """Returns what the collision guard keeps the arm away from, a sentence, if it acted in this cycle."""

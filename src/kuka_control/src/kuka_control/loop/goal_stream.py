@@ -19,7 +19,7 @@ from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, 
 from kuka_control.loop.servo_law import LtsGoals
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
-from kuka_control.model.desired_frame import DesiredFrame
+from kuka_control.model.desired_frame import RATE_WINDOW_S, DesiredFrame
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
 TOLERANCE_M = 0.017  # tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]
@@ -33,7 +33,6 @@ FADE_S = 0.02  # then the target slows down to rest in this time [s]
 COMPARED = 64  # number of recent frames among which the least delayed one is sought
 FULL_SPEED_HZ = 60.0  # the tool moves at most 11 mm from one frame to the next at 0.65 m/s; at lower rates no further
 HOLD_HZ = 20.0  # frames that come less often than this are not followed
-RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
 RESUME_HZ = 22.0  # until they come this often
 ROUNDING_HZ = 1e-3  # of a rate by stamps in seconds since 1970 [Hz]
 SETTLED_RAD = 1e-3  # an arm this close to its goal has come to rest with it [rad]
@@ -173,12 +172,26 @@ class TargetMotion:
         return [(now - angle) / (stamp - time) for now, angle in zip(self._q, before)]
 
 
+def rare_frames(rate: float) -> str:
+    """Returns that frames at this rate [Hz] are not followed, a sentence."""
+    return (
+        f"The desired tool frame comes at {rate:.3g} Hz, but the arm follows it only from {RESUME_HZ:g} Hz on, at full "
+        f"speed from {FULL_SPEED_HZ:g} Hz."
+    )
+
+
 class RateLimit:
-    """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly."""
+    """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly.
+
+    Attributes:
+        holds: whether they come too rarely.
+        rate: at which they came last [Hz].
+    """
 
     def __init__(self) -> None:
         self._rate = FrameRate(RATE_WINDOW_S)
         self.holds = False
+        self.rate = 0.0
 
     def take(self, stamp: float, stall: float) -> None:
         """Takes the stamp of a new frame [s]; a stall of the control loop says nothing about the rate."""
@@ -187,7 +200,8 @@ class RateLimit:
             self._rate.clear()
         self._rate.take(stamp)
         if self._rate.span >= RATE_WINDOW_S:
-            self.holds = (self._rate.value or 0.0) < (RESUME_HZ if self.holds else HOLD_HZ) - ROUNDING_HZ
+            self.rate = self._rate.value or 1.0 / self._rate.span
+            self.holds = self.rate < (RESUME_HZ if self.holds else HOLD_HZ) - ROUNDING_HZ
 
     @property
     def cap(self) -> float:
@@ -199,7 +213,7 @@ class RateLimit:
             return 0.0
         if self._rate.span < RATE_WINDOW_S:
             return CATCH_UP_SCALE
-        return min((self._rate.value or 0.0) / FULL_SPEED_HZ, 1.0)
+        return min(self.rate / FULL_SPEED_HZ, 1.0)
 
 
 CATCH_UP_SCALE = 1.0 / 3.0
@@ -276,6 +290,7 @@ class GoalStream(ServoStream):
         self._frames = FrameSteps(settings.tool_speed, float(np.max(settings.joint_speeds)))
         self._rate = RateLimit()
         self._stamp: float | None = None
+        self._held = False  # whether the frame before came too rarely
         self._catching_up = True
         self._looked = now
         self._stall = 0.0  # since the last frame [s]
@@ -285,21 +300,34 @@ class GoalStream(ServoStream):
         """The joints of the last target, shape (7,) [rad]."""
         return self._motion.q
 
-    def take(self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float) -> Trigger | None:
-        """Takes a new desired tool frame; returns why its joints are not to be servoed to, None if they are.
+    @property
+    def too_rare(self) -> str | None:
+        """Why the goals hold whatever the frames are, a sentence, or None."""
+        return rare_frames(self._rate.rate) if self._rate.holds else None
 
-        Its joints q and the `measured` ones have shape (7,) [rad]; without q the arm keeps its joints. `now` is
-        monotonic [s].
+    def hear(self, frame: DesiredFrame, now: float) -> float:
+        """Takes note of a new desired tool frame before its joints are known; `now` is monotonic. Returns for how long
+        the control loop did not look since the frame before [s].
         """
         self._look(now)
         stall, self._stall = self._stall, 0.0
         self._frames.take(frame, stall)
-        held = self._rate.holds
+        self._held = self._rate.holds
         self._rate.take(frame.stamp, stall)
+        return stall
+
+    def take(
+        self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float, stall: float
+    ) -> Trigger | None:
+        """Takes the joints of the frame that was heard; returns why they are not to be servoed to, None if they are.
+
+        Its joints q and the `measured` ones have shape (7,) [rad]; without q the arm keeps its joints. `now` is
+        monotonic, `stall` as `hear` returned it [s].
+        """
         if self._rate.holds:
             self._motion.hold()
             return None
-        if held and q is not None and is_jump(self._motion.q, q, 0.0, self._settings.joint_speeds):
+        if self._held and q is not None and is_jump(self._motion.q, q, 0.0, self._settings.joint_speeds):
             return Trigger.JUMPED
         if q is None:
             self._motion.hold()

@@ -25,7 +25,10 @@ class State(Enum):
     IDENTIFIED = Mode.HOMING, ""
     HOME = Mode.HOME, "The arm is at home."
     PICK_UP = Mode.PICK_UP, _MOVES
-    AT_POSE = Mode.PICK_UP, ""
+    AT_POSE = (
+        Mode.PICK_UP,
+        "The arm is at the desired pose; it goes to the next one once that is farther than joints_thresh.",
+    )
     SERVO = Mode.SERVO, "The arm follows the desired tool frame in servo mode."
     BRAKING = Mode.SERVO, "{because} The arm brakes."
     SERVO_LEFT = Mode.PICK_UP, _LEAVES

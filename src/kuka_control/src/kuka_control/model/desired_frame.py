@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from common.frame_rate import FrameRate
 from common.poses import check_pose, inverse
 from common.rotations import UNIT_TOLERANCE, rotation_angle
 
@@ -25,6 +26,7 @@ PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between 
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 FOREIGN_PAUSE_S = 2.0  # no hand comes in with a foreign frame: a pause that is shorter begins no stream [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
+RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
 STALLED_S = 0.5  # stalls since the last frame count as silence where they are longer than this together [s]
 REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain that moves farther at once was set anew
@@ -76,6 +78,8 @@ def skew_fault(
     skew = stamp - clock
     if abs(skew) <= MAX_SKEW_S:
         return None
+    if stamp == 0.0:
+        return "The desired tool frame is refused: its stamp is 0; give each message the present time as its stamp."
     side = "ahead of" if skew > 0.0 else "behind"
     return (
         f"The desired tool frame is refused: its stamp is {abs(skew):.3f} s {side} this machine's clock, more than "
@@ -83,10 +87,15 @@ def skew_fault(
     )
 
 
-CLOCK_SET = (
-    "The desired tool frame is refused: the clock that stamps it was set while it came. It does not count until it "
-    "begins anew: take the hand out of the box and bring it in again."
-)
+CLOCK_SET = "The desired tool frame is refused: the clock that stamps it was set while it came."
+HAND_IN_AGAIN = "take the hand out of the box and bring it in again."
+
+
+def until_anew(foreign: bool) -> str:
+    """Returns when a stream counts again that does not count, a sentence; `foreign`: no hand brings it."""
+    if not foreign:
+        return f"The desired tool frame does not count until it begins anew: {HAND_IN_AGAIN}"
+    return f"The desired tool frame counts again after a pause of {FOREIGN_PAUSE_S:g} s."
 
 
 @dataclass(frozen=True)
@@ -213,6 +222,8 @@ class DesiredStream:
         self._refusal: tuple[str, float] | None = None
         self._stamps = SteadyStamps()
         self._clock: int | None = None  # of the accepted frames since the last pause
+        self._rate = FrameRate(RATE_WINDOW_S)  # of the accepted frames
+        self.foreign = False  # whether the last frame was, accepted or refused
 
     def take(self, newest: DesiredFrame | None, clock: float, now: float, in_servo: bool = False) -> StreamUpdate:
         """Checks the newest frame; `clock` is ROS time, `now` monotonic [s]. New is one with another stamp."""
@@ -230,19 +241,21 @@ class DesiredStream:
         if not self.runs:
             self.number += not (newest.foreign and self.lasts)
             self._clock = None
-        self._last_stamp = newest.stamp
+        self._last_stamp, self.foreign = newest.stamp, newest.foreign
         self._period = min(self._pause, LONGEST_PERIOD_S)
         self._pause = 0.0
         fault = _fault(newest, clock)
         if fault is None and self._clock not in (None, newest.clock):
-            fault = CLOCK_SET
+            fault = f"{CLOCK_SET} {until_anew(newest.foreign)}"
         if fault is None:
             self._clock = newest.clock
             self._reported.clear()
             self._refusal = None
             self._gaps = (self._gaps[1], self._silence)
             self._silence = self._stalled = 0.0
-            return StreamUpdate(replace(newest, stamp=self._stamps.take(newest.stamp, now)))
+            steady = self._stamps.take(newest.stamp, now)
+            self._rate.take(steady)
+            return StreamUpdate(replace(newest, stamp=steady))
         kind = re.sub(r"\d", "", fault)
         reported = kind in self._reported
         self._reported.add(kind)
@@ -263,6 +276,11 @@ class DesiredStream:
     def silence(self) -> float:
         """Time since the last accepted frame, in servo mode without stalls of the loop [s]; infinite before it."""
         return self._silence
+
+    @property
+    def rate(self) -> float | None:
+        """Rate of the accepted frames by their stamps [Hz]; None while too few came."""
+        return self._rate.value if self._rate.span >= RATE_WINDOW_S else None
 
     def steady(self, time_out: float) -> bool:
         """Whether the last two accepted frames came within the time-out [s] of each other."""

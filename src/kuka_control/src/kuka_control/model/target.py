@@ -76,6 +76,14 @@ class Target:
         return (*self.bounds, "reach") if self.deviation > SHOWN_RAD else self.bounds
 
     @property
+    def outside(self) -> str | None:
+        """A sentence about the bounds, if they act."""
+        if not self.bounds:
+            return None
+        bounds = " and the ".join(self.bounds)
+        return f"The desired tool frame is outside the workspace; the tool stays at the {bounds}."
+
+    @property
     def limitation(self) -> str | None:
         """A sentence about the orientation, if it yields."""
         if self.deviation <= SHOWN_RAD:
