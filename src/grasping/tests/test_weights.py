@@ -44,6 +44,24 @@ def test_published_kinds_load(name, old, whole):
     assert not loaded.network.training
 
 
+@pytest.mark.parametrize(
+    "kept",
+    [
+        lambda network: {"epoch": 3, "state_dict": network.state_dict()},
+        lambda network: {"model_state_dict": network.state_dict(), "optimizer": {}},
+        lambda network: {f"module.{key}": value for key, value in network.state_dict().items()},
+        lambda network: torch.nn.DataParallel(network),
+        lambda network: {key: value.double() for key, value in network.state_dict().items()},
+    ],
+    ids=["checkpoint", "tutorial's checkpoint", "of several devices", "whole, of several devices", "float64"],
+)
+def test_what_other_training_programs_keep_loads(kept):
+    published = published_networks.GGCNN()
+    loaded = weights.load(file(kept(published)))
+    for key, value in published.state_dict().items():
+        torch.testing.assert_close(loaded.network.state_dict()[key], value)
+
+
 def test_published_keras_file_loads(shared_data):
     path = shared_data / "ggcnn" / "epoch_29_model.hdf5"
     loaded = weights.load(path.read_bytes(), "07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770")

@@ -5,6 +5,8 @@ import json
 import os
 import struct
 import subprocess
+import sys
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -75,7 +77,10 @@ def test_images_are_red_first_whatever_their_padding():
     data = bytes([1, 2, 3, 4, 5, 6, 0, 0] * 2)
     message = {"height": 2, "width": 2, "step": 8, "encoding": "bgr8", "data": data}
     np.testing.assert_array_equal(color_image(message), [[[3, 2, 1], [6, 5, 4]]] * 2)
-    for wrong in ({"encoding": "16UC1"}, {"step": 5}, {"data": data[:-1]}):
+    four = {**message, "width": 1, "step": 8}
+    for encoding, expected in (("rgba8", [1, 2, 3]), ("bgra8", [3, 2, 1])):
+        np.testing.assert_array_equal(color_image({**four, "encoding": encoding}), [[expected]] * 2)
+    for wrong in ({"encoding": "16UC1"}, {"step": 5}, {"data": data[:-1]}, {"encoding": "rgba8", "step": 7}):
         with pytest.raises(RecordingFault):
             color_image({**message, **wrong})
 
@@ -177,6 +182,42 @@ def test_rows_need_a_time_at_which_all_is_measured(run):
     with pytest.raises(RecordingFault, match="hours"):
         times = np.append(0.0, run.joint_times[1:])
         training_episode(replace(run, hand=np.zeros((0, 4)), hand_times=np.zeros(0), joint_times=times), 10)
+
+
+@pytest.mark.ros
+def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_path, monkeypatch):
+    """LeRobot raises at the first frame of another shape, when the dataset is half written."""
+    from leap_rig.recording.lerobot_export import COLOR, export
+
+    made, library = [], types.ModuleType("lerobot.datasets.lerobot_dataset")
+
+    class Dataset:
+        def create(*arguments):
+            made.append(arguments[2])
+            return Dataset()
+
+        def add_frame(self, frame):
+            assert frame[COLOR].shape == made[-1][COLOR]["shape"]
+
+        def save_episode(self):
+            pass
+
+        finalize = save_episode
+
+    library.LeRobotDataset = Dataset
+    monkeypatch.setitem(sys.modules, "lerobot.datasets.lerobot_dataset", library)
+    whole = session(tmp_path / "whole", images=True)
+    export([whole], tmp_path / "set", 20, "")
+    assert made[0][COLOR]["shape"] == (64, 96, 3)
+    found = list(messages(whole / "messages.mcap"))
+    last = max(i for i, m in enumerate(found) if m.topic == "/camera/rgb/image_raw")
+    smaller = struct.pack("<III", 32, 96, 4) + b"rgb8" + struct.pack("<BI", 0, 288) + struct.pack("<I", 32 * 288)
+    head = found[last].data[: found[last].data.index(struct.pack("<II", 64, 96))]
+    found[last] = replace(found[last], data=head + smaller + bytes(32 * 288))
+    mixed = write_recording(tmp_path / "mixed", found, name="x", task="lift the cup")
+    with pytest.raises(RecordingFault, match="96 x 64 px, then 96 x 32"):
+        export([mixed], tmp_path / "set", 20, "")
+    assert len(made) == 1
 
 
 LOAD = """

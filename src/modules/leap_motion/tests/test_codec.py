@@ -387,7 +387,7 @@ def test_events():
 
 def test_headers():
     assert read_header('{"version":6,"serviceVersion":"2.3.1+33747"}') == "2.3.1+33747"
-    assert read_header('{"version":1}') == ""
+    assert read_header('{"version":1}') == read_header('{"version":5,"serviceVersion":null}') == ""
     with pytest.raises(LeapProtocolError, match="protocol version '7'"):
         read_header('{"version":7}')
     for text in ('{"version":"6"}', '{"version":true}', '{"version":0}', '{"id":1}', "HTTP/1.1", "[6]"):

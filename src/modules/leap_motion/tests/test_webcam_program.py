@@ -185,6 +185,15 @@ def test_a_film_slides_in_and_is_played_in_real_time_and_again_after_a_pause(vir
         FileSource(Path(__file__), mirrored=False)
 
 
+@pytest.mark.parametrize("rate", [1.0, 1000.0])
+def test_a_film_whose_file_states_no_rate_of_a_camera_is_played_at_30_hz(virtual, tmp_path, rate):
+    source = FileSource(film(tmp_path / "a.avi", [np.full((48, 64, 3), 250, np.uint8)] * 5, rate), mirrored=False)
+    source.start()
+    taken = [source.newest(2.0) for _ in range(60)]
+    source.close()
+    assert np.diff([image.stamp for image in taken]) == pytest.approx(np.full(59, 1.0 / 30.0), abs=1e-6)
+
+
 def test_a_mirrored_camera_is_turned_back(virtual, tmp_path):
     image = np.zeros((48, 64, 3), np.uint8)
     image[:, :32] = 255

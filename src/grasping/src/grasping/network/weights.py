@@ -30,6 +30,8 @@ KNOWN = {"07ed61da2f5b5aa5d8d10a85c0a26023bae489c3b15fe16e58227c14738a3770": "GG
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 ZIP_MAGIC = b"PK\x03\x04"
 PICKLE_MAGIC = b"\x80"
+WRAPPED = ("state_dict", "model_state_dict")  # where the checkpoints of training programs hold the weights
+PARALLEL_PREFIX = "module."  # of the names of a network that several devices trained
 PROGRAM = "constants.pkl"  # record that marks a TorchScript archive, whose code torch would run while reading
 SAME_PADDING = "same_padding"  # array that marks a torch file of a GG-CNN with the borders of the Keras one
 HAND = "hand"  # array that holds the number of the hand in `HANDS`; without it the hand is parallel
@@ -183,7 +185,7 @@ def _collect(into: dict[str, np.ndarray], path: str, item: Any) -> None:
 
 
 def torch_state(data: bytes) -> dict[str, torch.Tensor]:
-    """Returns the state dict of a torch file or of the whole model in it.
+    """Returns the state dict of a torch file, of the checkpoint or of the whole model in it.
 
     Raises WeightsError if it holds neither, or torch cannot read it with the pickle given here.
     """
@@ -198,7 +200,10 @@ def torch_state(data: bytes) -> dict[str, torch.Tensor]:
             content = torch.load(io.BytesIO(data), map_location="cpu", pickle_module=_SAFE_PICKLE, weights_only=False)
     except Exception as error:  # a broken pickle may raise anything
         raise WeightsError(f"The torch file cannot be read: {error}.") from error
+    content = next((content[key] for key in WRAPPED if isinstance(content, dict) and key in content), content)
     state = dict(content) if isinstance(content, dict) else dict(_arrays(content))
+    if all(isinstance(key, str) and key.startswith(PARALLEL_PREFIX) for key in state):
+        state = {key[len(PARALLEL_PREFIX) :]: value for key, value in state.items()}
     if not state or not all(isinstance(value, torch.Tensor) for value in state.values()):
         raise WeightsError("The torch file holds neither a state dict nor a model.")
     return {key: value.detach().float() for key, value in state.items()}

@@ -14,7 +14,8 @@ LONGEST_S = 86400.0  # of an episode
 FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
 ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 HAND = ("index", "middle", "thumb", "spread")
-CHANNELS = {"rgb8": (0, 1, 2), "bgr8": (2, 1, 0)}
+CHANNELS = {"rgb8": (3, [0, 1, 2]), "bgr8": (3, [2, 1, 0]), "rgba8": (4, [0, 1, 2]), "bgra8": (4, [2, 1, 0])}
+"""Encodings that can be exported: bytes of a pixel, and where among them its red, green and blue are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +59,13 @@ def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
 def color_image(message: dict[str, Any]) -> np.ndarray:
     """Returns a decoded sensor_msgs/Image, shape (height, width, 3), red first; RecordingFault: another encoding."""
     height, width, step = message["height"], message["width"], message["step"]
-    order = CHANNELS.get(message["encoding"])
-    if order is None or step < 3 * width or len(message["data"]) < height * step:
-        raise RecordingFault(f"Images of the encoding {message['encoding']!r} cannot be exported; rgb8 and bgr8 can.")
+    size, order = CHANNELS.get(message["encoding"], (0, []))
+    if not size or step < size * width or len(message["data"]) < height * step:
+        raise RecordingFault(
+            f"Images of the encoding {message['encoding']!r} cannot be exported; complete {', '.join(CHANNELS)} can."
+        )
     rows = np.frombuffer(message["data"], np.uint8, height * step).reshape(height, step)
-    return np.ascontiguousarray(rows[:, : 3 * width].reshape(height, width, 3)[..., order])
+    return np.ascontiguousarray(rows[:, : size * width].reshape(height, width, size)[..., order])
 
 
 def _newest(times: np.ndarray, rows: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -52,7 +52,8 @@ def export(recordings: list[Path], folder: Path, fps: int, task: str) -> None:
         if not words:
             raise RecordingFault(f"{recording} does not say what is done; give --task, a sentence.")
         episode = training_episode(run, fps)
-        features = _features(episode, next(_images(recording, episode), None))
+        shapes = {image.shape for image in _images(recording, episode)}
+        features = _features(episode, next(iter(shapes), None))
         if episodes and features != episodes[0][-1]:
             raise RecordingFault(f"{recording} has other signals than the first one, so they are not one dataset.")
         episodes.append((recording, words, episode, features))
@@ -69,22 +70,30 @@ def export(recordings: list[Path], folder: Path, fps: int, task: str) -> None:
     dataset.finalize()
 
 
-def _features(episode: TrainingEpisode, image: np.ndarray | None) -> dict[str, Any]:
+def _features(episode: TrainingEpisode, shape: tuple[int, ...] | None) -> dict[str, Any]:
     vector = {"dtype": "float32", "shape": (len(episode.names),), "names": list(episode.names)}
     features: dict[str, Any] = {STATE: vector, ACTION: dict(vector)}
-    if image is not None:
-        features[COLOR] = {"dtype": "video", "shape": image.shape, "names": ["height", "width", "channels"]}
+    if shape is not None:
+        features[COLOR] = {"dtype": "video", "shape": shape, "names": ["height", "width", "channels"]}
     return features
 
 
 def _images(recording: Path, episode: TrainingEpisode) -> Iterator[np.ndarray]:
-    """Yields for each row of the episode the newest color image, or the first one before it came; none without any."""
+    """Yields for each row of the episode the newest color image, or the first one before it came; none without any.
+    RecordingFault: their size changes, which no video has.
+    """
     decode, newest = MessageDecoders(), None
     messages = between(recording, [topics.COLOR], 0.0, float("inf"))
     coming = next(messages, None)
     for time in episode.times:
         while coming is not None and (newest is None or coming.received * 1e-9 <= time):
-            newest, coming = color_image(decode(coming)), next(messages, None)
+            image, coming = color_image(decode(coming)), next(messages, None)
+            if newest is not None and image.shape != newest.shape:
+                raise RecordingFault(
+                    f"The color images of {recording} are {newest.shape[1]} x {newest.shape[0]} px, then "
+                    f"{image.shape[1]} x {image.shape[0]}: a dataset has one size; record each in a run of its own."
+                )
+            newest = image
         if newest is None:
             return
         yield newest

@@ -76,7 +76,7 @@ def read_header(text: str | bytes) -> str:
     version = message["version"]
     if isinstance(version, bool) or not isinstance(version, int) or version not in VERSIONS:
         raise LeapProtocolError(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
-    return str(message.get("serviceVersion", ""))
+    return str(message.get("serviceVersion") or "")
 
 
 def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:

@@ -15,6 +15,7 @@ import numpy as np
 from leap_motion.webcam.lens import WebcamError
 
 SIZE_PX, RATE_HZ = (640, 480), 30.0  # asked of the camera: what nearly all have
+FILM_HZ = (5.0, 240.0)  # a film with another rate has none: some containers state 0, 1000 or 90000
 RETRY_S = 1.0
 PAUSE_S = 2.0  # grey images between two rounds of a video
 ENTRY_S = 1.5  # its first image slides in from the side, so that a hand comes in from outside of the box
@@ -122,7 +123,8 @@ class FileSource(VideoSource):
     def __init__(self, path: Path, mirrored: bool) -> None:
         super().__init__(mirrored)
         self._video = cv2.VideoCapture(str(path))
-        self._period = 1.0 / (self._video.get(cv2.CAP_PROP_FPS) or RATE_HZ)
+        rate = self._video.get(cv2.CAP_PROP_FPS)
+        self._period = 1.0 / (rate if FILM_HZ[0] <= rate <= FILM_HZ[1] else RATE_HZ)
         good, image = self._video.read()
         if not good or image is None:
             raise WebcamError(f"{path} is not a video that can be read.")
