@@ -91,6 +91,8 @@ def distortion(model: object, coefficients: ArrayLike) -> np.ndarray:
     if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0.
     """
     D = np.asarray(coefficients, dtype=float).ravel()
+    if not D[COEFFICIENTS[-1] :].any():  # the others are those of a tilted sensor
+        D = D[: COEFFICIENTS[-1]]
     name = model.lower() if isinstance(model, str) else None
     plain = not D[5:].any()
     if name not in MODELS or len(D) not in COEFFICIENTS or not (plain or name == RATIONAL) or not np.isfinite(D).all():

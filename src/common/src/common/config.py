@@ -75,13 +75,14 @@ def flag(doc: str = "", absent: Any = REQUIRED) -> Any:
     return _field(_Kind(lambda value: _instance(value, bool), "true or false", "true or false"), doc, absent)
 
 
-def text(doc: str = "", absent: Any = REQUIRED, empty: bool = False) -> Any:
-    """A string, which is not empty unless `empty`."""
+def text(doc: str = "", absent: Any = REQUIRED, empty: bool = False, taken_as: Callable[[str], str] = str) -> Any:
+    """A string, which is not empty unless `empty`; `taken_as` makes another of it."""
 
     def read(value: Any) -> str:
-        if not (_instance(value, str).strip() or empty):
+        taken = taken_as(_instance(value, str))
+        if not (taken.strip() or empty):
             raise ValueError
-        return value
+        return taken
 
     kind = ("a string", "text, or empty") if empty else ("a string that is not empty", "text")
     return _field(_Kind(read, *kind), doc, absent)

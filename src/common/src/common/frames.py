@@ -19,6 +19,7 @@ FLANGE_MEASURED = "kuka/flange_frame/measured"
 FLANGE_DESIRED = "kuka/flange_frame/desired"
 FLANGE_SEEN = "kuka/flange_frame/seen"  # the flange as the camera detects it by the marker board
 TOOL_HOME = "kuka/tool_frame/home"
+TOOL_MEASURED = "kuka/tool_frame/measured"  # the tool at the measured joints
 TOOL_DESIRED = "kuka/tool_frame/desired"  # the input of the arm's controllers
 TOOL_COMMANDED = "kuka/tool_frame/commanded"
 """The tool as the controller last sent it to the robot: scaled, and clipped to the workspace."""
@@ -34,6 +35,12 @@ RGB_ALIAS, DEPTH_ALIAS = "camera/rgb_frame", "camera/depth_frame"  # the rig's o
 GRASP_TARGET = "camera_target_frame"  # the best grasp, in `DEPTH`
 GRASP_VIEW = "ggcnn/view"  # the virtual camera whose image the grasp network sees, in an optical frame
 
+
+def frame_name(text: str) -> str:
+    """Returns a frame id, of a message or a parameter, without leading slash: tf of ROS 1 takes /a for a."""
+    return text.lstrip("/")
+
+
 PREFIX = re.compile(r"(\w+(/\w+)*)?", re.ASCII)
 
 
@@ -41,7 +48,12 @@ PREFIX = re.compile(r"(\w+(/\w+)*)?", re.ASCII)
 class ArmFrames:
     """The frames of one of several arms: behind its prefix, as left/kuka/base_frame; of an only arm as above."""
 
-    tf_prefix: str = text(doc="prefix of an arm's tf frames, where there are two, such as left", absent="", empty=True)
+    tf_prefix: str = text(
+        doc="prefix of an arm's tf frames, where there are two, such as left",
+        absent="",
+        empty=True,
+        taken_as=frame_name,
+    )
 
     def __call__(self, name: str) -> str:
         """Returns what a frame of this module, of arm or operator, is called for this arm."""

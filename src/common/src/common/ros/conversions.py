@@ -7,6 +7,7 @@ import rospy
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, Transform, TransformStamped, Vector3
 from std_msgs.msg import Header
 
+from common.frames import frame_name
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
 
@@ -45,7 +46,7 @@ def stamped_pose(T: np.ndarray, frame: str, stamp: rospy.Time) -> PoseStamped:
 
 def pose_in(frame: str, message: PoseStamped) -> np.ndarray:
     """Returns the pose, shape (4, 4), of a message that must be in `frame`; raises as `pose_from_message` does."""
-    if message.header.frame_id.lstrip("/") != frame:
+    if frame_name(message.header.frame_id) != frame:
         raise ValueError(f"its frame is {message.header.frame_id!r} instead of {frame}")
     return pose_from_message(message.pose)
 

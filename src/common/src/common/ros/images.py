@@ -9,18 +9,19 @@ import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
 
-from common.camera_model import PLUMB_BOB, CameraModel, distortion
-from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
+from common.camera_model import PLUMB_BOB, RATIONAL, CameraModel, distortion, pinhole
+from common.frames import DEPTH_OPTICAL, RGB_OPTICAL, frame_name
 from common.poses import read_only
 
 Outgoing = Callable[[Image], Image]
 
 _BYTE, _WORD, _FLOAT = np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float32)
 TYPES = {
-    "mono8": (_BYTE, 1), "8UC1": (_BYTE, 1), "rgb8": (_BYTE, 3), "bgr8": (_BYTE, 3),
-    "mono16": (_WORD, 1), "16UC1": (_WORD, 1), "32FC1": (_FLOAT, 1),
+    "mono8": (_BYTE, 1), "8UC1": (_BYTE, 1), "mono16": (_WORD, 1), "16UC1": (_WORD, 1), "32FC1": (_FLOAT, 1),
+    "rgb8": (_BYTE, 3), "bgr8": (_BYTE, 3), "rgba8": (_BYTE, 4), "bgra8": (_BYTE, 4),
 }  # fmt: skip
 """Supported encodings: type of an element, elements per pixel."""
+COLOUR = tuple(encoding for encoding, (_, channels) in TYPES.items() if channels > 1)
 RGBD_FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": RGB_OPTICAL}
 
 
@@ -69,10 +70,10 @@ def colour_from_image(message: Image) -> np.ndarray:
     """Returns the colour image in a message, shape (height, width, 3), red first; raises ValueError for another
     encoding or incomplete data.
     """
-    if message.encoding not in ("rgb8", "bgr8"):
-        raise ValueError(f"the colour image has the encoding {message.encoding}, not rgb8 or bgr8")
-    array = array_from_image(message)
-    return array if message.encoding == "rgb8" else array[..., ::-1]
+    if message.encoding not in COLOUR:
+        raise ValueError(f"the colour image has the encoding {message.encoding}, not one of {', '.join(COLOUR)}")
+    array = array_from_image(message)[..., :3]
+    return array if message.encoding.startswith("rgb") else array[..., ::-1]
 
 
 def depth_from_image(message: Image) -> np.ndarray:
@@ -89,7 +90,8 @@ def depth_from_image(message: Image) -> np.ndarray:
 
 def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> CameraInfo:
     """Returns the message that describes the camera."""
-    message = CameraInfo(height=model.height, width=model.width, distortion_model=PLUMB_BOB)
+    name = PLUMB_BOB if len(model.D) <= 5 else RATIONAL
+    message = CameraInfo(height=model.height, width=model.width, distortion_model=name)
     message.header.frame_id = frame
     message.header.stamp = stamp
     message.K, message.D = model.K.ravel().tolist(), model.D.tolist()
@@ -97,16 +99,47 @@ def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> Ca
     return message
 
 
-def camera_model_from_info(message: CameraInfo) -> CameraModel:
-    """Returns the camera of a message; raises ValueError without a calibration or for another distortion model."""
-    D = distortion(message.distortion_model, message.D)
-    K, P = np.reshape(message.K, (3, 3)), np.reshape(message.P, (3, 4))
-    if not all(np.all(np.isfinite(matrix)) for matrix in (K, P)):
+def camera_model_from_info(
+    message: CameraInfo, size: tuple[int, int] | None = None, rectified: bool = False
+) -> CameraModel:
+    """Returns the camera of a message as image_geometry of ROS takes it: without R it is not turned, without P not
+    rectified, and binning and region of interest change size and matrices. `size` is (width, height) of an image of
+    this camera, which then has that size where the message says none. Of `rectified` images, P alone counts.
+
+    Raises ValueError without a calibration, for another distortion model, or for an image of another size.
+    """
+    K, R, P = np.reshape(message.K, (3, 3)), np.reshape(message.R, (3, 3)), np.reshape(message.P, (3, 4))
+    if not all(np.all(np.isfinite(matrix)) for matrix in (K, R, P)):
         raise ValueError("the numbers of the camera_info are not finite")
-    if not (K[0, 0] > 0.0 and K[1, 1] > 0.0 and P[0, 0] > 0.0 and P[1, 1] > 0.0):
-        raise ValueError("the camera is not calibrated: its focal lengths are 0; give its driver a calibration file")
-    matrices = (K, D, np.reshape(message.R, (3, 3)), P)
-    return CameraModel(message.header.frame_id, message.width, message.height, *map(read_only, matrices))
+    P = P if P.any() else np.column_stack((K, np.zeros(3)))
+    R = R if R.any() else np.eye(3)
+    for name, matrix in (("P", P),) if rectified else (("K", K), ("P", P)):
+        if not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+            focal = f"the focal lengths in {name} of its camera_info are {matrix[0, 0]:g} and {matrix[1, 1]:g}"
+            raise ValueError(f"the camera is not calibrated: {focal}; give its driver a calibration file")
+        if not np.array_equal(matrix[2, :3], (0.0, 0.0, 1.0)):
+            raise ValueError(f"the last row of {name} in the camera_info is {matrix[2].tolist()}, not 0, 0, 1")
+    if not rectified and not (np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0):
+        raise ValueError(f"R in the camera_info is {R.tolist()}, which is no rotation")
+    roi = message.roi
+    binning = np.maximum((message.binning_x, message.binning_y), 1)
+    described = np.array((roi.width or message.width, roi.height or message.height)) // binning
+    cut = np.array([[1.0, 0.0, -roi.x_offset], [0.0, 1.0, -roi.y_offset], [0.0, 0.0, 1.0]])
+    cut[:2] /= binning[:, None]
+    width, height = (own or given for own, given in zip(described.tolist(), size or (0, 0)))
+    if size not in (None, (width, height)):
+        sizes = f"the image is {size[0]} x {size[1]}, but its camera_info says {width} x {height}"
+        raise ValueError(f"{sizes}: use the camera_info of this image topic")
+    name = frame_name(message.header.frame_id)
+    if rectified:
+        return pinhole(name, width, height, (cut @ P)[:, :3])
+    D = distortion(message.distortion_model, message.D)
+    return CameraModel(name, width, height, *map(read_only, (cut @ K, D, R, cut @ P)))
+
+
+def same_camera(a: CameraModel, b: CameraModel) -> bool:
+    """Returns whether two cameras have the same size and numbers."""
+    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in ("width", "height", "K", "D", "R", "P"))
 
 
 class RgbdTopics:

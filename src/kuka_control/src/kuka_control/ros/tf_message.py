@@ -11,6 +11,8 @@ from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from common.frames import frame_name
+
 _HEADER, _LENGTH, _NUMBERS = struct.Struct("<4I"), struct.Struct("<I"), struct.Struct("<7d")
 
 
@@ -57,9 +59,9 @@ class RawTfMessage(TFMessage):
         for _ in range(_LENGTH.unpack_from(data)[0]):
             _, secs, nsecs, length = _HEADER.unpack_from(data, start)
             start += 16 + length
-            parent = data[start - length : start].decode().lstrip("/")
+            parent = frame_name(data[start - length : start].decode())
             (length,) = _LENGTH.unpack_from(data, start)
             start += 4 + length
-            child = data[start - length : start].decode().lstrip("/")
+            child = frame_name(data[start - length : start].decode())
             yield RawTransform(child, parent, (secs, nsecs), _NUMBERS.unpack_from(data, start))
             start += 56

@@ -8,7 +8,7 @@ import rospy
 from tf2_msgs.msg import TFMessage
 
 from common import clock
-from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
+from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames, frame_name
 from common.ros.conversions import pose_from_transform
 from rig_msgs.msg import KukaStatus
 
@@ -42,8 +42,8 @@ class MeasuredTool:
             transforms = TFMessage().deserialize(data).transforms
         except genpy.DeserializationError as error:
             raise ValueError(f"the message on /tf is damaged: {error}") from None
-        flange = next((t for t in reversed(transforms) if t.child_frame_id.lstrip("/") == self._flange), None)
-        if flange is None or flange.header.frame_id.lstrip("/") != self._base:
+        flange = next((t for t in reversed(transforms) if frame_name(t.child_frame_id) == self._flange), None)
+        if flange is None or frame_name(flange.header.frame_id) != self._base:
             raise ValueError(f"{self._flange} is not in {self._base}")
         age = (received - flange.header.stamp).to_sec()
         if abs(age) > FRESH_S:

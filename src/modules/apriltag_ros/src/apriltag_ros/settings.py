@@ -15,6 +15,7 @@ import numpy as np
 
 from common.config import choice, flag, integer, number, parse, parse_part, text
 from common.errors import ConfigError
+from common.frames import frame_name
 from common.poses import pose, read_only
 from common.rotations import rotation_from_quaternion
 
@@ -104,7 +105,7 @@ class _Member(_Standalone):
 
 @dataclass(frozen=True)
 class _Name:
-    name: str = text(doc="frame in tf")
+    name: str = text(doc="frame in tf", taken_as=frame_name)
 
 
 KEYS = {f.name for f in fields(DetectorSettings)}

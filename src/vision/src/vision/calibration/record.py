@@ -10,8 +10,10 @@ import numpy as np
 
 from common.config import choice, number, parse_part, text, vector
 from common.errors import ConfigError
+from common.frames import frame_name
 from common.poses import pose, read_only
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+from common.stored_time import moment
 from vision.calibration.acceptance import Verdict
 from vision.calibration.hand_eye import CalibrationView
 
@@ -31,19 +33,23 @@ class CameraPoseConfig:
 class RecordHead:
     """The single values of a calibration."""
 
-    date: str = text()  # as year-month-dayThour:minute:second
+    date: str = text()  # as `common.stored_time.utc` writes it
     kind: str = choice(VIEWS, LIVE)  # by several views, or by the board's drawing and a single view
     robot: str = text()  # the arm
     flange: str = text()  # its media flange
-    panel: str = text()  # frame of the marker board
+    panel: str = text(taken_as=frame_name)  # frame of the marker board
     camera: str = text()  # serial number of the camera
-    camera_frame: str = text()  # the optical frame whose pose this is
+    camera_frame: str = text(taken_as=frame_name)  # the optical frame whose pose this is
     rms_mm: float | None = number("mm", low=0.0, absent=None)
     rms_deg: float | None = number("deg", low=0.0, absent=None)  # of the views; None for LIVE, a single view
     point_sd_mm: float = number("mm", low=0.0)  # standard deviation of a point at the marker board
 
     def faults(self) -> list[str]:
-        """Returns contradictions between fields."""
+        """Returns what no single field can check."""
+        try:
+            moment(self.date)
+        except ValueError:
+            return [f"date is {self.date!r}, but must be as 2026-01-31T12:00:00Z."]
         if self.kind == VIEWS and None in (self.rms_mm, self.rms_deg):
             return ["rms_mm and rms_deg are missing; a calibration of the kind views needs them."]
         return []

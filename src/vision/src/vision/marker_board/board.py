@@ -10,6 +10,7 @@ import numpy as np
 from apriltag_ros.settings import TAG_KEYS, TagTarget, targets
 from common.config import number, text, vector
 from common.errors import ConfigError
+from common.frames import frame_name
 from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
 
@@ -18,7 +19,7 @@ from common.rotations import rotation_from_zyx
 class MarkerBoardConfig:
     """The schema of panel.yaml."""
 
-    frame: str = text(doc="name of the tag or bundle in tags.yaml")
+    frame: str = text(doc="name of the tag or bundle in tags.yaml", taken_as=frame_name)
     rotation: np.ndarray = vector(3, "deg", low=-360.0, high=360.0, doc="rotations about z, y, x from tag to flange")
     translation: np.ndarray = vector(3, "m", low=-1.0, high=1.0, doc="from tag to flange, along the flange's axes")
     plate: float = number("m", above=0.0, high=1.0, doc="edge of the plate round the tag")
