@@ -84,6 +84,35 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(program, tmp_path, monkeyp
     assert str(tmp_path / "file") in last and last.endswith("Not a directory.")
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        *(
+            ("--network", "foo"),
+            ("--steps", "0"),
+            ("--count", "0"),
+            ("--side", "0"),
+            ("--side", "400"),
+            ("--side", "61"),
+        ),
+        *(
+            ("--rate", "nan"),
+            ("--rate", "0"),
+            ("--warm-up", "-1"),
+            ("--decay", "2"),
+            ("--memory", "1"),
+            ("--seed", "x"),
+        ),
+        *(("--half", "True"), ("--every", "0"), ("--threads", "0"), ("--shards", "0")),
+    ],
+)
+def test_impossible_settings_of_a_training_are_refused_by_name(data, tmp_path, monkeypatch, capsys, option, value):
+    with pytest.raises(SystemExit) as end:
+        call(monkeypatch, train_ggcnn, data, tmp_path / "run", option, value)
+    last = capsys.readouterr().err.rstrip().splitlines()[-1]
+    assert end.value.code == 2 and option in last and value in last and not (tmp_path / "run").exists()
+
+
 def test_training_stops_and_resumes(data, tmp_path, monkeypatch, capsys):
     run = tmp_path / "run"
     options = ["--steps", "4", "--count", "2", "--side", "60", "--every", "2", "--half", "false"]

@@ -289,7 +289,7 @@ def test_things_are_left_out_and_chosen(data):
         (evaluate_refinement, ["nowhere", "results"], "holds no episode"),
         (evaluate_refinement, ["nowhere", "results", "--few", "-1"], "--few is -1, but must be at least 0."),
         (make_episodes, ["made", "nowhere.pt"], "No such file"),
-        (make_episodes, ["made", WEIGHTS, "--frames", "0"], "--frames is 0, but must be at least 1."),
+        (make_episodes, ["made", WEIGHTS, "--frames", "0"], "argument --frames"),
         (evaluate, ["folder", "--export", "file"], "Either a folder for the results is needed, or --export."),
         (evaluate, [], "Either a folder for the results is needed, or --export."),
     ],

@@ -18,6 +18,7 @@ from torch import nn
 
 from common.camera_model import pinhole
 from common.errors import RigError
+from common.number_arguments import real, whole
 from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
@@ -47,11 +48,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("depth", type=Path, help="depth image, or a folder of them")
     parser.add_argument("weights", type=Path, help="weight file of a network")
-    parser.add_argument("--focal", type=float, default=FOCAL_PX, help=f"focal length [px], default {FOCAL_PX}")
-    parser.add_argument("--centre", type=float, nargs=2, metavar=("CX", "CY"), help="optical axis [px]")
-    parser.add_argument("--crop", type=int, default=400, help="side of the window in the middle [px], default 400")
+    parser.add_argument("--focal", type=real(1.0, 1e5), default=FOCAL_PX, help=f"focal length [px], default {FOCAL_PX}")
+    parser.add_argument("--centre", type=real(-1e5, 1e5), nargs=2, metavar=("CX", "CY"), help="optical axis [px]")
+    parser.add_argument(
+        "--crop", type=whole(1, 16384), default=400, help="side of the window in the middle [px], default 400"
+    )
     parser.add_argument("--hand", choices=HANDS, help="refuse weights that were trained for another hand")
-    parser.add_argument("--count", type=int, default=1, help="most grasps of an image")
+    parser.add_argument("--count", type=whole(1, 50), default=1, help="most grasps of an image")
     parser.add_argument("--precision", choices=PRECISIONS, default=FLOAT32, help="of the network's convolutions")
     picture_help = "write the network's image with the grasps to this file, or for a folder to this folder"
     parser.add_argument("--picture", type=Path, help=picture_help)

@@ -21,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from common.errors import RigError
+from common.number_arguments import whole
 from grasping.lab.evaluation import label_check
 from grasping.lab.synthetic import samples
 from grasping.lab.synthetic.samples import LabelSettings
@@ -131,7 +132,7 @@ def main() -> None:
     margin_help = f"added to each opening, as far as the hand opens [m], 0 to {WIDEST_MARGIN_M:g}, default 0"
     parser.add_argument("--margin", type=float, default=0.0, help=margin_help)
     parser.add_argument("--check", type=Path, metavar="FILE", help="write random grasps and their labels there instead")
-    parser.add_argument("--processes", type=int, default=1, help="how many at a time")
+    parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many at a time")
     arguments = parser.parse_args()
     if (arguments.folder is None) == (arguments.check is None):
         parser.error("Either a folder for the shards is needed, or --check.")

@@ -16,6 +16,7 @@ import mujoco
 import torch
 
 from common.errors import RigError
+from common.number_arguments import whole
 from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning, make_all
 from grasping.lab.synthetic import samples, simulated_operator
@@ -70,13 +71,13 @@ def main() -> None:
     parser.add_argument("--split", choices=SPLITS, default="person", help="known or held-out things, or one kind")
     operators = (*OPERATORS, ANYBODY, ALL)
     parser.add_argument("--operator", choices=operators, default="high", help="who grasps; all: each but anybody")
-    parser.add_argument("--first", type=int, default=0, help="number of the first scene")
-    parser.add_argument("--episodes", type=int, default=400, help="how many scenes; where nothing holds, none is made")
-    parser.add_argument("--frames", type=int, default=1, help="images an episode")
-    parser.add_argument("--processes", type=int, default=1, help="how many at a time")
+    parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first scene")
+    parser.add_argument(
+        "--episodes", type=whole(1, 10**9), default=400, help="how many scenes; where nothing holds, none is made"
+    )
+    parser.add_argument("--frames", type=whole(1, 10**6), default=1, help="images an episode")
+    parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many at a time")
     arguments = parser.parse_args()
-    if arguments.frames < 1:
-        parser.error(f"--frames is {arguments.frames}, but must be at least 1.")
     try:
         network(arguments.weights)
     except (OSError, RigError) as error:

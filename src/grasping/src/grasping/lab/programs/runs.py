@@ -6,11 +6,11 @@ import argparse
 import csv
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -18,24 +18,46 @@ from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
+from common.number_arguments import real, whole
 from grasping.lab.training.trainer import Images, NetworkTrainer, NetworkTraining
+from grasping.network.depth_image import NETWORK_SIDE
+from grasping.network.networks import NETWORKS
+
+Value = TypeVar("Value")
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
+MANY = 10**7
+BOOLEANS = {"true": True, "false": False}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments and options of a run, and one option for each field of `NetworkTraining`."""
     parser.add_argument("data", type=Path, help="folder of the shards")
     parser.add_argument("run", type=Path, help="folder of the run; the same training in it is resumed")
+    kinds = {
+        "network": _one_of({name: name for name in NETWORKS}), "half": _one_of(BOOLEANS), "seed": whole(0, 2**32 - 1),
+        "steps": whole(1, MANY), "warm_up": whole(0, MANY), "count": whole(1, 4096), "side": whole(1, NETWORK_SIDE),
+        "rate": real(0.0, 1.0, open_low=True), "decay": real(0.0, 1.0), "memory": real(0.0, 0.999999),
+    }  # fmt: skip
     for name, value in asdict(NetworkTraining()).items():
-        kind = (lambda text: text == "true") if isinstance(value, bool) else type(value)
-        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, default=value, help=f"default: {value}")
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kinds[name], default=value, help=f"default: {value}")
     anew = "start again where RUN holds another training, which is kept"
     parser.add_argument("--anew", action="store_true", help=anew)
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
-    parser.add_argument("--every", type=int, default=250, help="steps between validations and checkpoints")
-    parser.add_argument("--threads", type=int, default=1, help="of the arithmetic")
+    parser.add_argument("--every", type=whole(1, MANY), default=250, help="steps between validations and checkpoints")
+    parser.add_argument("--threads", type=whole(1, 1024), default=1, help="of the arithmetic")
+
+
+def _one_of(values: Mapping[str, Value]) -> Callable[[str], Value]:
+    """Returns a type of argparse for these texts."""
+
+    def read(text: str) -> Value:
+        if text not in values:
+            raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(values)}")
+        return values[text]
+
+    return read
 
 
 def identity(settings: dict[str, Any], *data: list[str]) -> str:

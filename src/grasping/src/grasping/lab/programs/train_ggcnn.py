@@ -22,11 +22,13 @@ from torch import nn
 from tqdm import tqdm
 
 from common.errors import RigError
+from common.number_arguments import whole
 from grasping.lab.programs import runs
 from grasping.lab.programs.make_dataset import label_settings
 from grasping.lab.synthetic.samples import Sample
 from grasping.lab.training.trainer import NetworkTrainer, NetworkTraining, images
 from grasping.network import weights
+from grasping.network.networks import NETWORKS
 
 
 class LoadedShards(NamedTuple):
@@ -61,7 +63,7 @@ def load(folder: Path, split: str, most: int) -> LoadedShards:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     runs.add_options(parser)
-    parser.add_argument("--shards", type=int, default=10**6, help="most shards of each split")
+    parser.add_argument("--shards", type=whole(1, 10**6), default=10**6, help="most shards of each split")
     parser.add_argument("--from", dest="start", type=Path, metavar="WEIGHTS", help="weight file to begin with")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
@@ -71,6 +73,9 @@ def main() -> None:
         start = arguments.start and weights.load(arguments.start.read_bytes())
         if start:
             settings = replace(settings, network=start.name)
+        side_multiple = int(NETWORKS[settings.network]().side_multiple)
+        if settings.side % side_multiple:
+            raise RigError(f"--side is {settings.side}, but {settings.network} needs a multiple of {side_multiple}.")
         parts = [load(arguments.data, split, arguments.shards) for split in ("train", "validation")]
         train, validation = parts
         if train.hand != validation.hand:
