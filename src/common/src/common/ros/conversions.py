@@ -13,7 +13,11 @@ from common.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 
 def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time) -> TransformStamped:
-    """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`."""
+    """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`; raises ValueError for frames that no
+    listener takes.
+    """
+    if not parent or not child or parent == child:
+        raise ValueError(f"tf takes no frame {child!r} in {parent!r}: set the frame_id in the driver of the images")
     return TransformStamped(Header(0, stamp, parent), child, transform_message(T))
 
 
