@@ -339,6 +339,7 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
     ros.wait_until(lambda: robot.is_at(T), MOVE_S, "the tool where the hand is")
     clock.sleep(1.0)
     np.testing.assert_allclose(frame("kuka/flange_frame/measured", ros), robot.ask("state")["flange"], atol=1e-3)
+    np.testing.assert_allclose(frame("kuka/tool_frame/measured", ros), T, atol=1e-3)
     forces = ros.record("kuka/flange_force", Vector3Stamped)
     robot.ask("set_tcp_force", value=[2.0, -3.0, 8.0])
     clock.sleep(1.0)
@@ -669,6 +670,7 @@ def test_a_tool_that_is_a_whole_pose(ros, robot, start):
         ("kuka/tool_frame/home", T_home),
         ("kuka/flange_frame/home", T_home @ inverse(T_flange_tool)),
         ("kuka/flange_frame/measured", T_home @ inverse(T_flange_tool)),
+        ("kuka/tool_frame/measured", T_home),
     ):
         np.testing.assert_allclose(frame(name, ros), expected, atol=2e-3, err_msg=name)
     assert node.control(True).success

@@ -92,8 +92,9 @@ def test_the_names_of_a_controller(ros, robot, names_on_the_page, namespace, pre
     mine = Hand(T, of=of)
     mode("servo")
     base = f"{of}kuka/base_frame"
-    shown = {(base, f"{of}kuka/{name}") for name in ("flange_frame/home", "flange_frame/measured", "tool_frame/home")}
-    shown |= {(base, f"{of}kuka/tool_frame/commanded"), *([("world", base)] if prefix else [])}
+    names = {f"{part}_frame/{which}" for part in ("flange", "tool") for which in ("home", "measured")}
+    shown = {(base, f"{of}kuka/{name}") for name in (*names, "tool_frame/commanded")}
+    shown |= {("world", base)} if prefix else set()
     clock.sleep(2.0)
     assert frames_of(edges, node) == shown
     assert robot.is_at(T)

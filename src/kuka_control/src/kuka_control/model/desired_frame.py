@@ -6,6 +6,7 @@ look like a time-out.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Sequence
@@ -33,6 +34,9 @@ CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain t
 AT_ONCE_S = 0.1  # between two stamps that are not farther apart [s]
 STANDS_S = 0.5  # ROS time that has not passed for this long stands still [s]
 UNCONNECTED_S = 0.5  # so long the transforms of a chain may come one after the other [s]
+REPEATED_S = 0.3  # so long a stamp may come again and again [s]
+ABSENT_S = 1.0  # a frame that has not come for this long is missed [s]
+LIKE = 0.6  # how much another frame's name resembles the missing one, 0 to 1
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,14 @@ class FrameSources:
         if len(times) > 1:
             self._conflicts[frame] = Conflict(frame, tuple(sorted(times)), now)
         return len(times) == 1
+
+    def like(self, frame: str, now: float, known: tuple[str, ...]) -> tuple[str, str] | None:
+        """Returns a frame that comes and whose name is like that of `frame`, and the nodes that publish it; None if
+        there is none but those whose names end as those `known`.
+        """
+        names = [name for name, nodes in self._heard.items() if now - max(nodes.values()) < ABSENT_S]
+        found = difflib.get_close_matches(frame, [name for name in names if not name.endswith(known)], 1, LIKE)
+        return (found[0], " and ".join(self._heard[found[0]])) if found else None
 
     def conflict(self, frame: str, now: float) -> Conflict | None:
         """Returns the conflict about `frame` or about one of those that it stands in, directly or not; else None."""

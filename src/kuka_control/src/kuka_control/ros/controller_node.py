@@ -262,7 +262,7 @@ class _Node:
             desired = self._desired.wait(deadline)
             started = clock.monotonic()
             self._loop.open_hand(self._opening.at(started))
-            inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move)
+            inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move, self._desired.missing)
             step = self._controller.cycle(inputs, clock.monotonic())
             if isinstance(step.command, Servo) and step.command.stamp is not None:
                 self._stages.done(self._desired.stamp)
@@ -364,7 +364,7 @@ class _Node:
         counts["clock_offset"] = f"{self._desired.offset:.3f}"
         if step is None:
             return DiagnosticStatus.OK, "starting", {"mode": Mode.STARTING.value, **counts}
-        level, reason = DiagnosticStatus.OK, step.reason
+        level, reason = DiagnosticStatus.WARN if step.inhibited else DiagnosticStatus.OK, step.reason
         if self._lifted:
             level, reason = DiagnosticStatus.WARN, f"{reason} {LIFTED}"
         if self._loop.stopped_because:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import struct
 from collections import deque
 
@@ -12,10 +14,28 @@ from geometry_msgs.msg import Transform
 from tf2_msgs.msg import TFMessage
 
 from common import clock
-from common.frames import BASE, HAND_FILTERED, ONE_ARM, TOOL_DESIRED, VIRTUAL_LEAP, ArmFrames
+from common.frames import (
+    BASE,
+    FLANGE,
+    FLANGE_DESIRED,
+    FLANGE_HOME,
+    FLANGE_MEASURED,
+    FLANGE_SEEN,
+    HAND_FILTERED,
+    ONE_ARM,
+    TOOL_COMMANDED,
+    TOOL_DESIRED,
+    TOOL_HOME,
+    TOOL_MEASURED,
+    VIRTUAL_LEAP,
+    ArmFrames,
+    frame_name,
+)
 from common.ros.conversions import pose_from_transform
 from kuka_control.model.desired_frame import (
+    ABSENT_S,
     MAX_OFFSET_S,
+    REPEATED_S,
     STANDS_S,
     UNCONNECTED_S,
     ChainWatch,
@@ -32,6 +52,15 @@ STATIC = (
     "The desired tool frame is refused: it came as a static transform, whose stamp never changes; publish it on /tf, "
     "with a new stamp each time."
 )
+REPEATED = (
+    "The desired tool frame is refused: it comes again and again with the same stamp or older ones; give each message "
+    "the present time as its stamp."
+)
+OWN = (
+    *(BASE, FLANGE, FLANGE_HOME, FLANGE_MEASURED, FLANGE_DESIRED, FLANGE_SEEN),
+    *(TOOL_HOME, TOOL_COMMANDED, TOOL_MEASURED),
+)
+"""The rig's own frames that are nearly called so."""
 KEPT = 32  # transforms of a frame that does not concern the desired tool frame
 
 
@@ -54,6 +83,7 @@ class DesiredTool:
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
         self._base, self._tool, self._leap = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
         self._filtered = frames(HAND_FILTERED)
+        self._known = (*OWN, TOOL_DESIRED) if frames.tf_prefix else OWN
         self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = clock.Event()
         self._newest: DesiredFrame | None = None
@@ -62,8 +92,10 @@ class DesiredTool:
         self._conflict: object = None  # the newest one that was passed on
         self._went_back: str | None = None  # ROS time did, and this was not passed on yet
         self._refused: str | None = None  # why the newest transform of the chain is, and this was not passed on yet
-        self._heard = self._unconnected = 0.0  # when it came last, and that of those which had no way to the base [s]
+        self._heard = self._unconnected = 0.0  # when it came last, and that of those which could not be used [s]
         self._unconnected_since: float | None = None  # [s]
+        self._last_stamp, self._advanced = -math.inf, 0.0  # its last stamp, and when that was later than before [s]
+        self._missing, self._missed = f"It waits for the frame {self._tool}.", -math.inf  # the second: when found [s]
         self.stamp: rospy.Time | None = None
         self._looked_up: rospy.Time | None = None  # the same, of this machine's clock
         self._clock = NodeClock("")  # of the node that published it last
@@ -82,6 +114,25 @@ class DesiredTool:
     @property
     def offset(self) -> float:
         return self._clock.offset.value
+
+    @property
+    def missing(self) -> str | None:
+        """Where no desired tool frame comes: that it is awaited, and which frame comes that may have been meant, a
+        sentence; else None.
+        """
+        now = clock.monotonic()
+        if now - self._heard < ABSENT_S:
+            return None
+        if now - self._missed >= ABSENT_S:
+            with self._lock:
+                like = self._sources.like(self._tool, now, self._known)
+            before, self._missed = self._missing, now
+            self._missing = f"It waits for the frame {self._tool}."
+            if like is not None:
+                self._missing += " What comes is {}, from {}.".format(*like)
+                if self._missing != before:
+                    rospy.logwarn(self._missing)
+        return self._missing
 
     def callback(self, data: RawTfMessage) -> None:
         """Receives tf messages."""
@@ -122,7 +173,7 @@ class DesiredTool:
         with self._lock:
             self._check_for_reset()
             for transform in data.transforms:
-                child, parent = transform.child_frame_id.lstrip("/"), transform.header.frame_id.lstrip("/")
+                child, parent = frame_name(transform.child_frame_id), frame_name(transform.header.frame_id)
                 if child == self._tool:
                     self._refused = STATIC
                     continue
@@ -141,6 +192,7 @@ class DesiredTool:
         now = rospy.Time.now()
         if now < self._last_time:
             self.buffer.clear()
+            self._last_stamp = -math.inf
             if not rospy.rostime.is_wallclock():
                 self._went_back = f"ROS time went back by {(self._last_time - now).to_sec():.3g} s."
         if now != self._last_time:
@@ -180,6 +232,7 @@ class DesiredTool:
             self._clock.doubt(now)
         if not changed:
             return
+        self._last_stamp = -math.inf
         self.buffer.clear()  # of frames that are not corrected, or by another offset
         self._others.clear()
         offset = self.offset
@@ -198,18 +251,28 @@ class DesiredTool:
             rospy.logwarn_throttle(REMIND_S, self._refused)
             return
         if transform.child == self._tool:
-            present = rospy.get_time()
-            skewed = skew_fault(transform.time, present, self._clock.finding)
-            if skewed is not None and transform.time > present - MAX_OFFSET_S:  # an older one is refused by its stream
-                self._refused = skewed
-                return
-            stands = clock.monotonic() - self._passed
+            present, now = rospy.get_time(), clock.monotonic()
+            repeated = transform.time == self._last_stamp
+            if transform.time > self._last_stamp:
+                self._advanced = now
+            self._last_stamp = transform.time
+            stands = now - self._passed
             if stands > STANDS_S:
                 self._refused = (
                     f"The desired tool frame is refused: ROS time has stood still for {stands:.1f} s; use_sim_time is "
                     "true, and nobody publishes /clock."
                 )
                 return
+            if now - self._advanced > REPEATED_S and transform.time > 0.0:
+                self._refused = REPEATED
+                return
+            skewed = skew_fault(transform.time, present, self._clock.finding)
+            older = 0.0 < transform.time <= present - MAX_OFFSET_S  # such a one is refused by its stream
+            if skewed is not None and not older:
+                self._refused = skewed
+                return
+            if repeated:
+                return  # tf2 would leave it out, with a warning on the terminal for each
         self.buffer.set_transform(transform.message, "tf")
 
     def wait(self, deadline: float) -> DesiredFrame | None:
@@ -238,19 +301,19 @@ class DesiredTool:
             return self._refuse(f"The desired tool frame is refused: {conflict}.")
         try:
             message = self.buffer.lookup_transform(self._base, self._tool, rospy.Time(0))
-            self._unconnected_since = None
             stamp = message.header.stamp
             if stamp == self._looked_up:
-                return False
+                return self._unusable(now) and self._refuse_late()
+            self._unconnected, self._unconnected_since = self._heard, None
             T_base_tool = pose_from_transform(message.transform)
             self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.offset)
             jump = self._chain_jump(stamp, T_base_tool)
             number, hand = self._clock.offset.number, None if self._foreign else self._engagement
             self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, None, number, self._foreign, hand)
         except tf2_ros.ExtrapolationException:
-            return False
+            return self._unusable(now) and self._refuse_late()
         except tf2_ros.TransformException:
-            return self._refuse_unconnected(now)
+            return self._unusable(now) and self._refuse_unconnected()
         except ValueError as error:
             rospy.logwarn_throttle(REMIND_S, f"The desired tool frame is refused: {error}.")
             return False
@@ -267,14 +330,33 @@ class DesiredTool:
             return None
         return self._chain.step(stamp.to_sec(), parent, T_base_parent, T_base_tool)
 
-    def _refuse_unconnected(self, now: float) -> bool:
-        """Refuses a desired tool frame that comes, but has had no way to the base for a while."""
+    def _unusable(self, now: float) -> bool:
+        """Whether a desired tool frame came since the last look, and none of those could be used for a while."""
         if self._heard == self._unconnected:
             return False
         self._unconnected = self._heard
         self._unconnected_since = now if self._unconnected_since is None else self._unconnected_since
-        if now - self._unconnected_since < UNCONNECTED_S:
+        return now - self._unconnected_since >= UNCONNECTED_S
+
+    def _refuse_late(self) -> bool:
+        """Refuses a desired tool frame that comes with new stamps, in a frame that does not."""
+        frame, oldest = self._tool, (math.inf, self._tool)
+        passed: set[str] = set()
+        while frame in self._parents and frame not in passed:
+            passed.add(frame)
+            with contextlib.suppress(tf2_ros.TransformException):
+                newest = self.buffer.get_latest_common_time(self._parents[frame], frame).to_sec()
+                oldest = min(oldest, (newest or math.inf, frame))  # 0: a static one
+            frame = self._parents[frame]
+        newest, frame = oldest
+        if newest == math.inf:
             return False
+        old = f"it stands in {frame}, whose newest transform is {self._last_stamp - newest:.1f} s older"
+        self._newest = DesiredFrame(np.eye(4), clock.monotonic(), refused=f"The desired tool frame is refused: {old}.")
+        return True
+
+    def _refuse_unconnected(self) -> bool:
+        """Refuses a desired tool frame that comes, but has no way to the base."""
         frame, passed = self._tool, set()
         while frame in self._parents and frame not in passed:
             passed.add(frame)
@@ -284,7 +366,8 @@ class DesiredTool:
 
     def _refuse(self, sentence: str) -> bool:
         self._looked_up = self.stamp = rospy.Time.now()
-        self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence)
+        foreign = self._foreign and self._leap not in self._parents
+        self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence, foreign=foreign)
         return True
 
 

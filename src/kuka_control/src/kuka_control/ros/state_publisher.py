@@ -19,7 +19,17 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
-from common.frames import BASE, FLANGE_HOME, FLANGE_MEASURED, ONE_ARM, TOOL_COMMANDED, TOOL_HOME, WORLD, ArmFrames
+from common.frames import (
+    BASE,
+    FLANGE_HOME,
+    FLANGE_MEASURED,
+    ONE_ARM,
+    TOOL_COMMANDED,
+    TOOL_HOME,
+    TOOL_MEASURED,
+    WORLD,
+    ArmFrames,
+)
 from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
 from kuka_control.loop.arm import ArmState
@@ -76,7 +86,7 @@ class StatePublisher:
         self, rig: Rig, rate_joints: float, rate_state: float, goals: GoalPublisher, frames: ArmFrames = ONE_ARM
     ) -> None:
         self._rig, self._goals, self._frames = rig, goals, frames
-        self._base, self._flange = frames(BASE), frames(FLANGE_MEASURED)
+        self._base, self._flange, self._tool = map(frames, (BASE, FLANGE_MEASURED, TOOL_MEASURED))
         self._period = 1.0 / rate_joints
         self._state_period = 1.0 / rate_state
         self._newest: Snapshot | None = None
@@ -172,12 +182,13 @@ class StatePublisher:
             # In motion the robot's controller reports the pose rarely or not, and it does not know the calibration.
             moving = snapshot.moving_rt or snapshot.moving_ptp
             if arm.T_base_tool is None or moving or self._rig.kinematics.calibrated:
-                if arm.joints is not before.joints:
-                    T_base_flange = self._rig.T_base_flange(self._rig.kinematics.forward(arm.joints))
-                    transforms.append(stamped_transform(T_base_flange, self._base, self._flange, now))
-            elif arm.T_base_tool is not before.T_base_tool:
-                T_base_flange = self._rig.T_base_flange(arm.T_base_tool)
+                T_base_tool = None if arm.joints is before.joints else self._rig.kinematics.forward(arm.joints)
+            else:
+                T_base_tool = None if arm.T_base_tool is before.T_base_tool else arm.T_base_tool
+            if T_base_tool is not None:
+                T_base_flange = self._rig.T_base_flange(T_base_tool)
                 transforms.append(stamped_transform(T_base_flange, self._base, self._flange, now))
+                transforms.append(stamped_transform(T_base_tool, self._base, self._tool, now))
             target = snapshot.step.target
             if target is not None and target is not self._target:
                 self._target = target
