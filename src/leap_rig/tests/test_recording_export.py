@@ -3,25 +3,29 @@
 import gzip
 import json
 import os
+import re
 import struct
 import subprocess
 import sys
 import types
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recordings import START, stored, write_recording
 
-from leap_rig.recording import read
+from common.poses import pose
+from common.rotations import rotation_about, rotation_from_quaternion
+from leap_rig.recording import csv_export, read
 from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
 from leap_rig.recording.recording_files import MessageKind, RecordingFault, StoredMessage, messages, write_mcap
 from leap_rig.recording.ros1 import MessageFault, decoder
-from leap_rig.recording.run import between
-from leap_rig.recording.topics import RAW_FRAMES, SENT_GOALS
+from leap_rig.recording.run import RecordedRun, between
+from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]
+PAGE = ROOT / "docs" / "handbook" / "record-and-replay.md"
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
 BEGIN = 1e-9 * START
 
@@ -328,7 +332,13 @@ def test_further_topics_of_the_recording_are_exported_too(tmp_path):
 @pytest.mark.ros
 @pytest.mark.parametrize(
     ("to", "options"),
-    [("lerobot", {"from": 1.0}), ("lerobot", {"to": 1.0}), ("lerobot", {"topic": "/tf"}), ("frames", {"topic": "/tf"})],
+    [
+        ("lerobot", {"from": 1.0}),
+        ("lerobot", {"to": 1.0}),
+        ("lerobot", {"topic": "/tf"}),
+        ("frames", {"topic": "/tf"}),
+        ("csv", {"topic": "/tf"}),
+    ],
 )
 def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):
     folder = session(tmp_path / "run", images=False)
@@ -338,8 +348,107 @@ def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("fps", ["0", "-5", "nan", "100000"])
+@pytest.mark.parametrize("fps", ["0", "-5", "nan", "29.97", "100000"])
 def test_an_impossible_rate_is_refused_at_once(tmp_path, capsys, fps):
     with pytest.raises(SystemExit):
         exported(tmp_path, lerobot=tmp_path / "set", fps=fps)
     assert "--fps" in capsys.readouterr().err
+
+
+def turned(i):
+    """The pose of a tool, shape (4, 4), for a row of a recording."""
+    return pose(rotation_about(2, 0.02 * i) @ rotation_about(0, np.pi), (0.5, 0.01 * i, 0.4))
+
+
+def recorded_run(folder, n=50):
+    """A recording of a tool that turns and moves, in what a series is read of."""
+    import rospy
+    from std_msgs.msg import Header
+    from tf2_msgs.msg import TFMessage
+
+    from common.ros.conversions import stamped_transform
+    from kuka_msgs.msg import jointPositions
+    from rig_msgs.msg import SentGoals
+
+    messages = []
+    for i in range(n):
+        stamp = rospy.Time(0, START) + rospy.Duration.from_sec(0.01 * i)
+        for frame, T in (("measured", turned(i)), ("desired", turned(i + 5)), ("commanded", np.eye(4))):
+            edge = stamped_transform(T, "kuka/base_frame", f"kuka/tool_frame/{frame}", stamp)
+            messages.append(stored("/tf", TFMessage([edge]), 0.01 * i))
+        joints = jointPositions(Header(0, stamp, "kuka/base_frame"), *(0.1 * j + 0.01 * i for j in range(7)))
+        messages.append(stored(JOINTS, joints, 0.01 * i))
+        messages.append(stored(SENT_GOALS, SentGoals([stamp], [0.5] * 7, [0.25]), 0.01 * i))
+    return write_recording(folder, messages)
+
+
+@pytest.mark.ros
+def test_the_measured_tool_is_read_with_its_times(tmp_path):
+    run = read(recorded_run(tmp_path / "run"))
+    np.testing.assert_allclose(run.tool, [turned(i) for i in range(50)], atol=1e-12)
+    np.testing.assert_allclose(run.desired, [turned(i + 5) for i in range(50)], atol=1e-12)
+    np.testing.assert_allclose(run.tool_times, BEGIN + 0.01 * np.arange(50), atol=1e-6)
+    assert read(write_recording(tmp_path / "empty", [])).tool.shape == (0, 4, 4)
+
+
+@pytest.mark.ros
+def test_each_series_becomes_a_csv_file_with_its_columns(tmp_path, capsys):
+    folder = recorded_run(tmp_path / "run")
+    assert exported(folder, csv=tmp_path / "out", to=0.2) == 0
+    assert "tool.csv with 21 rows" in capsys.readouterr().out
+    series = {one.field: one for one in csv_export.SERIES}
+    files = {file.stem: np.loadtxt(file, delimiter=",", skiprows=1) for file in (tmp_path / "out").glob("*.csv")}
+    assert set(files) == {"tool", "desired", "joints", "goals"}, "of a series without a row there is no file"
+    for name, rows in files.items():
+        head = (tmp_path / "out" / f"{name}.csv").read_text().splitlines()[0]
+        assert head == ",".join(("time_s", *series[name].columns))
+        np.testing.assert_allclose(rows[:, 0], BEGIN + 0.01 * np.arange(21), atol=1e-6)
+    for i, row in enumerate(files["tool"]):
+        np.testing.assert_allclose(pose(rotation_from_quaternion(row[4:]), row[1:4]), turned(i), atol=1e-9)
+    np.testing.assert_allclose(files["goals"][:, 1:], [[0.5] * 7 + [0.25]] * 21)
+    np.testing.assert_allclose(files["joints"][3, 1:], 0.1 * np.arange(7) + 0.03)
+
+
+@pytest.mark.ros
+def test_a_folder_that_exists_and_a_time_without_rows_are_refused(tmp_path, monkeypatch):
+    folder = recorded_run(tmp_path / "run")
+    (tmp_path / "there").mkdir()
+    with pytest.raises(RecordingFault, match="there cannot be made: File exists"):
+        exported(folder, csv=tmp_path / "there")
+    with pytest.raises(RecordingFault, match="nothing is written"):
+        exported(folder, csv=tmp_path / "none", **{"from": 100.0})
+    monkeypatch.setattr(csv_export, "lines", lambda *_: iter([1 / 0]))
+    with pytest.raises(ZeroDivisionError):
+        exported(folder, csv=tmp_path / "half")
+    assert not (tmp_path / "none").exists() and not (tmp_path / "half").exists()
+
+
+def test_the_handbooks_table_has_each_field_of_the_reader_with_frame_and_unit():
+    from tools.reference import markdown
+
+    assert markdown.table(*csv_export.table()) in PAGE.read_text(), "as csv_export.table makes it"
+    listed = {name for one in csv_export.SERIES for name in (one.field, one.times, *one.more)}
+    others = {"manifest", "remark", "frames", "frame_times"}
+    assert listed | others == {field.name for field in fields(RecordedRun)} and not listed & others
+    assert all(f"`{name}`" in PAGE.read_text() for name in others)
+
+
+@pytest.mark.ros
+def test_the_handbooks_plot_of_a_run(tmp_path, monkeypatch):
+    import matplotlib
+
+    (program,) = re.findall(r"```python\n(import matplotlib.*?)```", PAGE.read_text(), re.DOTALL)
+    assert len(program.strip().splitlines()) <= 15
+    matplotlib.use("agg")
+    monkeypatch.chdir(tmp_path)
+    folder = recorded_run(tmp_path / "circles")
+    exported(folder, csv=Path("circles_csv"))
+    exported(folder, mcap=Path("circles.mcap"))
+    names = {}
+    exec(program, names)
+    assert (tmp_path / "circles.png").read_bytes().startswith(b"\x89PNG")
+    above, below = names["above"], names["below"]
+    assert sorted(line.get_label() for line in above.lines) == ["desired", "tool"] and len(below.lines) == 7
+    np.testing.assert_allclose(above.lines[0].get_ydata(), 0.4)
+    np.testing.assert_allclose(below.lines[2].get_ydata(), 0.2 + 0.01 * np.arange(50))
+    names["plt"].close("all")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from common.frames import BASE, TOOL_DESIRED
+from common.frames import BASE, TOOL_DESIRED, TOOL_MEASURED, frame_name
 from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from leap_rig.recording import topics
@@ -23,7 +23,7 @@ from leap_rig.recording.recording_files import (
 )
 from leap_rig.recording.ros1 import decoder
 
-ENCODED_DESIRED = TOOL_DESIRED.encode()
+POSES = {"desired": TOOL_DESIRED, "tool": TOOL_MEASURED}  # the frames that are read from tf, by their fields
 READ = (topics.RAW_FRAMES, topics.SENT_GOALS, topics.JOINTS, topics.HAND_STATE, topics.HAND_COMMAND, topics.TF)
 MAX_CHAIN = 10  # transforms from a frame to the base
 
@@ -47,6 +47,8 @@ class RecordedRun:
     hand_times: np.ndarray  # when the recorder received them: the message has no stamp
     hand_commands: np.ndarray  # likewise
     hand_command_times: np.ndarray
+    tool: np.ndarray  # T_base_tool at the measured joints, shape (n, 4, 4) [m]
+    tool_times: np.ndarray  # when the controller published it, shape (n,)
 
 
 class MessageDecoders:
@@ -89,15 +91,19 @@ def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> Recorde
     """
     manifest, remark = verify(folder)
     decode = MessageDecoders()
-    found: dict[str, list[tuple[int, Any]]] = {topic: [] for topic in READ}
+    found: dict[str, list[tuple[int, Any]]] = {key: [] for key in (*READ, *POSES)}
     for message in between(folder, READ, start, end):
-        if message.topic == topics.TF and ENCODED_DESIRED not in message.data:
-            continue
+        keys = (message.topic,)
+        if message.topic == topics.TF:
+            keys = tuple(field for field, frame in POSES.items() if frame.encode() in message.data)
+            if not keys:
+                continue
         try:
-            rows = _rows(message.topic, message.received, decode(message))
+            value = decode(message)
+            for key in keys:
+                found[key].extend(_rows(key, message.received, value))
         except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
             raise RecordingFault(f"A message on {message.topic} is not one of this rig: {error!r}.") from error
-        found[message.topic].extend(rows)
 
     def arrays(topic: str, *shape: int) -> tuple[np.ndarray, np.ndarray]:
         values = np.array([row for _, row in found[topic]], dtype=float).reshape(-1, *shape)
@@ -107,14 +113,15 @@ def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> Recorde
     goals, goal_times = arrays(topics.SENT_GOALS, 8)
     return RecordedRun(
         manifest, remark, tuple(text for _, text in frames), _seconds([time for time, _ in frames]),
-        *arrays(topics.TF, 4, 4), goals[:, :7], goal_times, goals[:, 7],
+        *arrays("desired", 4, 4), goals[:, :7], goal_times, goals[:, 7],
         *arrays(topics.JOINTS, 7), *arrays(topics.HAND_STATE, 4), *arrays(topics.HAND_COMMAND, 4),
+        *arrays("tool", 4, 4),
     )  # fmt: skip
 
 
 def _rows(topic: str, received: int, value: dict[str, Any]) -> list[tuple[int, Any]]:
-    """Returns what a message holds: times [ns] and what was then; for a goal its joints and velocity. Raises whatever a
-    message with other fields makes.
+    """Returns what a message holds: times [ns] and what was then; for a goal its joints and velocity. A tf message
+    has a key of POSES instead of its topic. Raises whatever a message with other fields makes.
     """
     if topic == topics.RAW_FRAMES:
         if not isinstance(value["text"], str):
@@ -132,7 +139,7 @@ def _rows(topic: str, received: int, value: dict[str, Any]) -> list[tuple[int, A
     elif topic == topics.HAND_COMMAND:
         rows = [(received, _numbers(value["radian_commands"], 4))]
     else:
-        rows = pose_in_base(value["transforms"], TOOL_DESIRED)
+        rows = pose_in_base(value["transforms"], POSES[topic])
     _seconds([time for time, _ in rows])
     return rows
 
@@ -152,7 +159,7 @@ def pose_in_base(transforms: Iterable[dict[str, Any]], frame: str) -> list[tuple
     """Returns the stamp [ns] of a frame and its pose in the base, shape (4, 4) [m]; nothing if the transforms of this
     message do not lead to the base, or one of them is no pose.
     """
-    by_child = {transform["child_frame_id"]: transform for transform in transforms}
+    by_child = {frame_name(transform["child_frame_id"]): transform for transform in transforms}
     T, name = np.eye(4), frame
     for _ in range(MAX_CHAIN):
         if name == BASE:
@@ -165,5 +172,5 @@ def pose_in_base(transforms: Iterable[dict[str, Any]], frame: str) -> list[tuple
             T = pose(rotation_from_quaternion([q[i] for i in "xyzw"]), np.array([p[i] for i in "xyz"])) @ T
         except ValueError:
             return []
-        name = by_child[name]["header"]["frame_id"]
+        name = frame_name(by_child[name]["header"]["frame_id"])
     return []

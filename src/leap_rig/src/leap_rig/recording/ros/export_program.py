@@ -7,6 +7,7 @@ import gzip
 import importlib.util
 import json
 import math
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ import rospy
 import common.errors
 from common.number_arguments import whole
 from common.ros.node import run_program
-from leap_rig.recording import lerobot_export
+from leap_rig.recording import csv_export, lerobot_export
 from leap_rig.recording.recording_files import (
     MANIFEST,
     MESSAGES,
@@ -26,7 +27,7 @@ from leap_rig.recording.recording_files import (
     verify,
     write_mcap,
 )
-from leap_rig.recording.run import between, read
+from leap_rig.recording.run import RecordedRun, between, read
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
@@ -63,6 +64,8 @@ def export(options: argparse.Namespace) -> int:
             packed.writelines(frames)
         print(f"Wrote {len(frames)} frames to {options.frames}.")
         return 0
+    if options.csv is not None:
+        return _to_csv(read(folder, options.start, options.end), options.csv)
     names = [MANIFEST, *sorted(name for name in manifest["files"] if name != MESSAGES)]
     files = {name: (folder / name).read_bytes() for name in names}
     count = write_mcap(options.mcap, between(folder, options.topic, options.start, options.end), files)
@@ -70,11 +73,32 @@ def export(options: argparse.Namespace) -> int:
     return 0
 
 
+def _to_csv(run: RecordedRun, folder: Path) -> int:
+    """Writes a file for each series that has rows; removes what it wrote where that fails."""
+    found = [series for series in csv_export.SERIES if len(getattr(run, series.times))]
+    if not found:
+        raise RecordingFault("The recording has no poses, joints or goals in this time, so nothing is written.")
+    try:
+        folder.mkdir()
+    except OSError as error:
+        raise RecordingFault(f"{folder} cannot be made: {error.strerror}.") from error
+    try:
+        for series in found:
+            with new_file(folder / f"{series.field}.csv") as file:
+                file.writelines(f"{line}\n".encode() for line in csv_export.lines(run, series))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    rows = ", ".join(f"{series.field}.csv with {len(getattr(run, series.times))} rows" for series in found)
+    print(f"Wrote to {folder}: {rows}.")
+    return 0
+
+
 def _refuse_unheeded(options: argparse.Namespace) -> None:
     """Raises RecordingFault for an option that this export would not heed."""
     if options.mcap is not None:
         return
-    to = "--frames" if options.frames is not None else "--lerobot"
+    to = next(f"--{name}" for name in ("frames", "csv", "lerobot") if getattr(options, name) is not None)
     given = {"--topic": options.topic is not None}
     if to == "--lerobot":
         given.update({"--from": options.start != 0.0, "--to": options.end != math.inf})
@@ -116,6 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     to = parser.add_mutually_exclusive_group(required=True)
     to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
+    to.add_argument("--csv", type=Path, metavar="DIR", help="a folder of CSV files: poses, joints, goals, hand")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
     parser.add_argument("--fps", type=whole(1, MOST_FPS), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
