@@ -176,6 +176,16 @@ def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own()
     assert all(part in line for part in ("--video /a b.mp4", "--setup above", "--port 7"))
 
 
+@pytest.mark.parametrize("process", ["one_process:=true", "one_process:=false"])
+def test_without_a_tracker_nothing_publishes_the_desired_tool_and_all_else_is_there(process):
+    none = ("tracker:=none", process)
+    teleoperation = {"/leapd", "/leap_driver", "/leap_kuka_node", "/leap_hand_node", "/leap_teleop"}
+    assert nodes(*none) == nodes(process) - teleoperation
+    assert {"/kuka_real_time_node", "/reflex_takktile_driver", "/simulated_world"} <= nodes(*none)
+    assert parameters(*none)["/operator/leapd_port"] == parameters(*none)["/simulation/leap_port"] == 0
+    assert nodes(*none, "sim:=false") == nodes(process, "sim:=false") - teleoperation
+
+
 ARMS = ("left", "right")
 OF_AN_ARM = {"kuka_real_time_node", "reflex_takktile_driver", "robot_state_publisher"}
 

@@ -94,9 +94,10 @@ class ObjectTrack:
 
 
 class Recorder:
-    """The record of one run, which begins with `start`."""
+    """The record of one run, which begins with `start`; `teleoperated`: a hand is to move the arm, else a node."""
 
-    def __init__(self) -> None:
+    def __init__(self, teleoperated: bool = True) -> None:
+        self.teleoperated = teleoperated
         self.started: float | None = None
         self.frames = 0
         self.streams: list[RecordedStream] = []
@@ -120,7 +121,7 @@ class Recorder:
         """Begins the run: clears the record, except for a stream that runs already."""
         running = self.streaming
         counters, scenario = self.counters, self.scenario
-        Recorder.__init__(self)
+        Recorder.__init__(self, self.teleoperated)
         self.started = now
         self.counters, self.scenario = counters, scenario
         self._base_counters = {name: dict(values) for name, values in counters.items()}

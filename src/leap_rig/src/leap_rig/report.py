@@ -62,6 +62,7 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
 
     summary: dict[str, Any] = {
         "duration_s": since(now),
+        "teleoperated": recorder.teleoperated,
         "frames_received": recorder.frames,
         "streams": [
             {"started_s": since(s.started), "stopped_s": since(s.stopped), "reason": s.reason} for s in recorder.streams
@@ -147,11 +148,15 @@ def _held_back(scenario: dict[str, str] | None) -> bool:
     return scenario is not None and scenario["scenario"] == "wall"
 
 
+def _followed(summary: dict) -> bool:
+    return bool(summary["servo_goals_sent"]) and summary["tool_path_m"] >= ARM_FOLLOWED_M
+
+
 def follow_faults(summary: dict) -> list[str]:
     """Returns why an arm did not follow its hand."""
     error = summary["tracking_error"]["commanded"]
-    if not summary["servo_goals_sent"] or summary["tool_path_m"] < ARM_FOLLOWED_M:
-        return ["The arm never followed a hand."]
+    if not _followed(summary):
+        return ["The arm never followed a hand."] if summary["teleoperated"] else []
     held_back, median = _held_back(summary["scenario"]), error["median_mm"]
     if not held_back and median is not None and median > 1e3 * FOLLOWING_ERROR_M:
         return [f"The arm did not follow: its median distance was {median:.0f} mm."]
@@ -198,7 +203,7 @@ def hand_faults(summary: dict) -> list[str]:
     """Returns whether a robot hand stood still."""
     scenario = summary["scenario"]
     arm_only = scenario is not None and (_held_back(scenario) or "clutched" in scenario)
-    if not arm_only and (not summary["hand_commands"] or not _hand_moved(summary)):
+    if summary["teleoperated"] and not arm_only and (not summary["hand_commands"] or not _hand_moved(summary)):
         return ["The robot hand never moved."]
     return []
 
@@ -334,7 +339,8 @@ def as_text(summary: dict) -> str:
     lines += [f"  FAULT: {fault}" for fault in summary["faults"]]
     if not summary["faults"]:
         hand = "the hand moved, " if _hand_moved(summary) else ""
-        lines.append(f"  The arm followed, {hand}no node died.")
+        what = "The arm followed" if _followed(summary) else "No node moved the arm by the desired tool frame"
+        lines.append(f"  {what}, {hand}no node died.")
     return "\n".join(lines)
 
 

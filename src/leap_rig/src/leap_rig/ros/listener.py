@@ -14,7 +14,7 @@ from tf2_msgs.msg import TFMessage
 
 from common import clock
 from common.config import parse
-from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames
+from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames, frame_name
 from common.hand_tracking import LEFT, RIGHT
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
@@ -39,7 +39,8 @@ class RigListener:
         self._of = of = f"{arm}/" if arm else ""
         self._base, self._desired, self._commanded = map(ArmFrames(arm), (BASE, TOOL_DESIRED, TOOL_COMMANDED))
         self._encoded = {
-            name: struct.pack("<I", len(name)) + name.encode() for name in (self._desired, self._commanded)
+            name: tuple(struct.pack("<I", len(form)) + form.encode() for form in (name, f"/{name}"))
+            for name in (self._desired, self._commanded)
         }
         self.mode = ""
         self.sentences: deque[str] = deque()  # of the tutorial, not yet shown
@@ -109,7 +110,7 @@ class RigListener:
 
     @property
     def _following(self) -> bool:
-        return self.mode == "servo" and self.recorder.streaming
+        return self.mode == "servo" and (self.recorder.streaming or not self.recorder.teleoperated)
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -150,7 +151,7 @@ class RigListener:
     def _transforms(self, message: rospy.AnyMsg) -> None:
         """Keeps the messages that are needed, as bytes: to read all of them costs more than all else here."""
         for frame, encoded in self._encoded.items():
-            if encoded in message._buff:
+            if any(form in message._buff for form in encoded):
                 self._frames[frame] = message._buff
 
     def _fresh(self, frame: str) -> np.ndarray | None:
@@ -160,13 +161,13 @@ class RigListener:
         """
         if frame not in self._frames:
             return None
-        transforms = {t.child_frame_id: t for t in TFMessage().deserialize(self._frames[frame]).transforms}
+        transforms = {frame_name(t.child_frame_id): t for t in TFMessage().deserialize(self._frames[frame]).transforms}
         T, name, oldest = np.eye(4), frame, rospy.Time.now() - rospy.Duration.from_sec(FRESH_S)
         while name != self._base:
             transform = transforms.pop(name, None)
             if transform is None or transform.header.stamp < oldest:
                 return None
-            T, name = pose_from_transform(transform.transform) @ T, transform.header.frame_id
+            T, name = pose_from_transform(transform.transform) @ T, frame_name(transform.header.frame_id)
         return T
 
 
