@@ -75,7 +75,7 @@ TAKEN = [  # camera_info, size of the image, whether that is rectified; what dif
     ({}, None, False, {}),
     ({"R": [0.0] * 9}, None, False, {"R": np.eye(3).ravel()}),
     ({"P": [0.0] * 12}, None, False, {"P": np.insert(np.reshape(K, (3, 3)), 3, 0.0, axis=1).ravel()}),
-    ({"width": 0, "height": 0}, (320, 240), False, {"width": 320, "height": 240}),
+    ({"width": 0, "height": 0}, (642, 478), False, {"width": 642, "height": 478}),
     ({"width": 0, "height": 0}, None, False, {"width": 0, "height": 0}),
     ({"binning_x": 2, "binning_y": 2}, (320, 240), False,
      {"width": 320, "height": 240, "K": [250.0, 0.0, 160.0, 0.0, 255.0, 120.0, 0.0, 0.0, 1.0],
@@ -102,6 +102,9 @@ REFUSED = [
     ({"D": [0.1] * 14, "distortion_model": "rational_polynomial"}, None, "neither plumb_bob nor rational"),
     ({}, (640, 360), "the image is 640 x 360, but its camera_info says 640 x 480"),
     ({"binning_x": 2, "binning_y": 2}, (640, 480), "says 320 x 240"),
+    ({"width": 0, "height": 0}, (320, 240), "K in the camera_info: .* cannot belong to an image of 320 x 240"),
+    ({"P": [K[0] / 2, 0, 160, 0, 0, 255, 120, *P[7:]]}, None, "P in the camera_info: .* 160, 120 px cannot belong to"),
+    ({"K": [K[0] / 640, 0, 0.5, 0, K[4] / 480, 0.5, 0, 0, 1]}, None, "K in the camera_info: .* image of 640 x 480"),
 ]
 
 
@@ -163,7 +166,12 @@ def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():
         np.testing.assert_array_equal(
             images.colour_from_image(images.image_message(np.ascontiguousarray(picture), encoding, "f", stamp)), colour
         )
-    for encoding, picture in (("16UC1", np.array([[1500]], np.uint16)), ("32FC1", np.array([[1.5]], np.float32))):
+    millimetres = np.array([[1500]], np.uint16)
+    for encoding, picture in (
+        ("16UC1", millimetres),
+        ("mono16", millimetres),
+        ("32FC1", np.array([[1.5]], np.float32)),
+    ):
         np.testing.assert_allclose(
             images.depth_from_image(images.image_message(picture, encoding, "f", stamp)), [[1.5]]
         )

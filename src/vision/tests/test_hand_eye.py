@@ -78,6 +78,12 @@ def test_turns_about_one_axis_are_refused():
         solve(views)
     with pytest.raises(DegenerateViews, match="3"):
         solve(views[:2])
+    for still in (
+        [views[0]] * 6,
+        [CalibrationView(pose(p=b[:3, 3]), v.T_camera_board, v.covariance) for b, v in zip(B, views)],
+    ):
+        with pytest.raises(DegenerateViews, match="axis"):
+            solve(still)
 
 
 def test_a_view_on_which_all_hangs_cannot_be_checked_by_the_others():

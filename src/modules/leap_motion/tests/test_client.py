@@ -103,7 +103,7 @@ def test_policy_messages_are_compact_in_order_and_sent_again(start):
     assert client.next_frame(GREETED_S).frame.id == 1 and service.heard == POLICIES
     assert client.next_frame(RETRY_S - DELAY_S) is None
     assert client.next_frame(2 * GREETED_S).frame.id == 2 and client.counts.connections == 2
-    assert service.heard == POLICIES * 2
+    assert service.heard == POLICIES * 2 and service.paths == ["/v6.json"] * 2
 
 
 @pytest.mark.parametrize(
@@ -225,17 +225,23 @@ def test_of_a_backlog_only_the_newest_frame_is_returned(start):
 
 def test_bad_frames_are_dropped_with_a_reason_and_the_stream_continues(start):
     bad = ['{"id":2,"timestamp":NaN,"hands":[],"pointables":[]}', '{"id":3,"hands":[', frame(4, hands=7), b"\xff"]
-    texts = [*bad, frame(5), frame(5), frame(6, hands=[{}])]
+    hand = {"id": 3, "palmPosition": [0, 350, 0], "palmNormal": [0, -1, 0], "direction": [0, 0, -1], "confidence": 1}
+    swapped = [frame(6 + i, hands=[{**hand, "type": side}, {}]) for i, side in enumerate(["right", "left"])]
+    texts = [*bad, frame(5), frame(5), *swapped]
     _service, client = start(repeating(lambda number: texts[number - 1] if number <= len(texts) else None))
     assert client.next_frame(1.0).frame.id == 5
-    assert client.next_frame(1.0).frame.id == 6
+    for number, count in ((6, 1), (7, 0)):
+        assert (lambda frame: (frame.id, len(frame.hands)))(client.next_frame(1.0).frame) == (number, count)
     assert client.counts.dropped == {
         "The text holds the number NaN.": 1,
         "The text is not JSON.": 2,
         "A field has an unexpected form: TypeError 'int' object is not iterable.": 1,
         "A frame came twice.": 1,
     }
-    assert client.counts.hands_dropped == {"The field id is missing.": 1}
+    assert client.counts.hands_dropped == {
+        "The field id is missing.": 2,
+        "A left hand is left out: it was a hand of the other side.": 1,
+    }
     assert client.counts.connections == 1
 
 

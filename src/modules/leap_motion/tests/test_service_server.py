@@ -94,6 +94,19 @@ def test_frames_offered_by_another_thread_reach_our_client_in_order(start):
     client.close()
 
 
+@pytest.mark.parametrize("policy", ["optimizeHMD", "optimizeScreentop"])
+def test_a_tracker_that_another_program_left_in_another_mode_is_set_to_the_desktop(start, policy):
+    service = start(service="gemini")
+    with plain(service) as other:
+        other.send(f'{{"{policy}":true}}')
+        clock.sleep(SOON_S)
+        assert service.mode != "desktop"
+    client = LeapClient(port=service.port, runtime=clock)
+    clock.sleep(10 * SOON_S)
+    client.close()
+    assert service.mode == "desktop"
+
+
 @pytest.mark.real
 def test_a_service_and_its_client_meet_on_a_real_socket():
     service = LeapService(port=0)
