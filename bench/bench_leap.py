@@ -22,6 +22,7 @@ from leap_kuka.teleop_result import StreamState
 from leap_motion.codec import read_message
 from leap_motion.frames import LeapFrame, TrackingFrame
 from leap_motion.msg import Human
+from leap_motion.plausibility import HandBounds, PlausibleHands
 from leap_motion.ros.human import FrameMessage
 from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms
 from rig_simulation.operator.motion import Script
@@ -45,6 +46,9 @@ def rows(quick: bool) -> list[Row]:
     texts = simulated_texts(count)
     times, frames = timed(read_message, [(text,) for text in texts])
     table.append(row("leap codec, simulated frames", times, "us", f"{_size(texts)}, one hand"))
+    plausible = PlausibleHands(HandBounds())
+    times, _ = timed(plausible.step, [(frame, i * PERIOD_S) for i, frame in enumerate(frames)])
+    table.append(row("leap: is the hand plausible", times, "us", "one hand, five fingers"))
 
     stamps = [rospy.Time.from_sec(CLOCK_S + i * PERIOD_S) for i in range(count)]
     times, packed = timed(_serialised, zip(frames, stamps))

@@ -48,6 +48,7 @@ from leap_motion.frames import (
     TrackedHand,
     TrackingFrame,
 )
+from leap_motion.plausibility import HandBounds, PlausibleHands
 
 SRC = Path(__file__).resolve().parents[1] / "src"
 CYCLE_S = 0.004  # of the controller
@@ -280,6 +281,7 @@ class PureChain:
         self._newest: DesiredFrame | None = None
         self._engagements, self._without_hand = 0, False  # as DesiredTool counts them
         self._last: tuple[int, int] | None = None
+        self._plausible = PlausibleHands(HandBounds())
 
     def run(self) -> Trace:
         """Plays the run to its end."""
@@ -318,6 +320,7 @@ class PureChain:
         if not isinstance(frame, LeapFrame) or (frame.id, frame.timestamp_us) == self._last:
             return None, None
         self._last = frame.id, frame.timestamp_us
+        frame = self._plausible.step(frame, now)
         say(now, "codec", f"left out: {without_numbers(str(frame.left_out))}" if frame.left_out else "fine")
         tracking = tracked(frame)
         result = self._arm.step(tracking, now)

@@ -19,6 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketExce
 
 from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
 from leap_motion.frames import LeapFrame
+from leap_motion.plausibility import HandBounds, PlausibleHands
 from leap_motion.runtime import LeapRuntime
 from leap_motion.service.access import is_loopback
 from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket, UnknownService
@@ -92,6 +93,7 @@ class LeapClient:
     `trust_network` allows one that has neither, such as the real one. Raises ValueError for what `wire_fault` says.
     `tap` gets each text after the header as it came, with its
     stamp, in the thread that reads: it must not wait. `runtime`: time and threads, with the names of LeapRuntime.
+    `bounds`: hands and fingers that no hand can be are left out of the frames.
     """
 
     def __init__(
@@ -104,6 +106,7 @@ class LeapClient:
         trust_network: bool = False,
         tap: Callable[[str, object], None] | None = None,
         runtime: Any = LeapRuntime,
+        bounds: HandBounds | None = None,
     ) -> None:
         fault = wire_fault(host, code, fingerprint, trust_network)
         if fault is not None:
@@ -116,6 +119,7 @@ class LeapClient:
         self._changed = runtime.Condition()
         self._newest: tuple[str | bytes, object] | None = None
         self._last: tuple[int, int] | None = None
+        self._plausible = PlausibleHands(bounds or HandBounds())
         self._unusable: tuple[float, str] | None = None  # since when no frame was usable [s], and the first reason
         self._counts = LeapCounts()
         self._status = LeapStatus(LeapLink.CONNECTING, f"Connecting to the Leap service on {self._address}.")
@@ -163,6 +167,7 @@ class LeapClient:
                 self._drop(str(error))
                 self._judge(str(error))
                 continue
+            frame = self._plausible.step(frame, self._monotonic())
             for reason in frame.left_out:
                 self._drop(reason, hand=True)
             self._judge(frame.left_out[0] if frame.left_out and not frame.hands else None)
