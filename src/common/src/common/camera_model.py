@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from common.errors import ConfigError
+from common.plausible import OFF_CENTRE, OFF_CENTRE_RECTIFIED, check_intrinsics
 from common.poses import read_only
 
 PLUMB_BOB, RATIONAL = "plumb_bob", "rational_polynomial"
@@ -119,9 +120,12 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     D = _distortion(values, faults)
     R = _matrix(values, "rectification_matrix", (3, 3), faults)
     P = _matrix(values, "projection_matrix", (3, 4), faults)
-    for key, matrix in (("camera_matrix", K), ("projection_matrix", P)):
-        if matrix is not None and not (matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
-            faults.append(f"{key} has the focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g}, but they must be > 0.")
+    for key, matrix, off in (("camera_matrix", K, OFF_CENTRE), ("projection_matrix", P, OFF_CENTRE_RECTIFIED)):
+        try:
+            if matrix is not None and not any(fault.startswith("image_") for fault in faults):
+                check_intrinsics(matrix, values["image_width"], values["image_height"], off)
+        except ValueError as error:
+            faults.append(f"{key}: {error}.")
     if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
     return CameraModel(str(name), values["image_width"], values["image_height"], K, D, R, P)

@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from common.camera_model import PLUMB_BOB, RATIONAL, CameraModel, distortion, pinhole
 from common.frames import DEPTH_OPTICAL, RGB_OPTICAL, frame_name
+from common.plausible import OFF_CENTRE, OFF_CENTRE_RECTIFIED, check_intrinsics, plausible_depth
 from common.poses import read_only
 
 Outgoing = Callable[[Image], Image]
@@ -78,13 +79,13 @@ def colour_from_image(message: Image) -> np.ndarray:
 
 def depth_from_image(message: Image) -> np.ndarray:
     """Returns the depth image in a message, shape (height, width), float32 [m], not finite = none; raises ValueError
-    for another encoding or incomplete data.
+    for another encoding, incomplete data, or if it cannot be in metres.
     """
     array = array_from_image(message)
     if array.dtype == np.uint16:
-        return metres_from_millimetres(array)
+        return plausible_depth(metres_from_millimetres(array))
     if array.dtype == np.float32:
-        return array
+        return plausible_depth(array)
     raise ValueError(f"the depth image has the encoding {message.encoding}, not 16UC1 or 32FC1")
 
 
@@ -130,11 +131,25 @@ def camera_model_from_info(
     if size not in (None, (width, height)):
         sizes = f"the image is {size[0]} x {size[1]}, but its camera_info says {width} x {height}"
         raise ValueError(f"{sizes}: use the camera_info of this image topic")
+    _check_size(message, {"P": P} if rectified else {"K": K, "P": P}, size)
     name = frame_name(message.header.frame_id)
     if rectified:
         return pinhole(name, width, height, (cut @ P)[:, :3])
     D = distortion(message.distortion_model, message.D)
     return CameraModel(name, width, height, *map(read_only, (cut @ K, D, R, cut @ P)))
+
+
+def _check_size(message: CameraInfo, matrices: dict[str, np.ndarray], size: tuple[int, int] | None) -> None:
+    """Raises ValueError if a matrix cannot be of the whole image, whose part of that `size` was taken."""
+    if size is not None and not (message.width and message.height or message.roi.width):
+        width, height = size[0] * max(message.binning_x, 1), size[1] * max(message.binning_y, 1)
+    else:
+        width, height = message.width, message.height
+    for name, matrix in matrices.items() if width and height else ():
+        try:
+            check_intrinsics(matrix, width, height, OFF_CENTRE if name == "K" else OFF_CENTRE_RECTIFIED)
+        except ValueError as error:
+            raise ValueError(f"{name} in the camera_info: {error}") from None
 
 
 def same_camera(a: CameraModel, b: CameraModel) -> bool:

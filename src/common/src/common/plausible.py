@@ -1,0 +1,58 @@
+"""What depth images, cameras and sizes can be: anything else is in another unit, or belongs to another image.
+
+The bounds are wide enough for every camera that an arm may have, and narrow enough that metres, centimetres and
+millimetres, and the modes of one camera, are told apart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+FARTHEST_M = 20.0  # the farthest range that an RGB-D camera states (D455); in millimetres every scene is beyond it
+NEAREST_M = 0.01  # no such camera measures as near; metres in whole numbers, read as millimetres, are below it
+SHORTEST, LONGEST = 0.1, 8.0  # focal length in sides of the image: 157 deg of view, and a 50 mm lens before 7 mm
+NON_SQUARE = 1.25  # fx / fy of pixels of 4:3 video; an image that was squeezed from 16:9 has 1.33
+STEP = 4  # between the rows and columns by which an image is judged, if there is a reading
+OFF_CENTRE = 0.11  # principal point from the middle, in sides: an Azure Kinect has 0.09, 16:9 cut to 4:3 has 0.125
+OFF_CENTRE_RECTIFIED = 0.2  # rectification shifts it; that of half the image is off by 0.25
+
+
+def plausible_depth(depth: np.ndarray) -> np.ndarray:
+    """Returns a depth image, shape (h, w) [m], without the readings beyond `FARTHEST_M`, which become NaN; it stays
+    itself where there are none. Not finite or 0 = no reading.
+
+    Raises ValueError if most readings cannot be metres before a camera.
+    """
+    with np.errstate(invalid="ignore"):
+        beyond = depth > FARTHEST_M
+        few = depth[::STEP, ::STEP]
+        readings = few[np.isfinite(few) & (few != 0.0)]
+        if not readings.size:
+            readings = depth[np.isfinite(depth) & (depth != 0.0)]
+    middle = float(np.median(readings)) if readings.size else NEAREST_M
+    if not NEAREST_M <= middle <= FARTHEST_M:
+        raise ValueError(
+            f"the median of the depth is {middle:.4g} m, which is not between {NEAREST_M:g} and {FARTHEST_M:g} m: depth "
+            "is in metres as floating-point numbers, in millimetres as 16-bit ones"
+        )
+    return np.where(beyond, np.float32(np.nan), depth) if beyond.any() else depth
+
+
+def check_intrinsics(matrix: np.ndarray, width: int, height: int, off_centre: float = OFF_CENTRE) -> None:
+    """Raises ValueError if a camera matrix, shape (3, 3) or (3, 4) [px], cannot be that of a whole image of this size:
+    it is of another size, mode or aspect, or not in pixels. The principal point is at most `off_centre` sides from the
+    middle.
+    """
+    (fx, cx), (fy, cy) = matrix[0, [0, 2]], matrix[1, [1, 2]]
+    side, found = max(width, height), ""
+    if not all(SHORTEST * side < f < LONGEST * side for f in (fx, fy)):
+        found = f"the focal lengths are {SHORTEST:g} to {LONGEST:g} sides of an image"
+    elif not 1.0 / NON_SQUARE < fx / fy < NON_SQUARE:
+        found = f"fx / fy is {1.0 / NON_SQUARE:g} to {NON_SQUARE:g}"
+    elif max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5)) > off_centre:
+        found = f"the principal point is within {off_centre:g} sides of the middle"
+    if found:
+        raise ValueError(
+            f"the focal lengths {fx:.5g} and {fy:.5g} and the principal point {cx:.5g}, {cy:.5g} px cannot belong to "
+            f"an image of {width} x {height}, for which {found}: use the calibration of this image size"
+        )
