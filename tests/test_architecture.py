@@ -31,7 +31,7 @@ ROS = {"rospy", "actionlib", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "ro
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "ports", "server",
+EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "ports", "screen", "server",
          "socket_service", "certificate", "hand_detector", "video_source", "webcam_program"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
@@ -378,6 +378,14 @@ def test_a_class_name_means_one_thing():
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places[node.name].append(str(path.relative_to(ROOT)))
     assert not {name: files for name, files in places.items() if len(files) > 1}
+
+
+def test_subscribers_of_images_have_room_for_several():
+    """rospy drops all but the newest only among those that it has read: with its own room images become ever older."""
+    calls = [(path, node) for path in FILES for node in nodes_of(path) if isinstance(node, ast.Call)]
+    images = [(path, call) for path, call in calls if dotted(call.func).endswith("Subscriber")
+              and any(dotted(part) == "Image" for part in call.args)]  # fmt: skip
+    assert not [path for path, call in images if not {"buff_size", None} & {word.arg for word in call.keywords}]
 
 
 def test_every_folder_says_what_is_in_it():

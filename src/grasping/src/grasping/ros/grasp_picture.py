@@ -39,8 +39,9 @@ class NodeOutput:
         self.lists: list[GraspList] = []
         self.latencies: list[float] = []
         self.milliseconds: dict[str, str] = {}
-        rospy.Subscriber("camera/depth/image", Image, self._keep, callback_args=self._depth, queue_size=2)
-        rospy.Subscriber("ggcnn/img/heat_map", Image, self._keep, callback_args=self._heat, queue_size=2)
+        newest = {"queue_size": 2, "buff_size": 2**24}
+        rospy.Subscriber("camera/depth/image", Image, self._keep, callback_args=self._depth, **newest)
+        rospy.Subscriber("ggcnn/img/heat_map", Image, self._keep, callback_args=self._heat, **newest)
         rospy.Subscriber("ggcnn/out/grasps", GraspList, self._take, queue_size=10, tcp_nodelay=True)
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._take_diagnostics, queue_size=10)
 
