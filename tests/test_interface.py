@@ -26,6 +26,24 @@ def test_the_page_is_as_the_graph(part):
     assert done.returncode == 0, f"python -m tools.interface writes the page anew\n{done.stderr}"
 
 
+def test_the_page_says_what_the_demo_starts():
+    """The nodes of `make demo` are those that its launch file starts with its arguments, not those of roslaunch."""
+    from leap_rig.ros.demo import launch_arguments, parse_arguments
+    from tools import interface, launched
+    from tools.running_parts import PARTS
+
+    rig = PARTS["rig"]
+    for command, words in {"HEADLESS=1": [], "HEADLESS=1 TRACKER=none": ["--tracker", "none"]}.items():
+        arguments = launch_arguments(parse_arguments(words), screen=False)
+        assert rig.started()[f"make demo {command}"] == launched.nodes("leap_rig", "demo.launch", *arguments)
+    page = "".join(interface.ways(rig))
+    rows = {line.split(" | ")[0].strip("| `"): line for line in page.splitlines() if line.startswith("| `")}
+    assert "`leap_teleop`" in rows["make demo HEADLESS=1"] and "leap_kuka_node" not in rows["make demo HEADLESS=1"]
+    apart = rows["roslaunch leap_rig demo.launch rviz:=false gui:=false"]
+    assert all(f"`{name}`" in apart for name in ("leap_driver", "leap_kuka_node", "leap_hand_node", "leap_teleop"))
+    assert f"{interface.RESUME_HZ:g} Hz" in interface.HEAD and not list(interface.ways(PARTS["vision"]))
+
+
 def test_the_page_has_no_other_parts():
     running_parts = pytest.importorskip("tools.running_parts")
     headings = [line[3:] for line in (REFERENCE / "interface.md").read_text().splitlines() if line.startswith("## ")]

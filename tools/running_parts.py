@@ -16,9 +16,11 @@ from pathlib import Path
 import rosgraph
 
 from common.ports import free_port
+from tools import launched
 from tools.handbook.walk import screen
 
 TCP = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
+ONE_PROCESS, NO_SCREEN = "one_process:=true", ("rviz:=false", "gui:=false")
 END_S = 40.0
 """Longest wait for a program to exit after Ctrl-C [s]."""
 
@@ -31,11 +33,13 @@ class Part:
         title: its heading.
         says: what runs, for the reader.
         commands: returns what is started.
+        started: returns the ROS nodes and other programs that each way to start it has, by the way's name.
     """
 
     title: str
     says: str
     commands: Callable[[], list[list[str]]]
+    started: Callable[[], dict[str, set[str]]] = dict
 
 
 def _ports() -> dict[str, int]:
@@ -47,8 +51,26 @@ def _given(ports: dict[str, int], *names: str) -> list[str]:
 
 
 def _rig() -> list[list[str]]:
-    arguments = ["rviz:=false", "grasping:=true", "camera_rate:=1", *_given(_ports())]  # images take a processor
+    arguments = ["rviz:=false", ONE_PROCESS, "grasping:=true", "camera_rate:=1", *_given(_ports())]
     return [["roslaunch", "leap_rig", "demo.launch", *arguments], ["roslaunch", "grasping", "collect.launch"]]
+
+
+def _ways() -> dict[str, set[str]]:
+    """Returns what the ways to start the rig start; the first is the demo's least, which the others have or change."""
+    headless = (*NO_SCREEN, ONE_PROCESS)
+    return {
+        "make demo HEADLESS=1": _nodes(*headless),
+        "make demo": _nodes("rviz:=true", "gui:=true", ONE_PROCESS),
+        'make demo HEADLESS=1 ARGS="grasping:=true"': _nodes(*headless, "grasping:=true"),
+        "make demo HEADLESS=1 TRACKER=none": _nodes(*headless, "tracker:=none"),
+        "roslaunch leap_rig demo.launch rviz:=false gui:=false": _nodes(*NO_SCREEN),
+        "roslaunch leap_rig demo.launch rviz:=false gui:=false sim:=false": _nodes(*NO_SCREEN, "sim:=false"),
+        "roslaunch grasping collect.launch": launched.nodes("grasping", "collect.launch"),
+    }
+
+
+def _nodes(*arguments: str) -> set[str]:
+    return launched.nodes("leap_rig", "demo.launch", *arguments)
 
 
 def _ptp() -> list[list[str]]:
@@ -88,10 +110,11 @@ def _vision() -> list[list[str]]:
 PARTS = {
     "rig": Part(
         "The rig",
-        "`roslaunch leap_rig demo.launch grasping:=true rviz:=false` with the control panel, and "
-        "`roslaunch grasping collect.launch`. `ggcnn` and `grasp_execution` run only with `grasping:=true`; `camera/*` "
-        "and `camera_truth` with that or with RViz.",
+        "`make demo` with `grasping:=true`, without RViz, and `roslaunch grasping collect.launch`. `leap_teleop` is "
+        "`leap_driver`, `leap_kuka_node` and `leap_hand_node` in one process; by `roslaunch` alone they are three "
+        "nodes with the same topics and services, unless `one_process:=true` is given.",
         _rig,
+        _ways,
     ),
     "ptp": Part(
         "The PTP controller",
