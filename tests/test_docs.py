@@ -162,6 +162,7 @@ class TestChecker:
             "sudo roslaunch leap_rig demo sim:=false",
             "rosservice call kuka/kuka_control true  # on",
             "rosrun tf2_tools view_frames.py",
+            "rosrun tf2_tools echo.py kuka/base_frame kuka/tool_frame/measured",
             "rosrun PACKAGE PROGRAM",
         ],
     )
