@@ -12,6 +12,7 @@ import sys
 import threading
 import traceback
 import xmlrpc.client
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -347,6 +348,8 @@ def _process(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     for name in ("prepare_process", "end_closed_servers", "hide_closed_connections"):
         patch.setattr(node, name, lambda *_: None)
     patch.setattr(node, "leave_after_all_threads", leave)
+    patch.setattr(master, "check_host", lambda: None)
+    patch.setattr(master, "check_log_folder", lambda: Path("/"))
     patch.setattr(master, "watch", SimpleNamespace(start=lambda: None, fault=None, lost=[]))
 
 

@@ -108,6 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _prepare(stage: ProgramGroup) -> None:
     port = free_port()
     os.environ.update(ROS_MASTER_URI=f"http://127.0.0.1:{port}", ROS_IP="127.0.0.1", ROS_LOG_DIR=str(stage.folder))
+    os.environ.pop("ROS_NAMESPACE", None)  # it has a graph of its own
     os.environ.update(LIBGL_ALWAYS_SOFTWARE="1", QT_X11_NO_MITSHM="1", QT_QPA_PLATFORM="xcb")
     stage.start("roscore", "-p", str(port))
     os.environ["DISPLAY"] = _screen(stage)

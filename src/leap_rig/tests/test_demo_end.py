@@ -40,16 +40,19 @@ def test_a_controller_that_accepts_and_does_not_end_is_named(virtual_graph):
     assert deaths.sentences == ["kuka_real_time_node did not end within 60 s after exit_app"]
 
 
-def test_all_of_several_controllers_are_asked_to_exit(virtual_graph):
+@pytest.mark.parametrize("namespace", ["", "lab1", "/lab1/b/"])
+def test_all_of_several_controllers_are_asked_to_exit(virtual_graph, monkeypatch, namespace):
+    """Also where roslaunch names the processes in the demo's namespace (ROS_NAMESPACE)."""
     import rospy
 
     from kuka_msgs.srv import exitApp
     from leap_rig.ros import demo
 
+    monkeypatch.setenv("ROS_NAMESPACE", namespace)
     deaths = demo.Deaths()
 
     def answer(_):
-        deaths.process_died("right/kuka_real_time_node-3", 0)
+        deaths.process_died(f"{namespace.strip('/')}/right/kuka_real_time_node-3".strip("/"), 0)
         return True, "the arm goes"
 
     rospy.Service("right/kuka/exit_app", exitApp, answer)

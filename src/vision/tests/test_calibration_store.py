@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from hand_eye_scene import SD, scene
 from common.config import parse
 from common.errors import ConfigError, DeviceError
 from common.poses import pose
+from common.stored_time import utc
 from vision.calibration.hand_eye import CalibrationView
 from vision.calibration.record import LIVE, CalibrationRecord
 
@@ -45,6 +48,42 @@ def test_the_newest_of_this_arm_and_camera_counts(store, record):
     assert (file, found.rms_mm) == (newest, 0.25)
     assert isinstance(found.views[0], CalibrationView)
     assert newest.name == "camera_place_2026-02-01T080000.yaml"
+
+
+def dated(store, record, *dates):
+    """Stores calibrations of these dates; returns their files."""
+    return [store.save(replace(record, date=date)) for date in dates]
+
+
+@pytest.mark.parametrize(
+    ("dates", "newest"),
+    [
+        (("2026-10-25T00:30:00Z", "2026-10-25T02:50:00"), 1),  # as it was stored before: the time of this zone
+        (("2026-10-25T02:30:00", "2026-10-25T02:10:00Z"), 1),
+        (("2026-01-31T13:00:00+02:00", "2026-01-31T12:00:00Z", "2026-01-31T12:30:00"), 1),
+        (("2025-12-31T23:59:59Z", "2026-01-01T00:00:00Z"), 1),
+    ],
+)
+def test_the_newest_is_so_in_every_time_zone(store, record, monkeypatch, dates, newest):
+    from common import clock
+    from vision.ros.calibration.calibration_setup import CalibrationSetup
+
+    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+    time.tzset()
+    try:
+        assert dated(store, record, *dates)[newest] == store.newest()[1]
+        setup = CalibrationSetup(*[SimpleNamespace(frame="", robot="", flange="", camera="")] * 5)
+        assert utc(clock.time())[:15] == setup.head["date"][:15] and setup.head["date"].endswith("Z")
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+def test_a_copy_under_another_name_counts_by_its_date(store, record):
+    older, newer = dated(store, record, "2026-01-31T12:00:00Z", "2026-02-01T12:00:00Z")
+    newer = newer.rename(newer.with_name("camera_place_0.yaml"))
+    older.rename(older.with_name("camera_place_zzz.yaml"))
+    assert store.newest()[1] == newer
 
 
 @pytest.mark.parametrize("damage", ["half", "empty", "binary", "other"])

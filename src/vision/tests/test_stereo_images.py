@@ -144,4 +144,4 @@ def test_without_a_screen_the_node_ends_with_a_sentence(ros, monkeypatch):
     rospy.set_param("stereo_view", {"view": load("stereo_view.yaml"), "output": ""})
     node = ros.run("vision", "stereo_view_node.py")
     assert node.wait(1.0) == 1
-    assert "needs a screen" in node.log_path.read_text()
+    assert "there is no screen" in node.log_path.read_text()

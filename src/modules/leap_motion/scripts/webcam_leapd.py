@@ -3,7 +3,8 @@
 
 import sys
 
+from common.screen import no_window
 from leap_motion.webcam.webcam_program import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(no_window=no_window))

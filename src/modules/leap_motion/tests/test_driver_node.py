@@ -2,7 +2,6 @@
 
 import json
 import signal
-from datetime import datetime
 from types import SimpleNamespace
 
 import numpy as np
@@ -160,7 +159,7 @@ def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, mo
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     T = np.array([[1.0, 0.0, 0.0, 0.1], [0.0, 0.8, -0.6, 0.02], [0.0, 0.6, 0.8, 0.3], [0.0, 0.0, 0.0, 1.0]])
-    store(registration_file("desk"), PointFit(T, np.array([1e-3]), 1.0), "LP1", datetime.now())
+    store(registration_file("desk"), PointFit(T, np.array([1e-3]), 1.0), "LP1", clock.time())
     humans = ros.record("leap_motion/leap_device", Human)
     arrays = ros.record("/diagnostics", DiagnosticArray)
     talk = Talk(serial="LP2")

@@ -1,6 +1,5 @@
 """The program register_tracker before the simulated service, whose tracker is tilted and moved."""
 
-from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -81,7 +80,7 @@ def test_a_tilted_tracker_is_registered(leapd, capsys):
     first, *others = SHEET
     assert "The finger moved by" in out and touched == [first, first, *others]
     assert "Start the rig with registration:=desk" in out
-    found = load("desk", datetime.now())
+    found = load("desk", clock.time())
     T = stands(1e-3)
     assert found.serial.startswith("LP") and f"Tracker {found.serial}" in out
     assert np.degrees(rotation_angle(found.T_desk_leap[:3, :3].T @ T[:3, :3])) < 3.0
@@ -91,7 +90,7 @@ def test_a_tilted_tracker_is_registered(leapd, capsys):
     assert register_program.main(level, Person(leapd)) == 1  # "" is no yes
     assert "Cancelled" in capsys.readouterr().err
     assert register_program.main([*level, "--force"], Person(leapd)) == 0
-    assert tilt_deg(load("desk", datetime.now()).T_desk_leap) == pytest.approx(tilt_deg(T), abs=2.0)
+    assert tilt_deg(load("desk", clock.time()).T_desk_leap) == pytest.approx(tilt_deg(T), abs=2.0)
 
 
 class Client:

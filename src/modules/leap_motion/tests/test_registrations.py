@@ -1,6 +1,6 @@
 """The files of registrations: what is stored is read, and what cannot be used is refused in one sentence."""
 
-from datetime import datetime, timedelta
+from datetime import datetime
 
 import numpy as np
 import pinocchio as pin
@@ -15,7 +15,7 @@ from common.poses import pose
 from leap_motion.registration import PointFit, RegistrationRefused, check_serial
 from leap_motion.ros.registrations import MAX_AGE_DAYS, load, registration_file, store
 
-NOW = datetime(2026, 11, 23, 12, 0, 0)
+NOW = datetime(2026, 11, 23, 12, 0, 0).timestamp()
 
 
 @pytest.fixture(autouse=True)
@@ -39,7 +39,7 @@ def stored(**changes):
 def test_what_is_stored_is_read(numbers, serial, days):
     T = pose(pin.exp3(np.array(numbers[:3])), numbers[3:])
     store(registration_file("desk"), PointFit(T, np.array([1e-3, 2e-3]), 1.0), serial, NOW)
-    found = load("desk", NOW + timedelta(days=days))
+    found = load("desk", NOW + 86400.0 * days)
     assert_allclose(found.T_desk_leap, T, atol=1e-6)
     assert (found.serial, found.residual_mm) == (serial, 2.0)
 

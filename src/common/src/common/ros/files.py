@@ -22,7 +22,15 @@ def user_file(kind: str, name: str) -> Path:
     if not FILE_NAME.fullmatch(name):
         allowed = "must be letters, digits, - and _, and begin with a letter or digit"
         raise RigError(f"The {kind}'s name is {name!r}, but {allowed}.")
-    return Path.home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
+    return home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
+
+
+def home() -> Path:
+    """Returns the user's home; raises RigError if there is none, as in a container for a user without a name."""
+    try:
+        return Path.home()
+    except RuntimeError as error:
+        raise RigError("HOME is not set, and this user has no home: set HOME, and ROS_HOME if not below it.") from error
 
 
 class _Loader(yaml.SafeLoader):

@@ -1,22 +1,137 @@
-"""Whether the ROS master is there, and still the one that knows this node."""
+"""What a node needs of its surroundings: the ROS master, still the one that knows it, a host name, a place for logs."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import socket
+import sys
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from urllib.parse import urlparse
 
 import rosgraph
+import rosgraph.network
+import rospkg
 import rospy
 
 from common import clock
+from common.errors import RigError
+from common.ros.files import home
+from common.ros.service_calls import MasterLost, ask_master, listens
 
 RETRY_S = 0.5
 LOOK_S = 0.5  # longest time until the end of this node is noticed [s]
 CONNECT_S = 2.0
+PATIENCE_S = 5.0  # how long a node that starts beside its master waits for it
+RESOLVE_S = 4.0  # longest time in which a name server answers
 KEEPALIVE = {socket.TCP_KEEPIDLE: 5, socket.TCP_KEEPINTVL: 2, socket.TCP_KEEPCNT: 3}  # a dead wire shows after 11 s
+
+
+def check_surroundings() -> None:
+    """Raises RigError, with a sentence, if this process cannot be a node with any master; rospy would wait for ever, or
+    print a traceback.
+    """
+    check_namespace()
+    _check_address()
+    check_host()
+    check_log_folder()
+
+
+def check_namespace() -> None:
+    """Raises RigError if the namespace of this process is no name of ROS."""
+    try:
+        namespace = rosgraph.names.get_ros_namespace()
+        legal = rosgraph.names.is_legal_name(namespace)
+    except ValueError:
+        namespace, legal = os.environ.get("ROS_NAMESPACE", ""), False
+    if not legal:
+        raise RigError(
+            f"The namespace {namespace.strip('/')!r} (ROS_NAMESPACE or __ns:=) must be names of letters, digits and _ "
+            "that begin with a letter, as lab1 or lab1/left."
+        )
+
+
+def _check_address() -> None:
+    uri = rosgraph.get_master_uri()
+    try:
+        address = urlparse(uri)
+        complete = address.scheme == "http" and address.hostname and address.port
+    except ValueError:  # the port is none
+        complete = None
+    if not complete:
+        raise NoMaster(f"ROS_MASTER_URI is {uri!r}, but must be like http://localhost:11311.")
+    if not _resolved(address.hostname):
+        raise NoMaster(f"The host {address.hostname} of ROS_MASTER_URI ({uri}) has no address: correct the name.")
+
+
+def check_master(patience: float) -> None:
+    """Raises NoMaster unless a ROS master answers; one that is not there yet has `patience` [s] to start."""
+    uri, deadline = rosgraph.get_master_uri(), clock.monotonic() + patience
+    while not listens(uri):
+        if rospy.core.is_shutdown_requested() or clock.monotonic() >= deadline:
+            raise NoMaster(
+                f"There is no ROS master at {uri} (ROS_MASTER_URI): start one there, as by roscore, or name another."
+            )
+        clock.sleep(RETRY_S)
+    try:
+        ask_master("getPid")
+    except MasterLost as error:
+        raise NoMaster(f"{str(error)[:-1]}, or something else listens there: see ROS_MASTER_URI.") from error
+
+
+def check_host() -> None:
+    """Raises RigError unless this computer reaches itself by the name or address that it gives to other nodes."""
+    host, given = rosgraph.network.get_host_name(), "The name of this computer"
+    for name in ("ROS_IP", "ROS_HOSTNAME"):
+        given = name if name in os.environ else given
+    cure = "so no other node would reach this one: correct it, or set ROS_IP to an address of this computer."
+    if not _resolved(host):
+        raise RigError(f"{given} is {host!r}, which has no address, {cure}")
+    family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
+    with socket.create_server(("", 0), family=family) as listener:
+        try:
+            socket.create_connection((host, listener.getsockname()[1]), CONNECT_S).close()
+        except OSError:
+            raise RigError(f"{given} is {host!r}, where this computer does not answer, {cure}") from None
+
+
+def check_log_folder() -> Path:
+    """Returns the folder of this node's logs, which is made; raises RigError if nothing can be written there."""
+    log = rosgraph.names.load_mappings(sys.argv).get("__log")
+    folder = Path(log).parent if log else Path(rospkg.get_log_dir())
+    if str(folder).startswith("~"):
+        home()  # which there is none of
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except OSError as error:
+        raise RigError(
+            f"No logs can be written to the folder {folder}: {error.strerror}. Set ROS_LOG_DIR to one that can be "
+            "written."
+        ) from error
+
+
+def _resolved(host: str) -> bool:
+    """Returns whether a host has an address; a name server that is silent knows none."""
+    family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
+    found = []
+
+    def ask() -> None:
+        with contextlib.suppress(OSError, UnicodeError):
+            found.extend(socket.getaddrinfo(host, None, family))
+
+    asks = clock.Thread(target=ask, name="resolve", daemon=True)
+    asks.start()
+    asks.join(RESOLVE_S)
+    return bool(found)
+
+
+class NoMaster(RigError):
+    """No ROS master runs where ROS_MASTER_URI says."""
 
 
 class MasterWatch:

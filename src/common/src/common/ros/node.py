@@ -12,6 +12,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import rosgraph.xmlrpc
 import rospy
@@ -22,7 +23,7 @@ from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
 
-CLOCK_S = 10.0
+CLOCK_S = 7.0  # a node that starts is to exit within 10 s
 LOG_TOPICS = "/rosout_disable_topics_generation"
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
@@ -40,10 +41,10 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """
     prepare_process(disposable)
     try:
-        rospy.init_node(name, disable_signals=True)
-    except rospy.exceptions.ROSInitException:
-        sys.exit(1)  # interrupted before it began
-    prepare_log()
+        _begin(name, master.PATIENCE_S)
+    except RigError as error:
+        _report(name, error)
+        sys.exit(1)
     master.watch.start()
     code = _code_of(main) or int(master.watch.fault is not None)
     if disposable:
@@ -51,6 +52,26 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
         leave_after_all_threads(code)
     if code:
         sys.exit(code)
+
+
+def join(name: str, anonymous: bool = False, argv: list[str] | None = None) -> None:
+    """Makes a program a node, whose ROS time is known then; for `run_program`. Raises RigError, with a sentence, if its
+    surroundings do not allow it: no ROS master, no clock, ...
+    """
+    _begin(name, 0.0, anonymous=anonymous, argv=argv)
+    _wait_for_clock()
+
+
+def _begin(name: str, patience: float, **options: Any) -> None:
+    master.check_surroundings()
+    master.check_master(patience)
+    try:
+        rospy.init_node(name, disable_signals=True, **options)
+    except rospy.exceptions.ROSInitException as error:
+        if rospy.core.is_shutdown_requested():
+            sys.exit(1)  # interrupted before it began
+        raise RigError(f"{error}.") from error
+    prepare_log()
 
 
 def prepare_process(disposable: bool) -> None:
@@ -94,8 +115,7 @@ def run_program(
     try:
         code = main() or 0
     except errors as error:
-        for sentence in _sentences(error):
-            print(f"{name}: {sentence}", file=sys.stderr)
+        _report(name, error)
         code = 1
     except KeyboardInterrupt:
         print(f"\n{interrupted}")
@@ -188,6 +208,11 @@ def hide_closed_connections() -> None:
             report(thread)
 
     threading.excepthook = reported
+
+
+def _report(name: str, error: Exception) -> None:
+    for sentence in _sentences(error):
+        print(f"{name}: {sentence}", file=sys.stderr)
 
 
 def _sentences(error: Exception) -> list[str]:

@@ -14,6 +14,7 @@ import socket
 import struct
 import xmlrpc.client
 from urllib.parse import urlparse
+from xml.parsers.expat import ExpatError
 
 import rosgraph
 import rosgraph.network
@@ -191,10 +192,10 @@ def ask_master(method: str, *arguments):
     does not answer within `MASTER_TIMEOUT_S`.
     """
     uri = rosgraph.get_master_uri()
-    master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())
     try:
+        master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())
         code, _, value = getattr(master, method)(rospy.get_caller_id(), *arguments)
-    except (OSError, xmlrpc.client.Error, http.client.HTTPException) as error:
+    except (OSError, xmlrpc.client.Error, http.client.HTTPException, ExpatError, ValueError) as error:
         raise MasterLost(f"The ROS master at {uri} does not answer.") from error
     return value if code == 1 else None
 

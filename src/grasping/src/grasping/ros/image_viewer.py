@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from xmlrpc.client import Fault
 
@@ -14,9 +13,9 @@ from python_qt_binding.QtGui import QImage, QPixmap
 from python_qt_binding.QtWidgets import QApplication, QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 from sensor_msgs.msg import Image
 
-from common.errors import RigError
 from common.ros.images import array_from_image
 from common.ros.node import run
+from common.screen import check_screen
 
 BUFFER_BYTES = 2**24  # room for several images: rospy drops all but the newest only among those that it has read
 DRAW_MS, TOPICS_MS = 100, 2000
@@ -115,8 +114,7 @@ class ImageViewer(QWidget):
 
 
 def _run() -> None:
-    if not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
-        raise RigError("There is no screen for the window: DISPLAY is not set.")
+    check_screen("The window")
     application = QApplication(sys.argv[:1])
     window = ImageViewer(rospy.resolve_name("image"))
     window.show()

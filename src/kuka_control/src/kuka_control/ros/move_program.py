@@ -15,10 +15,9 @@ from common.frames import BASE
 from common.poses import pose
 from common.ros.action_client import ActionClient
 from common.ros.conversions import stamped_pose
-from common.ros.node import INTERRUPTED
+from common.ros.node import INTERRUPTED, join, run_program
 from common.ros.params import arm_frames
 from common.rotations import rotation_from_zyx
-from kuka_control.ros.parameter_server import master_of_this_graph
 from kuka_control.ros.simple_program import noted_interruptions
 from kuka_msgs.msg import MoveAction, MoveFeedback, MoveGoal, MoveResult
 
@@ -33,19 +32,17 @@ def main() -> None:
     The exit code is 0 when the arm is there, 1 after a sentence that says why it is not, 130 after an interruption.
     """
     options = _parser().parse_args(rospy.myargv()[1:])
-    try:
-        goal = _goal(options)
-        master_of_this_graph()
-        rospy.init_node("kuka_move", anonymous=True, disable_signals=True)
-        if goal.kind == MoveGoal.POSE:
-            goal.pose.header.frame_id = arm_frames()(BASE)
-        result, interrupted = carry_out(goal)
-    except RigError as error:
-        print(f"move: {error}", file=sys.stderr)
-        sys.exit(1)
+    run_program("move", lambda: _run(options), "Interrupted before anything moved.")
+
+
+def _run(options: argparse.Namespace) -> int:
+    goal = _goal(options)
+    join("kuka_move", anonymous=True)
+    if goal.kind == MoveGoal.POSE:
+        goal.pose.header.frame_id = arm_frames()(BASE)
+    result, interrupted = carry_out(goal)
     print(result.message, file=sys.stdout if result.success else sys.stderr)
-    rospy.signal_shutdown("the program exits")
-    sys.exit(0 if result.success else INTERRUPTED if interrupted else 1)
+    return 0 if result.success else INTERRUPTED if interrupted else 1
 
 
 def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:

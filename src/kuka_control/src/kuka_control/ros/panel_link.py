@@ -21,9 +21,12 @@ from python_qt_binding.QtCore import QObject, Qt, QTimer
 from python_qt_binding.QtWidgets import QApplication
 
 from common import clock
+from common.errors import RigError
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
+from common.ros.master import check_surroundings
 from common.ros.node import end_closed_servers, hide_closed_connections
 from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
+from common.screen import check_screen
 from kuka_control.gui.panel import ArmsPanel, ControlPanel
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
 from kuka_control.ros import emergency, panel_process
@@ -234,9 +237,11 @@ def main() -> None:
         if reason:
             print(reason)
             sys.exit(0)
-    fault = "" if os.environ.get("QT_QPA_PLATFORM") else panel_process.no_screen()
-    if fault:
-        sys.exit(f"The control panel is not opened: {fault}.")
+    try:
+        check_screen("The control panel")
+        check_surroundings()
+    except RigError as error:
+        sys.exit(str(error))
     sys.exit(_show(arguments.on_top, arguments.arms))
 
 

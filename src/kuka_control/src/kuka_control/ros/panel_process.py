@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import subprocess
 import sys
@@ -14,11 +13,11 @@ import rospy
 
 from common.errors import ConfigError, RigError
 from common.ros.service_calls import MasterLost, ask_master, listens
+from common.screen import no_screen
 
 NODE = "kuka_panel"
 WITHOUT = "Its buttons are services, such as `rosservice call kuka/kuka_control true`."
 END_S = 3.0  # how long a panel may take to close
-WITHOUT_X = ("eglfs", "linuxfb", "vnc", "wayland")  # platforms of Qt with a screen that DISPLAY does not name
 
 
 @contextlib.contextmanager
@@ -48,25 +47,6 @@ def why_not() -> str:
             return f"The control panel is open already (node {name}); a second one is not opened."
     fault = no_screen()
     return fault and f"The control panel is not opened: {fault}. {WITHOUT}"
-
-
-def no_screen() -> str:
-    """Returns why a window cannot be shown, a part of a sentence; empty if it can."""
-    if os.environ.get("WAYLAND_DISPLAY") or os.environ.get("QT_QPA_PLATFORM", "").startswith(WITHOUT_X):
-        return ""
-    name = os.environ.get("DISPLAY")
-    if not name:
-        return "there is no screen, as neither DISPLAY nor WAYLAND_DISPLAY is set"
-    try:
-        x11 = ctypes.CDLL("libX11.so.6")
-    except OSError:  # Qt will say what is missing
-        return ""
-    x11.XOpenDisplay.restype = ctypes.c_void_p
-    screen = x11.XOpenDisplay(None)
-    if not screen:
-        return f"the screen {name} (DISPLAY) does not answer"
-    x11.XCloseDisplay(ctypes.c_void_p(screen))
-    return ""
 
 
 def _wanted() -> bool:

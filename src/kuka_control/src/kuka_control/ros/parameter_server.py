@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -14,14 +13,11 @@ from common import clock
 from common.config import parse
 from common.errors import ConfigError, RigError
 from common.ros.files import file_hash, read_yaml
+from common.ros.master import NoMaster, check_master, check_namespace
 from common.ros.service_calls import listens
 from iiwa_kinematics import robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations
 from kuka_control.model.obstacles import ConvexBody, obstacles_from
-
-
-class NoMaster(RigError):
-    """No ROS master runs where ROS_MASTER_URI says."""
 
 
 class NoParameters(RigError):
@@ -46,9 +42,8 @@ def parameters(namespace: str) -> dict:
 
 def master_of_this_graph() -> rosgraph.Master:
     """Returns the master that ROS_MASTER_URI names if somebody listens there, else raises NoMaster."""
-    uri = os.environ.get("ROS_MASTER_URI", "")
-    if not listens(uri):
-        raise NoMaster(f"There is no ROS master at {uri or 'ROS_MASTER_URI, which is not set'}.")
+    check_namespace()
+    check_master(0.0)
     return rosgraph.Master("/leap_rig_program")
 
 

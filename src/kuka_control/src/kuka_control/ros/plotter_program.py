@@ -16,6 +16,7 @@ from common.errors import RigError
 from common.number_arguments import whole
 from common.ros.files import read_yaml
 from common.ros.node import run_program
+from common.screen import check_screen
 from kuka_control.gui.plot import SIZE_INCH, WorkspacePicture, draw
 from kuka_control.model.rig import checked_rig
 from kuka_control.model.workspace_study import constrained_samples, sentences, study_reach, title, volume_samples
@@ -94,10 +95,12 @@ def _save(picture: WorkspacePicture, path: Path) -> None:
 
 def _check_window() -> None:
     os.environ["QT_API"] = "pyqt5"  # python_qt_binding leaves a name here that matplotlib does not know
+    cure = "Use --save FILE.png."
+    check_screen("The window", cure)
     try:
         pyplot.switch_backend("QtAgg")
     except ImportError as error:
-        raise RigError("There is no display to open a window on; use --save FILE.png.") from error
+        raise RigError(f"The window is not opened: {error}. {cure}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -16,7 +16,7 @@ import rospy
 from common.errors import DeviceError, RigError
 from common.number_arguments import real
 from common.ros.files import read_yaml
-from common.ros.node import INTERRUPTED, run_program
+from common.ros.node import INTERRUPTED, join, run_program
 from iiwa_kinematics import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity
 from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, ROBOTS, RobotModel, robot_model
 from kst import JointLimits, KstClient, KstError, PtpProgress, PtpState, ServerBusy, read_joints, run_ptp
@@ -26,7 +26,6 @@ from kuka_control.ros.parameter_server import (
     NoMaster,
     NoParameters,
     living_node,
-    master_of_this_graph,
     parameters,
     shipped,
 )
@@ -119,8 +118,7 @@ def _run(options: argparse.Namespace) -> int:
     if from_server:
         _refuse_if_held()
     with contextlib.suppress(NoMaster):  # becomes a node where there is a master: others see who has the robot
-        master_of_this_graph()
-        rospy.init_node(NODE, disable_signals=True)
+        join(NODE)
     T_flange_tool = address.T_flange_tool
     client = _connect(address, model, T_flange_tool)
     try:

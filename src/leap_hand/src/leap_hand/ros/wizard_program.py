@@ -14,7 +14,7 @@ from common import clock
 from common.config import parse
 from common.errors import RigError
 from common.ros.files import write_whole
-from common.ros.node import run_program
+from common.ros.node import join, run_program
 from leap_hand.config import HandConfig
 from leap_hand.hand_wizard import HandWizard, WizardStep, as_yaml
 from leap_hand.ros.operators import known_file, operator_file
@@ -52,7 +52,7 @@ def _run(options: argparse.Namespace) -> None:
     shipped = Path(rospkg.RosPack().get_path("leap_hand")) / "config" / "leap_hand.yaml"
     default = yaml.safe_load(shipped.read_text())
     wizard = HandWizard(parse(HandConfig, default, "leap_hand/"))
-    rospy.init_node(NODE, anonymous=True, disable_signals=True)
+    join(NODE, anonymous=True)
     _measure(wizard, options.timeout)
     calibration = wizard.result()
     parse(HandConfig, {**default, **calibration.values}, "leap_hand/")

@@ -35,7 +35,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from common.errors import RigError
-from common.ros.files import FILE_NAME, write_whole
+from common.ros.files import FILE_NAME, home, write_whole
 
 FORMAT, VERSION = "leap_rig recording", 1
 KINDS = {"task": str, "robot": dict, "dropped": dict}  # of the manifest's values that are read
@@ -60,7 +60,7 @@ def folder_of(name: str) -> Path:
     if not FILE_NAME.fullmatch(name):
         allowed = "must be letters, digits, - and _, and begin with a letter or digit, or be a path with a slash"
         raise RecordingFault(f"The recording's name is {name!r}, but {allowed}.")
-    return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / HOME / name
+    return Path(os.environ.get("ROS_HOME") or home() / ".ros") / HOME / name
 
 
 @dataclass(frozen=True)

@@ -20,15 +20,14 @@ import rosgraph
 import roslaunch
 import roslib
 import rospkg
-import rospy
 from roslaunch.pmon import ProcessListener
-from rospkg.environment import get_log_dir
 
 from common import clock
 from common.errors import RigError
-from common.ros.node import end_closed_servers
+from common.ros import master
+from common.ros.node import end_closed_servers, join
 from common.ros.service_calls import ServiceFailed, call
-from kuka_control.ros.panel_process import no_screen
+from common.screen import no_screen
 from kuka_msgs.srv import exitApp
 from leap_hand.ros.operators import known_file
 from leap_rig.processor import ProcessorLoad
@@ -174,10 +173,11 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
 
 class Deaths(ProcessListener):
     """Records the processes that exit during the run: `sentences` about the nodes that the rig needs, `remarks` about
-    the others. Nodes in `expected` may exit; `ended` are all that exited.
+    the others. Nodes in `expected` may exit; `ended` are all that exited. Names are those in the demo's namespace.
     """
 
     def __init__(self) -> None:
+        self._namespace = rosgraph.names.get_ros_namespace()[1:]
         self.sentences: list[str] = []
         self.remarks: list[str] = []
         self.expected = {"viewer"}
@@ -191,6 +191,7 @@ class Deaths(ProcessListener):
     def process_died(self, process_name: str, exit_code: int | None) -> None:
         """Adds a process; called by roslaunch."""
         node = process_name.rsplit("-", 1)[0]
+        node = node[len(self._namespace) :] if node.startswith(self._namespace) else node
         self.ended.add(node)
         if node in self.expected:
             return
@@ -212,14 +213,14 @@ def refuse_second_rig() -> None:
     publishers, subscribers, services = rosgraph.Master("/demo").getSystemState()
     nodes = {node for _, names in publishers + subscribers + services for node in names}
     if any(node.split("/")[-1] == CONTROLLER for node in nodes):
-        raise RigError(f"A rig already runs on {os.environ['ROS_MASTER_URI']}. Stop it first: Ctrl-C in its terminal.")
+        raise RigError(f"A rig already runs on {rosgraph.get_master_uri()}. Stop it first: Ctrl-C in its terminal.")
 
 
 def has_screen(arguments: argparse.Namespace) -> bool:
     """Returns whether windows can be opened, and says so if they are wanted and cannot."""
     if arguments.headless:
         return False
-    fault = no_screen() if os.environ.get("DISPLAY") else "DISPLAY is not set"
+    fault = no_screen()
     if fault:
         print(f"{fault[0].upper()}{fault[1:]}: RViz and the control panel are not started.")
     return not fault
@@ -227,12 +228,8 @@ def has_screen(arguments: argparse.Namespace) -> bool:
 
 def refuse_without_logs() -> None:
     """Raises RigError if the logs find no place: ROS' own programs print tracebacks then, and some of them end."""
-    folder = Path(get_log_dir())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(folder).free
-    except OSError as error:
-        raise RigError(f"The folder of the logs {folder} cannot be made: {error.strerror}. Set ROS_HOME.") from error
+    folder = master.check_log_folder()
+    free = shutil.disk_usage(folder).free
     if free < LEAST_FREE:
         left = f"{free / 1e6:.0f} MB left"
         raise RigError(f"The folder of the logs {folder} has {left}: free some, as by `rosclean purge`.")
@@ -290,6 +287,7 @@ class Interrupts:
 
 def run(arguments: argparse.Namespace) -> int:
     """Runs the demo and returns its exit code."""
+    master.check_surroundings()
     refuse_second_rig()
     refuse_without_logs()
     screen = has_screen(arguments)
@@ -312,7 +310,7 @@ def run(arguments: argparse.Namespace) -> int:
         from leap_rig.report_of_arms import as_text, summarise
         from leap_rig.ros.listener import RigListener
 
-        rospy.init_node("demo", argv=[], disable_signals=True)  # name:=value is for the launch file
+        join("demo", argv=[])  # name:=value is for the launch file
         arms = TWO_ARMS if _given(arguments).get("robots") == "2" else ONE_ARM
         recorders = {arm: Recorder() for arm in arms}
         if arguments.tutorial:  # until its node reports

@@ -20,6 +20,7 @@ from common.config import choice, flag
 from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform
 from common.ros.params import private_config
+from common.screen import no_screen
 from leap_kuka.config import NONE
 from leap_rig.tutorial import (
     DONE,
@@ -117,9 +118,12 @@ def main() -> None:
     """Runs the node until ROS shuts down or its window is closed."""
     config = private_config(TutorialConfig)
     node = TutorialNode(config, rospy.get_param("leap/clutch", NONE) != NONE)
-    if config.window and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    fault = no_screen() if config.window else ""
+    if config.window and not fault:
         _show(node)
         return
+    if fault:
+        rospy.logwarn("The tutorial has no window: %s.", fault)
     while not rospy.is_shutdown() and node.view().step != DONE:
         clock.sleep(PERIOD_S)
     rospy.spin()

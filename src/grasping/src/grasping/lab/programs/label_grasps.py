@@ -11,7 +11,8 @@ import signal
 import sys
 from pathlib import Path
 
-from common.errors import RigError
+from common.errors import DeviceError, RigError
+from common.screen import check_screen
 from grasping.lab.dataset.labelled_images import depth_images
 
 
@@ -25,6 +26,10 @@ def main() -> None:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename}: {error.strerror}.")
+    try:
+        check_screen("The window")
+    except DeviceError as error:
+        sys.exit(f"label_grasps: {error}")
     from python_qt_binding.QtWidgets import QApplication
 
     from grasping.lab.label_window import LabelWindow

@@ -6,7 +6,6 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from time import gmtime, strftime
 from typing import Any
 from xml.etree import ElementTree
 
@@ -20,6 +19,7 @@ from common.camera_model import CameraModel
 from common.config import flag, number, parse, path, required, text
 from common.mounting import ToolConfig, mounting_field, rotation_of_mounting
 from common.ros.params import private_values, wait_for_param
+from common.stored_time import utc
 from grasping.execution.grasp_watch import GraspWatchConfig, ObservedGrasp
 from grasping.lab.dataset.episode import Metadata
 from grasping.lab.dataset.frame_buffer import FrameBufferConfig
@@ -84,7 +84,7 @@ class CollectionSetup:
         return Metadata(
             version=self.version,
             revision=self.revision,
-            date=strftime("%Y-%m-%dT%H:%M:%SZ", gmtime(grasp.time)),
+            date=utc(grasp.time),
             operator=self.config.operator,
             object=thing,
             source=source,

@@ -23,8 +23,7 @@ from tqdm import tqdm
 from common import clock
 from common.errors import RigError
 from common.ros.files import write_whole
-from common.ros.node import run_program, while_running
-from common.ros.service_calls import ask_master
+from common.ros.node import join, run_program, while_running
 from grasping.lab.dataset.episode import SHOWN
 from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
 from grasping.lab.dataset.store import encode, file_name
@@ -160,8 +159,7 @@ def main() -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    ask_master("getPid")
-    rospy.init_node(NAME, anonymous=True, disable_signals=True)
+    join(NAME, anonymous=True)
     values = default_values()
     folder = "" if options.folder is None else str(options.folder.absolute())
     values.update(folder=folder, object=options.object, operator=options.operator, from_bag=False)

@@ -12,7 +12,6 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Mapping
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +23,8 @@ from common import clock
 from common.errors import RigError
 from common.number_arguments import real
 from common.ros.files import file_hash
-from common.ros.node import run_program
-from kuka_control.ros.parameter_server import master_of_this_graph
+from common.ros.node import join, run_program
+from common.stored_time import utc
 from leap_motion.ros.registrations import registration_file
 from leap_rig.recording.fingerprint import address, fingerprint, started_with
 from leap_rig.recording.recording_files import (
@@ -94,8 +93,7 @@ def main() -> None:
 def record(options: argparse.Namespace) -> int:
     """Records until Ctrl-C, the end of the time, or a full disk; returns the exit code."""
     folder = folder_of(options.name)
-    master_of_this_graph()
-    rospy.init_node("leap_rig_record", anonymous=True, disable_signals=True)
+    join("leap_rig_record", anonymous=True)
     parameters = rospy.get_param("/")
     inbox = Inbox()
     interrupted = clock.Event()
@@ -204,7 +202,7 @@ def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str,
         "name": folder_of(options.name).name,
         "task": options.task,
         "camera": options.camera,
-        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "started": utc(clock.time()),
         "robot": robot,
         "versions": _versions(),
     }

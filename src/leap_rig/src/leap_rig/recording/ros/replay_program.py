@@ -23,7 +23,7 @@ from common.frames import BASE
 from common.number_arguments import real, whole
 from common.ros.conversions import stamped_pose
 from common.ros.files import file_hash, read_yaml
-from common.ros.node import run_program
+from common.ros.node import join, run_program
 from kuka_control.loop.moves import LEAST_PTP
 from kuka_control.model.rig import Rig
 from kuka_control.ros.move_program import carry_out
@@ -78,7 +78,7 @@ def view(folder: Path, options: argparse.Namespace) -> int:
     """Publishes what RViz draws, where nothing can move."""
     master = master_of_this_graph()
     _refuse_movers(master)
-    rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
+    join("leap_rig_replay", anonymous=True)
     _describe(folder)
     player = _Player(options.rate)
     print(f"Plays {folder}; open RViz with: rviz -d $(rospack find leap_rig)/rviz/rig.rviz")
@@ -304,7 +304,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     motions = streamed_motions(run.goal_times, run.goals, run.goal_velocities, kinematics.forward)
     if not motions:
         raise RecordingFault(f"{folder} has no goals of a moving arm in this time.")
-    rospy.init_node("leap_rig_replay", anonymous=True, disable_signals=True)
+    join("leap_rig_replay", anonymous=True)
     print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
     if elsewhere := moved_away(manifest["robot"], running):
         print(elsewhere)

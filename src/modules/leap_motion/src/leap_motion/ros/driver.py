@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -102,7 +101,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
     """Publishes until ROS shuts down; each message goes to `pass_on` as well. Raises RigError for a registration that
     cannot be used.
     """
-    registration = load(config.registration, datetime.now()) if config.registration else None
+    registration = load(config.registration, clock.time()) if config.registration else None
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
     publisher = DirectPublisher("leap_motion/leap_device", Human, queue_size=1)
     raw = DirectPublisher("leap_motion/raw_frames", RawFrame, queue_size=RAW_FRAMES)

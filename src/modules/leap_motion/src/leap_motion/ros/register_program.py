@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +107,7 @@ def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
     found = fit_level(touched) if options.level else fit(points, touched)
     _report(found, list(points))
     check_fit(found, list(points), 1e-3 * options.limit, 1e-2 * options.scale_limit)
-    store(path, found, serial, datetime.now())
+    store(path, found, serial, clock.time())
     print(f"Stored in {path}. Start the rig with registration:={options.name}.")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from common.errors import ConfigError, RigError
 from common.poses import pose, read_only
 from common.ros.files import read_yaml, user_file, write_whole
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+from common.stored_time import moment, utc
 from leap_motion.registration import MAX_TURN_DEG, PointFit, RegistrationRefused, check_serial, turn_deg
 
 MAX_AGE_DAYS = 90  # a tracker on a desk gets moved
@@ -23,7 +23,7 @@ MAX_AGE_DAYS = 90  # a tracker on a desk gets moved
 class TrackerRegistration:
     """The content of one file: the pose of the tracker's axes on the desk."""
 
-    date: str = text(doc="of the measurement, as year-month-dayThour:minute:second")
+    date: str = text(doc="of the measurement, in UTC as 2026-01-31T12:00:00Z")
     serial: str = text(doc="of the tracker; empty: its service does not report one", empty=True)
     position: np.ndarray = vector(3, "m", low=-2.0, high=2.0, doc="of the tracker from the points' origin")
     quaternion: np.ndarray = vector(4, doc="x, y, z, w of its orientation")
@@ -33,9 +33,9 @@ class TrackerRegistration:
         """Returns what no single field can check."""
         faults = []
         try:
-            datetime.fromisoformat(self.date)
+            moment(self.date)
         except ValueError:
-            faults.append(f"date is {self.date!r}, but must be as 2026-01-31T12:00:00.")
+            faults.append(f"date is {self.date!r}, but must be as 2026-01-31T12:00:00Z.")
         try:
             turn = turn_deg(pose(rotation_from_quaternion(self.quaternion)))
             if turn > MAX_TURN_DEG:
@@ -61,10 +61,10 @@ def registration_file(name: str) -> Path:
     return user_file("tracker", name)
 
 
-def store(path: Path, found: PointFit, serial: str, now: datetime) -> None:
-    """Writes a registration; raises RigError if that fails."""
+def store(path: Path, found: PointFit, serial: str, now: float) -> None:
+    """Writes a registration of `now` [s since 1970]; raises RigError if that fails."""
     values = {
-        "date": now.isoformat(timespec="seconds"),
+        "date": utc(now),
         "serial": serial,
         "position": found.T_desk_leap[:3, 3].round(6).tolist(),
         "quaternion": quaternion_from_rotation(found.T_desk_leap[:3, :3]).tolist(),
@@ -76,8 +76,10 @@ def store(path: Path, found: PointFit, serial: str, now: datetime) -> None:
         raise RigError(f"{path} could not be written: {error.strerror}.") from error
 
 
-def load(name: str, now: datetime) -> TrackerRegistration:
-    """Returns the registration of that name; raises RigError or ConfigError if it is missing or may not be used."""
+def load(name: str, now: float) -> TrackerRegistration:
+    """Returns the registration of that name at `now` [s since 1970]; raises RigError or ConfigError if it is missing or
+    may not be used.
+    """
     path = registration_file(name)
     again = f"Run rosrun leap_motion register_tracker.py {name}."
     try:
@@ -85,7 +87,7 @@ def load(name: str, now: datetime) -> TrackerRegistration:
     except RigError as error:
         raise RigError(f"The registration {error} {again}") from error
     found = parse(TrackerRegistration, values, f"{path}: ")
-    age = (now - datetime.fromisoformat(found.date).replace(tzinfo=None)).total_seconds() / 86400.0
+    age = (now - moment(found.date)) / 86400.0
     if not -1.0 <= age <= MAX_AGE_DAYS:
         raise ConfigError([f"{path}: date is {found.date}, but must lie within the last {MAX_AGE_DAYS} days. {again}"])
     return found

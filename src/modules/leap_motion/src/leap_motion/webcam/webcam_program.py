@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 import re
 import signal
 import sys
@@ -12,6 +11,7 @@ import threading
 import time
 import zlib
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,6 @@ from leap_motion.webcam.video_source import CameraSource, FileSource, VideoImage
 
 NAME = "webcam_leapd"
 SERVICE = "2.3.1+webcam"
-SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")  # one of these variables names where windows go
 SILENCE_S = 0.5  # without an image the camera counts as unplugged
 BETWEEN_LINES_S = 2.0
 MEASURE_S, GIVE_UP_S = 5.0, 30.0
@@ -148,8 +147,8 @@ class WebcamTracker:
             print(f"{NAME}: {remark or 'The hand is tracked.'}", file=sys.stderr, flush=True)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Runs the program; returns its exit code."""
+def main(arguments: list[str] | None = None, no_window: Callable[[], str] = str) -> int:
+    """Runs the program; returns its exit code. `no_window` returns why no window can be shown, empty if one can."""
     options = parse(arguments)
     stopped = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -157,8 +156,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         if options.measure:
             return _measure(options, stopped)
-        if sys.platform == "linux" and not (options.headless or any(map(os.environ.get, SCREENS))):
-            raise WebcamError("There is no screen for the window: DISPLAY is not set. Start with --headless.")
+        if not options.headless and (fault := no_window()):
+            raise WebcamError(f"The window is not opened: {fault}. Start with --headless.")
         tracker = WebcamTracker(options)
     except (WebcamError, LeapServiceError, CertificateError) as error:
         print(f"{NAME}: {error}", file=sys.stderr)
@@ -257,7 +256,10 @@ def _palm_file(name: str) -> Path:
 
 
 def _folder() -> Path:
-    return Path.home() / ".config" / "leap_rig"
+    try:
+        return Path.home() / ".config" / "leap_rig"
+    except RuntimeError as error:
+        raise WebcamError("HOME is not set, and this user has no home: set HOME.") from error
 
 
 def _width(options: argparse.Namespace) -> float:

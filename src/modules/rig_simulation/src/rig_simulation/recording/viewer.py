@@ -13,6 +13,7 @@ from typing import Any
 
 from common import clock
 from common.errors import DeviceError
+from common.screen import no_x_server
 from rig_simulation.command_line import failed, parse_options
 from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.recording import display
@@ -43,13 +44,13 @@ def _check_screen() -> None:
     """Opens the connection to the screen, whose absence the window's thread could not report as a DeviceError."""
     import glfw  # with mujoco
 
-    screen = os.environ.get("DISPLAY")
-    if not screen:
-        raise DeviceError("There is no screen: DISPLAY is not set. Start without the viewer, or set DISPLAY.")
+    if fault := no_x_server():
+        raise DeviceError(f"The viewer is not opened: {fault}. Start without it, or set DISPLAY.")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the error below says the same
         opened = glfw.init()
     if not opened:
+        screen = os.environ["DISPLAY"]
         raise DeviceError(f"Cannot open the screen {screen} (DISPLAY). Allow access, or start without the viewer.")
 
 

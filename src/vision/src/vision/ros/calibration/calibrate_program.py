@@ -21,7 +21,7 @@ from common.errors import DeviceError, RigError
 from common.mounting import rotation_of_mounting
 from common.number_arguments import real
 from common.poses import inverse
-from common.ros.node import run_program
+from common.ros.node import join, run_program
 from common.ros.params import wait_for_config
 from common.ros.service_calls import ServiceFailed, call
 from common.rotations import rotation_angle
@@ -58,7 +58,7 @@ def main() -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    rospy.init_node(NODE, disable_signals=True)
+    join(NODE)
     setup = read_setup(DETECTOR)
     setup.check_serial()
     listener, comparison = BoardListener(setup.target), RvizComparison()

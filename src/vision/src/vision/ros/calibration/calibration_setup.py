@@ -5,8 +5,8 @@ The calibrations are a folder of dated yaml files, which never change once writt
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from common.poses import inverse
 from common.ros.conversions import pose_from_transform, stamped_transform
 from common.ros.files import read_yaml, write_whole
 from common.ros.params import wait_for_config, wait_for_param
+from common.stored_time import moment, utc
 from vision.calibration.acceptance import CalibrationConfig
 from vision.calibration.record import CalibrationRecord, mapping_from_record, record_from_mapping
 from vision.marker_board.board import MarkerBoardConfig, board_target
@@ -34,6 +35,7 @@ UNKNOWN = "unknown"
 PREFIX = "camera_place_"
 HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n"
 STATIC_WAIT_S = 10.0
+DATE = re.compile(r"^date: *['\"]?([^'\"\s]+)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class CalibrationStore:
 
     def newest(self) -> tuple[CalibrationRecord, Path] | None:
         """Returns the newest calibration of this arm and camera and its file, or None; skips and logs damaged files."""
-        for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), reverse=True):
+        for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), key=_age_order, reverse=True):
             try:
                 record = read(file)
             except ConfigError as error:
@@ -76,6 +78,15 @@ class CalibrationStore:
             cure = "The previous calibration stays valid; free the disk or choose another folder."
             raise DeviceError(f"Cannot write {file}: {error.strerror}. {cure}") from None
         return file
+
+
+def _age_order(file: Path) -> tuple[float, str]:
+    """Returns what sorts calibrations by age without reading them whole; one without a date comes as the newest."""
+    try:
+        found = DATE.search(file.read_text(encoding="utf-8", errors="replace"))
+        return moment(found[1] if found else ""), file.name
+    except (OSError, ValueError):
+        return float("inf"), file.name
 
 
 def read(file: Path) -> CalibrationRecord:
@@ -104,7 +115,7 @@ class CalibrationSetup:
     @property
     def head(self) -> dict[str, str]:
         """The first entries of a calibration record: date, and the hardware that it belongs to."""
-        store, date = self.store_config, datetime.fromtimestamp(clock.time()).isoformat(timespec="seconds")
+        store, date = self.store_config, utc(clock.time())
         hardware = {"robot": store.robot, "flange": store.flange, "camera": store.camera}
         return {"date": date, **hardware, "panel": self.board.frame}
 

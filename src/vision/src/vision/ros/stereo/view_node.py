@@ -4,7 +4,6 @@ screen on the display that is the Rift, otherwise an ordinary window.
 
 from __future__ import annotations
 
-import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -22,6 +21,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import image_message
 from common.ros.node import while_running
 from common.ros.params import private_config
+from common.screen import check_screen
 from vision.ros.stereo.eye_images import StereoImageSource
 from vision.stereo.view import StereoViewConfig, WindowConfig
 
@@ -114,8 +114,7 @@ def main() -> None:
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     output = private_config(WindowConfig, others=("view",)).output
     config = private_config(StereoViewConfig, "view")
-    if not any(name in os.environ for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")):
-        raise DeviceError("The headset view needs a screen, but DISPLAY and WAYLAND_DISPLAY are not set.")
+    check_screen("The headset view")
     application = QApplication(sys.argv[:1])
     screen = find_screen(application, output)
     rospy.loginfo("Shows the view %s.", f"on {screen.name()}" if screen else "in a window: no display is a Rift")

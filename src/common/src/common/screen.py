@@ -1,0 +1,69 @@
+"""Whether windows can be shown. Qt ends a process that it finds no screen for, so a program asks before."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+
+from common import clock
+from common.errors import DeviceError
+
+ANSWER_S = 3.0  # longest wait for a screen
+TRIAL_S = 10.0  # and for a Python that opens one
+X11 = ("", "xcb")  # platforms of Qt
+WITHOUT = ("offscreen", "minimal")  # those that need nothing, and show nothing
+TRIAL = "from python_qt_binding.QtWidgets import QApplication; QApplication(['trial'])"
+
+
+def check_screen(what: str, cure: str = "") -> None:
+    """Raises DeviceError if no window can be shown; `what` is then not opened, and `cure` a sentence."""
+    if fault := no_window():
+        raise DeviceError(f"{what} is not opened: {fault}. {cure}".rstrip())
+
+
+def no_window() -> str:
+    """Returns why Qt cannot open a window, a part of a sentence; empty if it can, maybe one that nobody sees."""
+    return "" if _platform() in WITHOUT else no_screen()
+
+
+def no_screen() -> str:
+    """Returns why nobody would see a window of Qt, a part of a sentence; empty if there is a screen."""
+    if sys.platform != "linux":
+        return ""
+    if _platform() in (*X11, *WITHOUT) and not os.environ.get("WAYLAND_DISPLAY"):
+        return no_x_server()
+    names = ("QT_QPA_PLATFORM", "WAYLAND_DISPLAY", "DISPLAY")
+    given = ", ".join(f"{name}={os.environ[name]}" for name in names if os.environ.get(name))
+    try:
+        trial = subprocess.run([sys.executable, "-c", TRIAL], timeout=TRIAL_S, capture_output=True, check=False)
+    except subprocess.TimeoutExpired:
+        return f"the screen does not answer ({given})"
+    said = trial.stderr.decode(errors="replace").strip().partition("\n")[0]
+    return f"Qt finds no screen with {given} ({said.rpartition('qt.qpa.')[2]})" if trial.returncode else ""
+
+
+def _platform() -> str:
+    return os.environ.get("QT_QPA_PLATFORM", "").partition(":")[0]
+
+
+def no_x_server() -> str:
+    """Returns why a window cannot be shown on an X server, a part of a sentence; empty if it can."""
+    name = os.environ.get("DISPLAY")
+    if not name:
+        return "there is no screen, as neither DISPLAY nor WAYLAND_DISPLAY is set"
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:  # Qt will say what is missing
+        return ""
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    opened: list[int | None] = []
+    # Beside this thread, as the library waits for ever for a server that is silent.
+    asks = clock.Thread(target=lambda: opened.append(x11.XOpenDisplay(None)), name="screen", daemon=True)
+    asks.start()
+    asks.join(ANSWER_S)
+    if not any(opened):
+        return f"the screen {name} (DISPLAY) does not answer"
+    x11.XCloseDisplay(ctypes.c_void_p(opened[0]))
+    return ""

@@ -1,0 +1,51 @@
+"""Why no window can be shown, by what the environment says."""
+
+from __future__ import annotations
+
+import pytest
+
+from common import screen
+from common.errors import DeviceError
+
+NAMES = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+
+
+@pytest.mark.parametrize(
+    ("environment", "said", "sure"),
+    [
+        ({}, "neither DISPLAY nor WAYLAND_DISPLAY is set", True),
+        ({"DISPLAY": ""}, "neither DISPLAY nor WAYLAND_DISPLAY is set", True),
+        ({"DISPLAY": ":98765"}, "the screen :98765 (DISPLAY) does not answer", True),
+        ({"DISPLAY": "nonsense"}, "the screen nonsense (DISPLAY) does not answer", True),
+        ({"DISPLAY": ":98765", "QT_QPA_PLATFORM": "xcb"}, "the screen :98765 (DISPLAY) does not answer", True),
+        ({"QT_QPA_PLATFORM": "offscreen"}, "neither DISPLAY nor", False),
+        ({"QT_QPA_PLATFORM": "offscreen:size=1"}, "neither DISPLAY nor", False),
+        ({"QT_QPA_PLATFORM": "minimal", "DISPLAY": ":98765"}, "the screen :98765", False),
+    ],
+)
+def test_what_is_wrong_with_the_screen_is_said(monkeypatch, environment, said, sure):
+    """Where Qt draws into nothing there is no screen, but a window opens."""
+    for name in NAMES:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert said in screen.no_screen()
+    assert screen.no_window() == (screen.no_screen() if sure else "")
+    if sure:
+        with pytest.raises(DeviceError, match="The view is not opened: .* Use another."):
+            screen.check_screen("The view", "Use another.")
+    else:
+        screen.check_screen("The view")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ({"QT_QPA_PLATFORM": "nonsense", "DISPLAY": ":98765"}, "QT_QPA_PLATFORM=nonsense"),
+        ({"WAYLAND_DISPLAY": "nosuch"}, "WAYLAND_DISPLAY=nosuch"),
+    ],
+)
+def test_qt_is_asked_for_other_platforms(monkeypatch, environment, said):
+    pytest.importorskip("python_qt_binding")
+    test_what_is_wrong_with_the_screen_is_said(monkeypatch, environment, said, True)
