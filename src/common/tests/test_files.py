@@ -5,7 +5,8 @@ import os
 
 import pytest
 
-from common.ros.files import write_whole
+from common.errors import ConfigError
+from common.ros.files import read_yaml, write_whole
 
 
 def test_what_was_there_is_replaced_and_folders_are_made(tmp_path):
@@ -29,3 +30,13 @@ def test_on_a_full_disk_the_old_file_stays_and_nothing_else(tmp_path, monkeypatc
     with pytest.raises(OSError, match="No space left"):
         write_whole(path, "new")
     assert path.read_text() == "old" and os.listdir(tmp_path) == ["file.yaml"]
+
+
+@pytest.mark.parametrize(
+    "text", ["%YAML:1.0\n---\ncamera_name: x\n", "a: [1,", "\tb: 1", "a: 1\na: 2\n", "a: 2001-13-45"]
+)
+def test_a_file_that_is_no_yaml_is_named(tmp_path, text):
+    """The first is what OpenCV's FileStorage writes."""
+    (tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="file.yaml is not yaml"):
+        read_yaml(tmp_path / "file.yaml")
