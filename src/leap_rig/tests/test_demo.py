@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 from pathlib import Path
 from types import SimpleNamespace
@@ -112,6 +113,31 @@ def test_two_arms_follow_a_hand_each(demo):
         assert part["faults"] == ["The robot hand never moved."], "there was no time for that"
         assert part["streams"] and part["safety_stops"] == 0 and part["tool_path_m"] > 0.2
         assert part["tracking_error"]["commanded"]["rms_mm"] < 3.0
+
+
+def handbook_node():
+    """The text of the node on the page about extending."""
+    page = (Path(__file__).parents[3] / "docs" / "handbook" / "extending.md").read_text()
+    (text,) = re.findall(r"```python\n(#!/usr/bin/env python3\n.*?)```", page, re.DOTALL)
+    return text
+
+
+def test_the_handbooks_node_moves_the_arm_of_a_demo_without_teleoperation(demo, virtual_graph):
+    from rig_msgs.msg import KukaStatus
+
+    running = demo("--tracker", "none", "--duration", "10", **WITHOUT_WORLD)
+    states = virtual_graph.record("kuka/status", KukaStatus)
+    virtual_graph.wait_until(lambda: "Ready" in running.log, 30.0, "the arm at home")
+    program = compile(handbook_node(), "circle.py", "exec")
+    circle = virtual_graph.start("circle.py", lambda: exec(program, {"__name__": "__main__"}))
+    virtual_graph.wait_until(lambda: states[-1].mode == "servo", 8.0, "the arm that follows")
+    clock.sleep(1.0)
+    assert states[-1].reason == "The arm follows the desired tool frame in servo mode."
+    summary = report_of(running, 40.0)
+    circle.send_signal(signal.SIGINT)
+    assert circle.wait(END_S) == 0
+    assert summary["faults"] == [] and not summary["teleoperated"] and summary["hand_commands"] is None
+    assert summary["tool_path_m"] > 0.3 and "The arm followed, no node died." in running.log
 
 
 def test_with_control_off_nothing_moves_and_a_dead_node_is_named(demo, virtual_graph):

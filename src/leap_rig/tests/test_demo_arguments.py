@@ -39,6 +39,11 @@ pytestmark = pytest.mark.ros
             "the tracker webcam sees your own hand; a scenario or recording",
         ),
         (["--tracker", "webcam", "--", "video:=no_such.mp4"], "no_such.mp4 is not a file"),
+        (["--tracker", "none", "--scenario", "wall"], "without a tracker no hand is seen, but a scenario, recording"),
+        (
+            ["--tracker", "none", "--tutorial"],
+            "without a tracker no hand is seen, but a scenario, recording or",
+        ),
         (["--", "robot_port"], "'robot_port' is not of the form name:=value"),
         (["--", "robots:=3"], "robots is '3', but must be 1 or 2"),
         (["--scenario", "two_cups"], "the scenario two_cups needs two arms: robots:=2"),

@@ -42,6 +42,7 @@ READY_TIMEOUT_S = 90.0
 TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated operator plays
 EXIT_TIMEOUT_S = 60.0
 LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
+NO_TRACKER = "none"  # a node of the user's own moves the arm
 AT_HOME_OR_LATER = ("home", "pick_up", "servo")
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups", "hand_over")
 OF_ONE_ARM = {
@@ -54,7 +55,7 @@ OF_ONE_ARM = {
     ),
 }  # fmt: skip
 """What demo.launch takes for one arm only, and the only value that it may have with robots:=2."""
-TRACKERS = ("leap", "webcam", "headset")
+TRACKERS = ("leap", "webcam", "headset", NO_TRACKER)
 SCENE, YAML, VIDEO = "scene", ".yaml", "video"
 ONE_ARM, TWO_ARMS = ("",), ("left", "right")
 """The namespaces of the arms; an only arm has none."""
@@ -73,7 +74,9 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     scenarios = f"what the simulated operator does: {' or '.join(SCENARIOS)}"
     parser.add_argument("--scenario", metavar="NAME", help=scenarios)
     parser.add_argument(
-        "--tracker", choices=TRACKERS, help="what sees the hand: the simulated Leap, your webcam, or a headset"
+        "--tracker",
+        choices=TRACKERS,
+        help="what sees the hand: the simulated Leap, your webcam, a headset, or none: your own node moves the arm",
     )
     parser.add_argument("--tutorial", action="store_true", help="lead a visitor through the first minutes")
     parser.add_argument("--language", choices=("de", "en"), help="of the tutorial; by default as LANG says")
@@ -110,6 +113,8 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
     tracker = given.get("tracker", "leap")
     if tracker not in TRACKERS:
         parser.error(f"there is no tracker {tracker!r}; known are {' and '.join(TRACKERS)}")
+    if tracker == NO_TRACKER and (scenario or given.get("recording") or arguments.tutorial):
+        parser.error("without a tracker no hand is seen, but a scenario, recording or tutorial needs one")
     if tracker != "leap" and (scenario or given.get("recording")):
         parser.error(f"the tracker {tracker} sees your own hand; a scenario or recording moves the simulated one")
     for fault in _faults_of_two_arms(given):
@@ -312,7 +317,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         join("demo", argv=[])  # name:=value is for the launch file
         arms = TWO_ARMS if _given(arguments).get("robots") == "2" else ONE_ARM
-        recorders = {arm: Recorder() for arm in arms}
+        teleoperated = _given(arguments).get("tracker") != NO_TRACKER
+        recorders = {arm: Recorder(teleoperated) for arm in arms}
         if arguments.tutorial:  # until its node reports
             recorders[""].set_scenario({"scenario": TUTORIAL, "step": "begin", "failure": ""})
         listeners = {arm: RigListener(recorder, arm) for arm, recorder in recorders.items()}
