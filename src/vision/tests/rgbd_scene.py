@@ -34,6 +34,7 @@ class Camera:
 
         self.colour, self.depth = images()
         self.late, self.sent = 0.0, 0
+        self.edit = lambda name, message: True  # of each message of rgb or depth; whether it is sent
         self.images = {name: rospy.Publisher(f"camera/{name}/image_raw", Image, queue_size=1) for name in MODELS}
         self._infos = {name: rospy.Publisher(f"camera/{name}/camera_info", CameraInfo, queue_size=1) for name in MODELS}
         self._static = tf2_ros.StaticTransformBroadcaster()
@@ -61,6 +62,8 @@ class Camera:
             for name, (model, frame) in MODELS.items():
                 at = stamp + rospy.Duration(self.late if name == "depth" else 0.0)
                 image, encoding = (self.colour, "rgb8") if name == "rgb" else (self.depth, "16UC1")
-                self._infos[name].publish(camera_info_message(model, frame, at))
-                self.images[name].publish(image_message(image, encoding, frame, at))
+                info, image = camera_info_message(model, frame, at), image_message(image, encoding, frame, at)
+                for publisher, message in ((self._infos[name], info), (self.images[name], image)):
+                    if self.edit(name, message):
+                        publisher.publish(message)
             self.sent += 1

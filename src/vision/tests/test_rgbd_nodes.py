@@ -9,6 +9,7 @@ from rgbd_scene import MODELS, TRUTH, Camera, images
 
 from common import clock
 from common.frames import RGB_OPTICAL
+from common.poses import pose
 
 pytestmark = pytest.mark.ros
 
@@ -54,7 +55,7 @@ def diagnostics(ros, name):
 
     def read() -> dict:
         found = [s for array in arrays for s in array.status if s.name == name]
-        return {"message": found[-1].message, **{v.key: v.value for v in found[-1].values}} if found else {}
+        return {"message": found[-1].message, "level": found[-1].level, **{v.key: v.value for v in found[-1].values}} if found else {}
 
     return read
 
@@ -112,16 +113,137 @@ def test_without_depth_there_is_no_pose_but_a_reason_and_it_comes_back(ros, came
     assert fused[-1].detections
 
 
-def test_what_does_not_belong_together_is_waited_for(ros, camera, start):
-    """Images are paired that are less than 0.04 s apart."""
+def test_images_that_are_less_than_40_ms_apart_are_paired(ros, camera, start):
     status = diagnostics(ros, "plane_pose")
     camera.late = 0.041
     start()
     clock.sleep(0.6)
-    assert status()["message"] == "waits for images"
+    assert "0.041 s apart, but at most 0.04 s are allowed" in status()["message"]
     camera.late = 0.039
     clock.sleep(0.6)
     assert status()["message"] == "the marker board has a pose with depth"
+
+
+def changed(name, kind, **values):
+    """An edit of the messages of one camera, infos or images: other values, False for those that do not come."""
+
+    def edit(camera, message):
+        if camera == name and message._type == f"sensor_msgs/{kind}":
+            for key, value in values.items():
+                setattr(message, key, value)
+            return bool(values)
+        return True
+
+    return edit
+
+
+def frame(text):
+    def edit(camera, message):
+        message.header.frame_id = text.format(message.header.frame_id)
+        return True
+
+    return edit
+
+
+ZEROS, BENT = [0.0] * 9, [1.0, 0.2, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+USED = [  # as image_geometry takes it
+    changed("rgb", "CameraInfo", R=ZEROS),
+    changed("depth", "CameraInfo", R=ZEROS, P=[0.0] * 12),
+    changed("depth", "CameraInfo", D=[], distortion_model=""),
+    changed("depth", "CameraInfo", D=[0.0] * 4),
+    changed("depth", "CameraInfo", D=[0.0] * 8, distortion_model="rational_polynomial"),
+    changed("rgb", "CameraInfo", width=0, height=0),
+    frame("/{}"),
+]
+REFUSED = [
+    (changed("rgb", "Image"), "nothing has come on /camera/rgb/image_raw"),
+    (changed("depth", "Image"), "nothing has come on /camera/depth/image_raw"),
+    (changed("rgb", "Image", encoding="yuv422"), "the colour image has the encoding yuv422"),
+    (changed("depth", "Image", encoding="rgb8"), "cannot have rows of"),
+    (changed("depth", "Image", encoding="mono8", step=640, data=bytes(640 * 480)), "the depth image has the encoding mono8"),
+    (changed("depth", "Image", data=b"torn"), "4 bytes instead of"),
+    (changed("rgb", "CameraInfo", width=320, height=240), "640 x 480, but its camera_info says 320 x 240"),
+    (changed("depth", "CameraInfo", K=ZEROS), "not calibrated"),
+    (changed("rgb", "CameraInfo", R=BENT), "no rotation"),
+    (changed("rgb", "CameraInfo", P=[500.0, 0.0, 320.0, 0.0, 0.0, 500.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0]), "last row of P"),
+    (changed("depth", "CameraInfo", distortion_model="equidistant"), "equidistant"),
+    (frame("new_{}"), "tf does not know the frame 'new_camera_depth_optical_frame'"),
+    (frame(""), "without a frame"),
+]  # fmt: skip
+
+
+def started(ros, start, node):
+    """Starts register_rgbd or plane_pose; returns its process, its status, and what comes out of it."""
+    from sensor_msgs.msg import Image
+
+    from apriltag_ros.msg import AprilTagDetectionArray
+
+    status = diagnostics(ros, node)
+    if node == "plane_pose":
+        return start(), status, ros.record("tag_detections_fused", AprilTagDetectionArray)
+    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
+    return process, status, ros.record("camera/depth_registered/sw_registered/image_rect", Image)
+
+
+FINE = {"plane_pose": "the marker board has a pose with depth", "register_rgbd": "Registers."}
+
+
+@pytest.mark.parametrize("node", FINE)
+def test_what_image_geometry_takes_is_used(ros, camera, start, node):
+    _, status, out = started(ros, start, node)
+    clock.sleep(0.4)
+    for edit in USED:
+        camera.edit = edit
+        clock.sleep(0.15)
+        before = len(out)
+        clock.sleep(0.15)
+        assert len(out) > before and out[-1].header.frame_id == RGB_OPTICAL
+        if node == "register_rgbd":
+            assert np.isfinite(np.frombuffer(out[-1].data, "<f4")).mean() > 0.5
+    clock.sleep(0.5)
+    assert status()["message"] == FINE[node]
+
+
+@pytest.mark.parametrize("node", FINE)
+def test_the_first_thing_that_is_wrong_is_said_and_logged_once(ros, camera, start, node):
+    import rospy
+
+    process, status, out = started(ros, start, node)
+    for edit, reason in REFUSED:
+        camera.edit = edit
+        clock.sleep(2.6)
+        assert reason[1:] in status()["message"] and status()["level"] == 1
+        assert not out or (rospy.Time.now() - out[-1].header.stamp).to_sec() > 2.0
+        before = process.log_path.read_text().count("No output: ")  # a fault that lasts is logged after a second
+        clock.sleep(2.0)
+        log = process.log_path.read_text()
+        assert reason in log and log.count("No output: ") == before
+        camera.edit = lambda name, message: True
+        clock.sleep(0.8)
+        assert status()["message"] == FINE[node]
+    assert "Traceback" not in log
+
+
+def test_depth_that_falls_nowhere_into_the_colour_image_is_no_output(ros, camera):
+    import rospy
+    import tf2_ros
+    from sensor_msgs.msg import Image
+
+    from common.frames import DEPTH_OPTICAL
+    from common.ros.conversions import stamped_transform
+
+    status = diagnostics(ros, "register_rgbd")
+    out = ros.record("camera/depth_registered/sw_registered/image_rect", Image)
+    ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
+    camera.depth = np.zeros_like(camera.depth)
+    clock.sleep(2.0)
+    assert status()["message"] == "The depth image holds no reading." and out
+    camera.depth = images()[1]
+    tf2_ros.StaticTransformBroadcaster().sendTransform(
+        stamped_transform(pose(p=(0.0, 0.0, -50.0)), RGB_OPTICAL, DEPTH_OPTICAL, rospy.Time.now())
+    )
+    clock.sleep(2.0)
+    assert "no reading of the depth image falls into the colour image" in status()["message"].lower()
 
 
 @pytest.mark.parametrize(
@@ -152,7 +274,8 @@ def test_a_camera_that_is_absent_is_waited_for_and_an_interrupt_stops_the_node(r
     status = diagnostics(ros, "plane_pose")
     process = start()
     clock.sleep(0.6)
-    assert status()["message"] == "waits for images"
+    missing = ", ".join(f"/camera/{name}/{kind}" for kind in ("image_raw", "camera_info") for name in MODELS)
+    assert status()["message"] == f"nothing has come on {missing}"
     assert interrupted(process) == 0
 
 
@@ -206,20 +329,6 @@ def test_register_rgbd_names_wrong_parameters(ros):
     log = process.log_path.read_text()
     assert "~slop is 2.0" in log and "~slip" in log
     assert "Traceback" not in log
-
-
-def test_an_image_of_another_size_is_dropped_with_a_sentence(ros, camera):
-    from sensor_msgs.msg import PointCloud2
-
-    camera.depth = camera.depth[:240, :320].copy()
-    clouds, status = ros.record("camera/depth_registered/points", PointCloud2), diagnostics(ros, "register_rgbd")
-    process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
-    clock.sleep(0.6)
-    assert "Dropped a pair of images" in process.log_path.read_text()
-    assert "Waits for usable images" in status()["message"] and not clouds
-    camera.depth = images()[1]
-    clock.sleep(0.15)
-    assert clouds
 
 
 def test_the_launch_files_start_what_they_name(ros, camera):

@@ -31,6 +31,7 @@ class Camera:
         from sensor_msgs.msg import CameraInfo, Image
 
         self.image, self.encoding, self._model = image, encoding, model
+        self.edit = lambda message: True  # of each message; whether it is sent
         self.last = rospy.Time(0)  # stamp of the newest image
         self._images = rospy.Publisher("camera_rect/image_raw", Image, queue_size=1)
         self._infos = rospy.Publisher("camera_rect/camera_info", CameraInfo, queue_size=1)
@@ -44,8 +45,11 @@ class Camera:
 
         while not self._ended.wait(0.05):
             self.last = rospy.Time.now()
-            self._infos.publish(camera_info_message(self._model, "camera_optical", self.last))
-            self._images.publish(image_message(self.image, self.encoding, "camera_optical", self.last))
+            info = camera_info_message(self._model, "camera_optical", self.last)
+            image = image_message(self.image, self.encoding, "camera_optical", self.last)
+            for publisher, message in ((self._infos, info), (self._images, image)):
+                if self.edit(message):
+                    publisher.publish(message)
 
     def close(self):
         self._ended.set()
@@ -118,15 +122,84 @@ def test_detections_tf_and_drawing(ros, images, tags, arrays):
     assert np.any(np.all(drawing == (0, 0, 255), axis=2)), "no red edge"
 
 
-def test_every_image_gets_an_answer_and_bad_ones_are_named(ros, images, tags, arrays):
-    node = launch(ros, tags)
-    images.image = np.full_like(images.image, 90)
+def changed(kind, **values):
+    """An edit of the messages of a kind: other values, False for those that do not come."""
+
+    def edit(message):
+        if message._type != f"sensor_msgs/{kind}":
+            return True
+        for key, value in values.items():
+            setattr(message, key, value)
+        return bool(values)
+
+    return edit
+
+
+def in_frame(message):
+    message.header.frame_id = f"/{message.header.frame_id}"
+    return True
+
+
+def test_every_image_gets_an_answer_and_so_does_what_image_geometry_takes(ros, images, tags, arrays):
+    launch(ros, tags)
+    for edit in (
+        changed("CameraInfo", R=[0.0] * 9),
+        changed("CameraInfo", P=[0.0] * 12),
+        changed("CameraInfo", width=0, height=0),
+        in_frame,
+    ):
+        images.edit = edit
+        clock.sleep(0.1)
+        assert arrays[-1].header.stamp == images.last and arrays[-1].header.frame_id == "camera_optical"
+        assert arrays[-1].detections[0].pose.pose.pose.position.z == pytest.approx(0.6, abs=0.002)
+    grey = images.image
+    for encoding, channels in (("rgb8", 3), ("bgr8", 3), ("rgba8", 4), ("bgra8", 4)):
+        images.image, images.encoding = np.dstack([grey] * channels), encoding
+        clock.sleep(0.1)
+        assert arrays[-1].header.stamp == images.last and arrays[-1].detections
+    images.image, images.encoding = np.full_like(grey, 90), "mono8"
     clock.sleep(0.1)
     assert arrays[-1].header.stamp == images.last and not arrays[-1].detections
-    images.image, images.encoding = np.zeros((480, 640), dtype=np.uint16), "16UC1"
-    clock.sleep(0.1)
-    log = node.log_path.read_text()
-    assert "Dropped an image: its encoding is 16UC1" in log and "Traceback" not in log
+
+
+REFUSED = [
+    (changed("CameraInfo"), "Nothing has come on /camera_rect/camera_info."),
+    (changed("Image", encoding="16UC1", width=320), "the image has the encoding 16UC1"),
+    (changed("Image", encoding="yuv422"), "the encoding 'yuv422' is unknown"),
+    (changed("Image", data=b"torn"), "4 bytes instead of"),
+    (changed("CameraInfo", width=320), "the image is 640 x 480, but its camera_info says 320 x 480"),
+    (changed("CameraInfo", K=[0.0] * 9, P=[0.0] * 12), "not calibrated"),
+    (changed("CameraInfo", distortion_model="equidistant"), "equidistant"),
+]
+
+
+@pytest.mark.parametrize(("edit", "reason"), REFUSED)
+def test_the_first_thing_that_is_wrong_is_said_from_the_start_and_later(ros, images, tags, arrays, edit, reason):
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    last, good = status(ros), images.edit
+    images.edit = edit
+    node = launch(ros, tags)
+    for _ in range(2):
+        clock.sleep(2.1)
+        level, sentence, _ = last()
+        assert level == DiagnosticStatus.WARN and reason[1:] in sentence
+        log, before = node.log_path.read_text(), len(arrays)
+        assert reason[1:].rstrip(".") in log and "Traceback" not in log
+        images.edit = good
+        clock.sleep(1.1)
+        assert last()[:2] == (DiagnosticStatus.OK, "Detects.") and len(arrays) > before
+        if "camera_info." in reason:
+            return  # what came once is known
+        images.edit = edit
+
+
+def test_of_rectified_images_the_distortion_does_not_matter(ros, camera, tags, arrays):
+    images = Camera(camera.rectified(), render(camera.rectified(), TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
+    images.edit = changed("CameraInfo", K=[0.0] * 9, D=[0.1] * 4, distortion_model="equidistant")
+    ros.launch("apriltag_ros", "continuous_detection.launch", tags=tags, image_topic="image_raw")
+    clock.sleep(0.32)
+    assert arrays[-1].header.stamp == images.last and arrays[-1].detections
 
 
 def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, images, tags, arrays):
@@ -152,15 +225,17 @@ def test_it_waits_for_the_camera_says_when_that_falls_silent_and_an_interrupt_st
     last = status(ros)
     node = launch(ros, tags)
     clock.sleep(0.5)
-    assert last() == (DiagnosticStatus.WARN, "waits for /camera_rect/image_raw", 0)
+    waits = "Nothing has come on /camera_rect/image_raw, /camera_rect/camera_info."
+    assert last() == (DiagnosticStatus.WARN, waits, 0)
     images = Camera(camera, np.full((480, 640), 90, np.uint8))
     clock.sleep(1.0)
-    assert last()[:2] == (DiagnosticStatus.OK, "detects") and last()[2] > 10
+    assert last()[:2] == (DiagnosticStatus.OK, "Detects.") and last()[2] > 10
     images.close()
-    clock.sleep(1.9)
-    assert last()[:2] == (DiagnosticStatus.OK, "detects")
+    clock.sleep(0.9)
+    assert last()[:2] == (DiagnosticStatus.OK, "Detects.")
     clock.sleep(0.7)
-    assert last()[0] == DiagnosticStatus.WARN and last()[1].startswith("no images for 2.")
+    assert last()[0] == DiagnosticStatus.WARN
+    assert last()[1].startswith("Nothing has come on /camera_rect/image_raw for 1.")
     node.send_signal(signal.SIGINT)
     assert node.wait(1.0) == 0
     assert "Traceback" not in node.log_path.read_text()
@@ -208,6 +283,12 @@ def test_single_image(ros, camera, tmp_path):
     (detection,) = analyse(str(image), str(goal), info).tag_detections.detections
     assert detection.pose.pose.pose.position.z == pytest.approx(0.6, abs=0.002)
     assert cv2.imread(str(goal)).shape == (480, 640, 3)
+    info.header.frame_id, info.width, info.height = "/camera_optical", 0, 0
+    assert analyse(str(image), "", info).tag_detections.header.frame_id == "camera_optical"
+    other = camera_info_message(camera, "camera_optical", rospy.Time.now())
+    other.width = 320
+    with pytest.raises(rospy.ServiceException, match="640 x 480, but its camera_info says 320 x 480"):
+        analyse(str(image), "", other)
     for source, save, sentence in (
         (str(tmp_path / "none.png"), "", "Cannot read"),
         (str(image), str(tmp_path / "no" / "folder.png"), "Cannot save"),

@@ -155,8 +155,8 @@ def _views_by_arm(
             for q in leg:
                 arm.move_to(q)
             clock.sleep(SETTLE_S)
-            detections, how = capture.capture()
             try:
+                detections, how = capture.capture()
                 views.append(view_from(detections, arm.flange(), views, setup.limits))
                 distance = np.linalg.norm(views[-1].T_camera_board[:3, 3])
                 print(f"View {i} of {len(legs)}: marker board at {distance:.2f} m, {len(detections)} images, {how}.")
@@ -195,8 +195,9 @@ def _detected_guess(arm, setup, listener, planner: ViewPlanner, guess, start, rn
             T_camera_board = mean_pose([detection.T_camera_board for _, detection in detections])
             return arm.flange() @ setup.board.T_flange_tag @ inverse(T_camera_board)
         print("The camera does not see the marker board here.")
-        if not listener.alive:
-            raise DeviceError("The detector publishes nothing: is the camera running?")
+        silence = listener.fault()
+        if silence:
+            raise DeviceError(f"The detector gives no answer: {silence}.")
     raise DeviceError(
         f"The camera saw the marker board at none of {len(legs)} arm poses: correct guess_position and guess_target in "
         "calibration_views.yaml, or move the arm so that the camera sees the marker board and use --by-hand."

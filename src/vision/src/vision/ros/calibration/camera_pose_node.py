@@ -20,9 +20,11 @@ from std_srvs.srv import Trigger, TriggerResponse
 from common import clock
 from common.errors import DeviceError
 from common.frames import FLANGE_SEEN
+from common.input_watch import OUTPUT_S
 from common.poses import inverse, read_only
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
+from common.ros.inputs import FaultLog
 from common.ros.node import repeat, while_running
 from common.ros.params import private_config
 from vision.calibration.acceptance import BoardDetection, check_alone, view_from
@@ -62,13 +64,14 @@ class CameraPoseNode:
         self._record: CalibrationRecord | None = None
         self._stored: TransformStamped | None = None
         self._was_live = False
+        self._log = FaultLog()
         board, now = setup.board, rospy.Time.now()
         self._flange_seen = stamped_transform(board.T_tag_flange, board.frame, FLANGE_SEEN, now)
         self._static.sendTransform([self._flange_seen])
         self._load()
         rospy.Service("camera_place/reload", Trigger, self._on_reload)
         rospy.Service("camera_place/store", Trigger, self._on_store)
-        BoardListener(setup.target, self._on_detection)
+        self._listener = BoardListener(setup.target, self._on_detection)
         Diagnostics("camera_place", self._diagnostics)
         repeat(self._repeat, REPEAT_S, "camera pose")
 
@@ -175,11 +178,12 @@ class CameraPoseNode:
         record, last = self._record, self._last
         if record is not None:
             return DiagnosticStatus.OK, _summary(record), values
-        if last is None:
-            return DiagnosticStatus.WARN, "waits for the marker board", values
-        age, fault = clock.monotonic() - last[0], last[1]
-        if age > RECENT_S:
-            return DiagnosticStatus.WARN, f"the marker board was not detected for {age:.0f} s", values
+        fault = "the marker board has not been detected yet"
+        if last is not None:
+            age, fault = clock.monotonic() - last[0], last[1]
+            if age > OUTPUT_S:
+                fault = f"the marker board was not detected for {age:.0f} s"
+        fault = self._log(self._listener.fault() or fault)
         return (DiagnosticStatus.WARN, fault, values) if fault else (DiagnosticStatus.OK, "live", values)
 
 

@@ -17,14 +17,16 @@ from time import perf_counter
 from xml.etree import ElementTree
 
 import cv2
+import numpy as np
 import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 
 from common import clock
+from common.camera_model import CameraModel
 from common.ros.diagnostics import Diagnostics
-from common.ros.images import camera_info_message, image_message
+from common.ros.images import camera_info_message, image_message, same_camera
 from common.ros.node import run
 from common.ros.params import private_config
 from vision.camera.registration import POINT, PairsConfig, Registration, millimetres_from_metres
@@ -41,7 +43,7 @@ class RegisterNode:
 
     def __init__(self, config: PairsConfig) -> None:
         self._registration: Registration | None = None
-        self._made_for: tuple | None = None
+        self._made_for: tuple[CameraModel, CameraModel, np.ndarray] | None = None
         self._milliseconds = 0.0
         self._rectified = rospy.Publisher("rgb/image_rect_color", Image, queue_size=1)
         self._raw = rospy.Publisher(f"{REGISTERED}/image_rect_raw", Image, queue_size=1)
@@ -80,24 +82,33 @@ class RegisterNode:
                 self._metric.publish(image_message(registered, "32FC1", header.frame_id, header.stamp))
             if wants_cloud:
                 self._points.publish(cloud_message(registration.cloud(registered, rectified), header))
+            if np.isnan(registered).all():
+                raise ValueError(_why_empty(pair))
         self._milliseconds = 1e3 * (perf_counter() - started)
 
     def _for(self, pair: RgbdPair) -> Registration:
         """Returns the registration of these cameras; a calibration may change while the node runs."""
-        rgb, depth = pair.rgb_info, pair.depth_info
-        made_for = (rgb.K, rgb.D, rgb.P, rgb.R, depth.K, depth.D, pair.T_rgb_depth.tobytes())
-        if self._registration is None or made_for != self._made_for:
-            self._registration = Registration(pair.rgb, pair.depth_camera, pair.T_rgb_depth)
-            self._made_for = made_for
+        rgb, depth, T = made_for = pair.rgb, pair.depth_camera, pair.T_rgb_depth
+        last = self._made_for
+        same = last and same_camera(rgb, last[0]) and same_camera(depth, last[1]) and np.array_equal(T, last[2])
+        if self._registration is None or not same:
+            self._registration, self._made_for = Registration(*made_for), made_for
         return self._registration
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {"pairs": self._pairs.pairs, "milliseconds": f"{self._milliseconds:.1f}"}
         if not self._wanted():
             return DiagnosticStatus.OK, "No subscribers.", values
-        if self._pairs.waits_for:
-            return DiagnosticStatus.WARN, f"Waits for {self._pairs.waits_for}.", values
-        return DiagnosticStatus.OK, "Registers.", values
+        return (*self._pairs.inputs.status("Registers."), values)
+
+
+def _why_empty(pair: RgbdPair) -> str:
+    """Returns why there is no depth in the colour image, a clause."""
+    if not (pair.depth > 0.0).any():
+        return "the depth image holds no reading"
+    x, y, z = pair.T_rgb_depth[:3, 3]
+    place = f"at x {x:.3g}, y {y:.3g}, z {z:.3g} m in {pair.header.frame_id}"
+    return f"no reading of the depth image falls into the colour image: tf has the depth camera {place}"
 
 
 def cloud_message(points, header) -> PointCloud2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import message_filters
 import numpy as np
@@ -16,12 +17,12 @@ from common import clock
 from common.camera_model import CameraModel
 from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
+from common.ros.inputs import NodeInputs, clause
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
 
-BUFFER_BYTES = 2**24  # room for several images: rospy drops old images only after it has read them
 QUEUE = 5
-THROTTLE_S = 10.0
+CAMERAS = ("rgb", "depth")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +32,9 @@ class RgbdPair:
     header: Header  # of the colour image
     colour: np.ndarray  # RGB, shape (height, width, 3), uint8
     depth: np.ndarray  # raw, shape (height, width), float32 [m], NaN where unknown
-    rgb_info: CameraInfo  # camera_info of both
-    depth_info: CameraInfo  # camera_info of both
+    rgb: CameraModel  # the colour camera
+    depth_camera: CameraModel
     T_rgb_depth: np.ndarray  # pose of the depth camera in the colour camera, shape (4, 4) [m]
-
-    @property
-    def rgb(self) -> CameraModel:
-        """The colour camera; raises ValueError if it is not calibrated."""
-        return camera_model_from_info(self.rgb_info)
-
-    @property
-    def depth_camera(self) -> CameraModel:
-        """The depth camera; raises ValueError if it is not calibrated."""
-        return camera_model_from_info(self.depth_info)
 
 
 class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
@@ -61,8 +52,8 @@ class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
 
 class RgbdPairs:
     """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info. `on_pair` gets each pair whose images
-    are at most `slop` [s] apart; if it raises ValueError, the pair is dropped and the reason logged. `pairs` counts
-    them; `waits_for` says what is missing, as a noun, and is empty while pairs arrive.
+    are at most `slop` [s] apart; it raises ValueError if it makes nothing of it. `inputs` says what is wrong with them;
+    `pairs` counts what was made.
     """
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
@@ -71,49 +62,47 @@ class RgbdPairs:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer)
         self._lock = clock.Lock()
+        self._images, infos = ([f"{name}/{kind}" for name in CAMERAS] for kind in ("image_raw", "camera_info"))
+        self.inputs = NodeInputs(self._images, infos, slop)
         self.subscribe = OnDemand(self._subscribed)
         self.pairs = 0
-        self.waits_for = "images"
-        for name in ("rgb", "depth"):
-            rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, callback_args=name, queue_size=1)
+        for name, topic in zip(CAMERAS, infos):
+            self.inputs.subscribe(topic, CameraInfo, partial(self._infos.__setitem__, name))
 
-    def _subscribed(self) -> list[message_filters.Subscriber]:
-        topics = [f"{name}/image_raw" for name in ("rgb", "depth")]
-        images = [message_filters.Subscriber(t, Image, queue_size=1, buff_size=BUFFER_BYTES) for t in topics]
-        _Synchronizer(images, QUEUE, self._slop).registerCallback(self._on_images)
-        return images
-
-    def _on_info(self, message: CameraInfo, name: str) -> None:
-        self._infos[name] = message
+    def _subscribed(self) -> list[rospy.Subscriber]:
+        self.inputs.restart()
+        filters = [message_filters.SimpleFilter() for _ in CAMERAS]
+        _Synchronizer(filters, QUEUE, self._slop).registerCallback(self._on_images)
+        return [self.inputs.subscribe(t, Image, each.signalMessage) for t, each in zip(self._images, filters)]
 
     def _on_images(self, rgb: Image, depth: Image) -> None:
-        if not self._lock.acquire(blocking=False):
+        """Passes a pair on; the synchronizer must not see an exception, which would leave it locked."""
+        if len(self._infos) < len(CAMERAS) or not self._lock.acquire(blocking=False):
             return  # the previous pair is still being processed
         try:
             with while_running():
-                self._process(rgb, depth)
+                self._on_pair(self._pair(rgb, depth))
+                self.pairs += 1
+                self.inputs.done()
         except ValueError as error:
-            self.waits_for = f"usable images: {error}"
-            rospy.logwarn_throttle(THROTTLE_S, f"Dropped a pair of images: {error}.")
+            self.inputs.refused(error)
         finally:
             self._lock.release()
 
-    def _process(self, rgb: Image, depth: Image) -> None:
-        missing = [rospy.resolve_name(f"{name}/camera_info") for name in ("rgb", "depth") if name not in self._infos]
-        if missing:
-            self._wait(" and ".join(missing))
-            return
-        try:
-            found = self._buffer.lookup_transform(rgb.header.frame_id, depth.header.frame_id, rospy.Time(0))
-        except tf2_ros.TransformException:
-            self._wait(f"the frame {depth.header.frame_id} in {rgb.header.frame_id}")
-            return
-        T_rgb_depth = pose_from_transform(found.transform)
-        infos = self._infos["rgb"], self._infos["depth"]
-        self._on_pair(RgbdPair(rgb.header, colour_from_image(rgb), depth_from_image(depth), *infos, T_rgb_depth))
-        self.pairs += 1
-        self.waits_for = ""
+    def _pair(self, rgb: Image, depth: Image) -> RgbdPair:
+        """Returns the pair of two images; raises ValueError if they cannot be used."""
+        cameras = [
+            camera_model_from_info(self._infos[name], (image.width, image.height))
+            for name, image in zip(CAMERAS, (rgb, depth))
+        ]
+        T_rgb_depth = self._pose(rgb.header.frame_id, depth.header.frame_id)
+        return RgbdPair(rgb.header, colour_from_image(rgb), depth_from_image(depth), *cameras, T_rgb_depth)
 
-    def _wait(self, what: str) -> None:
-        self.waits_for = what
-        rospy.loginfo_throttle(THROTTLE_S, f"Waiting for {what}.")
+    def _pose(self, rgb: str, depth: str) -> np.ndarray:
+        """Returns the pose of one frame in the other, shape (4, 4) [m]; raises ValueError if tf has none."""
+        if not (rgb and depth):
+            raise ValueError("the images come without a frame in their headers")
+        try:
+            return pose_from_transform(self._buffer.lookup_transform(rgb, depth, rospy.Time(0)).transform)
+        except tf2_ros.TransformException as error:
+            raise ValueError(f"tf does not know the frame {depth!r} in {rgb!r}: {clause(error)}") from None

@@ -12,7 +12,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import rospy
-import tf2_ros
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from apriltag_ros.detector import TargetDetection
@@ -20,6 +19,7 @@ from apriltag_ros.msg import AprilTagDetectionArray
 from apriltag_ros.ros.messages import detection_array
 from apriltag_ros.settings import detector_settings
 from common.errors import ConfigError
+from common.ros.broadcaster import FreshBroadcaster
 from common.ros.conversions import stamped_transform
 from common.ros.diagnostics import Diagnostics
 from common.ros.params import private_config, private_values
@@ -47,7 +47,7 @@ class PlanePoseNode:
             name: rospy.Publisher(f"tag_detections_{name}", AprilTagDetectionArray, queue_size=1, tcp_nodelay=True)
             for name in METHODS
         }
-        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._broadcaster = FreshBroadcaster()
         self._pairs = RgbdPairs(self._on_pair, slop)
         self._pairs.subscribe(True)
         Diagnostics("plane_pose", self._diagnose)
@@ -86,8 +86,9 @@ class PlanePoseNode:
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {"pairs": self._pairs.pairs, "fused": self._fused, "refused": self._refused, **self._values}
-        if self._pairs.waits_for:
-            return DiagnosticStatus.WARN, f"waits for {self._pairs.waits_for}", values
+        fault = self._pairs.inputs.fault()
+        if fault:
+            return DiagnosticStatus.WARN, fault, values
         if self._reason:
             return DiagnosticStatus.WARN, self._reason, values
         return DiagnosticStatus.OK, "the marker board has a pose with depth", values
