@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import cv2
 import numpy as np
@@ -45,7 +46,8 @@ def test_a_rectangle_of_cornell_is_the_one_that_was_written(tmp_path_factory, gr
     lines = [f"{x!r} {y!r}" for x, y in grasp.corners().tolist()]
     text = "\n".join([*lines, "1 1", "NaN NaN", "1 9", "9 9", ""])
     (folder / "pcd0100cpos.txt").write_text(text)
-    (image,) = li.read(folder)
+    (folder / "pcd0100.txt").touch()
+    (image,), _ = li.read(folder)
     (found,) = image.grasps
     assert image.name == "pcd0100"
     assert (found.row, found.column, found.opening, found.breadth) == pytest.approx(
@@ -58,7 +60,7 @@ def test_a_point_cloud_of_cornell_is_its_distances(tmp_path):
     head = "# .PCD v.7\nFIELDS x y z rgb index\nPOINTS 2\nDATA ascii\n"
     (tmp_path / "pcd0100.txt").write_text(head + "300.0 0.0 400.0 1.0 0\n0.0 0.0 700.0 1.0 641\n")
     (tmp_path / "pcd0100cpos.txt").write_text("10 10\n20 10\n20 15\n10 15\n")
-    (image,) = li.read(tmp_path)
+    (image,), _ = li.read(tmp_path)
     depth = image.depth()
     assert depth.shape == (480, 640) and np.isfinite(depth).sum() == 2
     assert depth[0, 0] == pytest.approx(0.5) and depth[1, 1] == pytest.approx(0.7)
@@ -72,7 +74,7 @@ def test_angles_of_jacquard_are_clockwise_degrees_and_things_are_their_models(tm
     (tmp_path / "thing").mkdir()
     (tmp_path / "thing" / "3_abc_grasps.txt").write_text("512.5;300;30;80;20\n512.5;300;-90;80;20\n")
     cv2.imwrite(str(tmp_path / "thing" / "3_abc_perfect_depth.tiff"), np.full((1024, 1024), 1.5, np.float32))
-    (image,) = li.read(tmp_path)
+    (image,), _ = li.read(tmp_path)
     assert image.thing == "abc" and image.depth()[3, 4] == 1.5
     assert [grasp.angle for grasp in image.grasps] == pytest.approx([-math.pi / 6.0, -math.pi / 2.0])
     assert (image.grasps[0].row, image.grasps[0].column) == (300.0, 512.5)
@@ -109,14 +111,107 @@ def test_a_bad_label_file_is_refused_by_name(tmp_path, content):
         li.read(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [("pcd1cpos.txt", "1 2\n3 4\n5 6\n"), ("pcd1cpos.txt", "1 2\n1 2\n1 2\n1 2\n"), ("0_a_grasps.txt", "1;2;3;4\n")],
-)
-def test_bad_published_labels_are_refused_by_name(tmp_path, name, text):
-    (tmp_path / name).write_text(text)
-    with pytest.raises(li.LabelError, match=name):
+SQUARE = "10 10\n40 10\n40 25\n10 25\n"
+LINE = "300;200;30;80;20\n"
+GRASPS = json.dumps({"schema": 1, "grasps": [GOOD]})
+SETS = {  # good label file, its image, a good text; bad texts and what is said of them
+    "own": ("{}.grasps.json", "{}.npy", GRASPS, {
+        GRASPS[:-9]: "not a file of labelled grasps",
+        GRASPS.replace("30.0", "0.062"): "must be at least 1 px: they are in pixels, not in metres",
+        GRASPS.replace("0.1", "45.0"): "angle is 45 rad and must be within 2 pi",
+        '{"schema": 1, "grasps": []}': "holds no grasp",
+    }),
+    "cornell": ("pcd{}cpos.txt", "pcd{}d.tiff", SQUARE, {
+        "1 2\n3 4\n5 6\n": "does not hold four corners",
+        SQUARE + "10 10\n40": "does not hold four corners",
+        SQUARE.replace("40 25", "40 x"): "does not hold four corners",
+        "1 2\n1 2\n1 2\n1 2\n": "must be positive",
+        "NaN NaN\n" * 4: "holds no grasp",
+        "0.10 0.10\n0.40 0.10\n0.40 0.25\n0.10 0.25\n": "at least 1 px",
+    }),
+    "jacquard": ("0_{}_grasps.txt", "0_{}_perfect_depth.tiff", LINE, {
+        LINE + "300;200;30": "does not hold five numbers",
+        LINE.replace("80", "nan"): "must be a number",
+    }),
+}  # fmt: skip
+EVERY_SET = {"": "holds no grasp|not a file", "\0\0": "does not hold|not a file", "\xe4": "does not hold|not a file"}
+WINDOWS = {
+    "line ends": lambda text: text.replace("\n", "\r\n").encode(),
+    "old line ends": lambda text: text.replace("\n", "\r").encode(),
+    "a byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "PowerShell's UTF-16": lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    "trailing blanks": lambda text: text.replace("\n", " \t\n").encode() + b" \n\n \n",
+}
+
+
+def write_image(path, shape=(480, 640)):
+    depth = np.full(shape, 0.7, np.float32)
+    np.save(path, depth) if path.suffix == ".npy" else cv2.imwrite(str(path), depth)
+
+
+def bad_files():
+    for kind, (_, _, _, bad) in SETS.items():
+        for text, said in {**bad, **EVERY_SET}.items():
+            yield pytest.param(kind, text.encode("latin-1"), said, id=f"{kind}: {said}, {text[-8:]!r}")
+
+
+@pytest.mark.parametrize(("kind", "content", "said"), bad_files())
+def test_one_bad_label_file_of_many_is_named_and_left_out(tmp_path, kind, content, said):
+    label, image, good, _ = SETS[kind]
+    for name in "abc":
+        (tmp_path / label.format(name)).write_text(good)
+        write_image(tmp_path / image.format(name))
+    (tmp_path / label.format("b")).write_bytes(content)
+    found = li.read(tmp_path)
+    (sentence,) = found.left_out
+    assert len(found.images) == 2
+    assert label.format("b") in sentence and re.search(said, sentence)
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_labels_without_their_image_are_named_and_left_out(tmp_path, kind):
+    label, image, good, _ = SETS[kind]
+    for name in "ab":
+        (tmp_path / label.format(name)).write_text(good)
+    write_image(tmp_path / image.format("a"))
+    found = li.read(tmp_path)
+    assert len(found.images) == 1 and "belongs to no image" in found.left_out[0]
+    (tmp_path / image.format("a")).unlink()
+    with pytest.raises(li.LabelError, match="None of the 2 label files .* belongs to no image"):
         li.read(tmp_path)
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("how", WINDOWS)
+def test_labels_from_windows_are_the_same(tmp_path, kind, how):
+    label, image, good, _ = SETS[kind]
+    (tmp_path / label.format("a")).write_text(good)
+    write_image(tmp_path / image.format("a"))
+    expected = li.read(tmp_path)
+    (tmp_path / label.format("a")).write_bytes(WINDOWS[how](good))
+    found = li.read(tmp_path)
+    assert found.images[0].grasps == expected.images[0].grasps and not found.left_out
+
+
+@pytest.mark.parametrize("kind", SETS)
+def test_names_in_capitals_are_the_same(tmp_path, kind):
+    label, image, good, _ = SETS[kind]
+    write_image(tmp_path / image.format("a"))
+    (tmp_path / image.format("a")).rename(tmp_path / image.format("a").upper())
+    (tmp_path / label.format("a").upper()).write_text(good)
+    ((found,), _) = li.read(tmp_path)
+    assert found.checked_depth().shape == (480, 640) and found.grasps
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "opening"), [(480.0, 320.0, 30.0), (240.0, 900.0, 30.0), (-3.0, 5.0, 30.0), (240.0, 320.0, 801.0)]
+)
+def test_labels_of_an_image_of_another_size_are_named(row, column, opening):
+    image = image_of(
+        li.GraspRectangle(240.0, 320.0, 0.0, 30.0, 9.0), li.GraspRectangle(row, column, 0.0, opening, 9.0)
+    )
+    with pytest.raises(RigError, match="not of an image of 640 x 480: its labels are of another size"):
+        li.sample(image, 400)
 
 
 def test_a_folder_without_labels_names_all_three_kinds(tmp_path):
@@ -178,6 +273,8 @@ def test_a_labelled_grasp_is_right_by_the_rectangle_metric_and_one_turned_is_not
     [
         ("depth.png", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1500, np.uint16))),
         ("depth.npy", lambda path: np.save(path, np.full((4, 5), 1.5))),
+        ("depth.npy", lambda path: np.save(path, np.full((4, 5), 1500, np.uint16))),
+        ("DEPTH.TIF", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1500, np.uint16))),
         ("depth.tiff", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1.5, np.float32))),
     ],
 )
@@ -195,6 +292,25 @@ def test_what_is_no_depth_image_is_refused_by_name(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RigError, match=name):
         li.read_depth(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "depth", "said"),
+    [
+        ("depth.npy", np.full((48, 64), 700.0, np.float32), "the median of the depth is 700 m"),
+        ("depth.npy", np.full((48, 64), 700.0), "the median of the depth is 700 m"),
+        ("depth.tiff", np.full((48, 64), 70.0, np.float32), "the median of the depth is 70 m"),
+        ("depth.png", np.full((48, 64), 65535, np.uint16), "the median of the depth is 65.5"),
+        ("depth.png", np.full((48, 64), 1, np.uint16), "the median of the depth is 0.001 m"),
+        ("depth.png", np.full((48, 64), 180, np.uint8), "holds uint8"),
+        ("depth.npy", np.full((48, 64), 700, np.int32), "holds int32"),
+    ],
+)
+def test_depth_in_another_unit_is_refused_by_name(tmp_path, name, depth, said):
+    np.save(tmp_path / name, depth) if name.endswith(".npy") else cv2.imwrite(str(tmp_path / name), depth)
+    with pytest.raises(RigError, match=said) as error:
+        li.read_depth(tmp_path / name)
+    assert name in str(error.value)
 
 
 @given(st.integers(60, 420), st.integers(60, 580), st.integers(200, 480))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import shutil
 
 import cv2
 import numpy as np
@@ -98,6 +99,58 @@ def test_an_image_that_cannot_be_used_is_named_and_left_out(images, tmp_path, mo
     assert "Left out: blind: the depth image holds no reading" in streams.err and "1 left out." in streams.out
 
 
+def test_images_in_float_millimetres_are_refused_and_the_shards_before_stay(images, shards, tmp_path, monkeypatch, capsys):
+    before = {path: path.read_bytes() for path in shards.iterdir()}
+    source = tmp_path / "millimetres"
+    source.mkdir()
+    for number in range(BARS):
+        depth = cv2.imread(str(images / f"bar_{number}.png"), cv2.IMREAD_UNCHANGED)
+        np.save(source / f"bar_{number}.npy", depth.astype(np.float32))
+        (source / f"bar_{number}.grasps.json").write_bytes((images / f"bar_{number}.grasps.json").read_bytes())
+    with pytest.raises(SystemExit) as ended:
+        call(monkeypatch, import_grasps, source, shards)
+    said = capsys.readouterr().err
+    assert ended.value.code and said.count("in millimetres as 16-bit ones") == BARS
+    assert f"None of the {BARS} labelled images" in said
+    assert {path: path.read_bytes() for path in shards.iterdir()} == before
+
+
+def test_one_bad_label_and_one_bad_image_of_many_are_named_and_counted(images, tmp_path, monkeypatch, capsys):
+    source = tmp_path / "source"
+    shutil.copytree(images, source)
+    (source / "bar_0.grasps.json").write_text("{")
+    np.save(source / "bar_1.npy", np.full((480, 640), 700.0))
+    (source / "bar_1.png").unlink()
+    (source / "bar_2.png").unlink()
+    (source / "bar_3.png").write_bytes(b"\x89PNG")
+    call(monkeypatch, import_grasps, source, tmp_path / "shards", "--validation", "0")
+    streams = capsys.readouterr()
+    assert [f"bar_{n}" in streams.err for n in range(BARS)] == [n < 4 for n in range(BARS)]
+    assert f"{BARS - 4} images for training, 0 for validation, of {BARS - 4} things; 4 left out." in streams.out
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda arrays: {**arrays, "depth": 60.0 * np.sign(arrays["depth"])}, "holds depths 60 m from their mean"),
+        (lambda arrays: {**arrays, "depth": np.full_like(arrays["depth"], np.inf)}, "holds depths inf m from"),
+        (lambda arrays: {"depth": arrays["depth"]}, "is not a shard"),
+        (None, "is not a shard"),
+    ],
+)
+def test_shards_of_images_in_another_unit_or_torn_ones_are_refused(shards, tmp_path, monkeypatch, capsys, damage, said):
+    shard = shards / "train_own_000000.npz"
+    if damage is None:
+        shard.write_bytes(shard.read_bytes()[:-300])
+    else:
+        with np.load(shard) as arrays:
+            damaged = damage(dict(arrays))
+        np.savez(shard, **damaged)
+    with pytest.raises(SystemExit):
+        call(monkeypatch, train_ggcnn, shards, tmp_path / "run", "--steps", "1")
+    assert f"{shard} {said}" in capsys.readouterr().err and not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
@@ -161,3 +214,22 @@ def test_grasps_are_found_in_a_folder_and_drawn(images, tmp_path, monkeypatch, c
     assert [json.loads(line)["image"] for line in streams.out.splitlines()] == ["bar_0.png", "bar_1.png"]
     assert "Left out" in streams.err and "torn.png" in streams.err
     assert cv2.imread(str(tmp_path / "pictures" / "bar_1.png")).shape == (900, 900, 3)
+
+
+def test_grasps_are_found_neither_in_another_unit_nor_with_a_focal_length_of_another_image(
+    images, tmp_path, monkeypatch, capsys
+):
+    file, source = tmp_path / "weights.pt", tmp_path / "source"
+    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    source.mkdir()
+    np.save(source / "depth.npy", np.full((480, 640), 700.0, np.float32))
+    cases = (
+        ([source / "depth.npy"], "the median of the depth is 700 m"),
+        ([source], "None of the 1 images"),
+        ([images / "bar_0.png", "--focal", "3.6"], "the focal lengths 3.6 and 3.6"),
+    )
+    for (image, *options), said in cases:
+        with pytest.raises(SystemExit) as ended:
+            call(monkeypatch, find_grasps, image, file, *options)
+        streams = capsys.readouterr()
+        assert ended.value.code and said in streams.err and not streams.out

@@ -1,7 +1,8 @@
-"""Files that are written completely or not at all, and yaml files that people edit."""
+"""Files that are written completely or not at all, and texts that people edit, such as yaml files."""
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import hashlib
 import os
@@ -23,6 +24,16 @@ def user_file(kind: str, name: str) -> Path:
         allowed = "must be letters, digits, - and _, and begin with a letter or digit"
         raise RigError(f"The {kind}'s name is {name!r}, but {allowed}.")
     return home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
+
+
+def read_text(path: Path) -> str:
+    """Returns the text of a file, in UTF-8 or as Windows writes it: with a byte order mark, in UTF-16, with its line
+    ends. Raises OSError, or ValueError if it is no text.
+    """
+    content = path.read_bytes()
+    utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    text = content.decode("utf-16" if utf16 else "utf-8-sig")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def home() -> Path:
@@ -47,7 +58,7 @@ class _Loader(yaml.SafeLoader):
 def read_yaml(path: Path) -> Any:
     """Returns what a yaml file holds; raises ConfigError if it cannot be read, or is not yaml."""
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        return yaml.load(read_text(path), Loader=_Loader)
     except OSError as error:
         raise ConfigError([f"{path} cannot be read: {error.strerror}."]) from error
     except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45

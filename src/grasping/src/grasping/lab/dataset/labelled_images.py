@@ -13,15 +13,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from common.errors import RigError
+from common.plausible import plausible_depth
+from common.ros.files import read_text
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
 from grasping.network.maps import WIDTH_SCALE_PX, Peak
@@ -33,6 +37,7 @@ IMAGE_SUFFIXES = (".png", ".npy", ".tif", ".tiff")
 CORNELL_SHAPE = 480, 640
 CORNELL_MM = 1e-3  # the point clouds are in millimetres
 LARGEST_PX = 1e5  # of any number in a label
+LEAST_PX = 1.0  # of the sides of a labelled rectangle: those in metres, or in fractions of the image, are shorter
 
 
 class LabelError(RigError):
@@ -89,58 +94,121 @@ class LabelledImage:
     depth: Callable[[], np.ndarray]
     grasps: tuple[GraspRectangle, ...]
 
+    def checked_depth(self) -> np.ndarray:
+        """Returns the image; raises RigError if it cannot be used, or the grasps are not of an image of its size."""
+        depth = self.depth()
+        height, width = depth.shape
+        for grasp in self.grasps:
+            inside = -0.5 <= grasp.row <= height - 0.5 and -0.5 <= grasp.column <= width - 0.5
+            if not inside or max(grasp.opening, grasp.breadth) > math.hypot(width, height):
+                raise RigError(
+                    f"{self.name}: a grasp at row {grasp.row:g}, column {grasp.column:g}, {grasp.opening:g} px open, is "
+                    f"not of an image of {width} x {height}: its labels are of another size."
+                )
+        return depth
+
+
+class LabelledFolder(NamedTuple):
+    """The labelled images of a folder."""
+
+    images: list[LabelledImage]  # with a grasp
+    left_out: list[str]  # one sentence for each label file that cannot be used, or holds no grasp
+
 
 def read_depth(path: Path) -> np.ndarray:
-    """Returns a depth image, shape (h, w) [m], of a .npy or .tiff file in metres or a 16-bit image in millimetres.
+    """Returns a depth image, shape (h, w) [m], of a .npy or .tiff file: 16-bit in millimetres, floating-point in metres.
 
-    Raises RigError if the file is not a depth image.
+    Raises RigError if the file is not a depth image, or not in these units.
     """
     try:
-        if path.suffix == ".npy":
+        if path.suffix.lower() == ".npy":
             depth = np.load(path, allow_pickle=False)
         else:
             depth = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except OSError as error:
+        raise RigError(f"{path} cannot be read: {error.strerror or error}.") from error
     except (ValueError, EOFError, cv2.error) as error:
         raise RigError(f"{path} cannot be read: {error}.") from error
     if depth is None:
         raise RigError(f"{path} is not an image.")
-    if path.suffix != ".npy" and depth.dtype == np.uint16:
+    if depth.dtype == np.uint16:
         depth = depth * np.float32(0.001)
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
         raise RigError(f"{path} holds {depth.dtype} of shape {depth.shape}, not 16-bit millimetres or metres, (h, w).")
-    return depth
+    return _plausible(depth, path)
+
+
+def _plausible(depth: np.ndarray, path: Path) -> np.ndarray:
+    try:
+        return plausible_depth(depth)
+    except ValueError as error:
+        raise RigError(f"{path}: {error}.") from error
 
 
 def depth_images(folder: Path) -> list[Path]:
     """Returns the depth images of a folder, by name; raises RigError if there are none."""
-    found = sorted(path for path in folder.iterdir() if path.suffix in IMAGE_SUFFIXES)
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
     if not found:
         raise RigError(f"{folder} holds no depth image ({', '.join(IMAGE_SUFFIXES)}).")
     return found
 
 
-def read(folder: Path) -> list[LabelledImage]:
-    """Returns the labelled images of a folder of any of the three kinds; those without a grasp are left out.
-
-    Raises RigError if there are none, LabelError for a label file that cannot be used.
-    """
-    for reader in (_own, _cornell, _jacquard):
-        found = [image for image in reader(folder) if image.grasps]
-        if found:
-            return found
+def read(folder: Path) -> LabelledFolder:
+    """Returns the labelled images of a folder of any of the three kinds; raises RigError if there are none."""
+    if not folder.is_dir():
+        raise RigError(f"{folder} is not a folder.")
+    files = {path.with_name(path.name.lower()): path for path in sorted(folder.rglob("*"))}
+    left_out: list[str] = []
+    for pattern, of_file in ((f"*{SUFFIX}", _own), ("pcd*cpos.txt", _cornell), ("*_grasps.txt", _jacquard)):
+        images = []
+        for lower, path in files.items():
+            if not fnmatchcase(lower.name, pattern) or (of_file is _own and path.parent != folder):
+                continue
+            try:
+                image = of_file(path, files)
+            except LabelError as error:
+                left_out.append(str(error))
+            else:
+                images += [image] * bool(image.grasps)
+                left_out += [f"{path} holds no grasp."] * (not image.grasps)
+        if images:
+            return LabelledFolder(images, left_out)
+    if left_out:
+        raise LabelError(f"None of the {len(left_out)} label files in {folder} can be used; the first: {left_out[0]}")
     raise RigError(
         f"{folder} holds no labelled grasps: neither *{SUFFIX} (label_grasps.py makes them), nor Cornell's "
         "pcd*cpos.txt, nor Jacquard's *_grasps.txt."
     )
 
 
+def _labelled(row: float, column: float, angle: float, opening: float, breadth: float) -> GraspRectangle:
+    """Returns the rectangle that a label states; raises ValueError if it is not in pixels and radians."""
+    grasp = GraspRectangle(row, column, angle, opening, breadth)
+    if min(opening, breadth) < LEAST_PX:
+        raise ValueError(
+            f"opening and breadth are {opening:g} and {breadth:g} px and must be at least {LEAST_PX:g} px: they are in "
+            "pixels, not in metres"
+        )
+    if abs(angle) > 2.0 * math.pi:
+        raise ValueError(f"angle is {angle:g} rad and must be within 2 pi: it is in radians, not in degrees")
+    return grasp
+
+
+def _beside(path: Path, files: Mapping[Path, Path], *names: str) -> Path:
+    """Returns the first file of these names beside a label file, in capitals or not; raises LabelError if none is."""
+    found = next((files[path.with_name(n.lower())] for n in names if path.with_name(n.lower()) in files), None)
+    if found is None:
+        raise LabelError(f"{path} belongs to no image: {' or '.join(names)} is missing.")
+    return found
+
+
 def read_grasps(path: Path) -> list[GraspRectangle]:
     """Returns the grasps of one of the user's own label files; raises LabelError for anything else."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(read_text(path))
         if not isinstance(content, dict) or content.get("schema") != SCHEMA:
             raise ValueError(f'it has no "schema": {SCHEMA}')
-        return [GraspRectangle(**grasp) for grasp in content["grasps"]]
+        return [_labelled(**grasp) for grasp in content["grasps"]]
     except (ValueError, TypeError, KeyError, OSError, RecursionError) as error:
         raise LabelError(f"{path} is not a file of labelled grasps: {error}.") from error
 
@@ -158,75 +226,62 @@ def label_file(image: Path) -> Path:
     return image.with_name(image.stem + SUFFIX)
 
 
-def _own(folder: Path) -> Iterable[LabelledImage]:
-    for path in sorted(folder.glob(f"*{SUFFIX}")):
-        stem = path.name[: -len(SUFFIX)]
-        images = [folder / f"{stem}{suffix}" for suffix in IMAGE_SUFFIXES]
-        image = next((image for image in images if image.exists()), None)
-        if image is None:
-            raise LabelError(f"{path} belongs to no image: {stem}.png, .npy or .tiff is missing.")
-        yield LabelledImage(stem, stem, partial(read_depth, image), tuple(read_grasps(path)))
+def _own(path: Path, files: Mapping[Path, Path]) -> LabelledImage:
+    stem = path.name[: -len(SUFFIX)]
+    image = _beside(path, files, *(f"{stem}{suffix}" for suffix in IMAGE_SUFFIXES))
+    return LabelledImage(stem, stem, partial(read_depth, image), tuple(read_grasps(path)))
 
 
-def _cornell(folder: Path) -> Iterable[LabelledImage]:
+def _cornell(path: Path, files: Mapping[Path, Path]) -> LabelledImage:
     """pcdNNNNcpos.txt holds four corners a rectangle, "column row" each, some NaN; its depth is the point cloud
     pcdNNNN.txt, or pcdNNNNd.tiff [m] where somebody has converted it. The first two corners span the opening.
     """
-    for path in sorted(folder.rglob("pcd*cpos.txt")):
-        name = path.name[: -len("cpos.txt")]
-        tiff, cloud = path.with_name(f"{name}d.tiff"), path.with_name(f"{name}.txt")
-        try:
-            corners = np.array(
-                [[float(word) for word in line.split()] for line in path.read_text().split("\n") if line.strip()]
-            )
-            corners = corners.reshape(-1, 4, 2)
-        except ValueError as error:
-            raise LabelError(f"{path} does not hold four corners a rectangle: {error}.") from error
-        grasps = [_of_corners(four, path) for four in corners if np.isfinite(four).all()]
-        depth = partial(read_depth, tiff) if tiff.exists() else partial(_of_cloud, cloud)
-        yield LabelledImage(name, name, depth, tuple(grasps))
+    name = path.name[: -len("cpos.txt")]
+    image = _beside(path, files, f"{name}d.tiff", f"{name}.txt")
+    try:
+        corners = np.array([[float(word) for word in line.split()] for line in read_text(path).split("\n") if line.strip()])
+        grasps = [_of_corners(four) for four in corners.reshape(-1, 4, 2) if np.isfinite(four).all()]
+    except (ValueError, OSError) as error:
+        raise LabelError(f"{path} does not hold four corners a rectangle: {error}.") from error
+    of_image = read_depth if image.suffix.lower() == ".tiff" else _of_cloud
+    return LabelledImage(name, name, partial(of_image, image), tuple(grasps))
 
 
-def _of_corners(corners: np.ndarray, path: Path) -> GraspRectangle:
+def _of_corners(corners: np.ndarray) -> GraspRectangle:
     (ax, ay), (bx, by) = corners[:2]
     row, column = corners[:, 1].mean(), corners[:, 0].mean()
     opening, breadth = (float(np.linalg.norm(corners[i + 1] - corners[i])) for i in (0, 1))
-    try:
-        return GraspRectangle(float(row), float(column), half_turn(math.atan2(ay - by, bx - ax)), opening, breadth)
-    except ValueError as error:
-        raise LabelError(f"{path}: {error}.") from error
+    return _labelled(float(row), float(column), half_turn(math.atan2(ay - by, bx - ax)), opening, breadth)
 
 
 def _of_cloud(path: Path) -> np.ndarray:
     """Returns the distances of an ASCII point cloud whose last column is the pixel's number, shape (480, 640) [m]."""
     depth = np.full(CORNELL_SHAPE, np.nan, np.float32)
     try:
-        _, _, body = path.read_text().partition("DATA ascii\n")
-        points = np.array([line.split() for line in body.splitlines()], dtype=float).reshape(-1, 5)
+        _, _, body = read_text(path).partition("DATA ascii\n")
+        points = np.array([line.split() for line in body.splitlines() if line.strip()], dtype=float).reshape(-1, 5)
         depth.ravel()[points[:, 4].astype(int)] = CORNELL_MM * np.linalg.norm(points[:, :3], axis=1)
     except (ValueError, IndexError, OSError) as error:
         raise RigError(
             f"{path} is not a point cloud of {CORNELL_SHAPE[1]} x {CORNELL_SHAPE[0]} pixels: {error}."
         ) from error
-    return depth
+    return _plausible(depth, path)
 
 
-def _jacquard(folder: Path) -> Iterable[LabelledImage]:
+def _jacquard(path: Path, files: Mapping[Path, Path]) -> LabelledImage:
     """*_grasps.txt holds "column;row;angle;opening;breadth" a line, angles in degrees clockwise, best first; a
     grasp is there once for each breadth. The depth is *_perfect_depth.tiff, else *_stereo_depth.tiff [m].
     """
-    for path in sorted(folder.rglob("*_grasps.txt")):
-        name = path.name[: -len("_grasps.txt")]
-        tiffs = [path.with_name(f"{name}_{kind}_depth.tiff") for kind in ("perfect", "stereo")]
-        tiff = next((tiff for tiff in tiffs if tiff.exists()), tiffs[0])
-        grasps = []
-        try:
-            for line in path.read_text().split():
-                column, row, degrees, opening, breadth = (float(word) for word in line.split(";"))
-                grasps.append(GraspRectangle(row, column, half_turn(-math.radians(degrees)), opening, breadth))
-        except ValueError as error:
-            raise LabelError(f"{path} does not hold five numbers a grasp: {error}.") from error
-        yield LabelledImage(name, name.partition("_")[2] or name, partial(read_depth, tiff), tuple(grasps))
+    name = path.name[: -len("_grasps.txt")]
+    tiff = _beside(path, files, *(f"{name}_{kind}_depth.tiff" for kind in ("perfect", "stereo")))
+    grasps = []
+    try:
+        for line in read_text(path).split():
+            column, row, degrees, opening, breadth = (float(word) for word in line.split(";"))
+            grasps.append(_labelled(row, column, half_turn(-math.radians(degrees)), opening, breadth))
+    except (ValueError, OSError) as error:
+        raise LabelError(f"{path} does not hold five numbers a grasp: {error}.") from error
+    return LabelledImage(name, name.partition("_")[2] or name, partial(read_depth, tiff), tuple(grasps))
 
 
 def crop_around(grasps: Iterable[GraspRectangle], shape: tuple[int, ...], side: int) -> Crop:
@@ -250,7 +305,7 @@ def sample(image: LabelledImage, side: int) -> Sample:
 
     Raises RigError if there is no reading in the window, or none of the grasps.
     """
-    depth = image.depth()
+    depth = image.checked_depth()
     crop = crop_around(image.grasps, depth.shape, side)
     try:
         seen = prepare(depth, crop)

@@ -256,16 +256,18 @@ def lifted_rows(path: Path) -> tuple[str, list[dict]]:
 def try_images(folder: Path, side: int, trained: Mapping[str, Trained]) -> list[dict]:
     """Returns a row for each labelled image of a folder and each method; `side`: of the window about the grasps [px].
 
-    Raises RigError if the folder holds none, or an image cannot be used.
+    Images that cannot be used are named and left out. Raises RigError if there are no others.
     """
-    rows = []
-    for number, labelled in enumerate(tqdm(labelled_images.read(folder), unit="image")):
-        depth = labelled.depth()
-        crop = labelled_images.crop_around(labelled.grasps, depth.shape, side)
+    rows: list[dict] = []
+    images, left_out = labelled_images.read(folder)
+    for number, labelled in enumerate(tqdm(images, unit="image")):
         try:
+            depth = labelled.checked_depth()
+            crop = labelled_images.crop_around(labelled.grasps, depth.shape, side)
             image = prepare(depth, crop)
-        except ValueError as error:
-            raise RigError(f"{labelled.name}: {error}.") from error
+        except (RigError, ValueError) as error:
+            left_out.append(f"{labelled.name}: {error}")
+            continue
         wanted = labelled_images.labels(labelled, crop)
         for name in (*trials.HEURISTICS, *trained):
             if name in trained:
@@ -274,6 +276,9 @@ def try_images(folder: Path, side: int, trained: Mapping[str, Trained]) -> list[
                 found = trials.HEURISTICS[name](image, WIDTH_SCALE_PX, np.random.default_rng([7, number]))
             right = {f"{least:g}": found is not None and trials.is_right(found, wanted, least) for least in OVERLAPS}
             rows.append({"image": labelled.name, "method": name, "quality": found.quality if found else 0.0, **right})
+    sys.stderr.writelines(f"Left out: {sentence}\n" for sentence in left_out)
+    if not rows:
+        raise RigError(f"None of the {len(images)} labelled images in {folder} can be used.")
     return rows
 
 

@@ -19,6 +19,7 @@ from torch import nn
 from common.camera_model import pinhole
 from common.errors import RigError
 from common.number_arguments import real, whole
+from common.plausible import check_intrinsics
 from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX
 from grasping.network import weights
@@ -69,6 +70,7 @@ def main() -> None:
         network = loaded.network
         if many and arguments.picture is not None:
             arguments.picture.mkdir(parents=True, exist_ok=True)
+        left_out = 0
         for path in paths:
             try:
                 found = find(path, network, arguments)
@@ -76,6 +78,7 @@ def main() -> None:
                 if not many:
                     raise
                 sys.stderr.write(f"Left out: {error}\n")
+                left_out += 1
                 continue
             for grasp in (candidate.grasp for candidate in found.candidates):
                 if grasp is not None:
@@ -86,6 +89,8 @@ def main() -> None:
                 picture = arguments.picture / f"{path.stem}.png" if many else arguments.picture
                 if not cv2.imwrite(str(picture), drawn(found)):
                     raise RigError(f"{picture} cannot be written.")
+        if left_out == len(paths):
+            raise RigError(f"None of the {left_out} images in {arguments.depth} can be used.")
     except (RigError, ValueError, OSError, cv2.error) as error:
         parser.error(str(error))
 
@@ -96,6 +101,7 @@ def find(path: Path, network: nn.Module, arguments: argparse.Namespace) -> Pipel
     h, w = depth.shape
     cx, cy = arguments.centre or (0.5 * (w - 1), 0.5 * (h - 1))
     camera = pinhole("camera", w, h, [[arguments.focal, 0.0, cx], [0.0, arguments.focal, cy], [0.0, 0.0, 1.0]])
+    check_intrinsics(camera.K, w, h, off_centre=np.inf)  # the image may be a part of the camera's
     threshold = None if arguments.count == 1 else THRESHOLD
     settings = PipelineSettings(count=arguments.count, threshold=threshold, precision=arguments.precision)
     found = GraspPipeline(CameraView(CropConfig(arguments.crop, 0)), network, settings).step(depth, camera)

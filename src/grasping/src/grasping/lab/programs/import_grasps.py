@@ -1,7 +1,7 @@
 """Makes a training set of depth images with labelled grasps: Cornell's, Jacquard's, or your own (label_grasps.py).
 
 It writes shards as make_dataset.py does, so both may lie in one folder. All images of one thing fall into the same
-split, which depends on its name alone. Images that cannot be used are named and left out.
+split, which depends on its name alone. Images and label files that cannot be used are named and left out.
 """
 
 from __future__ import annotations
@@ -67,31 +67,35 @@ def main() -> None:
         parser.error(f"--window is {arguments.window} and must be at least 1 pixel.")
     if not arguments.name.isidentifier():
         parser.error(f"--name is {arguments.name!r} and must be a word of letters, digits and underscores.")
+    shards: dict[str, Shards] = {}
+    things = set()
     try:
-        images = read(arguments.source)
-        arguments.folder.mkdir(parents=True, exist_ok=True)
-        shards = {
-            kind: Shards(arguments.folder, f"{kind}_{arguments.name}", arguments.hand)
-            for kind in ("train", "validation")
-        }
-        left_out = 0
+        images, left_out = read(arguments.source)
+        for sentence in left_out:
+            sys.stderr.write(f"Left out: {sentence}\n")
         for image in tqdm(images, unit="image"):
             try:
                 found = sample(image, arguments.window)
             except RigError as error:
                 sys.stderr.write(f"Left out: {error}\n")
-                left_out += 1
-            else:
-                shards[split(image, arguments.validation)].add(found)
+                left_out.append(str(error))
+                continue
+            if not shards:  # not before: the older ones go
+                arguments.folder.mkdir(parents=True, exist_ok=True)
+                for kind in ("train", "validation"):
+                    shards[kind] = Shards(arguments.folder, f"{kind}_{arguments.name}", arguments.hand)
+            things.add(image.thing)
+            shards[split(image, arguments.validation)].add(found)
+        if not shards:
+            raise RigError(f"None of the {len(images)} labelled images in {arguments.source} can be used: no shard.")
         for one in shards.values():
             one.write()
     except RigError as error:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename or arguments.folder}: {error.strerror}.")
-    things = len({image.thing for image in images})
     counts = [one.written for one in shards.values()]
-    text = f"{counts[0]} images for training, {counts[1]} for validation, of {things} things"
-    sys.stdout.write(text + (f"; {left_out} left out.\n" if left_out else ".\n"))
+    text = f"{counts[0]} images for training, {counts[1]} for validation, of {len(things)} things"
+    sys.stdout.write(text + (f"; {len(left_out)} left out.\n" if left_out else ".\n"))
     if not all(counts):
         sys.stdout.write("Training needs both: label more things, or change --validation.\n")

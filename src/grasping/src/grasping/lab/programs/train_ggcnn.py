@@ -12,9 +12,11 @@ import argparse
 import hashlib
 import io
 import sys
+import zlib
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -23,6 +25,7 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from common.number_arguments import whole
+from common.plausible import FARTHEST_M
 from grasping.lab.programs import runs
 from grasping.lab.programs.make_dataset import label_settings
 from grasping.lab.synthetic.samples import Sample
@@ -41,7 +44,7 @@ class LoadedShards(NamedTuple):
 
 def load(folder: Path, split: str, most: int) -> LoadedShards:
     """Returns the samples of at most `most` shards of a split. Raises RigError if the folder holds no shard of that
-    split, or shards for several hands.
+    split, shards for several hands, or a file that is not one or was made of images in another unit.
     """
     shards = sorted(p for p in folder.glob(f"{split}_*.npz") if ".part" not in p.name)[:most]
     if not shards:
@@ -50,9 +53,18 @@ def load(folder: Path, split: str, most: int) -> LoadedShards:
     for shard in tqdm(shards, unit="shard", desc=split):
         content = shard.read_bytes()
         hashes.append(hashlib.sha256(content).hexdigest())
-        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-            hands[label_settings(arrays).hand] = shard.name
-            loaded.append({name: arrays[name] for name in Sample._fields})
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                hands[label_settings(arrays).hand] = shard.name
+                loaded.append({name: arrays[name] for name in Sample._fields})
+        except (ValueError, EOFError, KeyError, BadZipFile, zlib.error) as error:
+            raise RigError(f"{shard} is not a shard ({error}): delete it and make it anew.") from None
+        farthest = np.abs(loaded[-1]["depth"]).max(initial=0.0)
+        if not farthest <= FARTHEST_M:
+            raise RigError(
+                f"{shard} holds depths {farthest:g} m from their mean: its images were not in metres. Delete it, and "
+                "make it anew of images in metres, or in 16-bit millimetres."
+            )
     if len(hands) > 1:
         found = " and ".join(f"{name} for the hand {hand}" for hand, name in hands.items())
         raise RigError(f"{folder} holds {found}: keep the shards of each hand in a folder of their own.")
