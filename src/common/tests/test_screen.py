@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from common import screen
@@ -36,6 +38,18 @@ def test_what_is_wrong_with_the_screen_is_said(monkeypatch, environment, said, s
             screen.check_screen("The view", "Use another.")
     else:
         screen.check_screen("The view")
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("environment", "code", "said"),
+    [({"QT_QPA_PLATFORM": "", "DISPLAY": ":98765"}, 1, "RViz is not opened: the screen :98765"),
+     ({"QT_QPA_PLATFORM": "offscreen"}, 0, "started")],
+)  # fmt: skip
+def test_a_launch_file_opens_rviz_where_there_is_a_screen(processes, environment, code, said):
+    script = Path(screen.__file__).parents[2] / "shell" / "with_screen.sh"
+    started = processes.start(str(script), "echo", "started", env={"WAYLAND_DISPLAY": "", **environment})
+    assert started.wait(30.0) == code and started.log_path.read_text().startswith(said)
 
 
 @pytest.mark.real

@@ -23,7 +23,7 @@ from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
 
-CLOCK_S = 7.0  # a node that starts is to exit within 10 s
+CLOCK_S = 8.0  # a node that starts is to exit within 10 s
 LOG_TOPICS = "/rosout_disable_topics_generation"
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
