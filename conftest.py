@@ -38,10 +38,13 @@ sys.path.extend([*SOURCES, str(ROOT)])
 from common import clock  # noqa: E402 - needs the path above
 from common.ports import free_port  # noqa: E402
 
-# On a busy machine one example of a law may take long. Each run tries the same ones: what one finds is due to a change.
-# `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many.
+# On a busy machine one example of a law may take long, to make or to try. Each run tries the same ones: what one finds
+# is due to a change. `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many.
 SEARCH, TIMES = os.environ.get("HYPOTHESIS_SEARCH") == "1", int(os.environ.get("HYPOTHESIS_TIMES", "1"))
-hypothesis.settings.register_profile("tests", deadline=None, max_examples=50, derandomize=not SEARCH)
+TOO_SLOW = hypothesis.HealthCheck.too_slow
+hypothesis.settings.register_profile(
+    "tests", deadline=None, max_examples=50, derandomize=not SEARCH, suppress_health_check=[TOO_SLOW]
+)
 hypothesis.settings.load_profile("tests")
 
 
@@ -67,12 +70,14 @@ def pytest_collection_modifyitems(items):
         ]
         if hidden:  # tools/test.sh finds the files of a part by it
             raise pytest.UsageError(f"{item.nodeid}: its file must name the mark {hidden[0]!r}")
-        law = getattr(item.obj, "__func__", item.obj)
-        own = getattr(law, "_hypothesis_internal_use_settings", None)
-        if TIMES > 1 and own is not None:
-            law._hypothesis_internal_use_settings = hypothesis.settings(own, max_examples=TIMES * own.max_examples)
         if item.get_closest_marker("ros") and "ROS_PACKAGE_PATH" not in os.environ:
             item.add_marker(skip)
+    for law in {getattr(item.obj, "__func__", item.obj) for item in items}:
+        own = getattr(law, "_hypothesis_internal_use_settings", None)
+        if own is not None:
+            checks = {TOO_SLOW, *own.suppress_health_check}
+            own = hypothesis.settings(own, max_examples=TIMES * own.max_examples, suppress_health_check=checks)
+            law._hypothesis_internal_use_settings = own
 
 
 class Watch:
