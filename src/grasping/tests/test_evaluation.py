@@ -183,8 +183,8 @@ def test_table_of_results():
 def test_differences_are_of_the_scenes_that_both_tried():
     rows = [row(i, "net", True) for i in range(10)] + [row(i, "other", i % 2 == 0) for i in range(9)]
     text = tables.differences(rows, ["other", "net"], ["net"])
-    assert "| net − other | +100.0 (+100.0 to +100.0), n = 4 | +0.0 (+0.0 to +0.0), n = 5 | +44.4 (" in text
-    assert "n = 9 |" in text and "other −" not in text
+    assert "| net - other | +100.0 (+100.0 to +100.0), n = 4 | +0.0 (+0.0 to +0.0), n = 5 | +44.4 (" in text
+    assert "n = 9 |" in text and "other - " not in text
     assert tables.differences(rows, ["other"], []) == ""
 
 
@@ -205,7 +205,7 @@ def test_several_trainings_are_compared_by_their_mean():
     assert "n = 10 x 3 | - |" in tables.table(rows, methods)
     text = tables.differences(rows, methods, methods[1:])
     assert len(text.splitlines()) == 3
-    assert "| net, mean of 3 − old | +30.0 (" in text
+    assert "| net, mean of 3 - old | +30.0 (" in text
 
 
 def test_every_failure_is_counted_once_under_its_reason():

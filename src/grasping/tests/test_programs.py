@@ -181,7 +181,7 @@ def test_evaluation_resumes(tmp_path, monkeypatch, in_process):
     assert {(r["scene"], r["method"]) for r in rows} == {(s, m) for s in "01" for m in methods}
     assert len(rows) == 10
     text = (tmp_path / "results" / "table.md").read_text()
-    assert "| untrained |" in text and "| untrained − edge pair |" in text
+    assert "| untrained |" in text and "| untrained - edge pair |" in text
     assert {"reliability.png", "failures_untrained.png"} <= {p.name for p in results.parent.glob("*.png")}
     for row in rows:
         assert (row["reason"] == "lifted") == (row["lifted"] == "True")

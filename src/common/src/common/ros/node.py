@@ -25,6 +25,7 @@ from common.ros import master
 
 CLOCK_S = 8.0  # a node that starts is to exit within 10 s
 LOG_TOPICS = "/rosout_disable_topics_generation"
+UNPRINTABLE = "backslashreplace"  # of a letter that the locale of a terminal lacks, or of a file name in another one
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
 M_ARENA_MAX = -8  # mallopt(3)
@@ -77,6 +78,7 @@ def _begin(name: str, patience: float, **options: Any) -> None:
 def prepare_process(disposable: bool) -> None:
     """Changes what a process has one of: heap, signals, the reports of threads; for a node that is `disposable`."""
     _close_watches_with_topics()
+    sys.stdout.reconfigure(errors=UNPRINTABLE)
     # Each connection has threads, and each thread would keep a heap of its own, of images too: 20 visits of a listener
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
     ctypes.CDLL(None).mallopt(M_ARENA_MAX, 1)
@@ -111,10 +113,11 @@ def run_program(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     end_closed_servers()
     hide_closed_connections()
-    sys.stdout.reconfigure(line_buffering=True)
+    sys.stdout.reconfigure(line_buffering=True, errors=UNPRINTABLE)
     try:
+        check_folder()
         code = main() or 0
-    except errors as error:
+    except (RigError, *errors) as error:
         _report(name, error)
         code = 1
     except KeyboardInterrupt:
@@ -122,6 +125,14 @@ def run_program(
         code = INTERRUPTED
     rospy.signal_shutdown("the program exits")
     sys.exit(code)
+
+
+def check_folder() -> None:
+    """Raises RigError if the current folder is gone, where each relative path would raise an error without a name."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise RigError("The current folder was deleted: cd to another one.") from error
 
 
 def _close_watches_with_topics() -> None:

@@ -50,7 +50,7 @@ def _run(options: argparse.Namespace) -> None:
     if path.exists() and not options.force:
         _ask(f"{path} exists. Replace it? [y/N] ")
     shipped = Path(rospkg.RosPack().get_path("leap_hand")) / "config" / "leap_hand.yaml"
-    default = yaml.safe_load(shipped.read_text())
+    default = yaml.safe_load(shipped.read_text(encoding="utf-8"))
     wizard = HandWizard(parse(HandConfig, default, "leap_hand/"))
     join(NODE, anonymous=True)
     _measure(wizard, options.timeout)

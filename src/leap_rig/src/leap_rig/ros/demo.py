@@ -25,7 +25,7 @@ from roslaunch.pmon import ProcessListener
 from common import clock
 from common.errors import RigError
 from common.ros import master
-from common.ros.node import end_closed_servers, join
+from common.ros.node import check_folder, end_closed_servers, join
 from common.ros.service_calls import ServiceFailed, call
 from common.screen import no_screen
 from kuka_msgs.srv import exitApp
@@ -395,10 +395,10 @@ def wait_for_end(
 
 def main() -> None:
     """Runs the demo with the arguments of the command line."""
-    arguments = parse_arguments(sys.argv[1:])
     end_closed_servers()
     try:
-        sys.exit(run(arguments))
+        check_folder()
+        sys.exit(run(parse_arguments(sys.argv[1:])))
     except KeyboardInterrupt:
         print("demo: interrupted", file=sys.stderr)
     except (RigError, roslaunch.RLException, OSError) as error:

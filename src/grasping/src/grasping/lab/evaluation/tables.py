@@ -78,7 +78,7 @@ def differences(rows: Sequence[Row], methods: Sequence[str], networks: Iterable[
                 both = sorted(a.keys() & b.keys())
                 first, second = ([values[scene] for scene in both] for values in (a, b))
                 cells.append(f"{paired_difference(first, second):+.1f}, n = {len(both)}" if both else "-")
-            lines.append([f"{one} − {other}", *cells])
+            lines.append([f"{one} - {other}", *cells])
     return markdown_table(("difference of lifted, points", *parts), lines) if lines else ""
 
 

@@ -63,9 +63,9 @@ class ResultsFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.rows: list[dict] = []
         if path.exists():
-            with path.open(newline="") as file:
+            with path.open(newline="", encoding="utf-8") as file:
                 self.rows = list(csv.DictReader(file))
-        self._file = path.open("a", newline="")
+        self._file = path.open("a", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, columns, lineterminator="\n")
         if not self.rows:
             self._writer.writeheader()
@@ -192,7 +192,7 @@ def report(folder: Path, split: str, rows: list[dict], methods: list[str], netwo
     made = [tables.table(rows, methods), tables.differences(rows, methods, networks), tables.failures(rows, methods)]
     drawn = networks or methods
     made.append(tables.calibration(rows, drawn))
-    (folder / "table.md").write_text("\n".join(text for text in made if text))
+    (folder / "table.md").write_text("\n".join(text for text in made if text), encoding="utf-8")
     of = {name: [row for row in rows if row["method"] == name] for name in drawn}
     reliable = {
         name: ([float(r["quality"]) for r in own], [tables.is_true(r["lifted"]) for r in own])
@@ -217,7 +217,7 @@ def claim(folder: Path, settings: dict[str, Any]) -> None:
     path = folder / SETTINGS
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        before = json.loads(path.read_text()) if path.exists() else None
+        before = json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
     except ValueError as error:
         raise RigError(f"{path} is not JSON ({error}): name another folder.") from None
     if before is None and (folder / "results.csv").exists():
@@ -238,7 +238,7 @@ def claim(folder: Path, settings: dict[str, Any]) -> None:
 def lifted_rows(path: Path) -> tuple[str, list[dict]]:
     """Returns the split and the rows of what lift_grasps.py wrote; raises RigError if the file is not that."""
     try:
-        found = json.loads(path.read_text())
+        found = json.loads(path.read_text(encoding="utf-8"))
         rows = []
         for row in found:
             peak = row["peak"] or {}
@@ -303,12 +303,12 @@ def judge_images(
     try:
         rows = try_images(images, side, trained)
         results.mkdir(parents=True, exist_ok=True)
-        with (results / "rectangles.csv").open("w", newline="") as file:
+        with (results / "rectangles.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
         found = rectangle_table(rows, (*trials.HEURISTICS, *trained))
-        (results / "rectangles.md").write_text(found)
+        (results / "rectangles.md").write_text(found, encoding="utf-8")
     except RigError as error:
         parser.error(str(error))
     except OSError as error:

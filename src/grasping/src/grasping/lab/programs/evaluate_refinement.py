@@ -221,5 +221,5 @@ def main() -> None:
                 if (line["episode"], line["method"]) not in done:
                     results.add([line])
     text = tables(results.rows)
-    (arguments.folder / "table.md").write_text(text)
+    (arguments.folder / "table.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text + "\n")

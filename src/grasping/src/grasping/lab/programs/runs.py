@@ -139,7 +139,7 @@ def train(
         bar.set_postfix_str(f"loss {found['validation']:.4f}, hits {found['hits']:.2f}")
         checkpoint = {"identity": settings["identity"], "trainer": trainer.state(), "rows": rows}
         save(checkpoint, folder / CHECKPOINT)
-        with (folder / "curves.csv").open("w", newline="") as file:
+        with (folder / "curves.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, rows[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)

@@ -187,5 +187,5 @@ def main() -> None:
     torch.save(content(kinds, arguments.origin), arguments.run / "weights.pt")
     said = {name: summary(*of) for name, of in arguments.learned.items()}
     text = json.dumps({"kinds": said, **asdict(arguments.origin)}, indent=2)
-    (arguments.run / "settings.json").write_text(text + "\n")
+    (arguments.run / "settings.json").write_text(text + "\n", encoding="utf-8")
     sys.stdout.write(text + "\n")

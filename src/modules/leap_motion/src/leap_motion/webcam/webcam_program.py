@@ -268,7 +268,7 @@ def _width(options: argparse.Namespace) -> float:
         return options.palm_width
     path = _palm_file(options.person)
     try:
-        width = yaml.safe_load(path.read_text())["palm_width"]
+        width = yaml.safe_load(path.read_text(encoding="utf-8"))["palm_width"]
     except OSError as error:
         known = ", ".join(sorted(file.stem for file in path.parent.glob("*.yaml"))) or "nobody"
         raise WebcamError(f"There is no {path}; known: {known}. `--measure {options.person}` makes it.") from error
@@ -290,7 +290,7 @@ def _lenses(options: argparse.Namespace) -> Any:
     if options.camera_info is None:
         return lambda shape: lens_of_view(math.radians(options.fov), shape)
     try:
-        values = yaml.safe_load(options.camera_info.read_text())
+        values = yaml.safe_load(options.camera_info.read_text(encoding="utf-8"))
     except Exception as error:  # yaml's constructors raise anything
         raise WebcamError(f"{options.camera_info} cannot be read: {error}.") from error
     lens = lens_of_calibration(values)

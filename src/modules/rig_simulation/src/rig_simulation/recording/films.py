@@ -22,8 +22,8 @@ class FilmError(RigError):
 
 def film_for(path: Path, rate: float) -> Mp4 | ContactSheet:
     """Returns the film for a .mp4 or .png file; raises FilmError for another type or a missing folder."""
-    if not path.resolve().parent.is_dir():
-        raise FilmError(f"There is no folder {path.resolve().parent} for {path.name}; make it first.")
+    if not path.parent.is_dir():
+        raise FilmError(f"There is no folder {path.parent} for {path.name}; make it first.")
     if path.suffix == ".mp4":
         return Mp4(path, rate)
     if path.suffix == ".png":
@@ -45,7 +45,7 @@ class Mp4:
         """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s]; raises FilmError if the disk is full or
         the film cannot be written: earlier images remain.
         """
-        if shutil.disk_usage(self._path.resolve().parent).free < LEAST_FREE_BYTES:
+        if shutil.disk_usage(self._path.parent).free < LEAST_FREE_BYTES:
             full = f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free"
             raise FilmError(f"The film {self._path} stops after {self.frames / self._rate:.1f} s: {full}.")
         if self._writer is None:

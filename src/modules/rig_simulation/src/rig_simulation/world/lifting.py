@@ -174,7 +174,7 @@ NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fin
 def read(path: Path) -> list[dict[str, Any]]:
     """Returns the scenes of a file of grasps; raises RigError if it is invalid."""
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise RigError(f"{path} has the schema {content['schema']!r}, but this program reads {SCHEMA}.")
         for scene in content["scenes"]:
@@ -214,7 +214,7 @@ def read_trials(path: Path, shake: bool, ground: float) -> list[dict[str, Any]]:
         RigError: it is not such a file, or its trials had another `shake` or `ground` [m], as in `lift`.
     """
     try:
-        rows = json.loads(path.read_text())
+        rows = json.loads(path.read_text(encoding="utf-8"))
         for row in rows:
             row["scene"], row["method"]
             if row["shake"] != shake:
