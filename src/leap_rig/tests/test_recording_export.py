@@ -224,6 +224,15 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
     assert len(made) == 1
 
 
+@pytest.mark.parametrize("part", ["joint_times", "hand_times", "goal_times"])
+def test_a_clock_that_was_set_back_is_named_and_a_message_out_of_turn_is_not(run, part):
+    times = getattr(run, part)
+    half = len(times) // 2
+    training_episode(replace(run, **{part: np.r_[times[:half], times[half] - 0.02, times[half + 1 :]]}), 10)
+    with pytest.raises(RecordingFault, match=r"set back by 0\.5"):
+        training_episode(replace(run, **{part: np.r_[times[:half], times[half:] - 0.51]}), 10)
+
+
 LOAD = """
 import json, sys
 from lerobot.datasets.lerobot_dataset import LeRobotDataset

@@ -11,6 +11,7 @@ from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.run import RecordedRun
 
 LONGEST_S = 86400.0  # of an episode
+BACK_S = 0.05  # between two messages: time that goes back farther was set
 FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
 ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 HAND = ("index", "middle", "thumb", "spread")
@@ -34,12 +35,20 @@ class TrainingEpisode:
 
 
 def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
-    """Returns the rows of a run, `fps` a second; RecordingFault if it has no measured joints."""
+    """Returns the rows of a run, `fps` a second; RecordingFault if it has no measured joints, or time went back."""
     parts = [(run.joint_times, run.joints)]
     if len(run.hand):
         parts.append((run.hand_times, run.hand))
     if not len(run.joints):
         raise RecordingFault("The recording has no measured joints, so there is nothing to learn from.")
+    for times in (run.joint_times, run.hand_times, run.goal_times, run.hand_command_times):
+        back = np.flatnonzero(np.diff(times) < -BACK_S)
+        if len(back):
+            step, after = times[back[0]] - times[back[0] + 1], times[back[0]] - times[0]
+            raise RecordingFault(
+                f"A clock was set back by {step:.3g} s, {after:.1f} s after the recording began, so its rows have no order; "
+                "record it again."
+            )
     begin, end = max(times[0] for times, _ in parts), min(times[-1] for times, _ in parts)
     if begin > end:
         raise RecordingFault("Arm and hand were measured at no time together, so there is nothing to learn from.")
