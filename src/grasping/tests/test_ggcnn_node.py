@@ -60,6 +60,7 @@ class Camera:
         from sensor_msgs.msg import CameraInfo, Image
 
         self.period, self.depth, self.late, self.info = PERIOD_S, depth, 0.0, True
+        self.frame = DEPTH_OPTICAL
         self._image = rospy.Publisher("camera/depth/image", Image, queue_size=1)
         self._info = rospy.Publisher("camera/depth/camera_info", CameraInfo, queue_size=1)
         self._ended = clock.Event()
@@ -83,9 +84,9 @@ class Camera:
                 continue
             stamp = rospy.Time.now() - rospy.Duration(self.late)
             if self.info:
-                self._info.publish(camera_info_message(CAMERA, DEPTH_OPTICAL, stamp))
+                self._info.publish(camera_info_message(CAMERA, self.frame, stamp))
             encoding = "16UC1" if depth.dtype == np.uint16 else "32FC1"
-            self._image.publish(image_message(depth, encoding, DEPTH_OPTICAL, stamp))
+            self._image.publish(image_message(depth, encoding, self.frame, stamp))
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +221,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     found = newest(ros, lists, lambda m: m.grasps, "a grasp before the camera")
     assert found.grasps[0].pose_base.header.frame_id == ""
     assert not found.grasps[0].reachable
-    assert "tf does not connect camera_depth_optical_frame and kuka/base_frame" in found.grasps[0].reason
+    assert "tf has no frame 'camera_depth_optical_frame'" in found.grasps[0].reason
     clock.sleep(LATER_S)
     assert targets[-1].header.frame_id == DEPTH_OPTICAL
 
@@ -240,7 +241,7 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     camera.depth = depth_picture(ASIDE, [])
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
-    says("the depth image is 640 x 240, but its camera_info says 640 x 480")
+    says("the image is 640 x 240, but its camera_info says 640 x 480")
     camera.depth, camera.late = depth, 0.9
     newest(ros, lists, lambda m: m.grasps, "an image that is not too old")
     camera.late = 1.1
@@ -249,11 +250,15 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     says("the depth image is 5.0 s in the future")
     camera.late = 0.0
     newest(ros, lists, lambda m: m.grasps, "an image of now")
+    camera.frame = f"/{DEPTH_OPTICAL}"
+    clock.sleep(PERIOD_S)
+    assert newest(ros, lists, lambda m: m.grasps, "a frame with a slash").header.frame_id == DEPTH_OPTICAL
+    camera.frame = DEPTH_OPTICAL
     camera.depth = None
     clock.sleep(LATER_S)
     last, before = lists[-1], len(targets)
     known = max(grasp.id for message in lists for grasp in message.grasps)
-    silent = says("the depth camera is silent: no image for 1 s", 1.3)
+    silent = says("the depth camera is silent: nothing has come on /camera/depth/image for 1.", 1.3)
     again = says("the depth camera is silent", 0.8)
     assert 1.0 < seconds_between(last, silent) < 1.2 + LATER_S
     assert 0.5 <= seconds_between(silent, again) < 0.7 + LATER_S
@@ -275,7 +280,7 @@ def test_a_torn_image_is_refused(ros, camera):
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
     process = start(ros)
-    none = "no depth image has come on /camera/depth/image"
+    none = "the depth camera is silent: nothing has come on /camera/depth/image, /camera/depth/camera_info"
     newest(ros, lists, lambda m: m.reason == none, "no camera", 1.3)
     camera.depth = np.full((480, 640), np.nan, np.float32)
     newest(ros, lists, lambda m: "no reading" in m.reason, "the camera's description")
@@ -291,7 +296,34 @@ def test_a_torn_image_is_refused(ros, camera):
         torn.publish(image)
         clock.sleep(LATER_S)
         assert reason in lists[-1].reason
+    images["is unknown"].header.stamp = rospy.Time(0)
+    torn.publish(images["is unknown"])
+    clock.sleep(LATER_S)
+    assert lists[-1].reason == "the depth image has no stamp"
     assert process.poll() is None
+
+
+def test_it_is_not_fine_while_nothing_comes_out_for_a_second(ros, camera, calibrated, monkeypatch):
+    from grasping.pipeline.pipeline import GraspPipeline
+
+    status, step, slow = statuses(ros), GraspPipeline.step, []
+    monkeypatch.setattr(GraspPipeline, "step", lambda *args: [clock.sleep(s) for s in slow] and 0 or step(*args))
+    start(ros, reach__ask=False)
+    clock.sleep(1.2)
+    assert status()["message"] == "There are grasps."
+    slow.append(5.0)
+    clock.sleep(2.5)
+    assert status()["message"].startswith("the inputs come, but nothing has come out of them for ")
+
+
+def test_a_frame_that_tf_does_not_know_is_not_an_uncalibrated_camera(ros, camera, calibrated):
+    from grasp_msgs.msg import GraspList
+
+    lists = ros.record("ggcnn/out/grasps", GraspList)
+    camera.frame = "other_optical_frame"
+    start(ros)
+    reason = newest(ros, lists, lambda m: m.grasps, "a grasp before the camera").grasps[0].reason
+    assert "tf has no frame 'other_optical_frame'" in reason and "calibrate" not in reason
 
 
 def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, calibrated):

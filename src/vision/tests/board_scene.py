@@ -60,6 +60,7 @@ class BoardScene:
             measured,
         )
         self.visible, self.noise, self.sd = True, SD / 3.0, SD
+        self.detects, self.frame = True, OPTICAL  # whether the detector publishes, and in which frame
         rospy.set_param(DETECTOR, yaml.safe_load((CONFIG / "tags.yaml").read_text()))
         self._model = pinhole("test", 640, 480, [[545.0, 0, 319.5], [0, 545.0, 239.5], [0, 0, 1]])
         self._rng = np.random.default_rng(0)
@@ -91,14 +92,15 @@ class BoardScene:
         stamp = rospy.Time.now()
         self._infos.publish(camera_info_message(self._model, OPTICAL, stamp))
         T_base_flange = self.flange()
-        message = AprilTagDetectionArray(header=Header(stamp=stamp, frame_id=OPTICAL))
+        message = AprilTagDetectionArray(header=Header(stamp=stamp, frame_id=self.frame))
         if T_base_flange is not None:
             if self.measured:
                 transform = stamped_transform(T_base_flange, "kuka/base_frame", "kuka/flange_frame/measured", stamp)
                 self._broadcaster.sendTransform(transform)
             if self.visible:
                 message.detections.append(self._detection(T_base_flange, message.header))
-        self._detections.publish(message)
+        if self.detects:
+            self._detections.publish(message)
 
     def _detection(self, T_base_flange, header):
         from geometry_msgs.msg import Point, Pose, PoseWithCovarianceStamped, Quaternion

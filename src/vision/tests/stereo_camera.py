@@ -16,6 +16,7 @@ class Camera:
         import rospy
         from sensor_msgs.msg import CameraInfo, Image
 
+        self.edit = {}  # by topic: other values of its messages
         self._colour = np.zeros((RGB.height, RGB.width, 3), np.uint8)
         self._colour[:, : RGB.width // 2, 0] = 200
         self._colour[:, RGB.width // 2 :, 2] = 200
@@ -34,9 +35,16 @@ class Camera:
         if depth:
             image = np.full((RGB.height, RGB.width), DEPTH_MM, np.uint16)
             later = stamp + rospy.Duration(gap)
-            self.publishers["depth/image_raw"].publish(image_message(image, "16UC1", RGB_OPTICAL, later))
-        self.publishers["rgb/camera_info"].publish(camera_info_message(RGB, RGB_OPTICAL, stamp))
-        self.publishers["rgb/image_raw"].publish(image_message(self._colour, "rgb8", RGB_OPTICAL, stamp))
+            self._publish("depth/image_raw", image_message(image, "16UC1", RGB_OPTICAL, later))
+        self._publish("rgb/camera_info", camera_info_message(RGB, RGB_OPTICAL, stamp))
+        self._publish("rgb/image_raw", image_message(self._colour, "rgb8", RGB_OPTICAL, stamp))
+
+    def _publish(self, topic, message):
+        for key, value in self.edit.get(topic, {}).items():
+            owner, key = (message.header.stamp, "secs") if key == "stamp" else (message, key)
+            setattr(owner, key, value)
+            message.header.stamp.nsecs *= owner is message
+        self.publishers[topic].publish(message)
 
     def publish_torn(self):
         """Publishes an image without its pixels."""

@@ -155,6 +155,7 @@ def test_the_serial_number_is_the_drivers_and_is_waited_for(ros, scene, tmp_path
 
 
 def test_diagnostics_say_when_the_board_is_gone(ros, scene):
+    import rospy
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
     ros.run("vision", "camera_place_node.py", "_mode:=live")
@@ -167,13 +168,45 @@ def test_diagnostics_say_when_the_board_is_gone(ros, scene):
     live = (DiagnosticStatus.OK, "live")
     ros.wait_until(lambda: state() == live, 2.0, "a pose")
     scene.visible = False
-    clock.sleep(2.9)
+    clock.sleep(0.9)
     assert state() == live
     clock.sleep(0.7)
-    assert state() == (DiagnosticStatus.WARN, "the marker board was not detected for 3 s")
-    scene.visible = True
+    assert state() == (DiagnosticStatus.WARN, "the marker board was not detected for 1 s")
+    scene.visible, scene.frame = True, f"/{OPTICAL}"
     clock.sleep(0.6)
     assert state() == live
+    scene.detects = False
+    own = DiagnosticStatus(DiagnosticStatus.WARN, "apriltag_ros", "Nothing has come on /camera/rgb/image_raw.", "", [])
+    said = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
+    clock.sleep(1.5)
+    said.publish(DiagnosticArray(status=[own]))
+    clock.sleep(0.6)
+    level, sentence = state()
+    assert level == DiagnosticStatus.WARN and sentence.startswith("nothing has come on /tag_detections for ")
+    assert sentence.endswith("; the detector says: Nothing has come on /camera/rgb/image_raw")
+
+
+def test_a_view_says_that_the_detector_is_silent_and_why_images_were_of_no_use(ros, scene):
+    import rospy
+    from sensor_msgs.msg import Image
+
+    from common.ros.images import image_message
+    from vision.ros.calibration.calibration_setup import read_setup
+    from vision.ros.marker_board.detections import BoardListener, ViewCapture
+
+    setup = read_setup("apriltag_ros_continuous_node")
+    capture = ViewCapture(setup, BoardListener(setup.target), "apriltag_ros_continuous_node")
+    images = rospy.Publisher("camera/rgb/image_raw", Image, queue_size=1)
+    grey = np.zeros((480, 640), np.uint8)
+    rospy.Timer(
+        rospy.Duration(0.05), lambda _: images.publish(image_message(grey, "mono8", OPTICAL, rospy.Time.now()))
+    )
+    detections, how = capture.capture()
+    assert detections and "the colour image has the encoding mono8" in how
+    scene.detects = False
+    clock.sleep(1.1)
+    with pytest.raises(ValueError, match="nothing has come on /tag_detections for"):
+        capture.capture()
 
 
 def test_a_torn_calibration_is_named_and_left_aside(ros, scene, buffer, tmp_path):

@@ -103,3 +103,17 @@ def test_who_looks_away_forgets_garbled_images():
     watch.add_garbled("it is torn", now)
     watch.forget_content()
     assert watch.health(now + 0.1).state == "alive"
+
+
+def test_images_that_do_not_come_although_their_camera_info_does_are_no_life():
+    watch = StreamWatch("depth camera", CONFIG)
+    watch.expect_content(0.0)
+    for i in range(30):
+        watch.add_stamp(float(i), i / 15)
+    assert watch.health(1.5).state == "alive", "the first image may take longer"
+    health = watch.health(1.9)
+    assert (health.state, "no image for 1.1 s" in health.sentence) == ("vanished", True)
+    watch.add_content(1, 1.95)
+    assert watch.health(1.95).state == "alive"
+    watch.forget_content()
+    assert watch.health(2.4).state == "alive", "nobody subscribes to them"

@@ -12,9 +12,8 @@ from std_msgs.msg import Header
 from common import clock
 from common.camera_model import CameraModel
 from common.ros.images import camera_model_from_info, depth_from_image
+from common.ros.inputs import NodeInputs
 from grasping.pipeline.settings import InputConfig
-
-BUFFER_BYTES = 2**24  # room for many images: rospy drops all but the newest only among those that it has read
 
 
 class DepthImage(NamedTuple):
@@ -34,11 +33,11 @@ class DepthStream:
         self._new = clock.Condition()
         self._image: Image | None = None
         self._info: CameraInfo | None = None
-        self._since, self._came = rospy.Time.now(), False
+        self._started = clock.monotonic()
         self.received = self.skipped = 0
-        self.topic = rospy.resolve_name(config.depth_topic)
-        rospy.Subscriber(config.info_topic, CameraInfo, self._take_info, queue_size=1)
-        rospy.Subscriber(config.depth_topic, Image, self._take, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+        self.inputs = NodeInputs([config.depth_topic], once=[config.info_topic], silent=config.silence)
+        self.inputs.subscribe(config.info_topic, CameraInfo, self._take_info)
+        self.inputs.subscribe(config.depth_topic, Image, self._take)
 
     def newest(self, timeout: float) -> DepthImage | None:
         """Returns the newest image that was not given away yet; waits up to `timeout` [s], then returns None."""
@@ -48,19 +47,16 @@ class DepthStream:
         return None if image is None else self._read(image)
 
     def silence(self) -> str:
-        """Returns that the camera is silent, a clause; empty while images come."""
-        past = (rospy.Time.now() - self._since).to_sec()
-        if past <= self._config.silence:
-            return ""
-        if not self._came:
-            return f"no depth image has come on {self.topic}"
-        return f"the depth camera is silent: no image for {past:.0f} s"
+        """Returns that images or their camera_info do not come, a clause; empty while they do."""
+        missing = self.inputs.missing()
+        waits = clock.monotonic() - self._started <= self._config.silence
+        return f"the depth camera is silent: {missing}" if missing and not waits else ""
 
     def _take(self, message: Image) -> None:
         with self._new:
             self.received += 1
             self.skipped += self._image is not None
-            self._image, self._since, self._came = message, rospy.Time.now(), True
+            self._image = message
             self._new.notify()
 
     def _take_info(self, message: CameraInfo) -> None:
@@ -70,16 +66,15 @@ class DepthStream:
         def refused(reason: str) -> DepthImage:
             return DepthImage(image.header, None, None, reason)
 
+        if image.header.stamp.is_zero():
+            return refused("the depth image has no stamp")
         age = (rospy.Time.now() - image.header.stamp).to_sec()
         if abs(age) > self._config.max_age:
             return refused(f"the depth image is {abs(age):.1f} s {'old' if age > 0.0 else 'in the future'}")
         if self._info is None:
             return refused(f"no camera_info has come on {rospy.resolve_name(self._config.info_topic)}")
         try:
-            depth, camera = depth_from_image(image), camera_model_from_info(self._info)
+            depth, camera = depth_from_image(image), camera_model_from_info(self._info, (image.width, image.height))
         except ValueError as error:
             return refused(f"the depth image is invalid: {error}")
-        if depth.shape != (camera.height, camera.width):
-            size = f"{depth.shape[1]} x {depth.shape[0]}"
-            return refused(f"the depth image is {size}, but its camera_info says {camera.width} x {camera.height}")
         return DepthImage(image.header, depth, camera, "")

@@ -14,6 +14,7 @@ from common import clock
 from common.frames import BASE
 from common.poses import translation
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
+from common.ros.inputs import NodeInputs
 from common.ros.publishing import DirectPublisher
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.execution.execution import (
@@ -48,10 +49,16 @@ class ExecutionInputs:
         self._hand: tuple[Hand, float] | None = None
         self._hold, self._hold_reason, self.hand_followed = NONE, "leap_kuka has not published yet", False
         self._poses = PoseLookup()
-        rospy.Subscriber("ggcnn/out/grasps", GraspList, self._on_grasps, queue_size=1)
-        rospy.Subscriber("kuka/status", KukaStatus, self._on_controller, queue_size=1)
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
-        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=1, tcp_nodelay=True)
+        topics = {
+            "ggcnn/out/grasps": (GraspList, self._on_grasps, 1),
+            "kuka/status": (KukaStatus, self._on_controller, 1),
+            "leap_kuka/stream": (DiagnosticStatus, self._on_stream, 10),
+            "reflex_takktile/hand_state": (Hand, self._on_hand, 1),
+        }
+        inputs = NodeInputs(topics)
+        self.missing = inputs.missing  # returns which of them do not come, a clause
+        for topic, (kind, callback, queue_size) in topics.items():
+            inputs.subscribe(topic, kind, callback, queue_size)
 
     @property
     def controller(self) -> ControllerState | None:

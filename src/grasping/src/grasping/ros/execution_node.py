@@ -21,6 +21,7 @@ from common.frames import BASE
 from common.mounting import ToolConfig, mounting_field, mounting_frame
 from common.ros.conversions import stamped_pose
 from common.ros.diagnostics import Diagnostics
+from common.ros.inputs import FaultLog
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.ros.service_calls import call
@@ -60,7 +61,7 @@ class ExecutionNode:
         self._grasp, self._way = NO_GRASP, None
         self._counts = {"executed": 0, "refused": 0, "held": 0, "not_held": 0}
         self._inputs = ExecutionInputs(arm.T_flange_tool, config.silence)
-        self._display = ExecutionDisplay()
+        self._display, self._log = ExecutionDisplay(), FaultLog()
         Diagnostics("grasp_execution", self._diagnose)
         rospy.Service("grasping/execute", Trigger, self._on_execute)
         rospy.Service("grasping/cancel", Trigger, self._on_cancel)
@@ -174,6 +175,9 @@ class ExecutionNode:
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {"state": self._execution.state, "episode": self._execution.episode, **self._counts}
+        missing = self._log(self._inputs.missing())
+        if missing:
+            return DiagnosticStatus.WARN, f"No grasp can be executed: {missing}.", values
         return DiagnosticStatus.OK, self._execution.reason, values
 
 

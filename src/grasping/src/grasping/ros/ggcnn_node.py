@@ -14,7 +14,6 @@ from time import perf_counter
 import cv2
 import numpy as np
 import rospy
-import tf2_ros
 import torch
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -26,6 +25,7 @@ from common import clock
 from common.errors import RigError
 from common.frames import BASE, DEPTH, GRASP_TARGET, GRASP_VIEW
 from common.mounting import rotation_of_mounting
+from common.ros.broadcaster import FreshBroadcaster
 from common.ros.conversions import stamped_pose, stamped_transform
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.images import image_message
@@ -123,7 +123,7 @@ class GgcnnNode:
         self._target = rospy.Publisher("ggcnn/out/target_pose", PoseStamped, queue_size=1, tcp_nodelay=True)
         self._list = rospy.Publisher("ggcnn/out/grasps", GraspList, queue_size=1, tcp_nodelay=True)
         self._markers = rospy.Publisher("ggcnn/markers", MarkerArray, queue_size=1)
-        self._broadcaster = tf2_ros.TransformBroadcaster()
+        self._broadcaster = FreshBroadcaster()
         self._times = StageTimes("ggcnn")
         self._camera_pose = PoseLookup()
         self._reach = ReachClient(settings.reach, settings.tool)
@@ -174,6 +174,7 @@ class GgcnnNode:
         self._grasps = len(proposals)
         self._list.publish(messages.grasp_list(header, proposals, reason))
         self._markers.publish(messages.markers(header, proposals))
+        self._stream.inputs.done()
         why = reason or proposals[0][1].reason
         if why not in (ASKED, OUT_OF_SIGHT):  # they last for an image or two only
             self._reasons.update(why)
@@ -231,7 +232,7 @@ class GgcnnNode:
             **{f"ms_{name}": f"{value:.1f}" for name, value in self._milliseconds.copy().items()},
             **self._about,
         }
-        reason = self._reasons.present
+        reason = self._reasons.present or self._stream.inputs.fault(logged=False)
         return (DiagnosticStatus.WARN if reason else DiagnosticStatus.OK), reason or "There are grasps.", values
 
 

@@ -13,11 +13,11 @@ from python_qt_binding.QtGui import QImage, QPixmap
 from python_qt_binding.QtWidgets import QApplication, QComboBox, QLabel, QSizePolicy, QVBoxLayout, QWidget
 from sensor_msgs.msg import Image
 
-from common.ros.images import array_from_image
+from common.ros.images import COLOUR, array_from_image, colour_from_image
+from common.ros.inputs import NodeInputs
 from common.ros.node import run
 from common.screen import check_screen
 
-BUFFER_BYTES = 2**24  # room for several images: rospy drops all but the newest only among those that it has read
 DRAW_MS, TOPICS_MS = 100, 2000
 PERCENTILES = 1.0, 99.0  # of what is measured, the range that is shown
 IMAGE = "sensor_msgs/Image"
@@ -28,9 +28,9 @@ def picture(message: Image) -> np.ndarray:
     low ones bright, none (a whole number 0, or not finite) black. Raises ValueError for an unknown encoding, or
     incomplete data.
     """
+    if message.encoding in COLOUR:
+        return np.ascontiguousarray(colour_from_image(message))
     array = array_from_image(message)
-    if array.ndim == 3:
-        return np.ascontiguousarray(array[..., ::-1] if message.encoding == "bgr8" else array)
     if array.dtype == np.uint8:
         return np.repeat(array[..., None], 3, axis=2)
     valid = array > 0 if array.dtype == np.uint16 else np.isfinite(array)
@@ -85,13 +85,17 @@ class ImageViewer(QWidget):
             self.choice.blockSignals(False)
 
     def draw(self) -> None:
-        """Draws the newest image, if there is a new one."""
+        """Draws the newest image, if there is a new one, or says why there is none."""
         message, self._newest = self._newest, None
         if message is None:
+            fault = self._inputs.fault(logged=False)
+            if fault:
+                self.text.setText(fault)
             return
         try:
             array = picture(message)
         except ValueError as error:
+            self._inputs.refused(error)
             self.text.setText(f"{self.choice.currentText()}: {error}.")
             return
         height, width = array.shape[:2]
@@ -99,18 +103,21 @@ class ImageViewer(QWidget):
         fitting = QPixmap.fromImage(image).scaled(self.shown.size(), Qt.KeepAspectRatio, Qt.SmoothTransformation)
         self.shown.setPixmap(fitting)
         self.text.setText(f"{width} x {height}, {message.encoding}")
+        self._inputs.done()
 
     def _switch(self, topic: str) -> None:
         if self._subscriber is not None:
             self._subscriber.unregister()
         self._newest = None
         self.shown.clear()
-        self.text.setText(f"no image has come on {topic}")
-        self._subscriber = rospy.Subscriber(topic, Image, self._take, topic, queue_size=1, buff_size=BUFFER_BYTES)
+        self._inputs = inputs = NodeInputs([topic])
 
-    def _take(self, message: Image, topic: str) -> None:
-        if topic == self.choice.currentText():  # else it is a late one of the previous topic
-            self._newest = message
+        def take(message: Image) -> None:
+            if inputs is self._inputs:  # else it is a late one of the previous topic
+                self._newest = message
+
+        self._subscriber = inputs.subscribe(topic, Image, take)
+        self.draw()
 
 
 def _run() -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import rospy
 import tf2_ros
+import yaml
 
-from common.frames import BASE, FLANGE_MEASURED
+from common.frames import BASE, FLANGE_MEASURED, GRASP_VIEW
 from common.ros.conversions import pose_from_transform
 
 PATIENCE_S = 0.1  # the camera pose at an image's stamp may arrive this much later than the image
@@ -30,9 +31,16 @@ class PoseLookup:
         except tf2_ros.ExtrapolationException:
             return None, f"the camera pose is stale: tf has no {frame} in {BASE} at the image's stamp"
         except tf2_ros.TransformException:
-            return None, f"the camera pose is unknown: tf does not connect {frame} and {BASE}; calibrate the camera"
+            return None, f"the camera pose is unknown: {self._unknown(frame)}"
         except ValueError as error:
             return None, f"the camera pose in tf is invalid: {error}"
+
+    def _unknown(self, frame: str) -> str:
+        """Returns why tf does not know a frame in the base, a clause; ggcnn itself publishes one below the camera's."""
+        tree = yaml.safe_load(self._buffer.all_frames_as_yaml()) or {}
+        if frame in tree or frame in {entry["parent"] for child, entry in tree.items() if child != GRASP_VIEW}:
+            return f"tf does not connect {frame} and {BASE}; calibrate the camera"
+        return f"tf has no frame {frame!r}, which the image names; start what publishes it, such as the camera's driver"
 
     def fixed(self, parent: str, child: str) -> np.ndarray | None:
         """Returns the pose of a frame in another one to which it is fixed, shape (4, 4) [m]; None if tf has it not."""

@@ -45,6 +45,7 @@ class StreamWatch:
         self._last: float | None = None
         self._new_stamp: float | None = None
         self._new_digest: float | None = None
+        self._image: float | None = None  # when the last one came, or they were subscribed to; None: they are not
         self._filled = 1.0
         self._garbled, self._garbage = float("-inf"), ""
         self._times: deque[float] = deque()
@@ -60,15 +61,19 @@ class StreamWatch:
         """Records an image's checksum and fraction of pixels with a depth; it arrived at the time `now` [s]."""
         if digest != self._digest:
             self._digest, self._new_digest = digest, now
-        self._filled = filled
+        self._filled, self._image = filled, now
 
     def add_garbled(self, reason: str, now: float) -> None:
         """Records a garbled image that arrived at the time `now` [s]; the reason is a clause."""
-        self._garbage, self._garbled = reason, now
+        self._garbage, self._garbled, self._image = reason, now, now
+
+    def expect_content(self, now: float) -> None:
+        """Records that the images were subscribed to at the time `now` [s]; the first one may take twice as long."""
+        self._image = now + self._config.silence
 
     def forget_content(self) -> None:
         """Forgets the image content: the stream's images are not received any more."""
-        self._digest = self._new_digest = None
+        self._digest = self._new_digest = self._image = None
         self._garbled = float("-inf")
         self._filled = 1.0
 
@@ -90,6 +95,9 @@ class StreamWatch:
             return StreamHealth("vanished", f"{name} vanished: nothing for {silent:.1f} s. Check its cable and driver.")
         if old > limit:
             return StreamHealth("frozen", f"{name} is frozen: the same stamp for {old:.1f} s. Restart its driver.")
+        if self._image is not None and now - self._image > limit:
+            lost = f"{name} sends its camera_info, but no image for {now - self._image:.1f} s"
+            return StreamHealth("vanished", f"{lost}. Restart its driver.")
         if now - self._garbled <= limit:
             return StreamHealth("garbled", f"{name} sends garbled images: {self._garbage}.")
         if self._filled < self._config.min_depth:

@@ -21,7 +21,8 @@ from common.errors import RigError
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.conversions import pose_in
 from common.ros.diagnostics import Diagnostics
-from common.ros.node import run, while_running
+from common.ros.inputs import FaultLog, NodeInputs, clause
+from common.ros.node import run
 from common.ros.params import private_values
 from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
@@ -30,7 +31,7 @@ from grasping.lab.dataset.collector import Collector, Finished
 from grasping.lab.dataset.episode import Episode
 from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
-from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
+from grasping.lab.ros.frame_reader import NOWHERE, FrameReader
 from grasping.pipeline.view import NoView
 from grasping.ros.execution_io import hand_measurement
 from grasping.ros.pose_lookup import PoseLookup
@@ -38,8 +39,8 @@ from reflex_msgs.msg import Hand
 
 EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited
 STALE_S = 0.5
-SILENT_S = 3.0
-THROTTLE_S = 10.0
+SILENT_S = 1.0
+HAND_STATE = "reflex_takktile/hand_state"
 PLAYER, PLAYER_S = "collection_bag/pause_playback", 30.0
 
 
@@ -51,19 +52,20 @@ class GraspCollection:
         self._T_flange_tool = setup.kuka.T_flange_tool
         self._poses = PoseLookup()
         self._lock = clock.Lock()
-        self._reader = FrameReader(setup, self._poses)
+        topics = setup.ggcnn.input
+        self._inputs = NodeInputs([topics.depth_topic, HAND_STATE], once=[topics.info_topic], silent=SILENT_S)
+        self._log = FaultLog()
+        self._reader = FrameReader(setup, self._poses, self._inputs)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
         self._files = EpisodeFiles(setup.folder, self._written)
         self._T_base_camera = NOWHERE
         self._fingers = np.full(4, np.nan)
-        self._heard = {"depth images": 0.0, "the state of the hand": 0.0}
-        self._waits_for = ""
+        self._unused = {"images": "", "hand": ""}  # why what comes is not used
         self._episodes = self._held = self._on_robot = 0
-        topic = setup.ggcnn.input.depth_topic
         self._sensors = [
             self._reader.subscriber,
-            rospy.Subscriber(topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True),
-            rospy.Subscriber("reflex_takktile/hand_state", Hand, self._on_hand, queue_size=10),
+            self._inputs.subscribe(topics.depth_topic, Image, self._on_depth),
+            self._inputs.subscribe(HAND_STATE, Hand, self._on_hand, queue_size=10),
         ]
         self._others = [
             rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10),
@@ -101,13 +103,10 @@ class GraspCollection:
         self._files.close()
 
     def _on_depth(self, message: Image) -> None:
-        self._heard["depth images"] = clock.monotonic()
-        with while_running():
-            try:
-                self._take_image(message)
-            except (ValueError, NoView, tf2_ros.TransformException) as error:
-                self._waits_for = clause(error)
-                rospy.logwarn_throttle(THROTTLE_S, f"An image was skipped: {self._waits_for}.")
+        try:
+            self._take_image(message)
+        except (ValueError, NoView, tf2_ros.TransformException) as error:
+            self._unused["images"] = clause(error)
 
     def _take_image(self, message: Image) -> None:
         """Keeps a frame; raises ValueError, NoView or TransformException that names what is missing."""
@@ -120,7 +119,7 @@ class GraspCollection:
                 return
             teleop, fingers = self._collector.teleop, self._fingers
         placed = self._reader.place(message)
-        self._waits_for = ""
+        self._unused["images"] = ""
         with self._lock:
             if not self._collector.wants(stamp.to_sec(), placed.T_base_tool):
                 return
@@ -145,19 +144,18 @@ class GraspCollection:
             return NOWHERE
 
     def _on_hand(self, message: Hand) -> None:
-        self._heard["the state of the hand"] = clock.monotonic()
         now = rospy.Time.now()
-        with while_running():
-            try:
-                T_base_tool = self._poses.flange(STALE_S) @ self._T_flange_tool
-            except (ValueError, tf2_ros.TransformException) as error:
-                rospy.logwarn_throttle(THROTTLE_S, f"The state of the hand is ignored: {clause(error)}.")
-                return
-            with self._lock:
-                self._take_time(now)
-                self._fingers = np.array([motor.joint_angle for motor in message.motor])
-                finished = self._collector.hand(hand_measurement(message), T_base_tool, now.to_sec())
-            self._store(finished)
+        try:
+            T_base_tool = self._poses.flange(STALE_S) @ self._T_flange_tool
+        except (ValueError, tf2_ros.TransformException) as error:
+            self._unused["hand"] = f"the state of the hand is ignored: {clause(error)}"
+            return
+        self._unused["hand"] = ""
+        with self._lock:
+            self._take_time(now)
+            self._fingers = np.array([motor.joint_angle for motor in message.motor])
+            finished = self._collector.hand(hand_measurement(message), T_base_tool, now.to_sec())
+        self._store(finished)
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
         with self._lock:
@@ -230,9 +228,9 @@ class GraspCollection:
         }
         if self._files.fault:
             return DiagnosticStatus.ERROR, self._files.fault, values
-        silent = [what for what, when in self._heard.items() if clock.monotonic() - when > SILENT_S]
-        if silent or self._waits_for:
-            return DiagnosticStatus.WARN, f"waits for {' and '.join(silent)}" if silent else self._waits_for, values
+        fault = self._log(self._inputs.missing() or self._unused["images"] or self._unused["hand"])
+        if fault:
+            return DiagnosticStatus.WARN, fault, values
         return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values
 
 

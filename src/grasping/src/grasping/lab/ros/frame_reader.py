@@ -11,11 +11,11 @@ from sensor_msgs.msg import CameraInfo, Image
 from common.camera_model import CameraModel
 from common.frames import FLANGE_MEASURED
 from common.ros.images import camera_model_from_info, depth_from_image
+from common.ros.inputs import NodeInputs
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand
 from grasping.lab.ros.collection_setup import CollectionSetup
 from grasping.ros.pose_lookup import PoseLookup
 
-BUFFER_BYTES = 2**22  # room for several images: rospy drops all but the newest only among those that it has read
 NOWHERE = np.full((4, 4), np.nan)
 
 
@@ -39,11 +39,11 @@ class SeenFrame(NamedTuple):
 class FrameReader:
     """Reads the depth images of the setup's camera with its network."""
 
-    def __init__(self, setup: CollectionSetup, poses: PoseLookup) -> None:
+    def __init__(self, setup: CollectionSetup, poses: PoseLookup, inputs: NodeInputs) -> None:
         self._setup, self._poses = setup, poses
         self._views, self._live = setup.ggcnn.views(), setup.ggcnn.steps(setup.up)
         self._info: CameraInfo | None = None
-        self.subscriber = rospy.Subscriber(setup.ggcnn.input.info_topic, CameraInfo, self._on_info, queue_size=1)
+        self.subscriber = inputs.subscribe(setup.ggcnn.input.info_topic, CameraInfo, self._on_info)
 
     def place(self, message: Image) -> PlacedImage:
         """Returns an image with its camera and poses; raises ValueError or TransformException for what is missing."""
@@ -51,8 +51,8 @@ class FrameReader:
         if stamp.is_zero():
             raise ValueError("the image has no stamp")
         if self._info is None:
-            raise ValueError(f"nobody publishes {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
-        camera = camera_model_from_info(self._info)
+            raise ValueError(f"nothing has come on {rospy.resolve_name(self._setup.ggcnn.input.info_topic)}")
+        camera = camera_model_from_info(self._info, (message.width, message.height))
         T_base_camera = self._poses.at(message.header.frame_id, stamp, wait)
         T_base_tool = self._poses.at(FLANGE_MEASURED, stamp, wait) @ self._setup.kuka.T_flange_tool
         return PlacedImage(message, camera, T_base_camera, T_base_tool)
@@ -60,8 +60,6 @@ class FrameReader:
     def look(self, placed: PlacedImage) -> SeenFrame:
         """Returns what the network sees; raises ValueError or NoView for an image of no use."""
         depth, camera = depth_from_image(placed.message), placed.camera
-        if depth.shape != (camera.height, camera.width):
-            raise ValueError(f"an image of {depth.shape[1]} x {depth.shape[0]} is not of the described camera")
         view = self._views.step(depth, camera)
         kept, T_view_own = look(self._setup.network, view, self._live)
         T_base_view = placed.T_base_camera @ view.T_camera_view
@@ -81,8 +79,3 @@ class FrameReader:
 
     def _on_info(self, message: CameraInfo) -> None:
         self._info = message
-
-
-def clause(error: Exception) -> str:
-    """Returns what an exception says as one line without the full stop that those of tf2 have."""
-    return " ".join(str(error).split()).rstrip(". ")

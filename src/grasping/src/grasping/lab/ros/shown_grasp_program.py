@@ -23,12 +23,13 @@ from tqdm import tqdm
 from common import clock
 from common.errors import RigError
 from common.ros.files import write_whole
-from common.ros.node import join, run_program, while_running
+from common.ros.inputs import NodeInputs, clause
+from common.ros.node import join, run_program
 from grasping.lab.dataset.episode import SHOWN
 from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
 from grasping.lab.dataset.store import encode, file_name
 from grasping.lab.ros.collection_setup import CollectionSetup, default_values, setup_from
-from grasping.lab.ros.frame_reader import BUFFER_BYTES, NOWHERE, FrameReader, clause
+from grasping.lab.ros.frame_reader import NOWHERE, FrameReader
 from grasping.pipeline.view import NoView
 from grasping.ros.pose_lookup import PoseLookup
 from rig_msgs.msg import KukaStatus
@@ -44,18 +45,17 @@ class ShownGraspRecorder:
     def __init__(self, setup: CollectionSetup, session: ShownGrasp) -> None:
         self._setup, self.session = setup, session
         self._poses = PoseLookup()
-        self._reader = FrameReader(setup, self._poses)
+        topics = setup.ggcnn.input
+        self._inputs = NodeInputs([topics.depth_topic], once=[topics.info_topic])
+        self._reader = FrameReader(setup, self._poses, self._inputs)
         self._lock = clock.Lock()
         self._mode: tuple[str, float] = "", -np.inf
         self._T_base_camera = NOWHERE
-        self.waits_for = "no depth image has come"  # a clause, why nothing is taken; empty while something is
+        self.waits_for = ""  # a clause, why nothing is taken; empty while something is
         self.following = False
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
-        topic = setup.ggcnn.input.depth_topic
-        self._images = rospy.Subscriber(
-            topic, Image, self._on_depth, queue_size=1, buff_size=BUFFER_BYTES, tcp_nodelay=True
-        )
+        self._inputs.subscribe(topics.depth_topic, Image, self._on_depth)
 
     def take_pose(self) -> bool:
         """Writes the episode of the tool's present pose if one is due. Returns whether it did; else `waits_for` says
@@ -84,6 +84,10 @@ class ShownGraspRecorder:
             raise RigError(f"{file} could not be written: {error.strerror}. The poses before it are stored.") from None
         return True
 
+    def watch_images(self) -> None:
+        """Lets `waits_for` say that no images come."""
+        self.waits_for = self._inputs.missing() or self.waits_for
+
     def _on_status(self, message: KukaStatus) -> None:
         self._mode = message.mode, clock.monotonic()
 
@@ -91,11 +95,10 @@ class ShownGraspRecorder:
         self.following = {value.key: value.value for value in message.values}.get("state") == "running"
 
     def _on_depth(self, message: Image) -> None:
-        with while_running():
-            try:
-                self._take_map(message)
-            except (ValueError, NoView, tf2_ros.TransformException) as error:
-                self.waits_for = clause(error)
+        try:
+            self._take_map(message)
+        except (ValueError, NoView, tf2_ros.TransformException) as error:
+            self.waits_for = clause(error)
 
     def _take_map(self, message: Image) -> None:
         """Takes a map if one is due; raises ValueError, NoView or TransformException that names what is missing."""
@@ -168,7 +171,7 @@ def _run(options: argparse.Namespace) -> None:
     setup = setup_from(values)
     session = ShownGrasp(options.maps, options.poses, setup.frames.rate)
     recorder = ShownGraspRecorder(setup, session)
-    _phase(recorder, Phase.MAPS, options.maps, "maps at home", lambda: None)
+    _phase(recorder, Phase.MAPS, options.maps, "maps at home", recorder.watch_images)
     print("Bring the hand to the grasp and keep it there; then press Enter. After a pause, Enter continues.")
     enters, taking = Enters(sys.stdin), False
 

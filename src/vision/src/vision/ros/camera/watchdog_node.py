@@ -33,7 +33,7 @@ class WatchedStream:
         self._lock = clock.Lock()
         self._images: rospy.Subscriber | None = None
         self._reported = "waiting"
-        self._size: tuple[int, int] | None = None
+        self._size = (0, 0)
         self.garbled = 0
         self.topic = rospy.resolve_name(f"{name}/image_raw")
         rospy.Subscriber(f"{name}/camera_info", CameraInfo, self._on_info, queue_size=1)
@@ -52,6 +52,8 @@ class WatchedStream:
     def subscribe(self, wanted: bool) -> None:
         """Subscribes to the images while another node does."""
         if wanted and self._checks_content and self._images is None:
+            with self._lock:
+                self._watch.expect_content(clock.monotonic())
             self._images = rospy.Subscriber(self.topic, Image, self._on_image, queue_size=1, buff_size=2**22)
         elif not wanted and self._images is not None:
             self._images.unregister()
@@ -67,7 +69,7 @@ class WatchedStream:
     def _on_image(self, message: Image) -> None:
         try:
             image = array_from_image(message)
-            if self._size not in (None, image.shape[:2]):
+            if self._size != image.shape[:2] and all(self._size):  # some drivers say no size
                 raise ValueError(f"an image of {message.width} x {message.height} has not the size in camera_info")
         except ValueError as error:
             with self._lock:

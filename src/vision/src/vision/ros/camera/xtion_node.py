@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common import clock
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
+from common.input_watch import InputWatch
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import RgbdTopics, metres_from_millimetres
 from common.ros.params import private_config, private_values
@@ -21,8 +22,9 @@ from vision.camera.registration import Registration, millimetres_from_metres
 CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
 SERIAL = "serial"  # private parameter that the node writes: the device's serial number, which calibrations store
+STREAMS = {"rgb": "the camera's colour stream", "depth": "the camera's depth stream"}
 TIMEOUT_S = 0.5
-SILENCE_S = 2.0  # after this time without an image the camera is reopened
+SILENCE_S = 2.0  # after this time without an image of one of them the camera is reopened
 RETRY_PERIOD_S = 2.0
 
 
@@ -39,6 +41,7 @@ class XtionNode:
         self._offset = rospy.Duration.from_sec(config.time_offset)
         self._fault = "The camera is not open yet."
         self._images = self._losses = 0
+        self._watch = InputWatch(STREAMS.values())
 
     def run(self) -> None:
         """Publishes until ROS shuts down; raises DeviceError if there is no camera at the start."""
@@ -61,14 +64,16 @@ class XtionNode:
         rospy.loginfo("The camera %s, serial number %s, sends images.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
-        last = clock.monotonic()
+        self._watch.restart()
+        opened = clock.monotonic()
         while not rospy.is_shutdown():
-            frame = self._camera.read(TIMEOUT_S)
+            frame, now = self._camera.read(TIMEOUT_S), clock.monotonic()
             if frame is not None:
-                last = clock.monotonic()
+                self._watch.came(STREAMS[frame.name], now)
                 self._publish(frame)
-            elif clock.monotonic() - last > SILENCE_S:
-                raise DeviceError(f"The camera has sent nothing for {SILENCE_S:g} s; it is reopened.")
+            missing = self._watch.missing(now, SILENCE_S)
+            if missing and now - opened > SILENCE_S:
+                raise DeviceError(f"{missing[0].upper()}{missing[1:]}; the camera is reopened.")
 
     def _reconnect(self, error: DeviceError) -> None:
         self._losses += 1
@@ -107,6 +112,9 @@ class XtionNode:
         values = {"pictures": self._images, "losses": self._losses}
         if self._fault:
             return DiagnosticStatus.ERROR, self._fault, values
+        missing = self._watch.missing(clock.monotonic())
+        if missing:
+            return DiagnosticStatus.WARN, f"{missing[0].upper()}{missing[1:]}.", values
         return DiagnosticStatus.OK, "Images arrive.", values
 
 
