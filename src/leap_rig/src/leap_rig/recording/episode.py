@@ -46,8 +46,8 @@ def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
         if len(back):
             step, after = times[back[0]] - times[back[0] + 1], times[back[0]] - times[0]
             raise RecordingFault(
-                f"A clock was set back by {step:.3g} s, {after:.1f} s after the recording began, so its rows have no order; "
-                "record it again."
+                f"A clock was set back by {step:.3g} s, {after:.1f} s after the recording began, so its rows have no "
+                "order; record it again."
             )
     begin, end = max(times[0] for times, _ in parts), min(times[-1] for times, _ in parts)
     if begin > end:
