@@ -114,7 +114,11 @@ def _run() -> None:
             reasons = {found.reason for found in collected.lists[-5:]}
             raise RigError(f"No image with a grasp came within {PATIENCE_S:g} s: {'; '.join(reasons) or 'no answer'}.")
         clock.sleep(POLL_S)
-    if not cv2.imwrite(str(arguments.file), composed(*newest, camera_model_from_info(info))):
+    try:
+        camera = camera_model_from_info(info, newest[1].shape[::-1])
+    except ValueError as error:
+        raise RigError(f"No image with a grasp: {error}.") from None
+    if not cv2.imwrite(str(arguments.file), composed(*newest, camera)):
         raise RigError(f"The image cannot be written to {arguments.file}.")
     sys.stdout.write("\n".join([*report(collected), f"{arguments.file} is written", ""]))
 
