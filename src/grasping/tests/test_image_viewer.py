@@ -32,6 +32,9 @@ def test_colours_are_shown_red_first_and_grey_as_grey():
     colours = np.random.default_rng(1).integers(0, 256, (4, 6, 3)).astype(np.uint8)
     np.testing.assert_array_equal(picture(message(colours, "rgb8")), colours)
     np.testing.assert_array_equal(picture(message(colours, "bgr8")), colours[..., ::-1])
+    clear = np.insert(colours, 3, 255, axis=2)
+    np.testing.assert_array_equal(picture(message(clear, "rgba8")), colours)
+    np.testing.assert_array_equal(picture(message(clear[..., [2, 1, 0, 3]].copy(), "bgra8")), colours)
     np.testing.assert_array_equal(picture(message(colours[..., 0], "mono8")), np.dstack([colours[..., 0]] * 3))
 
 
@@ -67,8 +70,8 @@ def publishers(ros):
     rospy.Publisher("/viewer/text", String, queue_size=1)
 
     def publish(_):
-        for topic, colour in colours.items():
-            made[topic].publish(message(np.tile(np.uint8(colour), (30, 40, 1)), "rgb8"))
+        for topic in colours.keys() & made.keys():
+            made[topic].publish(message(np.tile(np.uint8(colours[topic]), (30, 40, 1)), "rgb8"))
         odd = message(np.zeros((3, 4), np.uint8), "mono8")
         odd.encoding = "yuv422"
         made["/viewer/odd"].publish(odd)
@@ -115,6 +118,16 @@ def test_the_list_has_the_image_topics_and_a_choice_switches(viewer, publishers)
     viewer.choice.setCurrentText("/viewer/odd")
     after_a_while()
     assert "yuv422" in viewer.text.text()
+    clock.sleep(2.0)
+    viewer.draw()
+    assert "yuv422" in viewer.text.text()
+    viewer.choice.setCurrentText("/viewer/red")
+    after_a_while()
+    assert viewer.text.text() == "40 x 30, rgb8"
+    del publishers["/viewer/red"]
+    clock.sleep(1.2)
+    viewer.draw()
+    assert viewer.text.text().startswith("nothing has come on /viewer/red for 1.")
 
 
 def test_the_launch_file_starts_it_with_the_chosen_image():
