@@ -8,6 +8,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from loop_world import DT, HOME, World, at_rate, shifted, tipped
 
 from kuka_control.loop.control_loop import OFF
@@ -184,3 +186,54 @@ def test_control_off_is_said_where_frames_come_and_not_elsewhere():
     assert world.run(0.5, circle).steps[-1].reason == f"The arm is at home. {OFF}"
     assert OFF not in world.run(0.5).steps[-1].reason
     np.testing.assert_allclose(world.arm.q, HOME.q)
+
+
+PATHS = {
+    "circle": circle,
+    "down": outwards(HOME.T_base_tool, (0.0, 0.0, -0.1)),
+    "up": outwards(HOME.T_base_tool, (0.0, 0.0, 0.1)),
+    "outwards": outwards(HOME.T_base_tool, (0.1, -0.1, 0.0)),
+    "inwards": outwards(HOME.T_base_tool, (-0.08, 0.08, 0.0)),
+    "tipped": lambda t: tipped(min(0.3 * t, 1.5), z=min(0.1 * t, 0.2)),
+    "jumping": lambda t: shifted(0.0, 0.04 * (int(t / 0.3) % 2), 0.0),
+}
+SEEN_M, STILL_M = 0.02, 0.002  # the desired tool moves by more than the one, the arm by less than the other
+WINDOW, REACTION = 100, 50  # cycles that are looked at, the last of which show how the arm reacts to those before
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(sorted(PATHS)),
+            st.sampled_from([2.0, 6.0, 10.0, 15.0, 19.0, 21.0, 25.0, 50.0, 100.0]),
+            st.sampled_from([0.0, 0.0, 0.0, -1.0, 1.0]),
+            st.sampled_from([True, True, True, False]),
+            st.sampled_from([1.0, 0.1, 1.5]),
+        ),
+        min_size=1,
+        max_size=2,
+    ),
+    st.booleans(),
+    st.sampled_from([0.2, 2.0]),
+)
+def test_while_the_desired_tool_moves_and_the_arm_does_not_the_status_never_says_that_it_follows(parts, foreign, out):
+    world = World(time_out=out).at_home()
+    world.foreign, world.control_on = foreign, True
+    desired, measured = [], []
+    for path, rate, skew, on, scale in parts:
+        world.skew, world.control_on, world.scale = skew, on, scale
+        start, frame = world.now, -1
+        while world.now - start < 2.5:
+            number = int((world.now - start) * rate)
+            fresh, frame = number > frame, number
+            world.run(DT, PATHS[path](number / rate) if fresh else None)
+            desired.append(world.newest.T_base_tool[:3, 3] if world.newest else np.zeros(3))
+            measured.append(world.rig.kinematics.forward(world.arm.q)[:3, 3])
+    steps = world.steps[-len(desired) :]
+    for i in range(WINDOW, len(steps), 10):
+        seen = np.ptp(desired[i - WINDOW : i - REACTION], axis=0).max()
+        stood = np.ptp(measured[i - WINDOW : i], axis=0).max()
+        reasons = {step.reason for step in steps[i - WINDOW : i]}
+        moves = seen > SEEN_M and stood < STILL_M
+        assert not moves or not all(FOLLOWS in reason for reason in reasons), (i, seen, stood, reasons)

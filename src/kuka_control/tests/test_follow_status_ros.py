@@ -82,6 +82,7 @@ def test_a_stamp_of_zero_is_said(virtual_graph):
     tool = Publisher()
     accepted, refused = tool.run(2.0, (BASE, TOOL_DESIRED, lambda t: 0.0))
     assert accepted == 0 and refused and all("its stamp is 0" in sentence for sentence in refused)
+    assert "its stamp is 0" in tool.stream.refusal(clock.monotonic())
 
 
 def test_a_frame_below_the_tool_that_is_out_of_step_is_named(virtual_graph):

@@ -366,7 +366,7 @@ def test_an_impossible_rate_is_refused_at_once(tmp_path, capsys, fps):
 
 def turned(i):
     """The pose of a tool, shape (4, 4), for a row of a recording."""
-    return pose(rotation_about(2, 0.02 * i) @ rotation_about(0, np.pi), (0.5, 0.01 * i, 0.4))
+    return pose(rotation_about(2, 0.02 * i) @ rotation_about(0, 2.0), (0.5, 0.01 * i, 0.4))
 
 
 def recorded_run(folder, n=50):
