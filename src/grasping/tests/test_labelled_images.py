@@ -207,9 +207,7 @@ def test_names_in_capitals_are_the_same(tmp_path, kind):
     ("row", "column", "opening"), [(480.0, 320.0, 30.0), (240.0, 900.0, 30.0), (-3.0, 5.0, 30.0), (240.0, 320.0, 801.0)]
 )
 def test_labels_of_an_image_of_another_size_are_named(row, column, opening):
-    image = image_of(
-        li.GraspRectangle(240.0, 320.0, 0.0, 30.0, 9.0), li.GraspRectangle(row, column, 0.0, opening, 9.0)
-    )
+    image = image_of(li.GraspRectangle(240.0, 320.0, 0.0, 30.0, 9.0), li.GraspRectangle(row, column, 0.0, opening, 9.0))
     with pytest.raises(RigError, match="not of an image of 640 x 480: its labels are of another size"):
         li.sample(image, 400)
 

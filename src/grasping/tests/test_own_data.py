@@ -99,7 +99,9 @@ def test_an_image_that_cannot_be_used_is_named_and_left_out(images, tmp_path, mo
     assert "Left out: blind: the depth image holds no reading" in streams.err and "1 left out." in streams.out
 
 
-def test_images_in_float_millimetres_are_refused_and_the_shards_before_stay(images, shards, tmp_path, monkeypatch, capsys):
+def test_images_in_float_millimetres_are_refused_and_the_shards_before_stay(
+    images, shards, tmp_path, monkeypatch, capsys
+):
     before = {path: path.read_bytes() for path in shards.iterdir()}
     source = tmp_path / "millimetres"
     source.mkdir()

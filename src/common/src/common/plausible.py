@@ -32,8 +32,8 @@ def plausible_depth(depth: np.ndarray) -> np.ndarray:
     middle = float(np.median(readings)) if readings.size else NEAREST_M
     if not NEAREST_M <= middle <= FARTHEST_M:
         raise ValueError(
-            f"the median of the depth is {middle:.4g} m, which is not between {NEAREST_M:g} and {FARTHEST_M:g} m: depth "
-            "is in metres as floating-point numbers, in millimetres as 16-bit ones"
+            f"the median of the depth is {middle:.4g} m, which is not between {NEAREST_M:g} and {FARTHEST_M:g} m: "
+            "depth is in metres as floating-point numbers, in millimetres as 16-bit ones"
         )
     return np.where(beyond, np.float32(np.nan), depth) if beyond.any() else depth
 

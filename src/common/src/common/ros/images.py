@@ -141,7 +141,7 @@ def camera_model_from_info(
 
 def _check_size(message: CameraInfo, matrices: dict[str, np.ndarray], size: tuple[int, int] | None) -> None:
     """Raises ValueError if a matrix cannot be of the whole image, whose part of that `size` was taken."""
-    if size is not None and not (message.width and message.height or message.roi.width):
+    if size is not None and not (message.width or message.roi.width):
         width, height = size[0] * max(message.binning_x, 1), size[1] * max(message.binning_y, 1)
     else:
         width, height = message.width, message.height

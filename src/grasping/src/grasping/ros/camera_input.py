@@ -11,6 +11,7 @@ from std_msgs.msg import Header
 
 from common import clock
 from common.camera_model import CameraModel
+from common.ros.compressed_images import depth_topic
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.inputs import NodeInputs
 from grasping.pipeline.settings import InputConfig
@@ -37,7 +38,7 @@ class DepthStream:
         self.received = self.skipped = 0
         self.inputs = NodeInputs([config.depth_topic], once=[config.info_topic], silent=config.silence)
         self.inputs.subscribe(config.info_topic, CameraInfo, self._take_info)
-        self.inputs.subscribe(config.depth_topic, Image, self._take)
+        self.inputs.subscribe(*depth_topic(config.depth_topic, self._take))
 
     def newest(self, timeout: float) -> DepthImage | None:
         """Returns the newest image that was not given away yet; waits up to `timeout` [s], then returns None."""

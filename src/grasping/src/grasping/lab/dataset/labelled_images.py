@@ -102,8 +102,8 @@ class LabelledImage:
             inside = -0.5 <= grasp.row <= height - 0.5 and -0.5 <= grasp.column <= width - 0.5
             if not inside or max(grasp.opening, grasp.breadth) > math.hypot(width, height):
                 raise RigError(
-                    f"{self.name}: a grasp at row {grasp.row:g}, column {grasp.column:g}, {grasp.opening:g} px open, is "
-                    f"not of an image of {width} x {height}: its labels are of another size."
+                    f"{self.name}: a grasp at row {grasp.row:g}, column {grasp.column:g}, {grasp.opening:g} px open, "
+                    f"is not of an image of {width} x {height}: its labels are of another size."
                 )
         return depth
 
@@ -116,7 +116,7 @@ class LabelledFolder(NamedTuple):
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """Returns a depth image, shape (h, w) [m], of a .npy or .tiff file: 16-bit in millimetres, floating-point in metres.
+    """Returns a depth image, shape (h, w) [m], of a file: 16-bit in millimetres, floating-point in metres.
 
     Raises RigError if the file is not a depth image, or not in these units.
     """
@@ -239,7 +239,8 @@ def _cornell(path: Path, files: Mapping[Path, Path]) -> LabelledImage:
     name = path.name[: -len("cpos.txt")]
     image = _beside(path, files, f"{name}d.tiff", f"{name}.txt")
     try:
-        corners = np.array([[float(word) for word in line.split()] for line in read_text(path).split("\n") if line.strip()])
+        lines = [line.split() for line in read_text(path).split("\n") if line.strip()]
+        corners = np.array([[float(word) for word in line] for line in lines])
         grasps = [_of_corners(four) for four in corners.reshape(-1, 4, 2) if np.isfinite(four).all()]
     except (ValueError, OSError) as error:
         raise LabelError(f"{path} does not hold four corners a rectangle: {error}.") from error

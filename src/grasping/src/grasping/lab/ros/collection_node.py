@@ -17,8 +17,10 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool, SetBoolResponse
 
 from common import clock
-from common.errors import RigError
+from common.config import parse
+from common.errors import ConfigError, RigError
 from common.frames import BASE, TOOL_DESIRED
+from common.ros.compressed_images import depth_topic
 from common.ros.conversions import pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.inputs import FaultLog, NodeInputs, clause
@@ -29,7 +31,7 @@ from grasp_msgs.msg import GraspOutcome
 from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
 from grasping.lab.dataset.episode import Episode
-from grasping.lab.ros.collection_setup import CollectionSetup, read_setup
+from grasping.lab.ros.collection_setup import GGCNN, SECTIONS, CollectionConfig, CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
 from grasping.lab.ros.frame_reader import NOWHERE, FrameReader
 from grasping.pipeline.view import NoView
@@ -49,6 +51,7 @@ class GraspCollection:
 
     def __init__(self, setup: CollectionSetup) -> None:
         self._setup = setup
+        self._object = setup.config.object
         self._T_flange_tool = setup.kuka.T_flange_tool
         self._poses = PoseLookup()
         self._lock = clock.Lock()
@@ -64,7 +67,7 @@ class GraspCollection:
         self._episodes = self._held = self._on_robot = 0
         self._sensors = [
             self._reader.subscriber,
-            self._inputs.subscribe(topics.depth_topic, Image, self._on_depth),
+            self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth)),
             self._inputs.subscribe(HAND_STATE, Hand, self._on_hand, queue_size=10),
         ]
         self._others = [
@@ -199,9 +202,16 @@ class GraspCollection:
                 self._on_robot,
             )
             return
-        thing = str(private_values().get("object", setup.config.object))
-        metadata = setup.metadata(grasp, finished.source, thing, frames.optics.real, self._T_base_camera)
+        metadata = setup.metadata(grasp, finished.source, self._object_name(), frames.optics.real, self._T_base_camera)
         self._files.put(frames.episode(grasp, metadata, *tool))
+
+    def _object_name(self) -> str:
+        """Returns the name of the object now; the last one while the parameter is no text."""
+        try:
+            self._object = parse(CollectionConfig, private_values(), "~", others=(*SECTIONS, GGCNN)).object
+        except ConfigError as error:
+            rospy.logerr("The object is still called %s: %s", self._object, error)
+        return self._object
 
     def _written(self, episode: Episode, file, size: int) -> None:
         self._episodes += 1
@@ -250,6 +260,8 @@ def _run() -> None:
     rospy.on_shutdown(node.close)
     if setup.config.from_bag:
         if not node.wait_for_publishers(PLAYER_S):
+            if rospy.is_shutdown():
+                return
             raise RigError(
                 f"No connection to all topics of the recording within {PLAYER_S:g} s: it must hold depth images, "
                 "camera_info and hand_state under their names, and be played on a ROS master of its own."

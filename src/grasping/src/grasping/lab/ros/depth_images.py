@@ -11,47 +11,52 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rosbag
+from sensor_msgs.msg import CompressedImage
 
+from common.errors import RigError
+from common.ros.compressed_images import depth_from_compressed
 from common.ros.images import depth_from_image
+from grasping.lab.ros.bags import opened, topic_in
 
 LARGEST_MM = 2**16 - 1
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bag", type=Path, help="recording with depth images, 16UC1 or 32FC1")
+    parser.add_argument("bag", type=Path, help="recording with depth images, 16UC1, 32FC1 or compressed")
     parser.add_argument("folder", type=Path, help="where the images go")
     parser.add_argument("--topic", default="/camera/depth/image", help="default: %(default)s")
     parser.add_argument("--every", type=float, default=1.0, help="seconds between two images, default 1")
     arguments = parser.parse_args()
     if not 0.0 <= arguments.every < 1e6:
         parser.error(f"--every is {arguments.every:g} and must be 0 to 1e6 seconds.")
-    written, last = 0, -np.inf
+    written, left_out, last = 0, 0, -np.inf
     try:
         arguments.folder.mkdir(parents=True, exist_ok=True)
-        with rosbag.Bag(str(arguments.bag)) as bag:
-            topics = bag.get_type_and_topic_info().topics
-            if arguments.topic not in topics:
-                parser.error(f"{arguments.bag} has no topic {arguments.topic}; it has {', '.join(sorted(topics))}.")
-            for _, message, stamp in bag.read_messages(topics=[arguments.topic]):
+        with opened(arguments.bag) as bag:
+            topic = topic_in(bag, arguments.bag, arguments.topic)
+            for _, message, stamp in bag.read_messages(topics=[topic]):
                 if stamp.to_sec() < last + arguments.every:
                     continue
                 try:
-                    depth = depth_from_image(message)
+                    packed = message._type == CompressedImage._type
+                    depth = depth_from_image(depth_from_compressed(message) if packed else message)
                 except ValueError as error:
                     sys.stderr.write(f"Left out, at {stamp.to_sec():.3f} s: {error}\n")
+                    left_out += 1
                     continue
                 last = stamp.to_sec()
                 path = arguments.folder / f"{arguments.bag.stem}_{stamp.to_nsec() // 10**6}.png"
                 if not path.exists():
                     written += 1
                     cv2.imwrite(str(path), in_millimetres(depth))
-    except rosbag.ROSBagException as error:
-        parser.error(f"{arguments.bag} cannot be read: {error}.")
+    except RigError as error:
+        parser.error(str(error))
     except OSError as error:
-        parser.error(f"{error.filename or arguments.bag}: {error.strerror or error}.")
-    print(f"{written} images in {arguments.folder}.")
+        parser.error(f"{error.filename or arguments.folder}: {error.strerror or error}.")
+    print(f"{written} images in {arguments.folder}{f'; {left_out} left out' if left_out else ''}.")
+    if left_out and last == -np.inf:
+        sys.exit(1)
 
 
 def in_millimetres(depth: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from common import clock
 from common.errors import RigError
+from common.ros.compressed_images import depth_topic
 from common.ros.files import write_whole
 from common.ros.inputs import NodeInputs, clause
 from common.ros.node import join, run_program
@@ -55,7 +56,7 @@ class ShownGraspRecorder:
         self.following = False
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
         rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
-        self._inputs.subscribe(topics.depth_topic, Image, self._on_depth)
+        self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth))
 
     def take_pose(self) -> bool:
         """Writes the episode of the tool's present pose if one is due. Returns whether it did; else `waits_for` says

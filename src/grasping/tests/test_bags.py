@@ -1,0 +1,169 @@
+"""Recordings of rosbag: what is played of them and taken out of them, and what is said of those that cannot be."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+
+import cv2
+import numpy as np
+import pytest
+from test_programs import call
+
+from common.config import parse
+from common.errors import ConfigError, RigError
+
+pytest.importorskip("rospy")
+pytestmark = pytest.mark.ros
+
+DEPTH, INFO, HAND = "/camera/depth/image", "/camera/depth/camera_info", "/reflex_takktile/hand_state"
+OTHERS = ("/tf", "/tf_static", "/grasping/state")
+IMAGES = 6
+
+
+def depth_message(kind: str = ""):
+    from sensor_msgs.msg import CompressedImage, Image
+
+    depth = np.full((48, 64), 700, np.uint16)
+    if kind == "metres as millimetres":
+        return Image(height=48, width=64, encoding="32FC1", step=256, data=depth.astype(np.float32).tobytes())
+    if not kind:
+        return Image(height=48, width=64, encoding="16UC1", step=128, data=depth.tobytes())
+    header = struct.pack("<i2f", 0, 0.0, 0.0) if kind == "compressedDepth" else b""
+    form = "16UC1; compressedDepth" if header else "16UC1; png compressed "
+    return CompressedImage(format=form, data=header + cv2.imencode(".png", depth)[1].tobytes())
+
+
+def write_bag(path, *, depth=DEPTH, kind="", without=(), slash="/", close=True):
+    """Writes a recording; returns its path."""
+    import rosbag
+    import rospy
+    from sensor_msgs.msg import CameraInfo
+    from std_msgs.msg import Empty
+
+    from reflex_msgs.msg import Hand
+
+    topics = {depth: depth_message(kind), INFO: CameraInfo(), HAND: Hand(), **{name: Empty() for name in OTHERS}}
+    bag = rosbag.Bag(str(path), "w")
+    for i in range(IMAGES):
+        for topic, message in topics.items():
+            if topic not in without:
+                bag.write(slash + topic.lstrip("/"), message, rospy.Time.from_sec(100.0 + i))
+    if close:
+        bag.close()
+    else:
+        bag.flush()
+        shutil.copy(path, f"{path}.open")
+        bag.close()
+        shutil.move(f"{path}.open", path)
+    return path
+
+
+def command(bag, folder="/", depth=DEPTH, info=INFO):
+    from grasping.lab.ros.play_program import PlayConfig, player
+
+    return player(parse(PlayConfig, {"bag": bag, "rate": 2, "depth": depth, "camera_info": info}), folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "topics", "slash"),
+    [
+        ("plain.bag", "{}/plain.bag", (DEPTH, INFO), "/"),
+        ("lab data/session 1.bag", "{}/lab data/session 1.bag", (DEPTH, INFO), "/"),
+        ('it\'s "$HOME" ü.bag', '{}/it\'s "$HOME" ü.bag', (DEPTH, INFO), "/"),
+        ("plain.bag", "plain.bag", (DEPTH, INFO), "/"),
+        ("plain.BAG", "./plain.BAG", (DEPTH[1:], INFO[1:]), "/"),
+        ("plain.bag", "plain.bag", (DEPTH[1:], INFO), ""),
+    ],
+)
+def test_a_recording_is_played_whatever_its_path_and_the_slashes_of_its_topics(tmp_path, name, given, topics, slash):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    write_bag(tmp_path / name, slash=slash)
+    words = command(given.format(tmp_path), str(tmp_path), *topics)
+    assert words[0].endswith("/play") and words[words.index("--rate") + 1] == "2"
+    at = words.index("--topics")
+    assert words[at - 1] == str(tmp_path / name)
+    assert sorted(words[at + 1 :]) == sorted(slash + topic[1:] for topic in (DEPTH, INFO, HAND, *OTHERS))
+
+
+def torn(path, part=0.6):
+    path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
+
+
+BAD = {
+    "missing.bag": (lambda path: path.unlink(), "missing.bag: No such file"),
+    "torn.bag": (torn, "torn.bag (has no index|cannot be read)"),
+    "empty.bag": (lambda path: path.write_bytes(b""), "empty.bag cannot be read as a bag"),
+    "text.bag": (lambda path: path.write_text("Hello"), "text.bag cannot be read as a bag"),
+    "head.bag": (lambda path: torn(path, 0.01), "head.bag (has no index|cannot be read)"),
+    "ros2.db3": (lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
+    "ros2.mcap": (lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
+    "folder.bag": (lambda path: (path.unlink(), path.mkdir()), "not a bag of ROS 1; convert .* rosbags-convert"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path, monkeypatch, capsys, name):
+    from grasping.lab.ros import depth_images
+
+    damage, said = BAD[name]
+    path = write_bag(tmp_path / name)
+    damage(path)
+    with pytest.raises(RigError, match=said):
+        command(str(path))
+    with pytest.raises(SystemExit) as ended:
+        call(monkeypatch, depth_images, path, tmp_path / "images")
+    assert ended.value.code and name in capsys.readouterr().err
+
+
+def test_a_recording_that_was_cut_off_says_how_to_repair_it(tmp_path):
+    with pytest.raises(RigError, match="has no index: its recording was cut off. Repair it with rosbag reindex"):
+        command(str(write_bag(tmp_path / "cut.bag.active", close=False)))
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ({"without": [HAND]}, f"has no topic {HAND}; it has {INFO}, {DEPTH}, "),
+        ({"without": [INFO]}, f"has no topic {INFO}; it has"),
+        ({"depth": "/other/image"}, f"has no topic {DEPTH}; it has .*/other/image"),
+        ({"depth": f"{DEPTH}/compressedDepth", "kind": "compressedDepth"}, f"give the topic {DEPTH}/compressedDepth"),
+        ({"depth": f"{DEPTH}/compressed", "kind": "compressed"}, f"give the topic {DEPTH}/compressed"),
+    ],
+)
+def test_a_topic_that_the_recording_lacks_is_named(tmp_path, written, said):
+    with pytest.raises(RigError, match=said):
+        command(str(write_bag(tmp_path / "a.bag", **written)))
+
+
+@pytest.mark.parametrize(("key", "value"), [("bag", ""), ("rate", 0), ("rate", "fast"), ("depth", "")])
+def test_bad_parameters_of_the_player_are_named(key, value):
+    from grasping.lab.ros.play_program import PlayConfig
+
+    values = {"bag": "a.bag", "rate": 1.0, "depth": DEPTH, "camera_info": INFO, key: value}
+    with pytest.raises(ConfigError, match=f"{key} is "):
+        parse(PlayConfig, values)
+
+
+@pytest.mark.parametrize("kind", ["", "compressed", "compressedDepth"])
+@pytest.mark.parametrize("slash", ["", "/"])
+def test_images_are_taken_out_of_a_recording(tmp_path, monkeypatch, capsys, kind, slash):
+    from grasping.lab.ros import depth_images
+
+    topic = f"{DEPTH}/{kind}".rstrip("/")
+    path = write_bag(tmp_path / "session 1.bag", depth=topic, kind=kind)
+    call(monkeypatch, depth_images, path, tmp_path / "images", "--topic", slash + topic[1:])
+    files = sorted((tmp_path / "images").iterdir())
+    assert f"{IMAGES} images in" in capsys.readouterr().out and len(files) == IMAGES
+    assert (cv2.imread(str(files[0]), cv2.IMREAD_UNCHANGED) == 700).all()
+
+
+def test_images_in_another_unit_are_left_out_and_counted(tmp_path, monkeypatch, capsys):
+    from grasping.lab.ros import depth_images
+
+    path = write_bag(tmp_path / "a.bag", kind="metres as millimetres")
+    with pytest.raises(SystemExit) as ended:
+        call(monkeypatch, depth_images, path, tmp_path / "images")
+    streams = capsys.readouterr()
+    assert ended.value.code == 1 and f"0 images in {tmp_path / 'images'}; {IMAGES} left out." in streams.out
+    assert streams.err.count("the median of the depth is 700 m") == IMAGES
