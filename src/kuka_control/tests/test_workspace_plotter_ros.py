@@ -87,7 +87,7 @@ def test_without_a_display_a_window_is_refused_in_one_sentence(plotter, monkeypa
     monkeypatch.setenv("QT_API", "pyqt5")  # the program sets it
     done = plotter(*QUICK)
     assert done.returncode == 1
-    assert "There is no display" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+    assert "The window is not opened: " in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
 
 
 @pytest.mark.parametrize(

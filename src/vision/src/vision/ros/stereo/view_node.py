@@ -111,10 +111,10 @@ class StereoScreen(QWidget):
 
 def main() -> None:
     """Runs the node with its private parameters."""
+    check_screen("The headset view")
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     output = private_config(WindowConfig, others=("view",)).output
     config = private_config(StereoViewConfig, "view")
-    check_screen("The headset view")
     application = QApplication(sys.argv[:1])
     screen = find_screen(application, output)
     rospy.loginfo("Shows the view %s.", f"on {screen.name()}" if screen else "in a window: no display is a Rift")
