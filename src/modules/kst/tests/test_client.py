@@ -14,6 +14,7 @@ from kst.errors import (
     BadJoints,
     BadVelocity,
     ConnectionLost,
+    ForeignServer,
     MotionInterrupted,
     MotionRefused,
     NoServer,
@@ -90,11 +91,32 @@ def test_a_server_that_does_not_attach_the_tool(server, takes, answer, seconds):
     assert server.lines[-1] == "end"
 
 
-def test_something_else_listens_there(server):
-    server.answers["TFtrans"] = b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * 50
-    with pytest.raises(UnexpectedReply) as caught:
+@pytest.mark.parametrize("count", [1, 50])
+def test_something_else_listens_there(server, count):
+    server.answers = {"TFtrans": b"HTTP/1.1 400 Bad Request\r\nServer: x\r\n\r\n" * count}
+    with pytest.raises(ForeignServer) as caught:
         KstClient.connect("127.0.0.1", server.port)
-    assert caught.value.command == "TFtrans"
+    assert caught.value.address == f"127.0.0.1:{server.port}"
+    assert caught.value.answer.startswith(b"HTTP/1.1 400 Bad Request")
+
+
+@pytest.mark.parametrize("late", [b"done\0\n", b"yes\n"])
+def test_a_toolbox_with_one_foreign_line_is_the_toolbox(server, late):
+    server.answers["TFtrans"] = late + b"done\n"
+    KstClient.connect("127.0.0.1", server.port).close()
+
+
+def test_bytes_without_a_line_end_keep_nobody_waiting_for_ever(server, connect):
+    client, flooding = connect(), [True]
+
+    def flood():
+        while flooding[0]:
+            server.push(b"x" * 4096)
+
+    clock.Thread(target=flood, daemon=True).start()
+    with pytest.raises(ReplyTimeout):
+        client.joints()
+    flooding[0] = False
 
 
 def test_a_bad_tool_opens_no_connection(server):

@@ -11,6 +11,7 @@ from kst.errors import (
     BadJoints,
     BadVelocity,
     ConnectionLost,
+    ForeignServer,
     KstError,
     MotionInterrupted,
     MotionRefused,
@@ -28,8 +29,8 @@ from kst.ptp_client import read_joints, run_ptp
 from kst.session import KstTiming, LinkCounts
 
 __all__ = [
-    "LBR_IIWA_LIMITS", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback", "JointLimits", "KstClient",
-    "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionInterrupted", "MotionRefused", "NoServer",
+    "LBR_IIWA_LIMITS", "BadJoints", "BadVelocity", "ConnectionLost", "Feedback", "ForeignServer", "JointLimits",
+    "KstClient", "KstError", "KstMode", "KstTiming", "LinkCounts", "MotionInterrupted", "MotionRefused", "NoServer",
     "PtpApproach", "PtpFailed", "PtpLimits", "PtpProgress", "PtpState", "PtpSupervisor", "ReplyTimeout",
     "ServerBusy", "ToolNotAttached", "ToolTransform", "UnexpectedReply", "WrongMode", "read_joints", "run_ptp",
 ]  # fmt: skip

@@ -21,6 +21,7 @@ from kst import codec
 from kst.codec import Feedback, KstCommand, KstReply, ReplyKind, ToolTransform
 from kst.errors import (
     ConnectionLost,
+    ForeignServer,
     KstError,
     MotionInterrupted,
     MotionRefused,
@@ -33,6 +34,7 @@ from kst.errors import (
 )
 from kst.limits import LBR_IIWA_LIMITS, JointLimits, check_relative_velocity
 from kst.session import ARRIVED_RAD, KstSession, KstTiming, LinkCounts
+from kst.stranger import stranger
 from kst.transport import KstTransport
 
 LATE_END_S = 2.0  # the final word of a motion comes sooner after the arrival than this, or not at all [s]
@@ -105,7 +107,8 @@ class KstClient:
             timing: the other waits.
 
         Raises:
-            NoServer: nobody listens, or the server ended at once.
+            NoServer: nobody listens, or the connection ended without a word.
+            ForeignServer: something answers, but not as the toolbox does.
             ServerBusy: the server accepted and stays silent.
             ToolNotAttached: the server answers but does not attach the tool.
             ValueError: the tool is not a rigid pose in metres.
@@ -120,16 +123,21 @@ class KstClient:
         try:
             transport.pause(timing.connect_settle)
             client._attach_tool(patience=max(timeout - timing.reply, timing.reply))
-        except (ConnectionLost, ReplyTimeout) as error:
+        except (ConnectionLost, ReplyTimeout, UnexpectedReply) as error:
             ended = transport.ended_by_peer
             client.close()
-            if ended:
+            if transport.is_foreign:
+                what = stranger(address, "the toolbox's server", transport.heard)
+                cure = "check address and port, and the version of MatlabToolboxServer"
+                raise ForeignServer(f"{what}; {cure}", address=address, answer=transport.heard) from error
+            if ended and not isinstance(error, UnexpectedReply):
                 raise NoServer(
-                    f"the server at {address} closed the connection at once: its application has just ended; start"
-                    " MatlabToolboxServer on the smartPad again (it waits 60 s for a client)",
+                    f"the connection to {address} was closed without a word: the application on the controller ends, or"
+                    " another program has this port; start MatlabToolboxServer on the smartPad again (it waits 60 s for"
+                    " a client)",
                     address=address,
                 ) from error
-            if session.counts.answered == 0:
+            if session.counts.answered == 0 and not isinstance(error, UnexpectedReply):
                 raise ServerBusy(
                     f"{address} is open but silent for {timeout:g} s: another client is connected, or the server lost"
                     " one and no longer reads; end and start MatlabToolboxServer on the smartPad",

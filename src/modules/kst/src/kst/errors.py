@@ -22,9 +22,16 @@ class KstError(Exception):
 
 
 class NoServer(KstError):
-    """Nobody listens at `address`, or the server ended at once: its application is not running."""
+    """Nobody listens at `address`, or the connection ended without a word: the application is not running."""
 
     address: str = ""
+
+
+class ForeignServer(KstError):
+    """What answers at `address` is not the toolbox's server: it says `answer`, its first bytes."""
+
+    address: str = ""
+    answer: bytes = b""
 
 
 class ServerBusy(KstError):

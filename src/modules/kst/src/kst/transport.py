@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 
-from kst.codec import KstLineSplitter, KstReply, parse_reply
+from kst.codec import MAX_LINE, KstLineSplitter, KstReply, ReplyKind, parse_reply
 from kst.errors import ConnectionLost, NoServer
 
 USER_TIMEOUT_S = 3.0  # a link whose peer has not confirmed sent bytes for this long is lost [s]
@@ -27,6 +27,7 @@ class KstTransport:
 
     Attributes:
         monotonic: the time in which it waits [s]; another transport may bring its own.
+        heard: the first bytes that came.
     """
 
     monotonic = staticmethod(time.monotonic)
@@ -43,6 +44,7 @@ class KstTransport:
         self._readable.register(self._socket, select.POLLIN)
         self._writable.register(self._socket, select.POLLOUT)
         self._splitter = KstLineSplitter()
+        self.heard = b""
         self._replies: deque[KstReply] = deque()
         self._aborted = threading.Event()
         self._lost: str | None = None
@@ -91,7 +93,15 @@ class KstTransport:
             if not self._wait(self._readable, deadline):
                 return None
             self._read()
+            if not self._replies and self.monotonic() >= deadline:  # bytes may come for ever
+                return None
         return self._replies.popleft()
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether bytes came, and none of the first ones are a reply of the toolbox."""
+        lines = KstLineSplitter().feed(self.heard)
+        return bool(self.heard) and all(parse_reply(line).kind is ReplyKind.FOREIGN for line in lines)
 
     def waiting(self) -> list[KstReply]:
         """Returns the replies that have arrived already; does not wait."""
@@ -153,6 +163,8 @@ class KstTransport:
             self._check()
             self.ended_by_peer = True
             self.give_up("the controller closed the connection: its application has ended")
+        if len(self.heard) < MAX_LINE:
+            self.heard += data
         self._replies.extend(map(parse_reply, self._splitter.feed(data)))
 
     def _wait(self, events: select.poll, deadline: float) -> bool:

@@ -17,12 +17,20 @@ from typing import Any
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 
-from leap_motion.codec import POLICY_MESSAGES, DeviceEvent, LeapProtocolError, read_header, read_message
+from leap_motion.codec import (
+    POLICY_MESSAGES,
+    DeviceEvent,
+    LeapProtocolError,
+    UnknownVersion,
+    read_header,
+    read_message,
+)
 from leap_motion.frames import LeapFrame
 from leap_motion.plausibility import HandBounds, PlausibleHands
 from leap_motion.runtime import LeapRuntime
 from leap_motion.service.access import is_loopback
-from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, LeapSocket, UnknownService
+from leap_motion.stranger import stranger
+from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, ForeignAnswer, LeapSocket, UnknownService
 
 SILENCE_S = 0.1
 UNUSABLE_S = 0.5  # unusable frames for so long are a state of the link
@@ -33,7 +41,7 @@ RETRY_FACTOR = 1.6
 RETRY_MAX_S = 3.0
 MAX_REASONS = 20
 FINGERPRINT = re.compile("[0-9a-f]{64}")
-NO_SERVICE = "That is no Leap service; check address and port."
+PLAIN, BY_TLS = "check address and port.", "here a service with TLS is expected, because `fingerprint` is set."
 ADVICE = {
     401: "Its `code` is another one: set it to the one that the service was started with.",
     403: "It serves under its address and its own name alone: set `host` to one of these.",
@@ -210,8 +218,11 @@ class LeapClient:
         except InvalidStatus as error:
             status = error.response.status_code
             answer = f"The program on {self._address} refuses the connection (HTTP {status})."
-            raise _LinkFault(LeapLink.REFUSED, f"{answer} {ADVICE.get(status, NO_SERVICE)} Trying again.") from error
-        except (OSError, EOFError, UnicodeError, WebSocketException) as error:
+            raise _LinkFault(LeapLink.REFUSED, f"{answer} {ADVICE[status]} Trying again.") from error
+        except ForeignAnswer as error:
+            cure = BY_TLS if error.by_tls else PLAIN
+            raise _LinkFault(LeapLink.REFUSED, f"{self._stranger(error.first)}; {cure} Trying again.") from error
+        except (OSError, EOFError, ValueError, WebSocketException) as error:
             advice = "start it: `sudo leapd` (2.3), or Ultraleap's tracking service and its WebSocket server."
             sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice} Trying again."
             raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
@@ -229,19 +240,25 @@ class LeapClient:
 
     def _greet(self, connection: LeapSocket) -> None:
         try:
-            version = read_header(connection.recv(HEADER_TIMEOUT_S))
+            text = connection.recv(HEADER_TIMEOUT_S)
+            version = read_header(text)
         except TimeoutError as error:
             silent = f"The program on {self._address} sent no header within {HEADER_TIMEOUT_S:g} s"
             sentence = f"{silent}, so it is not a Leap service; check address and port. Trying again."
             raise _LinkFault(LeapLink.REFUSED, sentence) from error
         except LeapProtocolError as error:
-            raise _LinkFault(LeapLink.REFUSED, f"{error} Trying again.") from error
+            first = text.encode() if isinstance(text, str) else text
+            who = "" if isinstance(error, UnknownVersion) else f"{self._stranger(first)}; {PLAIN} "
+            raise _LinkFault(LeapLink.REFUSED, f"{who}{error} Trying again.") from error
         for message in POLICY_MESSAGES:
             connection.send(message)
         with self._changed:
             self._counts.connections += 1
         service = f"Leap service {version or 'of unknown version'} on {self._address}"
         self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version)
+
+    def _stranger(self, first: bytes) -> str:
+        return "W" + stranger(self._address, "a Leap service", first)[1:]
 
     def _read(self, connection: LeapSocket) -> None:
         next_ping, pinged = self._monotonic() + PING_S, False

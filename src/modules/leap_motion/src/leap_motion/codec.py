@@ -55,6 +55,10 @@ class LeapProtocolError(ValueError):
     """A message that breaks the protocol; the text is one sentence."""
 
 
+class UnknownVersion(LeapProtocolError):
+    """The header of a Leap service whose version of the protocol does not exist."""
+
+
 @dataclass(frozen=True)
 class DeviceEvent:
     """A change of the device: whether it is plugged in and sends frames."""
@@ -68,14 +72,15 @@ def read_header(text: str | bytes) -> str:
     """Returns the version of the service, if given, in `text`, the first message of a connection.
 
     Raises:
-        LeapProtocolError: it is not a header, or its version does not exist.
+        LeapProtocolError: it is not a header.
+        UnknownVersion: its version does not exist.
     """
     message = _object(text)
     if "version" not in message:
         raise LeapProtocolError("The first message has no protocol version, so this is not a Leap service.")
     version = message["version"]
     if isinstance(version, bool) or not isinstance(version, int) or version not in VERSIONS:
-        raise LeapProtocolError(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
+        raise UnknownVersion(f"The Leap service announces protocol version {str(version)[:40]!r}; known are 1 to 6.")
     return str(message.get("serviceVersion") or "")
 
 

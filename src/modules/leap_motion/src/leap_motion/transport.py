@@ -17,7 +17,7 @@ from collections import deque
 from urllib.parse import urlencode
 
 from websockets.client import ClientProtocol
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.uri import parse_uri
@@ -25,6 +25,10 @@ from websockets.uri import parse_uri
 OPEN_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 0.5
 READ_BYTES = 65536
+HEARD_BYTES = 256  # of a service's first ones are kept
+REFUSALS = (401, 403, 429)  # by which a service refuses a client
+OPENS, OPENS_TLS = (b"HTTP/1.1 101",), (b"\x16\x03", b"\x15\x03")  # how an expected answer begins
+OWN_HELLO = b"\x01"  # the sixth byte of what a client says first by TLS; a service says 2
 
 
 class UnknownService(Exception):
@@ -35,16 +39,26 @@ class UnknownService(Exception):
         self.found = found
 
 
+class ForeignAnswer(Exception):
+    """What answers is not the expected service: `first` are its first bytes, and `by_tls` whether TLS was expected."""
+
+    def __init__(self, first: bytes, by_tls: bool) -> None:
+        super().__init__(f"The first bytes are {first!r}.")
+        self.first, self.by_tls = first, by_tls
+
+
 class LeapSocket(contextlib.AbstractContextManager):
     """An open connection.
 
-    Raises OSError, EOFError, UnicodeError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S. With the
-    `fingerprint` of the service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent, if it
-    has another one. `code`: what the service asks clients of other machines for.
+    Raises OSError, EOFError, ValueError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S, of them
+    InvalidStatus for an answer of REFUSALS; ForeignAnswer if something else answers. With the `fingerprint` of the
+    service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent, if it has another one.
+    `code`: what the service asks clients of other machines for.
     """
 
     def __init__(self, host: str, port: int, code: str = "", fingerprint: str = "") -> None:
         self.ponged = False  # whether the newest ping was answered
+        self._heard, self._opens = b"", OPENS_TLS if fingerprint else OPENS
         self._messages: deque[str | bytes] = deque()
         self._parts: list[bytes] = []  # of a message that is not complete
         self._is_text = False
@@ -57,13 +71,19 @@ class LeapSocket(contextlib.AbstractContextManager):
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
             if self._tls is not None:
                 self._greet(self._tls, fingerprint, deadline)
+                self._heard, self._opens = b"", OPENS
             self._protocol.send_request(self._protocol.connect())
             while self._protocol.state is State.CONNECTING and self._protocol.handshake_exc is None:
                 self._read(deadline)
             if self._protocol.handshake_exc is not None:
                 raise self._protocol.handshake_exc
-        except BaseException:
+        except BaseException as error:
             self._socket.close()
+            refused = isinstance(error, InvalidStatus) and error.response.status_code in REFUSALS
+            failed = isinstance(error, (OSError, EOFError, ValueError, WebSocketException)) and not refused
+            opens = self._heard.startswith(self._opens) and self._heard[5:6] != OWN_HELLO
+            if failed and self._heard and not opens:
+                raise ForeignAnswer(self._heard, self._opens == OPENS_TLS) from error
             raise
 
     def recv(self, timeout: float) -> str | bytes:
@@ -107,7 +127,9 @@ class LeapSocket(contextlib.AbstractContextManager):
         """Opens TLS with the service that has the fingerprint."""
         while not tls.shake():
             self._socket.sendall(tls.outgoing())
-            tls.take(self._receive(deadline))
+            data = self._receive(deadline)
+            self._heard = (self._heard + data)[:HEARD_BYTES]
+            tls.take(data)
         if not hmac.compare_digest(tls.fingerprint(), fingerprint):
             raise UnknownService(tls.fingerprint())
 
@@ -131,6 +153,7 @@ class LeapSocket(contextlib.AbstractContextManager):
             self._tls.take(data)
             data, ended = self._tls.incoming()
         if data:
+            self._heard = self._heard or data[:HEARD_BYTES]
             self._protocol.receive_data(data)
         if ended:
             self._protocol.receive_eof()

@@ -103,7 +103,8 @@ class ReflexHand:
         with self._lock:
             now, reading = self._monotonic(), self._logic.reading
             if reading is None or not self._logic.link.alive(now):
-                raise HandSilent(self._interface, min(self._logic.link.age(now), now - self._made_at))
+                seconds = min(self._logic.link.age(now), now - self._made_at)
+                raise HandSilent(self._interface, seconds, self._logic.link.foreign(now))
             return reading
 
     @property
@@ -200,7 +201,7 @@ class ReflexHand:
         before = self._packets
         if not self._wait_while(lambda: self._packets == before, timeout):
             self._require_open()
-            raise HandSilent(self._interface, timeout)
+            raise HandSilent(self._interface, timeout, self._logic.link.foreign(self._monotonic()))
 
     def _let_go(self) -> None:
         with self._lock:
@@ -303,8 +304,9 @@ class ReflexHand:
         self._reopen_at = now + REOPEN_S
         if now - self._reminded_at >= REMIND_S:
             self._reminded_at = now
-            silent = f"No packet from the hand on {self._interface}: is it on and its cable in?"
-            self._on_note(HandNote("warning", silent))
+            foreign = self._logic.link.foreign(now)
+            why = f". {foreign}" if foreign else ": is it on and its cable in?"
+            self._on_note(HandNote("warning", f"No packet from the hand on {self._interface}{why}"))
         try:
             fresh = HandTransport(self._interface, self._port)
         except WireFault as error:

@@ -12,11 +12,12 @@ class WireFault(ReflexError):
 
 
 class HandSilent(ReflexError):
-    """No packet came from the hand for `seconds`."""
+    """No packet came from the hand for `seconds`; `foreign`: a sentence about what came instead, or empty."""
 
-    def __init__(self, interface: str, seconds: float) -> None:
+    def __init__(self, interface: str, seconds: float, foreign: str = "") -> None:
         silent = f"No packet from the hand on {interface} for {seconds:.1f} s"
-        super().__init__(f"{silent}; check its power, its cable and the interface.")
+        cure = f". {foreign}" if foreign else "; check its power, its cable and the interface."
+        super().__init__(silent + cure)
         self.interface, self.seconds = interface, seconds
 
 

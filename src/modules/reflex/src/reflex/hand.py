@@ -81,10 +81,10 @@ class HandLogic:
             return HandStatus.CALIBRATING
         return HandStatus.CHANGING_SPEED if self.motion.changing_speed else HandStatus.READY
 
-    @property
-    def silence(self) -> str:
-        """A sentence on a hand that sends no packets."""
-        return "The hand is silent." if self.link.heard() else "The hand has not been heard yet."
+    def silence(self, now: float) -> str:
+        """Returns what there is to say of a hand that sends no packets."""
+        silent = "The hand is silent." if self.link.heard() else "The hand has not been heard yet."
+        return f"{silent} {self.link.foreign(now)}".strip()
 
     @property
     def calibrating(self) -> bool:
@@ -174,7 +174,7 @@ class HandLogic:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
         reading = self.reading
         if reading is None or not self.link.alive(now):
-            return self._result(self.silence)
+            return self._result(self.silence(now))
         if self._calibration:
             return self._result("The fingers are being calibrated; set the speed afterwards.")
         fault = servo_fault(reading.packet.positions)
@@ -245,7 +245,7 @@ class HandLogic:
 
     def _not_ready(self, now: float) -> str:
         if not self.link.alive(now):
-            return self.silence
+            return self.silence(now)
         return "" if self._torque else TORQUE_OFF
 
     def _appeared(self, arrival: PacketArrival, packet: StatePacket, now: float) -> None:

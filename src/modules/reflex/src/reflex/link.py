@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from reflex.codec import PacketError, StatePacket, decode_state, is_command
+from reflex.stranger import stranger
 
 PERIOD_S = 0.025
 CLOCK_TOLERANCE_S = 0.3
@@ -18,6 +19,7 @@ CLOCK_DRIFT = 1e-3
 
 _CLOCK_WRAP_S = 2**32 * 1e-6
 _LONGEST_REORDERING_S = 0.2
+_FOREIGN_S = 5.0  # what another sender said explains a silence for so long
 
 
 class PacketArrival(Enum):
@@ -53,6 +55,7 @@ class PacketFilter:
         self._last_time = -math.inf
         self._source: tuple = ()
         self._missed = False
+        self._foreign = (-math.inf, "")  # when another sender was heard last, and a sentence about it
         self.counts = PacketCounts()
 
     def heard(self) -> bool:
@@ -73,16 +76,25 @@ class PacketFilter:
         """Returns the time since the last packet [s]; infinite before the first."""
         return now - self._last_time
 
+    def foreign(self, now: float) -> str:
+        """Returns a sentence about what is heard in place of the hand, or an empty text."""
+        heard_at, sentence = self._foreign
+        return sentence if now - heard_at <= _FOREIGN_S and not self.alive(now) else ""
+
     def sort(self, data: bytes, source: tuple, now: float) -> tuple[PacketArrival, StatePacket | None, str]:
         """Returns the arrival of a datagram, its packet unless dropped, and the reason of a drop as a sentence."""
         if is_command(data):
             self.counts.other_hosts += 1
-            return PacketArrival.DROPPED, None, f"Another program ({_name(source)}) sends commands to the hand."
+            self._foreign = now, f"Another program ({_name(source)}) sends commands to the hand."
+            return PacketArrival.DROPPED, None, self._foreign[1]
         try:
             packet = decode_state(data)
         except PacketError as error:
             self.counts.malformed += 1
-            return PacketArrival.DROPPED, None, f"{error} It came from {_name(source)}."
+            if source == self._source:
+                return PacketArrival.DROPPED, None, f"{error} It came from {_name(source)}."
+            self._foreign = now, f"W{stranger(_name(source), 'the hand', data)[1:]}. {error}"
+            return PacketArrival.DROPPED, None, self._foreign[1]
         if self.alive(now) and source != self._source:
             self.counts.other_hands += 1
             why = f"A second hand ({_name(source)}) sends on the port of the first ({_name(self._source)})."

@@ -38,7 +38,7 @@ def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict
             if bits:
                 errors.append(f"Servo {name} reports {', '.join(named) or 'an unknown error'}.")
     if state in (HandStatus.WAITING, HandStatus.SILENT):
-        return "error", f"{hand.silence} {wire_fault}".strip(), values
+        return "error", f"{hand.silence(now)} {wire_fault}".strip(), values
     if wire_fault or errors:
         return "error", " ".join([wire_fault, *errors]).strip(), values
     for what, motors in (("overloaded", guard.overloaded), ("hot", guard.hot)):

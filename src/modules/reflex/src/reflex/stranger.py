@@ -1,0 +1,1 @@
+../../../kst/src/kst/stranger.py
