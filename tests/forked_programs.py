@@ -1,7 +1,8 @@
 """Runs programs by forks of a process that has imported their libraries, which is what takes their time.
 
-    python forked_programs.py < jobs.json > ends.json
+    python forked_programs.py [--bare] < jobs.json > ends.json
 
+With `--bare` each program imports its own, in its surroundings, as it does on its own.
 A job has "script", "arguments", "environment", "folder", "log", "encoding", "user" and "seconds". An end is the exit
 code, the negative number of the signal that ended the program, or null for one that still ran after so many seconds.
 """
@@ -72,7 +73,7 @@ def fork(job: dict) -> int:
 
 def main() -> None:
     """Runs the jobs, some at once."""
-    for name in LIBRARIES:
+    for name in () if "--bare" in sys.argv else LIBRARIES:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
     jobs = json.load(sys.stdin)

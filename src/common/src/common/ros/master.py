@@ -42,12 +42,8 @@ def check_surroundings() -> None:
 
 def check_namespace() -> None:
     """Raises RigError if the namespace of this process is no name of ROS."""
-    try:
-        namespace = rosgraph.names.get_ros_namespace()
-        legal = rosgraph.names.is_legal_name(namespace)
-    except ValueError:
-        namespace, legal = os.environ.get("ROS_NAMESPACE", ""), False
-    if not legal:
+    namespace = rosgraph.names.get_ros_namespace()
+    if not rosgraph.names.is_legal_name(namespace):
         raise RigError(
             f"The namespace {namespace.strip('/')!r} (ROS_NAMESPACE or __ns:=) must be names of letters, digits and _ "
             "that begin with a letter, as lab1 or lab1/left."
