@@ -113,7 +113,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
                 raw.publish(received, text)
 
     proof = {"code": config.code, "fingerprint": config.fingerprint, "trust_network": config.trust_network}
-    options = {**proof, "tap": publish_raw, "runtime": clock}
+    options = {**proof, "tap": publish_raw, "runtime": clock, "bounds": config.bounds}
     client = LeapClient(config.host, config.port, clock=rospy.Time.now, **options)
     report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
     Diagnostics("leap_motion", report.diagnostics)

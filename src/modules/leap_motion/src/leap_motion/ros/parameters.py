@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
-from common.config import choice, flag, integer, text
+from common.config import choice, flag, integer, number, text
+from common.frames import frame_name
 from leap_motion.client import wire_fault
+from leap_motion.plausibility import HandBounds
 
 COMPATIBLE, CORRECT = "compatible", "correct"
+BOUNDS = {bound.name: bound for bound in fields(HandBounds)}
+
+
+def _bound(name: str) -> Any:
+    return number(**BOUNDS[name].metadata, absent=BOUNDS[name].default)
 
 
 @dataclass(frozen=True)
@@ -33,6 +41,17 @@ class DriverConfig:
         absent="",
         empty=True,
     )
+    longest_bone: float = _bound("longest_bone")
+    bone_change: float = _bound("bone_change")
+    knuckle_shift: float = _bound("knuckle_shift")
+    joint_speed: float = _bound("joint_speed")
+    turn_speed: float = _bound("turn_speed")
+    hold: float = _bound("hold")
+
+    @property
+    def bounds(self) -> HandBounds:
+        """What a hand can be and do; one that is not so is left out."""
+        return HandBounds(**{name: getattr(self, name) for name in BOUNDS})
 
     def faults(self) -> list[str]:
         """Returns contradictions between fields."""
@@ -47,4 +66,5 @@ class VisualizerConfig:
     frame: str = text(
         doc="tf frame of the markers: the driver's own, or in a running rig leap_motion/virtual_frame",
         absent="leap_hands",
+        taken_as=frame_name,
     )
