@@ -6,7 +6,7 @@ import os
 import pytest
 
 from common.errors import ConfigError
-from common.ros.files import read_yaml, write_whole
+from common.ros.files import read_text, read_yaml, write_whole
 
 
 def test_what_was_there_is_replaced_and_folders_are_made(tmp_path):
@@ -33,10 +33,36 @@ def test_on_a_full_disk_the_old_file_stays_and_nothing_else(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize(
-    "text", ["%YAML:1.0\n---\ncamera_name: x\n", "a: [1,", "\tb: 1", "a: 1\na: 2\n", "a: 2001-13-45"]
+    "text", ["%YAML:1.0\n---\ncamera_name: x\n", "a: [1,", "\tb: 1", "a: 1\na: 2\n", "a: 0x_"]
 )
 def test_a_file_that_is_no_yaml_is_named(tmp_path, text):
     """The first is what OpenCV's FileStorage writes."""
     (tmp_path / "file.yaml").write_text(text)
+    with pytest.raises(ConfigError, match="file.yaml is not yaml"):
+        read_yaml(tmp_path / "file.yaml")
+
+
+WINDOWS = {
+    "line ends": lambda text: text.replace("\n", "\r\n").encode(),
+    "old line ends": lambda text: text.replace("\n", "\r").encode(),
+    "a byte order mark": lambda text: b"\xef\xbb\xbf" + text.encode(),
+    "PowerShell's UTF-16": lambda text: text.replace("\n", "\r\n").encode("utf-16"),
+    "UTF-16, big endian": lambda text: b"\xfe\xff" + text.encode("utf-16-be"),
+}
+TEXT = "name: Prüfstand  # of the camera\nsize: [640, 480]\nat: {x: 0.1}\n"
+
+
+@pytest.mark.parametrize("how", WINDOWS)
+@pytest.mark.parametrize("blanks", ["", "  ", " \t", "\t"])
+def test_a_text_from_windows_is_the_same(tmp_path, how, blanks):
+    path = tmp_path / "FILE.YAML"
+    path.write_bytes(WINDOWS[how](TEXT.replace("\n", f"{blanks}\n")))
+    assert read_text(path) == TEXT.replace("\n", f"{blanks}\n")
+    assert read_yaml(path) == {"name": "Prüfstand", "size": [640, 480], "at": {"x": 0.1}}
+
+
+@pytest.mark.parametrize("content", ["name: Prüfstand".encode("latin-1"), b"\0\1\2\xff", b"\xff\xfea"])
+def test_what_is_no_text_is_named(tmp_path, content):
+    (tmp_path / "file.yaml").write_bytes(content)
     with pytest.raises(ConfigError, match="file.yaml is not yaml"):
         read_yaml(tmp_path / "file.yaml")

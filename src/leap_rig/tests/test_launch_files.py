@@ -170,10 +170,10 @@ def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own()
     assert values["/operator/leapd_port"] == 0 and "/leapd" in nodes("tracker:=webcam")
     of_a_camera = ("leapd", "tracker:=webcam", "camera_device:=/dev/video2", "gui:=false")
     line = " ".join(launched.command_line("leap_rig", "demo.launch", *of_a_camera))
-    assert "--headless" in line and "--camera /dev/video2" in line
+    assert "--headless" in line and "--camera=/dev/video2" in line
     of_a_film = ("leapd", "tracker:=webcam", "video:=/a b.mp4", "leap_args:=--setup above", "leap_port:=7")
     line = " ".join(launched.command_line("leap_rig", "demo.launch", *of_a_film))
-    assert all(part in line for part in ("--video /a b.mp4", "--setup above", "--port 7"))
+    assert all(part in line for part in ("--video=/a b.mp4", "--setup above", "--port 7"))
 
 
 @pytest.mark.parametrize("process", ["one_process:=true", "one_process:=false"])

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from common.config import as_written
 from common.errors import ConfigError
 from common.plausible import OFF_CENTRE, OFF_CENTRE_RECTIFIED, check_intrinsics
 from common.poses import read_only
@@ -109,8 +110,9 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
     faults: list[str] = []
     if not isinstance(values, Mapping):
         raise ConfigError([f"The calibration is {values!r}, but must be a mapping."])
-    name = values.get("camera_name")
-    if not isinstance(name, str) or not name.strip():
+    # A label, which camera_calibration_parsers writes without quotes: a serial number comes as a number.
+    name = str(as_written(values, "camera_name") if "camera_name" in values else "")
+    if not name.strip():
         faults.append(f"camera_name is {name!r}, but must be a text.")
     for key in ("image_width", "image_height"):
         size = values.get(key)
@@ -128,7 +130,7 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
             faults.append(f"{key}: {error}.")
     if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
-    return CameraModel(str(name), values["image_width"], values["image_height"], K, D, R, P)
+    return CameraModel(name, values["image_width"], values["image_height"], K, D, R, P)
 
 
 def _distortion(values: Mapping[str, Any], faults: list[str]) -> np.ndarray | None:

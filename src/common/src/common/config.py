@@ -31,7 +31,23 @@ from common.errors import ConfigError
 
 Schema = TypeVar("Schema")
 LARGEST = sys.float_info.max
+QUOTE_IT = "without quotes yaml reads it as another type: quote it, as '007'"
 REQUIRED = object()  # stands for the value of a key that must be given
+
+
+class WrittenMapping(dict):
+    """A mapping with the `texts` of those of its scalars, and of those of its lists, that are known as they were
+    written: a name such as 007, on, null or 2001-01-01, which yaml reads as another type.
+    """
+
+    def __init__(self, values: Mapping[Any, Any], texts: Mapping[str, Any]) -> None:
+        super().__init__(values)
+        self.texts = texts
+
+
+def as_written(values: Mapping[str, Any], key: str) -> Any:
+    """Returns the text of a key as it was written, a list of texts for a list; its value where that is not known."""
+    return getattr(values, "texts", {}).get(key, values[key])
 
 
 def is_number(value: Any) -> bool:
@@ -85,7 +101,7 @@ def text(doc: str = "", absent: Any = REQUIRED, empty: bool = False, taken_as: C
         return taken
 
     kind = ("a string", "text, or empty") if empty else ("a string that is not empty", "text")
-    return _field(_Kind(read, *kind), doc, absent)
+    return _field(_Kind(read, *kind, is_text=True), doc, absent)
 
 
 def path(doc: str = "", absent: Any = REQUIRED) -> Any:
@@ -107,7 +123,7 @@ def names(doc: str = "", absent: Any = REQUIRED) -> Any:
             raise ValueError
         return tuple(value)
 
-    return _field(_Kind(read, "a list of names, such as [table]", "list of names"), doc, absent)
+    return _field(_Kind(read, "a list of names, such as [table]", "list of names", is_text=True), doc, absent)
 
 
 def choice(*options: str, doc: str = "", absent: Any = REQUIRED) -> Any:
@@ -140,10 +156,11 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     for name, field in fields.items():
         kind: _Kind = field.metadata["kind"]
         if name in values:
+            value = as_written(values, name) if kind.is_text else values[name]
             try:
-                read[name] = kind.read(values[name])
+                read[name] = kind.read(value)
             except ValueError:
-                faults.append(f"{prefix}{name} is {values[name]!r}, but must be {kind.allowed_with_unit}.")
+                faults.append(f"{prefix}{name} is {value!r}, but must be {kind.allowed_with_unit}{kind.cure(value)}.")
         elif field.metadata["absent"] is REQUIRED:
             faults.append(f"{prefix}{name} is missing; it must be {kind.allowed_with_unit}.")
         else:
@@ -199,6 +216,13 @@ class _Kind(NamedTuple):
     type: str
     range: str = ""
     unit: str = ""
+    is_text: bool = False
+
+    def cure(self, value: Any) -> str:
+        """Returns the end of the sentence about a bad value: how a text stays one."""
+        each = value if isinstance(value, (list, tuple)) else [value]
+        lost = self.is_text and not all(isinstance(one, (str, list, tuple, Mapping)) for one in each)
+        return f"; {QUOTE_IT}" if lost else ""
 
     @property
     def allowed_with_unit(self) -> str:

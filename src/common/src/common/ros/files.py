@@ -8,11 +8,13 @@ import hashlib
 import os
 import re
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from common.config import WrittenMapping
 from common.errors import ConfigError, RigError
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*", re.ASCII)
@@ -45,14 +47,37 @@ def home() -> Path:
 
 
 class _Loader(yaml.SafeLoader):
-    """A key that stands twice is an error: what is under the first would be lost."""
+    """Mappings keep how texts were written; keys and dates are texts. A key that stands twice is an error: what is
+    under the first would be lost.
+    """
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        keys = [key.value for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+    def written(self, node: yaml.MappingNode) -> Iterator[WrittenMapping]:
+        """Constructs a mapping, as `SafeLoader.construct_yaml_map` does: first empty, for what refers to it."""
+        keys = [key.value for key, _ in node.value]
         twice = next((key for i, key in enumerate(keys) if key in keys[:i]), None)
         if twice is not None:
             raise yaml.constructor.ConstructorError(None, None, f"the key {twice!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep)
+        self.flatten_mapping(node)
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                key.tag = yaml.resolver.Resolver.DEFAULT_SCALAR_TAG
+        texts = ((key.value, _text(value)) for key, value in node.value)
+        mapping = WrittenMapping({}, {key: text for key, text in texts if text is not None})
+        yield mapping
+        mapping.update(self.construct_mapping(node))
+
+
+_Loader.add_constructor(yaml.resolver.Resolver.DEFAULT_MAPPING_TAG, _Loader.written)
+for _kind in ("timestamp", "value"):  # the second is =
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", yaml.SafeLoader.construct_yaml_str)
+
+
+def _text(node: yaml.Node) -> str | list[str] | None:
+    """Returns the text of a scalar, or those of a list of scalars; None for another node."""
+    if isinstance(node, yaml.ScalarNode):
+        return node.value
+    texts = [one.value for one in node.value] if isinstance(node, yaml.SequenceNode) else [None]
+    return texts if all(isinstance(text, str) for text in texts) else None
 
 
 def read_yaml(path: Path) -> Any:
@@ -61,7 +86,7 @@ def read_yaml(path: Path) -> Any:
         return yaml.load(read_text(path), Loader=_Loader)
     except OSError as error:
         raise ConfigError([f"{path} cannot be read: {error.strerror}."]) from error
-    except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45
+    except Exception as error:  # the library's constructors raise anything: ValueError for 0x_
         raise ConfigError([f"{path} is not yaml: {' '.join(str(error).split())}."]) from error
 
 

@@ -22,6 +22,7 @@ from rospy.impl.paramserver import get_param_server_cache
 from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
+from common.ros.files import home
 
 CLOCK_S = 8.0  # a node that starts is to exit within 10 s
 LOG_TOPICS = "/rosout_disable_topics_generation"
@@ -72,6 +73,9 @@ def _begin(name: str, patience: float, **options: Any) -> None:
         if rospy.core.is_shutdown_requested():
             sys.exit(1)  # interrupted before it began
         raise RigError(f"{error}.") from error
+    except TypeError as error:  # yaml makes a date of 2001-01-01, which the parameter server cannot hold
+        fault = f"A private parameter on the command line is no text, number or flag: {error}."
+        raise RigError(f"{fault} Quote a date, as _name:=\"'2001-01-01'\".") from error
     prepare_log()
 
 
@@ -125,6 +129,14 @@ def run_program(
         code = INTERRUPTED
     rospy.signal_shutdown("the program exits")
     sys.exit(code)
+
+
+def need_home(name: str) -> None:
+    """Ends a program whose user has no home with a sentence; for one that imports matplotlib, which asks for it."""
+    try:
+        home()
+    except RigError as error:
+        sys.exit(f"{name}: {error}")
 
 
 def check_folder() -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+import sys
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import rospy
+import yaml
 
 from common import clock
-from common.config import Schema, parse, required
+from common.config import Schema, WrittenMapping, parse, required
 from common.errors import ConfigError
 from common.frames import ArmFrames
 
@@ -20,8 +22,31 @@ REMIND_S = 5.0
 
 
 def private_values() -> dict[str, Any]:
-    """Returns the private parameters of the node."""
-    return rospy.get_param("~", {})
+    """Returns the private parameters of the node, with the texts of those that its command line sets, _name:=text."""
+    given = (word[1:].partition(":=") for word in sys.argv if ":=" in word and word.startswith("_"))
+    return _with_texts(rospy.get_param("~", {}), {key: text.strip() for key, _, text in given})
+
+
+def _with_texts(values: Any, texts: Mapping[str, str]) -> Any:
+    """Returns the values with the texts of those keys, such as name and part/name, that are what yaml, by which rospy
+    reads the texts, makes of them: the others were set later.
+    """
+    if not isinstance(values, dict):
+        return values
+    lost = {key: text for key, text in texts.items() if not isinstance(values.get(key, ""), str)}
+    parts = {
+        name: _with_texts(value, {k[len(name) + 1 :]: text for k, text in texts.items() if k.startswith(f"{name}/")})
+        for name, value in values.items()
+    }
+    return WrittenMapping(parts, {key: text for key, text in lost.items() if _read(text) == values[key]})
+
+
+def _read(text: str) -> Any:
+    """Returns what yaml makes of a text, or the text."""
+    try:
+        return yaml.safe_load(text)
+    except Exception:  # the library's constructors raise anything
+        return text
 
 
 def private_config(schema: type[Schema], section: str = "", others: Iterable[str] = ()) -> Schema:
