@@ -73,13 +73,14 @@ def detector(**settings):
     )
 
 
-@pytest.mark.parametrize("tilt", [0.0, 0.3])
-@pytest.mark.parametrize("side", [(0, -1), (-1, 0), (0, 1), (1, 0)])
-@pytest.mark.parametrize("decimate", [1.0, 2.0])
+@pytest.mark.parametrize(
+    ("side", "tilt"), [((0, -1), 0.0), ((0, -1), 0.3), ((-1, 0), 0.3), ((0, 1), 0.3), ((1, 0), 0.3)]
+)
+@pytest.mark.parametrize("decimate", [1.0, 4.0])
 def test_a_tag_whose_part_is_outside_the_image_has_no_pose_beside_the_truth(straight, tilt, side, decimate):
     """The library finds such a tag with corners where the image ends: poses that are wrong by centimetres."""
     find, counted = detector(tag_decimate=decimate), 0
-    for outside in range(-21, 10, 3):
+    for outside in (-40, -21, -15, -12, *range(-9, 12)):
         middle = [outside * s + (half - 52.5) * s for half, s in zip((319.5, 239.5), side)]
         T = pose(rotation_about(0, tilt) @ rotation_about(1, tilt / 2) @ FACING, (*np.array(middle) * 0.5 / 525, 0.5))
         find.reset()

@@ -25,7 +25,7 @@ OUTLINE_BGR, TOP_BGR = (0, 220, 0), (0, 0, 255)
 SUBPIXEL_BITS = 4
 MEMORY_S = 0.5
 """Maximum age of the orientation that decides an ambiguity."""
-EDGE_PX = 3.0
+EDGE_PX = 2.0
 """A tag with a corner nearer to the edge of the scaled image may go on outside: its corners are at the edge then."""
 LOOK_AGAIN_S = 10.0
 """Time between two looks for mirrored and inverted tags in images without tags."""
