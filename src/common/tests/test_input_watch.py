@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.input_watch import OUTPUT_S, KEPT_S, InputWatch
+from common.input_watch import KEPT_S, OUTPUT_S, InputWatch
 
 A, B, INFO = "/a", "/b", "/info"
 PERIOD_S = 0.1
@@ -36,7 +36,7 @@ STALLED = "the inputs have come, but nothing has come out of them yet"
 LATER = "the inputs come, but nothing has come out of them for 97.0 s"
 TABLE = [  # how they come, what is wrong from the start, and the same after a good time
     ({}, "", ""),
-    ({"a": None, "b": None, "info": False}, f"nothing has come on {A}, {B}, {INFO}", f"nothing has come on {A}, {B} for 97.0 s"),
+    ({"a": None, "b": None, "info": False}, f"nothing has come on {A}, {B}, {INFO}", f"{A}, {B} for 97.0 s"),
     ({"a": None}, f"nothing has come on {A}", f"nothing has come on {A} for 97.0 s"),
     ({"info": False}, f"nothing has come on {INFO}", LATER),
     ({"b": None, "refused": "its size is 0"}, f"nothing has come on {B}", f"nothing has come on {B} for 97.0 s"),
@@ -83,7 +83,7 @@ def test_the_reason_is_kept_beyond_the_last_input_and_then_it_is_silent():
 @pytest.mark.parametrize("silent", [A, B])
 def test_a_stream_that_stops_is_silent_and_not_apart(silent):
     watch, now = watch_after(3.0)
-    for i in range(40):
+    for _ in range(40):
         now += PERIOD_S
         watch.came(B if silent == A else A, now, 1000.0 + now)
         assert "stamps" not in watch.fault(now)

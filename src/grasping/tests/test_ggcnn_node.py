@@ -307,7 +307,13 @@ def test_it_is_not_fine_while_nothing_comes_out_for_a_second(ros, camera, calibr
     from grasping.pipeline.pipeline import GraspPipeline
 
     status, step, slow = statuses(ros), GraspPipeline.step, []
-    monkeypatch.setattr(GraspPipeline, "step", lambda *args: [clock.sleep(s) for s in slow] and 0 or step(*args))
+
+    def slowly(*args):
+        for seconds in slow:
+            clock.sleep(seconds)
+        return step(*args)
+
+    monkeypatch.setattr(GraspPipeline, "step", slowly)
     start(ros, reach__ask=False)
     clock.sleep(1.2)
     assert status()["message"] == "There are grasps."

@@ -125,6 +125,7 @@ def test_the_list_has_the_image_topics_and_a_choice_switches(viewer, publishers)
     after_a_while()
     assert viewer.text.text() == "40 x 30, rgb8"
     del publishers["/viewer/red"]
+    after_a_while()
     clock.sleep(1.2)
     viewer.draw()
     assert viewer.text.text().startswith("nothing has come on /viewer/red for 1.")

@@ -63,7 +63,8 @@ def test_the_newest_poses_are_those_of_tf(listener):
                 (VIRTUAL_LEAP, TOOL_DESIRED),
                 (VIRTUAL_LEAP, FLANGE_DESIRED),
             ]
-            messages.append([stamped_transform(random_pose(rng), a, b, stamp) for a, b in frames])
+            slash = "/" if rng.random() < 0.2 else ""  # as an old publisher has it
+            messages.append([stamped_transform(random_pose(rng), slash + a, slash + b, stamp) for a, b in frames])
         if rng.random() < 0.5:
             messages.append([stamped_transform(random_pose(rng), BASE, TOOL_COMMANDED, stamp)])
         for transforms in messages:
@@ -88,7 +89,9 @@ def test_old_and_incomplete_frames_are_missing(listener):
 
     def found(parent, age=0.0):
         stamp = rospy.Time.now() - rospy.Duration.from_sec(age)
-        listener._transforms(raw([stamped_transform(np.eye(4), parent, TOOL_DESIRED, stamp)]))
+        transform = stamped_transform(np.eye(4), BASE, TOOL_DESIRED, stamp)
+        transform.header.frame_id = parent
+        listener._transforms(raw([transform]))
         return listener._fresh(TOOL_DESIRED) is not None
 
     assert listener._fresh(TOOL_DESIRED) is None

@@ -13,6 +13,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.frames import BASE
 from leap_rig.recording import recording_files as files
 from leap_rig.recording.recording_files import (
     MANIFEST,
@@ -25,7 +26,7 @@ from leap_rig.recording.recording_files import (
     verify,
     write_mcap,
 )
-from leap_rig.recording.run import between
+from leap_rig.recording.run import between, pose_in_base
 
 KINDS = (MessageKind("std_msgs/String", "string data\n", "992c", False), MessageKind("std_msgs/Bool", "bool data\n"))
 RESERVE = 4096
@@ -354,3 +355,15 @@ def test_a_time_without_length_is_refused_before_anything_is_written(tmp_path, s
     with pytest.raises(RecordingFault, match="There is nothing from"):
         write_mcap(tmp_path / "part.mcap", between(tmp_path, ["/a"], start, end), {})
     assert not (tmp_path / "part.mcap").exists()
+
+
+@pytest.mark.parametrize("slash", ["", "/"])
+def test_the_pose_of_a_frame_in_the_base_whatever_slash_its_publisher_writes(slash):
+    turn = {"translation": dict(x=1.0, y=0.0, z=0.0), "rotation": dict(x=0.0, y=0.0, z=0.0, w=1.0)}
+    edges = ((BASE, "a", 5), ("a", "b", 6))
+    transforms = [
+        {"child_frame_id": slash + child, "header": {"frame_id": slash + parent, "stamp": stamp}, "transform": turn}
+        for parent, child, stamp in edges
+    ]
+    ((stamp, T),) = pose_in_base(transforms, "b")
+    assert (stamp, T[0, 3]) == (6, 2.0)

@@ -198,9 +198,7 @@ def test_a_view_says_that_the_detector_is_silent_and_why_images_were_of_no_use(r
     capture = ViewCapture(setup, BoardListener(setup.target), "apriltag_ros_continuous_node")
     images = rospy.Publisher("camera/rgb/image_raw", Image, queue_size=1)
     grey = np.zeros((480, 640), np.uint8)
-    rospy.Timer(
-        rospy.Duration(0.05), lambda _: images.publish(image_message(grey, "mono8", OPTICAL, rospy.Time.now()))
-    )
+    rospy.Timer(rospy.Duration(0.05), lambda _: images.publish(image_message(grey, "mono8", OPTICAL, rospy.Time.now())))
     detections, how = capture.capture()
     assert detections and "the colour image has the encoding mono8" in how
     scene.detects = False

@@ -10,6 +10,7 @@ from rgbd_scene import MODELS, TRUTH, Camera, images
 from common import clock
 from common.frames import RGB_OPTICAL
 from common.poses import pose
+from common.rotations import rotation_about
 
 pytestmark = pytest.mark.ros
 
@@ -55,7 +56,10 @@ def diagnostics(ros, name):
 
     def read() -> dict:
         found = [s for array in arrays for s in array.status if s.name == name]
-        return {"message": found[-1].message, "level": found[-1].level, **{v.key: v.value for v in found[-1].values}} if found else {}
+        if not found:
+            return {}
+        values = {v.key: v.value for v in found[-1].values}
+        return {"message": found[-1].message, "level": found[-1].level, **values}
 
     return read
 
@@ -160,12 +164,12 @@ REFUSED = [
     (changed("depth", "Image"), "nothing has come on /camera/depth/image_raw"),
     (changed("rgb", "Image", encoding="yuv422"), "the colour image has the encoding yuv422"),
     (changed("depth", "Image", encoding="rgb8"), "cannot have rows of"),
-    (changed("depth", "Image", encoding="mono8", step=640, data=bytes(640 * 480)), "the depth image has the encoding mono8"),
+    (changed("depth", "Image", encoding="mono8", step=640, data=bytes(640 * 480)), "image has the encoding mono8"),
     (changed("depth", "Image", data=b"torn"), "4 bytes instead of"),
     (changed("rgb", "CameraInfo", width=320, height=240), "640 x 480, but its camera_info says 320 x 240"),
     (changed("depth", "CameraInfo", K=ZEROS), "not calibrated"),
     (changed("rgb", "CameraInfo", R=BENT), "no rotation"),
-    (changed("rgb", "CameraInfo", P=[500.0, 0.0, 320.0, 0.0, 0.0, 500.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0]), "last row of P"),
+    (changed("rgb", "CameraInfo", P=[500.0, 0.0, 320.0, 0.0, 0.0, 500.0, 240.0, *[0.0] * 5]), "last row of P"),
     (changed("depth", "CameraInfo", distortion_model="equidistant"), "equidistant"),
     (frame("new_{}"), "tf does not know the frame 'new_camera_depth_optical_frame'"),
     (frame(""), "without a frame"),
@@ -240,7 +244,7 @@ def test_depth_that_falls_nowhere_into_the_colour_image_is_no_output(ros, camera
     assert status()["message"] == "The depth image holds no reading." and out
     camera.depth = images()[1]
     tf2_ros.StaticTransformBroadcaster().sendTransform(
-        stamped_transform(pose(p=(0.0, 0.0, -50.0)), RGB_OPTICAL, DEPTH_OPTICAL, rospy.Time.now())
+        stamped_transform(pose(rotation_about(1, np.pi)), RGB_OPTICAL, DEPTH_OPTICAL, rospy.Time.now())
     )
     clock.sleep(2.0)
     assert "no reading of the depth image falls into the colour image" in status()["message"].lower()

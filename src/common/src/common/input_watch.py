@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 
@@ -33,7 +34,7 @@ class InputWatch:
         self._came: dict[str, float] = {}
         self._stamps: dict[str, deque[float]] = {name: deque(maxlen=STAMPS) for name in self._streams}
         self._nearest: tuple[float, float] | None = None  # smallest difference of two stamps [s], and when it was seen
-        self._refused: tuple[str, float] | None = None
+        self._refused = "", -math.inf  # the newest reason since the last output, and when it came
         self._output: float | None = None
 
     def came(self, name: str, now: float, stamp: float = 0.0) -> None:
@@ -46,7 +47,7 @@ class InputWatch:
             return
         self._stamps[name].append(stamp)
         partner = self._streams[1 - self._streams.index(name)]
-        if self._stamps[partner] and now - self._came[partner] <= BESIDE_S:
+        if self._stamps[partner] and now - self._came.get(partner, -math.inf) <= BESIDE_S:
             difference = min(abs(stamp - other) for other in tuple(self._stamps[partner]))
             if self._nearest is None or difference <= self._nearest[0] or now - self._nearest[1] > NEAR_S:
                 self._nearest = difference, now
@@ -57,7 +58,7 @@ class InputWatch:
 
     def done(self, now: float) -> None:
         """Takes that something came out."""
-        self._refused, self._output = None, now
+        self._refused, self._output = ("", now), now
 
     def missing(self, now: float, silent: float | None = None) -> str:
         """Returns which inputs do not come, empty if all do; `silent` instead of that of this watch."""
@@ -67,8 +68,8 @@ class InputWatch:
         """Returns why nothing has come out for OUTPUT_S, empty if something has."""
         if self._output is not None and now - self._output <= OUTPUT_S:
             return ""
-        refused = self._refused is not None and now - self._refused[1] <= KEPT_S
-        reason = self._apart() or (self._refused[0] if refused else "")
+        why, at = self._refused
+        reason = self._apart() or (why if now - at <= KEPT_S else "")
         return (
             self._never()
             or self._silence(now, max(self._silent, KEPT_S) if reason else self._silent)
@@ -83,10 +84,9 @@ class InputWatch:
         return f"nothing has come on {', '.join(never)}" if never else ""
 
     def _silence(self, now: float, limit: float) -> str:
-        silent = [name for name in self._streams if now - self._came.get(name, now) > limit]
-        if not silent:
-            return ""
-        return f"nothing has come on {', '.join(silent)} for {now - max(self._came[n] for n in silent):.1f} s"
+        ages = {name: now - self._came.get(name, now) for name in self._streams}
+        silent = {name: age for name, age in ages.items() if age > limit}
+        return f"nothing has come on {', '.join(silent)} for {min(silent.values()):.1f} s" if silent else ""
 
     def _apart(self) -> str:
         if self._slop is None or self._nearest is None or self._nearest[0] <= self._slop:

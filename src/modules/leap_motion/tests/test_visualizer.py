@@ -104,7 +104,7 @@ def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros):
     from leap_motion.ros.human import FrameMessage
 
     publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
-    node = ros.run("leap_motion", "visualizer", "_frame:=somewhere")
+    node = ros.run("leap_motion", "visualizer", "_frame:=/somewhere")
     arrays = []
     clock.sleep(2 * SILENT_S)
     assert publisher.get_num_connections() == 0 and "Nothing" not in node.log_path.read_text()

@@ -98,7 +98,8 @@ def _grey(message: Image) -> np.ndarray:
     image = array_from_image(message)
     if image.dtype == np.uint8:
         return image
-    raise ValueError(f"the image has the encoding {message.encoding}, but the detector needs mono8, {', '.join(COLOUR)}")
+    needed = ", ".join(("mono8", *COLOUR))
+    raise ValueError(f"the image has the encoding {message.encoding}, but the detector needs one of {needed}")
 
 
 def main() -> None:

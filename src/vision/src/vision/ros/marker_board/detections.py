@@ -54,8 +54,8 @@ class BoardListener:
         rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics, queue_size=10)
 
     def fault(self) -> str:
-        """Returns that the detector publishes nothing, and what it says itself, or that its newest detection is no pose;
-        a clause, empty while there is nothing wrong.
+        """Returns that the detector publishes nothing, and what it says itself, or that its newest detection is no
+        pose; a clause, empty while there is nothing wrong.
         """
         missing = self._inputs.missing()
         says = f"; the detector says: {self._detector_says}" if missing and self._detector_says else ""
