@@ -80,7 +80,7 @@ def detector(**settings):
 def test_a_tag_whose_part_is_outside_the_image_has_no_pose_beside_the_truth(straight, tilt, side, decimate):
     """The library finds such a tag with corners where the image ends: poses that are wrong by centimetres."""
     find, counted = detector(tag_decimate=decimate), 0
-    for outside in (-40, -21, -15, -12, *range(-9, 12)):
+    for outside in (-40, -12, *range(-8, 12, 2), -3, -1, 1):
         middle = [outside * s + (half - 52.5) * s for half, s in zip((319.5, 239.5), side)]
         T = pose(rotation_about(0, tilt) @ rotation_about(1, tilt / 2) @ FACING, (*np.array(middle) * 0.5 / 525, 0.5))
         find.reset()
