@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.plausible import FARTHEST_M, OFF_CENTRE_RECTIFIED, check_intrinsics, plausible_depth
+from common.plausible import FARTHEST_M, OFF_CENTRE_RECTIFIED, check_intrinsics, check_near, plausible_depth
+from common.poses import pose
 
 SHAPE = 48, 64
 TRUE = {  # scenes that cameras see [m]
@@ -104,3 +105,12 @@ def test_a_squeezed_or_cut_image_is_named_and_rectification_may_shift_the_centre
     check_intrinsics(shifted, 752, 480, OFF_CENTRE_RECTIFIED)
     with pytest.raises(ValueError, match="within 0.11 sides of the middle"):
         check_intrinsics(shifted, 752, 480)
+
+
+@given(st.tuples(*[st.floats(-5.0, 5.0)] * 3))
+def test_poses_in_millimetres_are_refused(position):
+    T = pose(p=position)
+    assert check_near(T) is T
+    if np.linalg.norm(position) > 0.02:
+        with pytest.raises(ValueError, match="must be at most 10 m: lengths are in metres"):
+            check_near(pose(p=1000.0 * np.array(position)))

@@ -197,6 +197,8 @@ def test_each_damage_of_the_archive_is_a_sentence(data, cause):
         (changed(crop=np.array([0, 0, 13], np.int32)), "do not belong together"),
         (changed(maps=np.zeros((2, 4, 7, 7), np.float16)), "do not belong together"),
         (changed(mean=np.array([1.0, np.nan], np.float32)), "mean holds values that are not finite"),
+        (changed(mean=np.array([0.9, 900.0], np.float32)), "mean depth of an image is 900 m: it was not in metres"),
+        (changed(T_flange_tool=pose(p=(0.0, 0.0, 106.0))), "its distance is 106 m, but must be at most 10 m"),
         (changed(stamp=np.array([101.0, 100.0])), "stamps do not rise"),
         (changed(stamp=np.array([101.0, 500.0])), "stamps do not rise"),
         (changed(T_tool_grasp=2.0 * np.eye(4)), "T_tool_grasp holds no pose"),

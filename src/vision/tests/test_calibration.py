@@ -133,8 +133,9 @@ def test_a_wrong_size_or_focal_length_is_found(config, factors, key, percent):
 def test_a_record_survives_its_file(config):
     X, _, views = scene(3, 14, SD / 4)
     record = by_views(judge(views, X, config), views, **HEAD)
-    again = record_from_mapping(yaml.safe_load(yaml.safe_dump(mapping_from_record(record))))
-    for key in ("date", "kind", "robot", "camera", "rms_mm", "point_sd_mm"):
+    mapping = {**mapping_from_record(record), "camera_frame": f"/{record.camera_frame}"}  # as of an old driver
+    again = record_from_mapping(yaml.safe_load(yaml.safe_dump(mapping)))
+    for key in ("date", "kind", "robot", "camera", "camera_frame", "rms_mm", "point_sd_mm"):
         assert getattr(again, key) == getattr(record, key)
     np.testing.assert_allclose(again.T_base_camera, record.T_base_camera, atol=1e-12)
     np.testing.assert_allclose(again.errors, record.errors)
@@ -150,6 +151,11 @@ def test_a_record_survives_its_file(config):
         (lambda v: v["T_base_camera"].update(quaternion=[0, 0, 0, 0]), "T_base_camera/quaternion: the quaternion"),
         (lambda v: v["T_base_camera"].update(position=[0, float("nan"), 0]), "T_base_camera/position is"),
         (lambda v: v["T_base_camera"].update(position=[1200.0, 0, 0]), "T_base_camera/position is"),
+        (lambda v: v["T_base_camera"].update(position=[110.0, -10.0, 75.0]), "T_base_camera/position is"),
+        (lambda v: v["T_flange_panel"].update(position=[0.0, 7.11, 10.35]), "T_flange_panel/position is"),
+        (lambda v: v["T_flange_panel"].update(position=[0.0, 0.0, 5.0]), "each in [-1, 1] m"),
+        (lambda v: v["views"][2]["T_base_flange"].update(position=[500.0, 3.0, 400.0]), "views[2]/T_base_flange/"),
+        (lambda v: v["views"][2]["T_camera_panel"].update(position=[1.0, 3.0, 900.0]), "views[2]/T_camera_panel/"),
         (lambda v: v.update(views=None), "views is None, but must be a list"),
         (lambda v: v["views"].append(3), "views[14]/ is 3"),
         (lambda v: v.pop("rms_deg"), "rms_mm and rms_deg are missing"),

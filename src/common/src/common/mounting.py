@@ -87,7 +87,7 @@ def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)
 class ToolConfig:
     """The tool: a length along the flange's z axis for most; a whole pose for a rotated or offset one."""
 
-    tool_length: float = number("m", low=0.0, doc="from the flange to the tool point, along the flange's z axis")
+    tool_length: float = number("m", low=0.0, high=MAX_TOOL_M, doc="from flange to tool point, along its z axis")
     tool_transform: np.ndarray = vector(
         16, absent=np.eye(4).ravel(), doc="pose of the tool in the flange, 4 x 4 row by row, lengths in m"
     )

@@ -29,6 +29,11 @@ def test_the_shipped_files_are_accepted_and_state_units():
         assert not line.strip() or "#" in line, line
 
 
+def test_a_tag_may_have_a_frame_with_a_slash_which_tf_takes_off():
+    (tag,) = targets({"standalone_tags": [{"id": 0, "size": 0.1, "name": "/tag_frame"}]})
+    assert tag.name == "tag_frame"
+
+
 def test_a_users_file_of_2019_is_accepted():
     assert detector_settings(PUBLISHED).max_hamming_dist == 2
 
@@ -72,6 +77,12 @@ def test_names_and_places_of_tags():
         ({"standalone_tags": 5}, "standalone_tags is 5, but must be a list"),
         ({"standalone_tags": [5]}, "standalone_tags[0]/ is 5, but must be a mapping"),
         ({"standalone_tags": [{"id": 0, "size": 0}]}, "standalone_tags[0]/size is 0, but must be"),
+        ({"standalone_tags": [{"id": 0, "size": 97}]}, "standalone_tags[0]/size is 97, but must be a finite number in"),
+        ({"standalone_tags": [{"id": 0, "size": 8}]}, "[0]/size is 8, but must be a finite number in [0.002, 2] m"),
+        ({"standalone_tags": [{"id": 0, "size": 9.7}]}, "standalone_tags[0]/size is 9.7, but must be"),
+        ({"standalone_tags": [{"id": 0, "size": 0.000097}]}, "standalone_tags[0]/size is 9.7e-05, but must be"),
+        ({"tag_bundles": [{"layout": [{"id": 0, "size": 60, "x": -105}]}]}, "tag_bundles[0]/layout[0]/x is -105, but"),
+        ({"tag_bundles": [{"layout": [{"id": 0, "size": 0.06, "x": 10.5}]}]}, "layout[0]/x is 10.5, but must be"),
         ({"standalone_tags": [{"id": 0, "size": 0.1, "nmae": "a"}]}, "standalone_tags[0]/nmae is not a known key"),
         ({"standalone_tags": [{"id": 0, "size": 0.1, "name": ""}]}, "standalone_tags[0]/name is ''"),
         ({"standalone_tags": [{"id": 0, "size": 0.1}] * 2}, "tag 0 is listed twice"),

@@ -209,6 +209,16 @@ def test_bad_recordings_are_refused(write, lines, sentence):
         Recording(write(lines))
 
 
+@pytest.mark.parametrize("coding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("name", ["windows.jsonl", "windows.JSONL.GZ"])
+def test_a_recording_from_windows_is_the_same(tmp_path, write, coding, name):
+    plain = write(two_frames())
+    content = plain.read_text().replace("\n", " \r\n").encode(coding)
+    (tmp_path / name).write_bytes(gzip.compress(content) if name.endswith("GZ") else content)
+    frames = [list(itertools.islice(Recording(p).frames(None, 1), 2)) for p in (plain, tmp_path / name)]
+    assert str(frames[0]) == str(frames[1])
+
+
 def test_missing_and_torn_files_are_refused(tmp_path, write):
     with pytest.raises(RecordingError):
         Recording(tmp_path / "nothing.jsonl")

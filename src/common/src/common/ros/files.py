@@ -29,13 +29,17 @@ def user_file(kind: str, name: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Returns the text of a file, in UTF-8 or as Windows writes it: with a byte order mark, in UTF-16, with its line
-    ends. Raises OSError, or ValueError if it is no text.
+    """Returns the text of a file as `text_of` does; raises OSError too."""
+    return text_of(path.read_bytes())
+
+
+def text_of(content: bytes) -> str:
+    """Returns the text of a file's content, in UTF-8 or as Windows writes it: with a byte order mark, in UTF-16, with
+    its line ends; blanks at the end of a line are left out. Raises ValueError if it is no text.
     """
-    content = path.read_bytes()
     utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if utf16 else "utf-8-sig")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return re.sub(r"[ \t]*(\r\n|\r|\n)", "\n", text)
 
 
 def home() -> Path:

@@ -8,6 +8,7 @@ import tf2_ros
 import yaml
 
 from common.frames import BASE, FLANGE_MEASURED, GRASP_VIEW
+from common.plausible import check_near
 from common.ros.conversions import pose_from_transform
 
 PATIENCE_S = 0.1  # the camera pose at an image's stamp may arrive this much later than the image
@@ -52,9 +53,10 @@ class PoseLookup:
     def at(self, frame: str, stamp: rospy.Time, wait: float = 0.0) -> np.ndarray:
         """Returns T_base_frame, shape (4, 4) [m], at a moment; waits for it, `wait` [s] at most.
 
-        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose.
+        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose in metres.
         """
-        return pose_from_transform(self._buffer.lookup_transform(BASE, frame, stamp, rospy.Duration(wait)).transform)
+        found = self._buffer.lookup_transform(BASE, frame, stamp, rospy.Duration(wait))
+        return check_near(pose_from_transform(found.transform))
 
     def flange(self, max_age: float) -> np.ndarray:
         """Returns the newest measured T_base_flange, shape (4, 4) [m]. Raises tf2_ros.TransformException if tf does not

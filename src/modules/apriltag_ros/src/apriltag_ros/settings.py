@@ -89,14 +89,14 @@ class DetectorSettings:
 @dataclass(frozen=True)
 class _Standalone:
     id: int = integer(low=0, doc="of the tag")
-    size: float = number("m", above=0.0, high=10.0, doc="edge of the black square")
+    size: float = number("m", low=0.002, high=2.0, doc="edge of the black square")
 
 
 @dataclass(frozen=True)
 class _Member(_Standalone):
-    x: float = number("m", absent=0.0, doc="centre of the tag in the bundle")
-    y: float = number("m", absent=0.0)
-    z: float = number("m", absent=0.0)
+    x: float = number("m", low=-10.0, high=10.0, absent=0.0, doc="centre of the tag in the bundle")
+    y: float = number("m", low=-10.0, high=10.0, absent=0.0)
+    z: float = number("m", low=-10.0, high=10.0, absent=0.0)
     qw: float = number(absent=1.0, doc="orientation of the tag in the bundle")
     qx: float = number(absent=0.0)
     qy: float = number(absent=0.0)

@@ -13,6 +13,7 @@ from common.ros.files import read_yaml
 
 ROBOTS = ("LBR7R800", "LBR14R820")
 FLANGES = ("MF_elektrisch", "MF_pneumatisch", "MF_IO_pneumatisch", "MF_touch_pneumatisch")
+SUFFIXES = (".yaml", ".yml")  # of paths of yaml files; other names are of the files here
 SOURCE_TREE = Path(__file__).resolve().parents[2]  # the folder of this package
 
 
@@ -55,11 +56,12 @@ def _read_description(path: str) -> str:
 
 
 def _read_yaml(kind: str, name: str) -> dict[str, Any]:
+    is_path = Path(name).suffix.lower() in SUFFIXES
     folders = [folder / "config" / kind for folder in _package_folders("rig_simulation")]
-    for path in [Path(name)] if name.endswith(".yaml") else [folder / f"{name}.yaml" for folder in folders]:
+    for path in [Path(name)] if is_path else [folder / f"{name}.yaml" for folder in folders]:
         if path.is_file():
             return read_yaml(path)
-    if name.endswith(".yaml"):
+    if is_path:
         raise ConfigError([f"There is no file {Path(name).absolute()}."])
     known = sorted({path.stem for folder in folders for path in folder.glob("*.yaml")})
     raise ConfigError([f"There is no {name!r} in {kind}; choose {', '.join(known)}, or the path of a yaml file."])

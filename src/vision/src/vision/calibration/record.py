@@ -79,12 +79,23 @@ class _Pose:
 
 
 @dataclass(frozen=True)
+class _PoseOnArm(_Pose):
+    position: np.ndarray = vector(3, "m", low=-2.0, high=2.0)  # no arm reaches farther
+
+
+@dataclass(frozen=True)
+class _PoseOnFlange(_Pose):
+    position: np.ndarray = vector(3, "m", low=-1.0, high=1.0)  # as `MarkerBoardConfig.translation`
+
+
+@dataclass(frozen=True)
 class _View:
     error: np.ndarray | None = vector(2, "mm and deg", low=0.0, absent=None)
     covariance: np.ndarray = vector(36)
 
 
 POSES = {"T_base_camera": "T_base_camera", "T_flange_panel": "T_flange_board"}
+BOUNDS = {"T_base_flange": _PoseOnArm, "T_flange_panel": _PoseOnFlange}
 VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_board"}  # key in the file: attribute
 
 
@@ -155,7 +166,7 @@ def _poses(values: Mapping, prefix: str, names: dict[str, str], faults: list[str
     poses = {}
     for key, name in names.items():
         given: Any = values.get(key)
-        read = parse_part(_Pose, given, f"{prefix}{key}/", faults)
+        read = parse_part(BOUNDS.get(key, _Pose), given, f"{prefix}{key}/", faults)
         try:
             if read is not None:
                 poses[name] = read_only(pose(rotation_from_quaternion(read.quaternion), read.position))

@@ -19,6 +19,7 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.errors import RigError
+from common.plausible import FARTHEST_M, NEAREST_M, check_near
 from common.poses import check_pose
 from grasping.lab.dataset.episode import SOURCES, Episode, Metadata
 from grasping.network.depth_image import NETWORK_SIDE, Crop
@@ -206,11 +207,13 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
 
 def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None:
     """Refuses arrays whose values do not fit together."""
-    stamp, t_grasp = arrays["stamp"], float(arrays["t_grasp"])
+    stamp, t_grasp, mean = arrays["stamp"], float(arrays["t_grasp"]), arrays["mean"]
     if not sizes["n"]:
         raise DatasetError("The episode has no frame.")
     if np.any(np.diff(stamp) <= 0.0) or stamp[-1] > t_grasp:
         raise DatasetError("The stamps do not rise up to the moment of the grasp.")
+    if not ((mean >= NEAREST_M) & (mean <= FARTHEST_M)).all():
+        raise DatasetError(f"The mean depth of an image is {mean[np.abs(mean).argmax()]:g} m: it was not in metres.")
     if sizes["side"] != arrays["crop"][2] or NETWORK_SIDE % sizes["m"]:
         raise DatasetError(f"Images of {sizes['side']} px and maps of {sizes['m']} px do not belong together.")
     for name in POSES:
@@ -218,7 +221,7 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None
             if name in MAY_BE_NAN and np.isnan(T).all():
                 continue
             try:
-                check_pose(T)
+                check_near(check_pose(T))
             except ValueError as error:
                 raise DatasetError(f"The array {name} holds no pose: {error}.") from None
     T = arrays["T_base_tool_closed"] @ arrays["T_tool_grasp"]

@@ -63,7 +63,7 @@ class ResultsFile:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.rows: list[dict] = []
         if path.exists():
-            with path.open(newline="", encoding="utf-8") as file:
+            with path.open(newline="", encoding="utf-8-sig") as file:
                 self.rows = list(csv.DictReader(file))
         self._file = path.open("a", newline="", encoding="utf-8")
         self._writer = csv.DictWriter(self._file, columns, lineterminator="\n")

@@ -17,6 +17,7 @@ from typing import List, Protocol, Tuple
 import numpy as np
 
 from common.errors import RigError
+from common.ros.files import text_of
 from leap_motion.codec import WHOLE_LIMIT
 from leap_motion.service import wire
 from leap_motion.service.hand import ReportedHand
@@ -196,10 +197,10 @@ class Recording:
 
 
 def _read(path: Path) -> list[str]:
-    opener = gzip.open if path.suffix == ".gz" else open
     try:
-        with opener(path, "rt", encoding="utf-8") as file:
-            lines = [line for line in file.read().splitlines() if line.strip()]
+        content = path.read_bytes()
+        text = text_of(gzip.decompress(content) if path.suffix.lower() == ".gz" else content)
+        lines = [line for line in text.split("\n") if line.strip()]
     except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
         raise RecordingError(path, f"cannot be read: {error}") from error
     if not lines:

@@ -26,6 +26,7 @@ from common.config import is_number
 from common.errors import RigError
 from common.frames import BASE
 from common.poses import check_pose, pose
+from common.ros.files import read_text
 from common.statistics import proportion
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.hand_model import prepare_hand
@@ -174,7 +175,7 @@ NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fin
 def read(path: Path) -> list[dict[str, Any]]:
     """Returns the scenes of a file of grasps; raises RigError if it is invalid."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_text(path))
         if content["schema"] != SCHEMA:
             raise RigError(f"{path} has the schema {content['schema']!r}, but this program reads {SCHEMA}.")
         for scene in content["scenes"]:

@@ -28,10 +28,10 @@ NAME = re.compile(r"[a-z][a-z0-9_]*")
 class Table:
     """The table: a board with a flat top."""
 
-    centre: np.ndarray = vector(2, "m", doc="middle of the top in the upright world")
-    size: np.ndarray = vector(2, "m", above=0.0, doc="edges along the table's own x and y axes")
+    centre: np.ndarray = vector(2, "m", low=-10.0, high=10.0, doc="middle of the top in the upright world")
+    size: np.ndarray = vector(2, "m", above=0.0, high=10.0, doc="edges along the table's own x and y axes")
     yaw: float = number("deg", low=-180.0, high=180.0, doc="of the table's x axis")
-    top: float = number("m", doc="height of the top")
+    top: float = number("m", low=-10.0, high=10.0, doc="height of the top")
     friction: float = number(above=0.0, high=2.0, doc="sliding friction")
 
 
@@ -39,8 +39,8 @@ class Table:
 class CameraPose:
     """Position and target of the camera."""
 
-    position: np.ndarray = vector(3, "m", doc="of camera_link in the upright world")
-    target: np.ndarray = vector(3, "m", doc="the point that the camera points at")
+    position: np.ndarray = vector(3, "m", low=-10.0, high=10.0, doc="of camera_link in the upright world")
+    target: np.ndarray = vector(3, "m", low=-10.0, high=10.0, doc="the point that the camera points at")
 
     def faults(self) -> list[str]:
         """Returns faults of several fields together."""
@@ -53,7 +53,7 @@ class CameraPose:
 class SceneObject:
     """Common fields of all objects."""
 
-    position: np.ndarray = vector(2, "m", doc="from the table's centre along its sides")
+    position: np.ndarray = vector(2, "m", low=-10.0, high=10.0, doc="from the table's centre along its sides")
     yaw: float = number("deg", low=-180.0, high=180.0, doc="turn about the vertical")
     mass: float = number("kg", above=0.0, high=5.0)
     friction: float = number(above=0.0, high=2.0, doc="sliding friction")
@@ -127,7 +127,7 @@ class Bottle(SceneObject):
 class Post:
     """A cylinder that stands fast on the table, or at its height beside it."""
 
-    position: np.ndarray = vector(2, "m", doc="from the table's centre along its sides")
+    position: np.ndarray = vector(2, "m", low=-10.0, high=10.0, doc="from the table's centre along its sides")
     radius: float = number("m", above=0.005, high=0.2)
     height: float = number("m", above=0.005, high=2.0, doc="above the table top")
 
@@ -141,7 +141,7 @@ class Tag:
 
     id: int = integer(low=0, high=4)
     size: float = number("m", above=0.01, high=0.5, doc="edge of the black square")
-    position: np.ndarray = vector(2, "m", doc="of its centre on the plate")
+    position: np.ndarray = vector(2, "m", low=-1.0, high=1.0, doc="of its centre on the plate")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,7 +22,7 @@ from common.errors import ConfigError, DeviceError
 from common.frames import BASE, CAMERA_LINK, FLANGE_MEASURED
 from common.poses import inverse
 from common.ros.conversions import pose_from_transform, stamped_transform
-from common.ros.files import read_yaml, write_whole
+from common.ros.files import read_text, read_yaml, write_whole
 from common.ros.params import wait_for_config, wait_for_param
 from common.stored_time import moment, utc
 from vision.calibration.acceptance import CalibrationConfig
@@ -83,7 +83,7 @@ class CalibrationStore:
 def _age_order(file: Path) -> tuple[float, str]:
     """Returns what sorts calibrations by age without reading them whole; one without a date comes as the newest."""
     try:
-        found = DATE.search(file.read_text(encoding="utf-8", errors="replace"))
+        found = DATE.search(read_text(file))
         return moment(found[1] if found else ""), file.name
     except (OSError, ValueError):
         return float("inf"), file.name

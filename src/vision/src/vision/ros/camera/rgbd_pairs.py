@@ -15,6 +15,7 @@ from std_msgs.msg import Header
 
 from common import clock
 from common.camera_model import CameraModel
+from common.plausible import check_near
 from common.ros.conversions import pose_from_transform
 from common.ros.images import camera_model_from_info, colour_from_image, depth_from_image
 from common.ros.inputs import NodeInputs, clause
@@ -23,6 +24,7 @@ from common.ros.on_demand import OnDemand
 
 QUEUE = 5
 CAMERAS = ("rgb", "depth")
+BASELINE_M = 1.0  # most between both cameras
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,10 @@ class RgbdPairs:
         if not (rgb and depth):
             raise ValueError("the images come without a frame in their headers")
         try:
-            return pose_from_transform(self._buffer.lookup_transform(rgb, depth, rospy.Time(0)).transform)
+            T = pose_from_transform(self._buffer.lookup_transform(rgb, depth, rospy.Time(0)).transform)
         except tf2_ros.TransformException as error:
             raise ValueError(f"tf does not know the frame {depth!r} in {rgb!r}: {clause(error)}") from None
+        try:
+            return check_near(T, BASELINE_M)
+        except ValueError as error:
+            raise ValueError(f"the pose of {depth!r} in {rgb!r} is wrong: {error}") from None

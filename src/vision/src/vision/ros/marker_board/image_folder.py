@@ -19,6 +19,7 @@ from apriltag_ros.settings import TAG_KEYS, TagTarget, targets
 from common.camera_model import CameraModel, from_calibration
 from common.errors import DeviceError
 from common.poses import check_pose
+from common.ros.files import read_text
 from common.ros.images import metres_from_millimetres
 
 INDEX = "pictures.json"
@@ -63,7 +64,7 @@ class BoardImageSet:
 def read_images(folder: Path) -> BoardImageSet:
     """Returns the content of a folder; raises DeviceError if its index is missing or incomplete."""
     try:
-        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
+        index = json.loads(read_text(folder / INDEX))
         entries, plate = list(index["pictures"]), float(max(index["panel"]["size"]))
         rgb, depth = from_calibration(index["rgb"]), from_calibration(index["depth"])
         return BoardImageSet(folder, entries, plate, rgb, depth, check_pose(index["T_rgb_depth"]))
