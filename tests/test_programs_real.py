@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[1]
-NODE = re.compile(r'\brun\(("|NAME|name\b|node)|\binit_node\(')
+NODE = re.compile(r'\brun\(("|NAME|name\b|node)|\binit_node\(|(?<!\.)\bjoin\(("|NAME|NODE)')
 """What stands in a program that is a node, or in the module that it runs."""
 
 

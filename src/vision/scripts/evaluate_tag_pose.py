@@ -3,6 +3,10 @@
 
 import sys
 
-from vision.ros.marker_board.evaluate_program import main
+from common.ros.node import need_home
+
+need_home("evaluate_tag_pose")
+
+from vision.ros.marker_board.evaluate_program import main  # noqa: E402
 
 sys.exit(main())
