@@ -193,7 +193,7 @@ def test_tactile_sensors_are_zeroed_and_touches_are_felt(bench):
     b.run(0.05)
     contact = np.array(b.reading.contact)
     assert contact[1, 8] and contact.sum() == 1
-    b.take(b.driver.set_thresholds([[0] * 9, [60] * 9, [60000] * 9]))
+    b.take(b.driver.set_thresholds([[1] * 9, [60] * 9, [60000] * 9]))
     b.device.press(2, 150)
     b.run(0.05)
     assert not np.array(b.reading.contact)[1:].any()
@@ -326,7 +326,7 @@ def test_set_speed_is_three_packets_in_time_and_targets_wait(bench):
     b = bench().calibrated()
     before = len(b.sent)
     begin = b.now
-    b.take(b.driver.set_speed((1, 2, 3, 30), b.now))
+    b.take(b.driver.set_speed((1, 2, 3, 3.5), b.now))
     b.command(1, 1, 1, 0)
     b.command(2, 2, 2, 0)
     assert b.driver.state(b.now) is HandStatus.CHANGING_SPEED
@@ -336,18 +336,36 @@ def test_set_speed_is_three_packets_in_time_and_targets_wait(bench):
         b.run(0.025)
         times += [b.now - begin] * (len(b.sent) - count)
     sent = b.sent[before:]
-    assert sent[:3] == [encode_mode(VELOCITY), bytes.fromhex("02 0076 04ed 0164 07ff"), encode_mode(POSITION)]
+    assert sent[:3] == [encode_mode(VELOCITY), bytes.fromhex("02 0076 04ed 0164 05b7"), encode_mode(POSITION)]
     assert sent[3:] == [last_target(b)] and len(sent) == 4
-    assert b.device.state()["speed_settings"] == [118, 1261, 356, 2047]
+    assert b.device.state()["speed_settings"] == [118, 1261, 356, 1463]
     b.run(3.0)
     np.testing.assert_allclose(angles(b)[:3], 2, atol=0.01)
 
 
-def test_set_speed_refuses_what_is_not_finite(bench):
+@pytest.mark.parametrize("speed", [math.nan, math.inf, -math.inf, 1e30, 3.51, 0, -1])
+@pytest.mark.parametrize("motor", range(4))
+def test_set_speed_takes_the_range_of_the_parameter(bench, speed, motor):
+    """At 0 the fingers would stop for ever."""
     b = bench().calibrated()
     before = len(b.sent)
-    assert "refused" in b.take(b.driver.set_speed((1, math.nan, 1, 1), b.now)).refusal
+    speeds = [1.0] * 4
+    speeds[motor] = speed
+    for refused in (speeds, [], [1.0] * 3):
+        assert "refused" in b.take(b.driver.set_speed(refused, b.now)).refusal
     assert len(b.sent) == before and b.driver.state(b.now) is HandStatus.READY
+
+
+@pytest.mark.parametrize("count", [0, -1, 65536])
+def test_set_thresholds_takes_the_range_of_the_parameter(bench, count):
+    """At 0 and below the noise of a taxel would be a touch."""
+    b = bench().calibrated()
+    b.take(b.driver.calibrate_tactile(b.now))
+    b.run(0.5)
+    for refused in ([[20] * 9, [20] * 9, [20] * 8 + [count]], [[20] * 9] * 2, [[], [], []], []):
+        assert "refused" in b.take(b.driver.set_thresholds(refused)).refusal
+    b.run(0.05)
+    assert not np.any(b.reading.contact)
 
 
 def test_a_hand_that_was_moved_without_torque_stays_where_it_is(bench):

@@ -18,7 +18,7 @@ from reflex.conversions import servo_fault
 from reflex.link import PacketArrival, PacketFilter
 from reflex.motion import HandNote, MotorGoals
 from reflex.reading import UNLOADED, HandReading, measure
-from reflex.settings import HandSettings
+from reflex.settings import HandSettings, setting_fault
 
 TORQUE_OFF = "Torque is off; set_speed switches it on again."
 CALIBRATING = "The fingers are being calibrated."
@@ -172,6 +172,9 @@ class HandLogic:
 
     def set_speed(self, speeds: Sequence[float], now: float) -> HandUpdate:
         """Begins to set the joint speeds [rad/s]; the state is CHANGING_SPEED until it is done. Switches torque on."""
+        wrong = "they are four" if len(speeds) != 4 else setting_fault("default_speed", speeds)
+        if wrong:
+            return self._result(f"The speeds {list(speeds)} were refused: {wrong}.")
         reading = self.reading
         if reading is None or not self.link.alive(now):
             return self._result(self.silence(now))
@@ -180,10 +183,7 @@ class HandLogic:
         fault = servo_fault(reading.packet.positions)
         if fault and not self._torque:
             return self._result(f"{fault} Torque stays off.")
-        try:
-            self._send.extend(self.motion.change_speed(speeds, now))
-        except ValueError as error:
-            return self._result(f"The speeds {list(speeds)} were refused: {error}.")
+        self._send.extend(self.motion.change_speed(speeds, now))
         self._speeds = tuple(speeds)
         if not self._torque:
             self._torque = True
@@ -223,6 +223,9 @@ class HandLogic:
 
     def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> HandUpdate:
         """Sets the contact thresholds, three times nine counts."""
+        wrong = setting_fault("default_contact_threshold", [count for row in thresholds for count in row])
+        if wrong or [len(row) for row in thresholds] != [9] * 3:
+            return self._result(f"The thresholds were refused: {wrong or 'they are three times nine'}.")
         self._thresholds = tuple(tuple(row) for row in thresholds)
         return self._result()
 

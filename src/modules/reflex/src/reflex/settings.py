@@ -6,7 +6,8 @@ config/reflex_takktile.yaml, which are the same.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, Tuple
 
 Four = Tuple[float, float, float, float]
@@ -31,7 +32,7 @@ class HandSettings:
     hot: float = _setting(70.0, "degC", "servo temperature from which a finger is not closed further", high=80)
     travel_margin: float = _setting(0.6, "rad", "measured angles this far outside of travel are wrong", high=0.8)
     default_contact_threshold: int = _setting(
-        20, "counts", "pressure above which a taxel is touched", low=0, high=65535
+        20, "counts", "pressure above which a taxel is touched; at 0 its noise would be a touch", low=1, high=65535
     )
     silence_time: float = _setting(0.5, "s", "without a packet for this long the hand is silent", above=0.05, high=5)
     request_time: float = _setting(5.0, "s", "how long a calibration waits for a silent hand", high=30)
@@ -43,3 +44,14 @@ class HandSettings:
     calibration_max_closing: int = _setting(250, "ticks", "no finger is closed further than this", low=10, high=800)
     calibration_max_time: float = _setting(8.0, "s", "the calibration gives up after this time", high=60)
     calibration_max_load: float = _setting(350.0, "0.1 %", "the calibration gives up above this load", high=1000)
+
+
+def setting_fault(name: str, values: Sequence[float]) -> str | None:
+    """Returns which of the values a setting must not have, a part of a sentence; None if it may have all."""
+    allowed = next(setting.metadata for setting in fields(HandSettings) if setting.name == name)
+    low, above, high = allowed.get("low"), allowed.get("above"), allowed["high"]
+    least = f"above {above:g}" if low is None else f"at least {low:g}"
+    for value in values:
+        if not value <= high or (value <= above if low is None else value < low):
+            return f"{value:g} must be {least} and at most {high:g} {allowed['unit']}"
+    return None
