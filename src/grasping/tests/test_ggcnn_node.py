@@ -242,6 +242,8 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
     says("nothing stands on the table")
     camera.depth = np.ascontiguousarray(depth[:240])
     says("the image is 640 x 240, but its camera_info says 640 x 480")
+    camera.depth = np.float32(1000.0) * depth
+    says("the depth image is invalid: the median of the depth is")
     camera.depth, camera.late = depth, 0.9
     newest(ros, lists, lambda m: m.grasps, "an image that is not too old")
     camera.late = 1.1
@@ -330,6 +332,23 @@ def test_a_frame_that_tf_does_not_know_is_not_an_uncalibrated_camera(ros, camera
     start(ros)
     reason = newest(ros, lists, lambda m: m.grasps, "a grasp before the camera").grasps[0].reason
     assert "tf has no frame 'other_optical_frame'" in reason and "calibrate" not in reason
+
+
+def test_a_camera_pose_in_millimetres_is_named(ros, camera):
+    import rospy
+    import tf2_ros
+
+    from common.ros.conversions import stamped_transform
+    from grasp_msgs.msg import GraspList
+
+    lists, far = ros.record("ggcnn/out/grasps", GraspList), ASIDE.copy()
+    far[:3, 3] *= 1000.0
+    broadcaster = tf2_ros.StaticTransformBroadcaster()
+    broadcaster.sendTransform(stamped_transform(far, "kuka/base_frame", DEPTH_OPTICAL, rospy.Time.now()))
+    start(ros)
+    found = newest(ros, lists, lambda m: m.grasps, "a grasp before the camera")
+    assert "the camera pose in tf is invalid: its distance is 796.9 m" in found.grasps[0].reason
+    broadcaster.pub_tf.unregister()
 
 
 def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, calibrated):

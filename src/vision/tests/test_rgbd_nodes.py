@@ -159,6 +159,7 @@ USED = [  # as image_geometry takes it
     changed("rgb", "CameraInfo", width=0, height=0),
     frame("/{}"),
 ]
+MILLIMETRES = np.full((480, 640), 900.0, np.float32).tobytes()
 REFUSED = [
     (changed("rgb", "Image"), "nothing has come on /camera/rgb/image_raw"),
     (changed("depth", "Image"), "nothing has come on /camera/depth/image_raw"),
@@ -166,6 +167,8 @@ REFUSED = [
     (changed("depth", "Image", encoding="rgb8"), "cannot have rows of"),
     (changed("depth", "Image", encoding="mono8", step=640, data=bytes(640 * 480)), "image has the encoding mono8"),
     (changed("depth", "Image", data=b"torn"), "4 bytes instead of"),
+    (changed("depth", "Image", encoding="32FC1", step=2560, data=MILLIMETRES), "the median of the depth is 900 m"),
+    (changed("depth", "CameraInfo", K=[285.0, 0.0, 159.5, 0.0, 285.0, 119.5, 0.0, 0.0, 1.0]), "K in the camera_info"),
     (changed("rgb", "CameraInfo", width=320, height=240), "640 x 480, but its camera_info says 320 x 240"),
     (changed("depth", "CameraInfo", K=ZEROS), "not calibrated"),
     (changed("rgb", "CameraInfo", R=BENT), "no rotation"),
