@@ -334,3 +334,26 @@ def test_without_an_arm_it_waits_and_says_so(node):
     assert "Waiting for the parameter /kuka/" in node.log
     node.process.send_signal(signal.SIGINT)
     assert node.process.wait(0.2 + LATER_S) == 0
+
+
+def test_diagnostics_say_which_inputs_do_not_come(ros, rig, node):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    arrays = ros.record("/diagnostics", DiagnosticArray)
+
+    def says(level, sentence, after=CONFIG["silence"] + 1.1):
+        clock.sleep(after)
+        last = [status for array in arrays for status in array.status if status.name == "grasp_execution"][-1]
+        assert last.level == level and sentence in last.message
+
+    node.start()
+    rig.say_hold("none")
+    says(DiagnosticStatus.WARN, "No grasp can be executed: nothing has come on /leap_kuka/stream for ")
+    rig.silent = {"/kuka/status", "/ggcnn/out/grasps"}
+    says(DiagnosticStatus.WARN, "/ggcnn/out/grasps, /kuka/status, /leap_kuka/stream for ")
+    assert node.process.log_path.read_text().count("/leap_kuka/stream for ") == 2
+    rig.silent = set()
+    for _ in range(4):
+        rig.say_hold("none")
+        clock.sleep(0.5)
+    says(DiagnosticStatus.OK, "No grasp was executed yet.", after=0.1)

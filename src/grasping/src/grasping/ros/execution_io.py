@@ -55,7 +55,7 @@ class ExecutionInputs:
             "leap_kuka/stream": (DiagnosticStatus, self._on_stream, 10),
             "reflex_takktile/hand_state": (Hand, self._on_hand, 1),
         }
-        inputs = NodeInputs(topics)
+        inputs = NodeInputs(topics, silent=silence)
         self.missing = inputs.missing  # returns which of them do not come, a clause
         for topic, (kind, callback, queue_size) in topics.items():
             inputs.subscribe(topic, kind, callback, queue_size)
