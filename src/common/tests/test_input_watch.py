@@ -80,6 +80,21 @@ def test_the_reason_is_kept_beyond_the_last_input_and_then_it_is_silent():
     assert watch.fault(now + KEPT_S + 0.1) == "nothing has come on /a, /b for 2.1 s"
 
 
+def test_streams_that_begin_to_be_apart_are_so_as_soon_as_there_is_no_output():
+    watch, now = watch_after(3.0, slop=0.02)
+    for _ in range(11):
+        now += PERIOD_S
+        watch.came(A, now, 1000.0 + now)
+        watch.came(B, now, 1000.0 + now + 0.03)
+    assert watch.fault(now) == APART.format(0.03)
+
+
+def test_a_silence_of_several_is_the_shortest():
+    watch, now = watch_after(3.0)
+    watch.came(A, now + 1.5, 1000.0)
+    assert watch.fault(now + 3.0) == "nothing has come on /a, /b for 1.5 s"
+
+
 @pytest.mark.parametrize("silent", [A, B])
 def test_a_stream_that_stops_is_silent_and_not_apart(silent):
     watch, now = watch_after(3.0)
