@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from common.camera_model import from_calibration
-from common.config import QUOTE_IT, choice, keys, parse, text
+from common.config import QUOTE_IT, choice, keys, names, parse, text
 from common.errors import ConfigError
 from common.ros.files import read_yaml
 from common.ros.params import private_config, private_values
@@ -102,6 +102,11 @@ class Part:
 
 
 @dataclasses.dataclass(frozen=True)
+class Names:
+    arms: tuple = names()
+
+
+@dataclasses.dataclass(frozen=True)
 class Whole:
     operator: str = text()
     side: str = choice("left", "right", absent="left")
@@ -114,14 +119,16 @@ def test_a_private_parameter_on_the_command_line_is_the_text_until_it_is_set_aga
     read = []
 
     def main():
-        read.append(private_config(Whole, others=("part",)).operator)
+        read.append(private_config(Whole, others=("part", "other")).operator)
         read.append(private_config(Part, "part").serial)
         rospy.set_param("~operator", 8)
         read.append(private_values()["operator"])
         read.append(private_values().texts)
+        read.append(private_config(Names, "other").arms)
 
-    virtual_graph.start("texts", lambda: run_node(main), "texts", f"_operator:={name}", f"_part/serial:={name}").wait(1.0)
-    assert read == [name, name, 8, {}]
+    given = (f"_operator:={name}", f"_part/serial:={name}", "_other/arms:=[left, right]")
+    virtual_graph.start("texts", lambda: run_node(main), "texts", *given).wait(1.0)
+    assert read == [name, name, 8, {}, ("left", "right")]
 
 
 def test_what_the_parameter_server_cannot_hold_ends_the_node_with_a_sentence(virtual_graph, monkeypatch):

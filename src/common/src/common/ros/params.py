@@ -33,7 +33,7 @@ def _with_texts(values: Any, texts: Mapping[str, str]) -> Any:
     """
     if not isinstance(values, dict):
         return values
-    lost = {key: text for key, text in texts.items() if not isinstance(values.get(key, ""), str)}
+    lost = {key: text for key, text in texts.items() if not isinstance(values.get(key, ""), (str, list, dict))}
     parts = {
         name: _with_texts(value, {k[len(name) + 1 :]: text for k, text in texts.items() if k.startswith(f"{name}/")})
         for name, value in values.items()
