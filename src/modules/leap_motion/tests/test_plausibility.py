@@ -123,6 +123,13 @@ def palm_at(*offset):
 ALWAYS = {
     "a tip at the origin": (joint(INDEX, 4, 0.0), {INDEX}),
     "a middle joint at the origin": (joint(RING, 2, 0.0), {RING}),
+    "the start of a finger at the origin": (joint(LITTLE, 0, 0.0), {LITTLE}),
+    "a tip's centre at the origin": (
+        lambda hand: replace(
+            hand, fingers=tuple(replace(each, tip=each.tip * (each.type != THUMB)) for each in hand.fingers)
+        ),
+        {THUMB},
+    ),
     "all of a finger at the origin": (joint(MIDDLE, slice(None), 0.0), {MIDDLE}),
     "joints in one point": (joint(MIDDLE, slice(2, None), (0.04, 0.32, -0.06)), {MIDDLE}),
     "index and middle finger exchanged": (order(0, 2, 1, 3, 4), {INDEX, MIDDLE}),
@@ -296,23 +303,23 @@ def commands(frames):
 
 
 @pytest.mark.parametrize("name", [name for name in RUNS if name not in ("bad-hand", "hand-elsewhere", "three-claps")])
-@settings(max_examples=10)
+@settings(max_examples=8)
 @given(data=st.data())
 def test_a_lie_in_a_recorded_hand_changes_no_command(name, data):
     """Neither by itself, nor later: the robot's fingers stay for a frame, and so does the tool."""
     recorded = recording(name)
     if recorded is None:
         pytest.skip("the recorded hand is not on this machine")
-    at = data.draw(st.integers(30, len(recorded) - 20), label="frame")
+    at = data.draw(st.integers(20, len(recorded) - 12), label="frame")
     kind = data.draw(st.sampled_from([kind for kind in {**ALWAYS, **AFTER} if kind not in SLOW]), label="lie")
-    honest = recorded[at - 20 : at + 20]
+    honest = recorded[at - 15 : at + 12]
     if len({frame.hands[0].id for frame in honest}) > 1 or honest[-1].timestamp_us - honest[0].timestamp_us > 800_000:
         return
     lie, _ = {**ALWAYS, **AFTER}[kind]
-    lying = [*honest[:20], replace(honest[20], hands=(lie(honest[20].hands[0]),)), *honest[21:]]
+    lying = [*honest[:15], replace(honest[15], hands=(lie(honest[15].hands[0]),)), *honest[16:]]
     (fingers, palms), (told_fingers, told_palms) = commands(honest), commands(lying)
-    assert np.array_equal(told_fingers[20], fingers[19])
-    assert np.array_equal(told_fingers[:20] + told_fingers[21:], fingers[:20] + fingers[21:])
+    assert np.array_equal(told_fingers[15], fingers[14])
+    assert np.array_equal(told_fingers[:15] + told_fingers[16:], fingers[:15] + fingers[16:])
     for told, true in zip(told_palms, palms):
         assert np.linalg.norm(told[:3, 3] - true[:3, 3]) < MAX_STEP_M if true is not None else told is None
         assert true is None or rotation_angle(told[:3, :3].T @ true[:3, :3]) < 0.1
