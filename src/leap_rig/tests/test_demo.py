@@ -138,6 +138,7 @@ def test_the_handbooks_node_moves_the_arm_of_a_demo_without_teleoperation(demo, 
     assert circle.wait(END_S) == 0
     assert summary["faults"] == [] and not summary["teleoperated"] and summary["hand_commands"] is None
     assert summary["tool_path_m"] > 0.3 and "The arm followed, no node died." in running.log
+    assert "| arm servo" in running.log and "hand waits" not in running.log
 
 
 def test_with_control_off_nothing_moves_and_a_dead_node_is_named(demo, virtual_graph):

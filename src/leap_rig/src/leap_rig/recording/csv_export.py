@@ -72,7 +72,7 @@ def lines(run: RecordedRun, series: RecordedSeries) -> Iterator[str]:
 def table() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Returns head and rows of the handbook's table of the series."""
     head = ("field", "shape", "unit", "holds", "times", "from", "columns of the CSV file")
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for series in SERIES:
         pose = series.columns is POSE_COLUMNS
         shape = "(n, 4, 4)" if pose else f"(n, {len(series.columns) - len(series.more)})"

@@ -93,7 +93,7 @@ def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> Recorde
     decode = MessageDecoders()
     found: dict[str, list[tuple[int, Any]]] = {key: [] for key in (*READ, *POSES)}
     for message in between(folder, READ, start, end):
-        keys = (message.topic,)
+        keys: tuple[str, ...] = (message.topic,)
         if message.topic == topics.TF:
             keys = tuple(field for field, frame in POSES.items() if frame.encode() in message.data)
             if not keys:

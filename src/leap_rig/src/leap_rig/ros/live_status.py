@@ -40,9 +40,10 @@ class LiveStatus:
         self._frames, self._time = recorder.frames, now
         text = f"{phase:>8}"
         for arm, listener in listeners.items():
-            hand = "steers" if listener.recorder.streaming else "waits"
-            text += f" | {arm or 'arm'} {listener.mode or '-':<9} | hand {hand:<6}"
-        text += f" | {rate:4.0f} frames/s"
+            text += f" | {arm or 'arm'} {listener.mode or '-':<9}"
+            if recorder.teleoperated:
+                text += f" | hand {'steers' if listener.recorder.streaming else 'waits':<6}"
+        text += f" | {rate:4.0f} frames/s" if recorder.teleoperated else ""
         speed = recorder.counters.get("simulation", {}).get("tcp_speed")
         if speed is not None and len(listeners) == 1:
             text += f" | TCP {1e3 * float(speed):4.0f} mm/s"
