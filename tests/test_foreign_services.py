@@ -142,6 +142,7 @@ def test_who_says_nothing_is_no_stranger(serve, name):
     for device in (tracker, secure_tracker):
         link, sentence = device(port)
         assert link is LeapLink.NO_SERVICE and "is not" not in sentence
+        assert ("without a word" in sentence) is (name != "silence" and device is tracker)
 
 
 @pytest.mark.parametrize("text", ["hello", "[1]", '{"event":{}}', '{"version":6}\0'])

@@ -133,8 +133,8 @@ class KstClient:
             if ended and not isinstance(error, UnexpectedReply):
                 raise NoServer(
                     f"the connection to {address} was closed without a word: the application on the controller ends, or"
-                    " another program has this port; start MatlabToolboxServer on the smartPad again (it waits 60 s for"
-                    " a client)",
+                    " another program has this port, such as one with TLS; start MatlabToolboxServer on the smartPad"
+                    " again (it waits 60 s for a client)",
                     address=address,
                 ) from error
             if session.counts.answered == 0 and not isinstance(error, UnexpectedReply):

@@ -41,6 +41,7 @@ RETRY_FACTOR = 1.6
 RETRY_MAX_S = 3.0
 MAX_REASONS = 20
 FINGERPRINT = re.compile("[0-9a-f]{64}")
+CLOSED = "it closes the connection without a word, as one that expects TLS does"
 PLAIN, BY_TLS = "check address and port.", "here a service with TLS is expected, because `fingerprint` is set."
 ADVICE = {
     401: "Its `code` is another one: set it to the one that the service was started with.",
@@ -224,7 +225,9 @@ class LeapClient:
             raise _LinkFault(LeapLink.REFUSED, f"{self._stranger(error.first)}; {cure} Trying again.") from error
         except (OSError, EOFError, ValueError, WebSocketException) as error:
             advice = "start it: `sudo leapd` (2.3), or Ultraleap's tracking service and its WebSocket server."
-            sentence = f"No Leap service answers on {self._address} ({_reason(error)}); {advice} Trying again."
+            ended = isinstance(error, (EOFError, ConnectionResetError, BrokenPipeError))
+            reason = CLOSED if ended and not self._fingerprint else _reason(error)
+            sentence = f"No Leap service answers on {self._address} ({reason}); {advice} Trying again."
             raise _LinkFault(LeapLink.NO_SERVICE, sentence) from error
         with connection:
             try:
