@@ -19,6 +19,8 @@ import sys
 import time
 from pathlib import Path
 
+import rosgraph.names
+
 LIBRARIES = ("numpy", "scipy.optimize", "scipy.spatial", "cv2", "rospy", "tf2_ros", "actionlib", "roslaunch", "tqdm",
              "yaml", "matplotlib.pyplot", "python_qt_binding.QtWidgets", "torch", "visualization_msgs.msg",
              "sensor_msgs.msg", "diagnostic_msgs.msg", "rig_msgs.msg", "kuka_msgs.msg")  # fmt: skip
@@ -49,6 +51,9 @@ def fork(job: dict) -> int:
             os.setuid(job["user"])
         sys.argv = [job["script"], *job["arguments"]]
         sys.path.insert(0, str(Path(job["script"]).parent))
+        if names := sys.modules.get("rospy.names"):  # which reads both as it is imported
+            names._caller_namespace = rosgraph.names.get_ros_namespace()
+            names.reload_mappings(sys.argv)
         runpy.run_path(job["script"], run_name="__main__")
         code = 0
     except SystemExit as end:

@@ -55,7 +55,7 @@ def test_what_is_stored_is_read(numbers, serial, days):
         ({"quaternion": [float("inf"), 0.0, 0.0, 1.0]}, "quaternion is"),
         ({"quaternion": [0.0, 1.0, 0.0, 0.0]}, "by 180 deg"),
         ({"residual_mm": None}, "residual_mm is missing"),
-        ({"serial": 5}, "serial is 5"),
+        ({"serial": [5]}, "serial is .*, but must be a string"),
         ({"serial": "WebXR"}, "places its axes anew"),
         ({"serial": "WC-front"}, "places its axes anew"),
         ({"date": "yesterday"}, "date is 'yesterday'"),
