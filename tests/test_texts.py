@@ -27,11 +27,11 @@ NO_YAML = ("2001-13-45", "=")
 """Of which PyYAML makes nothing."""
 NO_PARAMETER = ("null", "~", "2001-01-01")
 """Of which it makes what the parameter server cannot hold."""
-TYPES = {"text": str, "names": tuple}
+KINDS = ("text", "names")
 
 
 def text_fields() -> list[tuple[str, str, str, str]]:
-    """Returns module, schema, key and kind of each field of the schemas in the tree that is a text or a list of them."""
+    """Returns module, schema, key and kind of each field of a schema in the tree that is a text or a list of them."""
     found = []
     for file in sorted(ROOT.glob("src/**/src/**/*.py")):
         if "text(" not in file.read_text() and "names(" not in file.read_text():
@@ -39,9 +39,9 @@ def text_fields() -> list[tuple[str, str, str, str]]:
         module = ".".join(file.with_suffix("").parts[file.parts.index("src", len(ROOT.parts) + 2) + 1 :])
         for node in ast.walk(ast.parse(file.read_text())):
             for one in node.body if isinstance(node, ast.ClassDef) else ():
-                function = one.value.func if isinstance(one, ast.AnnAssign) and isinstance(one.value, ast.Call) else None
-                if isinstance(function, ast.Name) and function.id in TYPES:
-                    found.append((module, node.name, one.target.id, function.id))
+                kind = getattr(getattr(getattr(one, "value", None), "func", None), "id", "")
+                if isinstance(one, ast.AnnAssign) and kind in KINDS:
+                    found.append((module, node.name, one.target.id, kind))
     return found
 
 

@@ -157,6 +157,11 @@ def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, s
     _, second = files(folder)
     made = decode(second.read_bytes())
     assert not made.held and made.metadata.object == "box"
+    rospy.set_param("grasp_collection/object", 7)  # as `rosparam set` reads 007
+    rig.perform(grasp(touched=False))
+    third = files(folder)[-1]
+    assert third != second and decode(third.read_bytes()).metadata.object == "box"
+    assert "The object is still called box: " in process.log_path.read_text()
     process.send_signal(signal.SIGINT)
     assert process.wait(LATER_S) == 0
     assert "Traceback" not in process.log_path.read_text()

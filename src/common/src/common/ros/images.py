@@ -125,6 +125,9 @@ def camera_model_from_info(
     roi = message.roi
     binning = np.maximum((message.binning_x, message.binning_y), 1)
     described = np.array((roi.width or message.width, roi.height or message.height)) // binning
+    outside = roi.x_offset + roi.width > message.width or roi.y_offset + roi.height > message.height
+    if message.width and message.height and (outside or not described.all()):
+        raise ValueError("binning and region of interest in the camera_info leave nothing of its image")
     cut = np.array([[1.0, 0.0, -roi.x_offset], [0.0, 1.0, -roi.y_offset], [0.0, 0.0, 1.0]])
     cut[:2] /= binning[:, None]
     width, height = (own or given for own, given in zip(described.tolist(), size or (0, 0)))

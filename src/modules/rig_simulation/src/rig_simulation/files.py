@@ -5,6 +5,7 @@ They are found in the source tree and, with ROS, where ROS knows their package.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,7 @@ def _read_yaml(kind: str, name: str) -> dict[str, Any]:
     is_path = Path(name).suffix.lower() in SUFFIXES
     folders = [folder / "config" / kind for folder in _package_folders("rig_simulation")]
     for path in [Path(name)] if is_path else [folder / f"{name}.yaml" for folder in folders]:
-        if path.is_file():
+        if os.path.isfile(path):  # unlike Path.is_file also of a name that is too long
             return read_yaml(path)
     if is_path:
         raise ConfigError([f"There is no file {Path(name).absolute()}."])
