@@ -40,9 +40,9 @@ class WrittenMapping(dict):
     written: a name such as 007, on, null or 2001-01-01, which yaml reads as another type.
     """
 
-    def __init__(self, values: Mapping[Any, Any], texts: Mapping[str, Any]) -> None:
+    def __init__(self, values: Any = (), texts: Mapping[str, Any] | None = None) -> None:
         super().__init__(values)
-        self.texts = texts
+        self.texts = texts or {}
 
 
 def as_written(values: Mapping[str, Any], key: str) -> Any:

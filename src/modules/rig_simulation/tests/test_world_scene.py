@@ -6,7 +6,6 @@ import json
 import mujoco
 import numpy as np
 import pytest
-import yaml
 
 from common.errors import ConfigError
 from rig_simulation.files import SOURCE_TREE, read_board, read_scene
@@ -109,7 +108,7 @@ def test_an_unknown_scene_is_refused_with_those_that_there_are(tmp_path):
 
 def test_a_scene_can_be_a_file_of_ones_own(tmp_path):
     path = tmp_path / "mine.yaml"
-    path.write_text(yaml.safe_dump(read_scene("cup")), encoding="utf-8")
+    path.write_text(json.dumps(read_scene("cup")), encoding="utf-8")
     assert read_scene(str(path)) == read_scene("cup")
 
 

@@ -10,7 +10,7 @@ import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 
@@ -70,10 +70,12 @@ class _Loader(yaml.SafeLoader):
         yield mapping
         mapping.update(self.construct_mapping(node))
 
-
-_Loader.add_constructor(yaml.resolver.Resolver.DEFAULT_MAPPING_TAG, _Loader.written)
-for _kind in ("timestamp", "value"):  # the second is =
-    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", yaml.SafeLoader.construct_yaml_str)
+    yaml_constructors: ClassVar = {
+        **yaml.SafeLoader.yaml_constructors,
+        yaml.resolver.Resolver.DEFAULT_MAPPING_TAG: written,
+        "tag:yaml.org,2002:timestamp": yaml.SafeLoader.construct_yaml_str,
+        "tag:yaml.org,2002:value": yaml.SafeLoader.construct_yaml_str,  # =
+    }
 
 
 def _text(node: yaml.Node) -> str | list[str] | None:
