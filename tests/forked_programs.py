@@ -53,6 +53,7 @@ def fork(job: dict) -> int:
         sys.path.insert(0, str(Path(job["script"]).parent))
         if names := sys.modules.get("rospy.names"):  # which reads both as it is imported
             names._caller_namespace = rosgraph.names.get_ros_namespace()
+            names._caller_id = f"{names._caller_namespace}unnamed"
             names.reload_mappings(sys.argv)
         runpy.run_path(job["script"], run_name="__main__")
         code = 0
