@@ -66,7 +66,7 @@ def offered() -> set[str]:
         for call in ast.walk(ast.parse(file.read_text())):
             name = getattr(call.func, "attr", "") if isinstance(call, ast.Call) else ""
             if name in ("Service", "_serve", "ActionServer", "SimpleActionServer") and len(call.args) > 1:
-                found.add(ast.unparse(call.args[1]))
+                found.add(getattr(call.args[1], "id", "service_type"))
     return found - {"service_type"}
 
 

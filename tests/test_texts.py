@@ -16,7 +16,6 @@ from common.camera_model import from_calibration
 from common.config import QUOTE_IT, choice, keys, names, parse, text
 from common.errors import ConfigError
 from common.ros.files import read_yaml
-from common.ros.params import private_config, private_values
 
 pytestmark = pytest.mark.ros
 
@@ -115,6 +114,8 @@ class Whole:
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in NO_YAML + NO_PARAMETER])
 def test_a_private_parameter_on_the_command_line_is_the_text_until_it_is_set_again(virtual_graph, name):
     import rospy
+
+    from common.ros.params import private_config, private_values
 
     read = []
 

@@ -10,7 +10,7 @@ import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import yaml
 
@@ -70,7 +70,7 @@ class _Loader(yaml.SafeLoader):
         yield mapping
         mapping.update(self.construct_mapping(node))
 
-    yaml_constructors: ClassVar = {
+    yaml_constructors = {  # noqa: RUF012
         **yaml.SafeLoader.yaml_constructors,
         yaml.resolver.Resolver.DEFAULT_MAPPING_TAG: written,
         "tag:yaml.org,2002:timestamp": yaml.SafeLoader.construct_yaml_str,

@@ -6,6 +6,7 @@ config/reflex_takktile.yaml, which are the same.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Tuple
@@ -49,9 +50,9 @@ class HandSettings:
 def setting_fault(name: str, values: Sequence[float]) -> str | None:
     """Returns which of the values a setting must not have, a part of a sentence; None if it may have all."""
     allowed = next(setting.metadata for setting in fields(HandSettings) if setting.name == name)
-    low, above, high = allowed.get("low"), allowed.get("above"), allowed["high"]
-    least = f"above {above:g}" if low is None else f"at least {low:g}"
+    low, above, high = allowed.get("low", -math.inf), allowed.get("above", -math.inf), allowed["high"]
+    least = f"at least {low:g}" if "low" in allowed else f"above {above:g}"
     for value in values:
-        if not value <= high or (value <= above if low is None else value < low):
+        if not low <= value <= high or value <= above:
             return f"{value:g} must be {least} and at most {high:g} {allowed['unit']}"
     return None
