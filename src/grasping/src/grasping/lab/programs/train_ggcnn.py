@@ -85,7 +85,7 @@ def main() -> None:
         start = arguments.start and weights.load(arguments.start.read_bytes())
         if start:
             settings = replace(settings, network=start.name)
-        side_multiple = int(NETWORKS[settings.network]().side_multiple)
+        side_multiple = int(NETWORKS[settings.network]().side_multiple)  # type: ignore[arg-type]  # a Module's attribute
         if settings.side % side_multiple:
             raise RigError(f"--side is {settings.side}, but {settings.network} needs a multiple of {side_multiple}.")
         parts = [load(arguments.data, split, arguments.shards) for split in ("train", "validation")]
