@@ -79,19 +79,15 @@ def check_master(patience: float) -> None:
 
 
 def check_host() -> None:
-    """Raises RigError unless this computer reaches itself by the name or address that it gives to other nodes."""
+    """Raises RigError unless the name or address that this node gives to others is this computer's."""
     host, given = rosgraph.network.get_host_name(), "The name of this computer"
     for name in ("ROS_IP", "ROS_HOSTNAME"):
         given = name if name in os.environ else given
     cure = "so no other node would reach this one: correct it, or set ROS_IP to an address of this computer."
     if not _resolved(host):
         raise RigError(f"{given} is {host!r}, which has no address, {cure}")
-    family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
-    with socket.create_server(("", 0), family=family) as listener:
-        try:
-            socket.create_connection((host, listener.getsockname()[1]), CONNECT_S).close()
-        except OSError:
-            raise RigError(f"{given} is {host!r}, where this computer does not answer, {cure}") from None
+    if not rosgraph.network.is_local_address(host):
+        raise RigError(f"{given} is {host!r}, which is none of this computer's, {cure}")
 
 
 def check_log_folder() -> Path:
