@@ -94,6 +94,22 @@ def test_a_frame_below_the_tool_that_is_out_of_step_is_named(virtual_graph):
     assert tool.run(1.0, (BASE, "desk", now), ("desk", TOOL_DESIRED, now))[0] > 40
 
 
+@pytest.mark.parametrize("fault", ["the same stamp", "older"])
+def test_a_foreign_stream_that_falters_stays_the_same_stream(virtual_graph, fault):
+    """Else what bars it, as that it was far away when control went on, would end with the first refused frame."""
+    tool = Publisher()
+    tool.run(1.0, (BASE, "desk", now), ("desk", TOOL_DESIRED, now))
+    number, last = tool.stream.number, tool.begin + 1.0
+    if fault == "older":
+        edges = (BASE, "desk", lambda t: None), ("desk", TOOL_DESIRED, now)
+    else:
+        edges = (BASE, "desk", now), ("desk", TOOL_DESIRED, lambda t: last)
+    _, refused = tool.run(1.0, *edges)
+    assert fault in refused[0]
+    assert tool.run(0.5, (BASE, "desk", now), ("desk", TOOL_DESIRED, now))[0] > 15
+    assert tool.stream.number == number
+
+
 NAMES = ("tool_frame/desired", "kuka/tool_frame_desired", "/kuka/desired", "iiwa/tool_frame/desired")
 
 

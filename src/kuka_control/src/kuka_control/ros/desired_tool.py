@@ -291,8 +291,7 @@ class DesiredTool:
         refused, self._refused = self._refused, None
         if refused is not None:  # the stamp stays, for the frame before it must not count as new
             self._unconnected, self._unconnected_since = self._heard, None
-            self._newest = DesiredFrame(np.eye(4), now, refused=refused)
-            return True
+            return self._refuse_at(now, refused)
         conflict = self._sources.conflict(self._tool, now)
         if conflict is not None:
             if conflict is self._conflict:
@@ -352,8 +351,7 @@ class DesiredTool:
         if newest == math.inf:
             return False
         old = f"it stands in {frame}, whose newest transform is {self._last_stamp - newest:.1f} s older"
-        self._newest = DesiredFrame(np.eye(4), clock.monotonic(), refused=f"The desired tool frame is refused: {old}.")
-        return True
+        return self._refuse_at(clock.monotonic(), f"The desired tool frame is refused: {old}.")
 
     def _refuse_unconnected(self) -> bool:
         """Refuses a desired tool frame that comes, but has no way to the base."""
@@ -366,8 +364,14 @@ class DesiredTool:
 
     def _refuse(self, sentence: str) -> bool:
         self._looked_up = self.stamp = rospy.Time.now()
+        return self._refuse_at(self.stamp.to_sec(), sentence)
+
+    def _refuse_at(self, stamp: float, sentence: str) -> bool:
+        """Refuses what came, by a frame with this stamp [s]. One of a foreign stream does not begin another stream: what
+        bars the present one would end.
+        """
         foreign = self._foreign and self._leap not in self._parents
-        self._newest = DesiredFrame(np.eye(4), self.stamp.to_sec(), sentence, foreign=foreign)
+        self._newest = DesiredFrame(np.eye(4), stamp, refused=sentence, foreign=foreign)
         return True
 
 
