@@ -1,6 +1,6 @@
 """What answers where a device is expected, if that is not the device: in words, by its first bytes.
 
-The libraries of the devices stand alone, so each has this file: the others' is a link to kst's.
+The libraries of the devices stand alone, so each has a copy of this file, by test: no link, which an sdist loses.
 """
 
 from __future__ import annotations
