@@ -367,8 +367,8 @@ class DesiredTool:
         return self._refuse_at(self.stamp.to_sec(), sentence)
 
     def _refuse_at(self, stamp: float, sentence: str) -> bool:
-        """Refuses what came, by a frame with this stamp [s]. One of a foreign stream does not begin another stream: what
-        bars the present one would end.
+        """Refuses what came, by a frame with this stamp [s]. That of a foreign stream does not begin another one, by
+        which a bar would end.
         """
         foreign = self._foreign and self._leap not in self._parents
         self._newest = DesiredFrame(np.eye(4), stamp, refused=sentence, foreign=foreign)
