@@ -40,6 +40,24 @@ def test_what_is_wrong_with_the_screen_is_said(monkeypatch, environment, said, s
         screen.check_screen("The view")
 
 
+def test_on_wayland_a_screen_of_x11_suffices(monkeypatch):
+    """A trial of Qt takes seconds while a rig starts."""
+    monkeypatch.setenv("WAYLAND_DISPLAY", "wayland-0")
+    monkeypatch.delenv("QT_QPA_PLATFORM", raising=False)
+    monkeypatch.setattr(screen, "no_x_server", lambda: "")
+    monkeypatch.setattr(screen.subprocess, "run", None)
+    assert screen.no_screen() == ""
+
+
+def test_without_pythons_qt_nothing_is_known_of_a_screen(monkeypatch, tmp_path):
+    """RViz needs none."""
+    (tmp_path / "python_qt_binding.py").write_text("raise ImportError")
+    for name, value in {"WAYLAND_DISPLAY": "nosuch", "DISPLAY": "", "PYTHONPATH": str(tmp_path)}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("QT_QPA_PLATFORM", raising=False)
+    assert screen.no_screen() == ""
+
+
 @pytest.mark.real
 @pytest.mark.parametrize(
     ("environment", "code", "said"),

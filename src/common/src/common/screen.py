@@ -14,7 +14,13 @@ ANSWER_S = 3.0  # longest wait for a screen
 TRIAL_S = 10.0  # and for a Python that opens one
 X11 = ("", "xcb")  # platforms of Qt
 WITHOUT = ("offscreen", "minimal")  # those that need nothing, and show nothing
-TRIAL = "from python_qt_binding.QtWidgets import QApplication; QApplication(['trial'])"
+TRIAL = """
+try:
+    from python_qt_binding.QtWidgets import QApplication
+except ImportError:  # RViz needs none
+    raise SystemExit(0)
+QApplication(["trial"])
+"""
 
 
 def check_screen(what: str, cure: str = "") -> None:
@@ -32,8 +38,10 @@ def no_screen() -> str:
     """Returns why nobody would see a window of Qt, a part of a sentence; empty if there is a screen."""
     if sys.platform != "linux":
         return ""
-    if _platform() in (*X11, *WITHOUT) and not os.environ.get("WAYLAND_DISPLAY"):
-        return no_x_server()
+    if _platform() in (*X11, *WITHOUT):
+        fault = no_x_server()
+        if not (fault and os.environ.get("WAYLAND_DISPLAY")):
+            return fault  # by X11 Qt opens a window on Wayland, too
     names = ("QT_QPA_PLATFORM", "WAYLAND_DISPLAY", "DISPLAY")
     given = ", ".join(f"{name}={os.environ[name]}" for name in names if os.environ.get(name))
     try:
