@@ -97,6 +97,19 @@ def stretched(finger, factor, start=1):
     return lambda hand: moved(hand, change)
 
 
+def folded(number):
+    """A joint of the index finger, and what follows it, is folded back on the bone before."""
+
+    def change(joints, palm, axes):
+        back = joints[INDEX, number - 1] - joints[INDEX, number]
+        before = joints[INDEX, number - 2] - joints[INDEX, number - 1]
+        turned = before * np.linalg.norm(back) / np.linalg.norm(before)
+        joints[INDEX, number:] += joints[INDEX, number - 1] + turned - joints[INDEX, number]
+        return joints
+
+    return lambda hand: moved(hand, change)
+
+
 def shifted(finger, *offset):
     def change(joints, palm, axes):
         joints[finger] += axes @ offset
@@ -132,6 +145,9 @@ ALWAYS = {
     ),
     "all of a finger at the origin": (joint(MIDDLE, slice(None), 0.0), {MIDDLE}),
     "joints in one point": (joint(MIDDLE, slice(2, None), (0.04, 0.32, -0.06)), {MIDDLE}),
+    "a tip that is folded back": (folded(4), {INDEX}),
+    "a finger that is folded back at its middle joint": (folded(3), {INDEX}),
+    "a finger that is folded back at its knuckle": (bent(3.1), {INDEX}),
     "index and middle finger exchanged": (order(0, 2, 1, 3, 4), {INDEX, MIDDLE}),
     "middle and ring finger exchanged": (order(0, 1, 3, 2, 4), {MIDDLE, RING}),
     "thumb and little finger exchanged": (order(4, 1, 2, 3, 0), {THUMB, LITTLE}),
@@ -200,6 +216,24 @@ def test_what_became_another_within_a_frame_is_out_until_it_is_new_or_could_have
     assert not any(out[5 + sum(out) :]), "it stays"
     if longest == BOUNDS.hold:
         assert sum(out) * PERIOD_S > 0.2, "longer than leap_kuka waits for the hand of an engagement"
+
+
+@pytest.mark.parametrize("numbers", [lambda i: 1 + (i == 5), lambda i: 1 + (i >= 5), lambda i: i])
+def test_a_new_id_in_the_place_of_a_hand_lets_no_lie_through(numbers):
+    """Trackers give one when they lost the hand for a frame; the robot hand follows it as the same hand."""
+    honest = [hand_at(i * PERIOD_S, number=numbers(i)) for i in range(10)]
+    told = [hand if i != 5 else bent(1.2)(hand) for i, hand in enumerate(honest)]
+    found = seen([frame(i, hand) for i, hand in enumerate(told)])
+    assert missing(frame(5, told[5]), found[5]) == {INDEX}
+    assert [each.hands for i, each in enumerate(found) if i != 5] == [(h,) for i, h in enumerate(honest) if i != 5]
+    closed = [hand_at(i * PERIOD_S, number=numbers(i), curl=float(i == 5)) for i in range(10)]
+    assert missing(frame(5, closed[5]), seen([frame(i, hand) for i, hand in enumerate(closed)])[5]) > {INDEX, LITTLE}
+
+
+def test_a_new_id_elsewhere_is_another_hand():
+    hands = [hand_at(number=1)] * 3 + [bent(1.2)(hand_at(number=2, place=(-120.0, 250.0, 40.0)))] * 3
+    frames = [frame(i, hand) for i, hand in enumerate(hands)]
+    assert seen(frames) == frames
 
 
 @given(st.integers(0, 4), st.integers(2, 4), st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.floats(0.0, 1.0))

@@ -6,6 +6,9 @@ the newest plausible command for as long as for a hand that is lost. What came o
 `hold` at most; then a hand is new. So a hand that moved on while it was left out comes back soon, and a hand that
 becomes another one within a frame is out of view for longer than any engagement outlives its hand.
 
+A hand whose id changes while it stays in its place is the same hand: trackers number a hand anew that they had lost for
+a frame.
+
 All is judged in palm axes, and by the common scale of the hand's bones: a hand may move, and change its size, at will.
 How far a palm may move is leap_kuka's to say (hand_average.py).
 
@@ -30,7 +33,9 @@ METACARPAL = 1.5  # times a finger's bone, in its longest length
 TIP_M = 0.03  # farthest that the finger tip's centre is from the end of the last bone
 KNUCKLE_M = 0.12  # farthest that a knuckle is from the palm's centre
 NOISE_M, NOISE_RAD = 0.005, math.radians(15.0)  # error of a joint and of the palm's axes, from frame to frame
+MOST_BEND_COS = math.cos(math.radians(150.0))  # of a finger's bone against the one before; recorded hands reach 86 deg
 MOST_TURN_RAD = math.radians(90.0)  # whatever the time that has passed
+SAME_PLACE_M = 0.1  # from the palm of a hand that is gone, at most, is that of a new id the same hand's
 NOBODY = np.zeros(5, dtype=bool)
 FINGERS = ("thumb", "index finger", "middle finger", "ring finger", "little finger")
 
@@ -69,6 +74,7 @@ class _Known:
 
     def __init__(self, side: str) -> None:
         self.side, self.at = side, 0.0
+        self.palm = np.zeros(3)  # [m]
         self.axes = np.eye(3)  # of the palm, as columns; x to the little finger's side, shape (3, 3)
         self.joints = np.zeros((5, 5, 3))  # in palm axes from the palm's centre [m]
         self.bones = np.ones((5, 3))  # lengths of the fingers' bones [m]
@@ -94,6 +100,7 @@ class PlausibleHands:
         oldest = self._time - self._bounds.hold
         self._known = {number: known for number, known in self._known.items() if known.at >= oldest}
         hands, left_out = [], []
+        self._number_anew(frame.hands)
         for hand in frame.hands:
             fault, faults = self._judge(hand)
             if fault:
@@ -104,6 +111,19 @@ class PlausibleHands:
                 hand = replace(hand, fingers=tuple(finger for finger in hand.fingers if finger.type not in faults))
             hands.append(hand)
         return replace(frame, hands=tuple(hands), left_out=(*frame.left_out, *left_out)) if left_out else frame
+
+    def _number_anew(self, hands: tuple[LeapHand, ...]) -> None:
+        """Gives what is known of a hand that is gone to the nearest one with an unknown id in its place."""
+        gone = [number for number in self._known if number not in [hand.id for hand in hands]]
+        for number in gone:
+            known = self._known[number]
+            away = {
+                hand.id: float(_norms(hand.palm - known.palm))
+                for hand in hands
+                if hand.id not in self._known and hand.side == known.side
+            }
+            if away and min(away.values()) <= SAME_PLACE_M:
+                self._known[min(away, key=away.__getitem__)] = self._known.pop(number)
 
     def _judge(self, hand: LeapHand) -> tuple[str, dict[int, str]]:
         """Returns why the hand is implausible, or an empty text, and why some of its fingers are, by their types."""
@@ -120,13 +140,16 @@ class PlausibleHands:
         types = [finger.type for finger in hand.fingers]
         if not types:
             self._known[hand.id] = known = known or _Known(hand.side)
-            known.axes, known.at = axes, self._time
+            known.palm, known.axes, known.at = hand.palm, axes, self._time
             return "", {}
         of = slice(None) if len(types) == len(FINGERS) else types
         points = np.array([finger.joints for finger in hand.fingers])
         tips = _norms(np.array([finger.tip for finger in hand.fingers]) - points[:, 4])
         joints = (points - hand.palm) @ axes
-        lengths = _norms(joints[:, 1:] - joints[:, :-1])
+        steps = joints[:, 1:] - joints[:, :-1]
+        lengths = _norms(steps)
+        cosines = np.einsum("ijk,ijk->ij", steps[:, 1:], steps[:, :-1])
+        folded = (cosines < MOST_BEND_COS * lengths[:, 1:] * lengths[:, :-1]).any(axis=1)
         bones = lengths[:, 1:]
         longest, shortest = np.maximum(bones.max(axis=1), lengths[:, 0] / METACARPAL), bones.min(axis=1)
         elsewhere = _norms(joints[:, 1]) > KNUCKLE_M
@@ -143,7 +166,7 @@ class PlausibleHands:
             changed = (changes > NOISE_M + bounds.bone_change * elapsed) & fresh
             fast = (ways[:, 1:].max(axis=1) > NOISE_M + bounds.joint_speed * elapsed) & fresh
         faults: dict[int, str] = {}
-        wrong = elsewhere | sizes
+        wrong = elsewhere | sizes | folded
         misplaced = _misplaced(types, joints[:, 1], ~wrong)
         wrong |= misplaced | changed | fast
         if wrong.any():
@@ -152,6 +175,7 @@ class PlausibleHands:
             lengths_mm = f"{1e3 * SHORTEST_M:g} to {1e3 * bounds.longest_bone:g} mm"
             for why, mask in (
                 (f"a bone is not {lengths_mm} long", sizes),
+                ("a bone is folded back on the one before", folded),
                 ("its knuckle is not where it was in the palm", elsewhere),
                 ("its knuckle is in another finger's place", misplaced),
                 ("a bone changes its length", changed),
@@ -162,7 +186,7 @@ class PlausibleHands:
             of = [kind for kind in types if kind not in faults]
             joints, bones = joints[~wrong], bones[~wrong]
         self._known[hand.id] = known = known or _Known(hand.side)
-        known.axes, known.at = axes, self._time
+        known.palm, known.axes, known.at = hand.palm, axes, self._time
         known.joints[of], known.bones[of], known.at_of[of] = joints, bones, self._time
         return "", faults
 
