@@ -37,6 +37,28 @@ def test_a_node_disengages_without_its_master_and_exits_when_another_one_answers
     assert lonely.returncode == 1 and "started anew" in log and "Traceback" not in log, log
 
 
+@pytest.mark.parametrize("busy", [1, 100])
+def test_a_node_that_starts_has_patience_with_a_master_that_is_busy(monkeypatch, busy):
+    """With the nodes of a whole rig, which begin at once."""
+    from common.ros import master
+
+    asked = []
+
+    def ask(method):
+        asked.append(method)
+        if len(asked) <= busy:
+            raise master.MasterLost("The ROS master at http://a:1 does not answer.")
+
+    monkeypatch.setattr(master, "listens", lambda uri: True)
+    monkeypatch.setattr(master, "ask_master", ask)
+    monkeypatch.setattr(master, "RETRY_S", 0.02)
+    if busy == 1:
+        master.check_master(5.0)
+        return
+    with pytest.raises(master.NoMaster, match="or something else listens there"):
+        master.check_master(0.1)
+
+
 def answers(uri):
     import rosgraph
 

@@ -49,6 +49,7 @@ def test_on_wayland_a_screen_of_x11_suffices(monkeypatch):
     assert screen.no_screen() == ""
 
 
+@pytest.mark.real
 def test_without_pythons_qt_nothing_is_known_of_a_screen(monkeypatch, tmp_path):
     """RViz needs none."""
     (tmp_path / "python_qt_binding.py").write_text("raise ImportError")

@@ -64,18 +64,24 @@ def _check_address() -> None:
 
 
 def check_master(patience: float) -> None:
-    """Raises NoMaster unless a ROS master answers; one that is not there yet has `patience` [s] to start."""
+    """Raises NoMaster unless a ROS master answers; one that starts, or is busy with the nodes that do, has `patience`
+    [s].
+    """
     uri, deadline = rosgraph.get_master_uri(), clock.monotonic() + patience
-    while not listens(uri):
+    while fault := _why_no_master(uri):
         if rospy.core.is_shutdown_requested() or clock.monotonic() >= deadline:
-            raise NoMaster(
-                f"There is no ROS master at {uri} (ROS_MASTER_URI): start one there, as by roscore, or name another."
-            )
+            raise NoMaster(fault)
         clock.sleep(RETRY_S)
+
+
+def _why_no_master(uri: str) -> str:
+    if not listens(uri):
+        return f"There is no ROS master at {uri} (ROS_MASTER_URI): start one there, as by roscore, or name another."
     try:
         ask_master("getPid")
     except MasterLost as error:
-        raise NoMaster(f"{str(error)[:-1]}, or something else listens there: see ROS_MASTER_URI.") from error
+        return f"{str(error)[:-1]}, or something else listens there: see ROS_MASTER_URI."
+    return ""
 
 
 def check_host() -> None:

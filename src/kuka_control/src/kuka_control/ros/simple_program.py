@@ -26,6 +26,7 @@ from kuka_control.ros.parameter_server import (
     NoMaster,
     NoParameters,
     living_node,
+    master_of_this_graph,
     parameters,
     shipped,
 )
@@ -118,6 +119,7 @@ def _run(options: argparse.Namespace) -> int:
     if from_server:
         _refuse_if_held()
     with contextlib.suppress(NoMaster):  # becomes a node where there is a master: others see who has the robot
+        master_of_this_graph()  # first: without one it matters not by which name others would reach this computer
         join(NODE)
     T_flange_tool = address.T_flange_tool
     client = _connect(address, model, T_flange_tool)
