@@ -64,6 +64,14 @@ def silent(connection):
 STRANGERS = {
     "an echo server": (echo, "a program that sends back what it gets", ""),
     "a web server": (answering(b"HTTP/1.0 404 Not Found\r\n\r\n"), "a web server", "`HTTP/1.0 404 Not Found\\r\\n"),
+    "a web server that upgrades anything": (
+        answering(
+            b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            b"Sec-WebSocket-Accept: abc=\r\n\r\n"
+        ),
+        "a web server",
+        "`HTTP/1.1 101 Switching",
+    ),
     "a page": (answering(b"<!DOCTYPE HTML>\n<html>\n"), "a web server", "`<!DOCTYPE HTML>"),
     "an SSH server": (banner, "an SSH server", "`SSH-2.0-OpenSSH_9.6"),
     "a padded dialect": (padded, "", "`done\\x00\\n"),
@@ -191,7 +199,8 @@ def test_what_is_no_hand_on_its_port_is_told_in_place_of_its_silence(wires, data
 
 def test_every_device_has_the_same_words():
     """By copies: pip of Ubuntu 20.04 and an sdist take a library's folder alone, where a link would lead nowhere."""
-    files = [SRC / f"modules/{package}/src/{package}/stranger.py" for package in ("kst", "leap_motion", "reflex")]
+    packages = ("kst", "leap_motion", "reflex", "rig_simulation")
+    files = [SRC / f"modules/{package}/src/{package}/stranger.py" for package in packages]
     assert not any(file.is_symlink() for file in files) and len({file.read_text() for file in files}) == 1
     long = stranger("a:1", "it", b"SSH-2.0" + bytes(100))
     assert long.startswith("what answers at a:1 is not it but an SSH server: its first bytes are `SSH-2.0\\x00")

@@ -153,6 +153,36 @@ def test_a_silent_port_times_out(wires):
     assert clock.monotonic() - begin == pytest.approx(2.0 + 2.0 * DELAY_S)
 
 
+STRANGERS = {
+    "a web server": (b"HTTP/1.0 404 Not Found\r\n\r\n", False, "but a web server: its first bytes are `HTTP/1.0 404"),
+    "an echo": (b'{"do": "state"}\n', False, "but a program that sends back what it gets"),
+    "another service": (b"done\n", False, "its first bytes are `done\\n`"),
+    "a list": (b"[1]\n", False, "its first bytes are `[1]\\n`"),
+    "bytes without end": (b"H", True, "its first bytes are `HHH"),
+}
+
+
+@pytest.mark.parametrize("name", STRANGERS)
+def test_what_is_no_control_port_is_told_with_its_first_bytes_in_time(wires, name):
+    sent, again, told = STRANGERS[name]
+    listener = wires.serve(("127.0.0.1", 0))
+
+    def talk():
+        connection = listener.accept()[0]
+        connection.recv(4096)
+        connection.sendall(sent)
+        while again:
+            clock.sleep(0.4)
+            connection.sendall(sent)
+
+    clock.Thread(target=talk, daemon=True).start()
+    port, began = listener.getsockname()[1], clock.monotonic()
+    with pytest.raises(DeviceError) as caught:
+        ControlClient("127.0.0.1", port).ask("state")
+    assert str(caught.value).startswith(f"What answers at 127.0.0.1:{port} is not the control port of a simulated")
+    assert told in str(caught.value) and clock.monotonic() - began < 2.5
+
+
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.1", "example.org", ""])
 def test_only_loopback(wires, host):
     with pytest.raises(DeviceError, match="loopback"):

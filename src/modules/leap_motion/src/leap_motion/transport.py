@@ -17,7 +17,7 @@ from collections import deque
 from urllib.parse import urlencode
 
 from websockets.client import ClientProtocol
-from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
+from websockets.exceptions import ConnectionClosed, InvalidHeader, InvalidStatus, WebSocketException
 from websockets.frames import Frame, Opcode
 from websockets.protocol import State
 from websockets.uri import parse_uri
@@ -82,6 +82,7 @@ class LeapSocket(contextlib.AbstractContextManager):
             refused = isinstance(error, InvalidStatus) and error.response.status_code in REFUSALS
             failed = isinstance(error, (OSError, EOFError, ValueError, WebSocketException)) and not refused
             opens = self._heard.startswith(self._opens) and self._heard[5:6] != OWN_HELLO
+            opens = opens and not isinstance(error, InvalidHeader)  # of a service that upgrades to something else
             if failed and self._heard and not opens:
                 raise ForeignAnswer(self._heard, self._opens == OPENS_TLS) from error
             raise

@@ -8,7 +8,7 @@ from __future__ import annotations
 SHOWN = 48  # bytes
 ECHO, TLS, WEB = "a program that sends back what it gets", "a service with TLS", "a web server"
 KINDS = {
-    **{begin: ECHO for begin in (b"tftrans", b"get /", b"\x16\x03\x01")},  # our own first words, by TLS the third
+    **{begin: ECHO for begin in (b"tftrans", b"get /", b'{"do":', b"\x16\x03\x01")},  # our own words, last by TLS
     **{begin: TLS for begin in (b"\x15\x03", b"\x16\x03")},
     **{begin: WEB for begin in (b"http/", b"<!doctype", b"<html")},
     b"ssh-": "an SSH server",

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
-import io
 import ipaddress
 import json
 import socket
@@ -19,6 +18,7 @@ from typing import Any, Callable
 
 from common import clock
 from common.errors import DeviceError, RigError
+from rig_simulation.stranger import stranger
 
 MAX_LINE_BYTES = 65536
 BACKLOG = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server
@@ -140,7 +140,7 @@ class ControlClient(contextlib.AbstractContextManager):
     def __init__(self, host: str, port: int, timeout: float = 2.0) -> None:
         self._address, self._name = (host, port), f"{host}:{port}"
         self._timeout = timeout
-        self._stream: io.BufferedRWPair | None = None
+        self._connection: socket.socket | None = None
         self._lock = clock.Lock()
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:
@@ -149,9 +149,8 @@ class ControlClient(contextlib.AbstractContextManager):
         """
         with self._lock:
             answer = self._exchange({"do": do, **fields})
-        if not isinstance(answer, dict) or answer.pop("ok", None) is not True:
-            reason = answer.get("error") if isinstance(answer, dict) else None
-            raise DeviceError(str(reason or f"The control port {self._name} answered {answer!r}."))
+        if answer.pop("ok") is not True:
+            raise DeviceError(str(answer.get("error") or f"The control port {self._name} answered {answer!r}."))
         return answer
 
     def close(self) -> None:
@@ -162,28 +161,41 @@ class ControlClient(contextlib.AbstractContextManager):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _exchange(self, request: dict[str, Any]) -> Any:
+    def _exchange(self, request: dict[str, Any]) -> dict[str, Any]:
+        heard = b""
         try:
-            if self._stream is None:
-                with socket.create_connection(self._address, self._timeout) as connection:
-                    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    self._stream = connection.makefile("rwb")  # keeps the connection open
-            self._stream.write(_encoded(request))
-            self._stream.flush()
-            line = self._stream.readline()
-            if not line:
-                raise EOFError("the connection was closed")
-            return json.loads(line.decode("utf-8"))
+            if self._connection is None:
+                self._connection = socket.create_connection(self._address, self._timeout)
+                self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._connection.settimeout(self._timeout)
+            self._connection.sendall(_encoded(request))
+            deadline = clock.monotonic() + self._timeout
+            while not heard.endswith(b"\n"):
+                rest = deadline - clock.monotonic()
+                if rest <= 0.0:
+                    raise TimeoutError("timed out")
+                self._connection.settimeout(rest)
+                data = self._connection.recv(MAX_LINE_BYTES)
+                if not data:
+                    raise EOFError("the connection was closed")
+                heard += data
+            answer = json.loads(heard.decode("utf-8"))
+            if not isinstance(answer, dict) or "ok" not in answer:
+                raise ValueError("no answer of a control port")
+            return answer
         except (OSError, EOFError, ValueError, RecursionError) as error:
             self._disconnect()
+            if heard and not heard.startswith(b'{"ok"'):
+                what = stranger(self._name, "the control port of a simulated device", heard)
+                raise DeviceError(f"W{what[1:]}; check the port.") from None
             kind = PortClosedError if isinstance(error, ConnectionRefusedError) else DeviceError
             raise kind(f"The control port {self._name} does not answer: {error}.") from None
 
     def _disconnect(self) -> None:
-        if self._stream is not None:
+        if self._connection is not None:
             with contextlib.suppress(OSError):
-                self._stream.close()
-        self._stream = None
+                self._connection.close()
+        self._connection = None
 
 
 def listen(host: str, port: int, purpose: str) -> socket.socket:
