@@ -59,6 +59,13 @@ def test_a_text_from_windows_is_the_same(tmp_path, how, blanks):
     assert read_yaml(path) == {"name": "Prüfstand", "size": [640, 480], "at": {"x": 0.1}}
 
 
+def test_a_file_of_blanks_is_read_in_time_that_grows_with_its_size(tmp_path):
+    """An expression that seeks the end of the line from each blank takes hours."""
+    path = tmp_path / "blanks.txt"
+    path.write_text(f"a{' ' * 2_000_000}b \t\r\nc")
+    assert read_text(path) == f"a{' ' * 2_000_000}b\nc"
+
+
 @pytest.mark.parametrize("content", ["name: Prüfstand".encode("latin-1"), b"\0\1\2\xff", b"\xff\xfea"])
 def test_what_is_no_text_is_named(tmp_path, content):
     (tmp_path / "file.yaml").write_bytes(content)

@@ -39,7 +39,7 @@ def text_of(content: bytes) -> str:
     """
     utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if utf16 else "utf-8-sig")
-    return re.sub(r"[ \t]*(\r\n|\r|\n)", "\n", text)
+    return "\n".join(line.rstrip(" \t") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
 
 
 def home() -> Path:
