@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 import xmlrpc.client
 
@@ -371,3 +372,18 @@ def pid_of(master):
         return master.getPid("/test")[2]
     except OSError:
         return None
+
+
+PROGRAM = (
+    "from common.ros.node import run_program; run_program('it', lambda: [print(i) for i in range(9)] and 0, 'end')"
+)
+
+
+@pytest.mark.parametrize(
+    ("output", "code", "said"),
+    [(">/dev/full", 1, "it: The output cannot be written: No space left on device.\n"), (">&-", 0, "")],
+)
+def test_a_program_whose_output_goes_nowhere_has_no_traceback(output, code, said):
+    command = ["bash", "-c", f'exec "$0" -c "$1" {output}', sys.executable, PROGRAM]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stderr) == (code, said)

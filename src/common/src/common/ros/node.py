@@ -82,6 +82,7 @@ def _begin(name: str, patience: float, **options: Any) -> None:
 def prepare_process(disposable: bool) -> None:
     """Changes what a process has one of: heap, signals, the reports of threads; for a node that is `disposable`."""
     _close_watches_with_topics()
+    open_closed_streams()
     sys.stdout.reconfigure(errors=UNPRINTABLE)
     # Each connection has threads, and each thread would keep a heap of its own, of images too: 20 visits of a listener
     # made 190 MiB of a node with 60, with one heap 115 MiB, of which no visit makes more.
@@ -117,6 +118,7 @@ def run_program(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     end_closed_servers()
     hide_closed_connections()
+    open_closed_streams()
     sys.stdout.reconfigure(line_buffering=True, errors=UNPRINTABLE)
     try:
         check_folder()
@@ -124,11 +126,36 @@ def run_program(
     except (RigError, *errors) as error:
         _report(name, error)
         code = 1
+    except OSError:
+        fault = lost_output()
+        if not fault:
+            raise
+        _report(name, RigError(fault))
+        code = 1
     except KeyboardInterrupt:
         print(f"\n{interrupted}")
         code = INTERRUPTED
     rospy.signal_shutdown("the program exits")
     sys.exit(code)
+
+
+def open_closed_streams() -> None:
+    """Lets a process whose output was closed, as by >&-, write to nobody instead of ending with a traceback."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115  # for as long as the process
+
+
+def lost_output() -> str:
+    """Returns why nothing can be printed any more, a sentence; empty if a line end can."""
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError as error:
+        with open(os.devnull, "w") as nobody:
+            os.dup2(nobody.fileno(), sys.stdout.fileno())
+        return f"The output cannot be written: {error.strerror}."
+    return ""
 
 
 def need_home(name: str) -> None:
