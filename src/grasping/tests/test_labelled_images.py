@@ -272,6 +272,7 @@ def test_a_labelled_grasp_is_right_by_the_rectangle_metric_and_one_turned_is_not
         ("depth.png", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1500, np.uint16))),
         ("depth.npy", lambda path: np.save(path, np.full((4, 5), 1.5))),
         ("depth.npy", lambda path: np.save(path, np.full((4, 5), 1500, np.uint16))),
+        ("depth.npy", lambda path: np.save(path, np.full((4, 5), 1500, ">u2"))),
         ("DEPTH.TIF", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1500, np.uint16))),
         ("depth.tiff", lambda path: cv2.imwrite(str(path), np.full((4, 5), 1.5, np.float32))),
     ],
@@ -290,6 +291,15 @@ def test_what_is_no_depth_image_is_refused_by_name(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RigError, match=name):
         li.read_depth(tmp_path / name)
+
+
+def test_several_arrays_and_an_empty_file_are_no_depth_image(tmp_path):
+    np.savez(tmp_path / "depth.npz", np.full((4, 5), 1.5))
+    (tmp_path / "depth.npz").rename(tmp_path / "depth.npy")
+    (tmp_path / "depth.png").touch()
+    for name in ("depth.npy", "depth.png"):
+        with pytest.raises(RigError, match=f"{name} is not an image.$"):
+            li.read_depth(tmp_path / name)
 
 
 @pytest.mark.parametrize(

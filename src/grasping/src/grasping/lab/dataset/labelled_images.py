@@ -127,11 +127,13 @@ def read_depth(path: Path) -> np.ndarray:
             depth = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
     except OSError as error:
         raise RigError(f"{path} cannot be read: {error.strerror or error}.") from error
-    except (ValueError, EOFError, cv2.error) as error:
+    except cv2.error:  # of an empty file
+        depth = None
+    except (ValueError, EOFError) as error:
         raise RigError(f"{path} cannot be read: {error}.") from error
-    if depth is None:
+    if not isinstance(depth, np.ndarray):  # of several arrays in one file, too
         raise RigError(f"{path} is not an image.")
-    if depth.dtype == np.uint16:
+    if depth.dtype.newbyteorder("=") == np.uint16:
         depth = depth * np.float32(0.001)
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
         raise RigError(f"{path} holds {depth.dtype} of shape {depth.shape}, not 16-bit millimetres or metres, (h, w).")
