@@ -374,11 +374,13 @@ def pid_of(master):
         return None
 
 
-PROGRAM = (
-    "from common.ros.node import run_program; run_program('it', lambda: [print(i) for i in range(9)] and 0, 'end')"
-)
+PROGRAM = """
+from common.ros.node import run_program
+run_program("it", lambda: [print(i) for i in range(9)] and 0, "end")
+"""
 
 
+@pytest.mark.real
 @pytest.mark.parametrize(
     ("output", "code", "said"),
     [(">/dev/full", 1, "it: The output cannot be written: No space left on device.\n"), (">&-", 0, "")],
