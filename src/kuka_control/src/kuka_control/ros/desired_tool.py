@@ -362,16 +362,17 @@ class DesiredTool:
         unknown = f"it stands in {frame}, and nobody publishes where that is in {self._base}"
         return self._refuse(f"The desired tool frame is refused: {unknown}.")
 
-    def _refuse(self, sentence: str) -> bool:
+    def _refuse(self, conflict: str) -> bool:
+        """Refuses what came, and the whole stream with it."""
         self._looked_up = self.stamp = rospy.Time.now()
-        return self._refuse_at(self.stamp.to_sec(), sentence)
+        return self._refuse_at(self.stamp.to_sec(), conflict=conflict)
 
-    def _refuse_at(self, stamp: float, sentence: str) -> bool:
+    def _refuse_at(self, stamp: float, refused: str | None = None, conflict: str | None = None) -> bool:
         """Refuses what came, by a frame with this stamp [s]. That of a foreign stream does not begin another one, by
         which a bar would end.
         """
         foreign = self._foreign and self._leap not in self._parents
-        self._newest = DesiredFrame(np.eye(4), stamp, refused=sentence, foreign=foreign)
+        self._newest = DesiredFrame(np.eye(4), stamp, conflict, refused, foreign=foreign)
         return True
 
 
