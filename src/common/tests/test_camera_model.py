@@ -86,6 +86,27 @@ def test_a_bad_calibration_is_refused_and_names_the_key(key, value):
         from_calibration(calibration)
 
 
+@pytest.mark.parametrize(
+    ("key", "index", "number", "said"),
+    [
+        ("camera_matrix", 1, 100.0, "is no camera matrix"),
+        ("camera_matrix", 3, 50.0, "is no camera matrix"),
+        ("camera_matrix", 8, 0.0, "is no camera matrix"),
+        ("projection_matrix", 1, 80.0, "is no camera matrix"),
+        ("rectification_matrix", 0, -1.0, "is no rotation"),
+    ],
+)
+def test_a_number_of_a_calibration_that_no_camera_has_is_named(key, index, number, said):
+    calibration = copy.deepcopy(XTION)
+    calibration[key]["data"][index] = number
+    with pytest.raises(ConfigError, match=f"{key}.*{said}"):
+        from_calibration(calibration)
+
+
+def test_a_rectification_of_zeros_turns_nothing():
+    assert np.array_equal(from_calibration({**XTION, "rectification_matrix": {"data": [0.0] * 9}}).R, np.eye(3))
+
+
 def test_all_faults_of_a_calibration_are_reported_at_once():
     with pytest.raises(ConfigError) as error:
         from_calibration({})

@@ -128,6 +128,10 @@ def from_calibration(values: Mapping[str, Any]) -> CameraModel:
                 check_intrinsics(matrix, values["image_width"], values["image_height"], off)
         except ValueError as error:
             faults.append(f"{key}: {error}.")
+    if R is not None and not R.any():  # of a driver that rectifies nothing
+        R = read_only(np.eye(3))
+    if R is not None and not (np.allclose(R @ R.T, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0):
+        faults.append(f"rectification_matrix is {R.tolist()}, which is no rotation.")
     if faults or K is None or D is None or R is None or P is None:
         raise ConfigError(faults)
     return CameraModel(name, values["image_width"], values["image_height"], K, D, R, P)

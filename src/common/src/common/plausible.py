@@ -12,6 +12,7 @@ FARTHEST_M = 20.0  # the farthest range that an RGB-D camera states (D455); in m
 NEAREST_M = 0.01  # no such camera measures as near; metres in whole numbers, read as millimetres, are below it
 SHORTEST, LONGEST = 0.1, 8.0  # focal length in sides of the image: 157 deg of view, and a 50 mm lens before 7 mm
 NON_SQUARE = 1.25  # fx / fy of pixels of 4:3 video; an image that was squeezed from 16:9 has 1.33
+SKEW_PX = 0.1  # of what is 0 in a camera matrix
 FAR_POSE_M = 10.0  # no part of a rig, nor a camera that sees it, is as far from another
 STEP = 4  # between the rows and columns by which an image is judged, if there is a reading
 OFF_CENTRE = 0.11  # principal point from the middle, in sides: an Azure Kinect has 0.09, 16:9 cut to 4:3 has 0.125
@@ -57,6 +58,9 @@ def check_intrinsics(matrix: np.ndarray, width: int, height: int, off_centre: fl
             f"the focal lengths {fx:.5g} and {fy:.5g} and the principal point {cx:.5g}, {cy:.5g} px cannot belong to "
             f"an image of {width} x {height}, for which {found}: use the calibration of this image size"
         )
+    others = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0.0, 0.0, 0.0, 0.0, 1.0)
+    if not np.all(np.abs(others) < SKEW_PX):
+        raise ValueError(f"{matrix[:, :3].tolist()} is no camera matrix, whose rows are fx, 0, cx; 0, fy, cy; 0, 0, 1")
 
 
 def check_near(T: np.ndarray, farthest: float = FAR_POSE_M) -> np.ndarray:
