@@ -60,7 +60,9 @@ def _check_address() -> None:
     if not complete:
         raise NoMaster(f"ROS_MASTER_URI is {uri!r}, but must be like http://localhost:11311.")
     if not _resolved(address.hostname):
-        raise NoMaster(f"The host {address.hostname} of ROS_MASTER_URI ({uri}) has no address: correct the name.")
+        cure = ", or unset ROS_IPV6" if rosgraph.network.use_ipv6() else ""
+        cure = ", or set ROS_IPV6=on" if ":" in address.hostname and not cure else cure
+        raise NoMaster(f"The host {address.hostname} of ROS_MASTER_URI ({uri}) has no address: correct the name{cure}.")
 
 
 def check_master(patience: float) -> None:
