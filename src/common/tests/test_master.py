@@ -7,8 +7,6 @@ import sys
 
 import pytest
 
-from common.ros.master import NoMaster, check_surroundings
-
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 NODE = """
@@ -57,7 +55,7 @@ def test_a_node_that_starts_has_patience_with_a_master_that_is_busy(monkeypatch,
     if busy == 1:
         master.check_master(5.0)
         return
-    with pytest.raises(NoMaster, match="or something else listens there"):
+    with pytest.raises(master.NoMaster, match="or something else listens there"):
         master.check_master(0.1)
 
 
@@ -84,6 +82,8 @@ def knows(uri, name):
     [("off", "[::1]", "or set ROS_IPV6=on"), ("on", "127.0.0.1", "unset ROS_IPV6"), ("off", "nobody.invalid", "name")],
 )
 def test_a_masters_address_of_the_other_internet_protocol_is_told(monkeypatch, ipv6, host, cure):
+    from common.ros.master import NoMaster, check_surroundings
+
     monkeypatch.setenv("ROS_IPV6", ipv6)
     monkeypatch.setenv("ROS_MASTER_URI", f"http://{host}:11999")
     with pytest.raises(NoMaster, match=rf"has no address: correct .*{cure}\.$"):
