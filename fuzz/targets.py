@@ -580,7 +580,7 @@ def user_files(text: Any) -> None:
     with _file(text.encode("utf-8", "surrogatepass"), "x.yaml") as path, mock.patch.object(
         registrations, "registration_file", lambda name: path
     ):
-        finite(registrations.load("x", datetime(2026, 2, 1)).T_desk_leap)
+        finite(registrations.load("x", datetime(2026, 2, 1).timestamp()).T_desk_leap)
 
 
 class _file:
