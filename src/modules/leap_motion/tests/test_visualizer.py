@@ -129,10 +129,10 @@ def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros):
 
 
 def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
-    node = ros.run("leap_motion", "visualizer.py", "_frame:=7")
+    node = ros.run("leap_motion", "visualizer.py", "_frame:=[7]")
     assert node.wait(1.0) == 1
     log = node.log_path.read_text()
-    assert "~frame is 7" in log and "Traceback" not in log
+    assert "~frame is [7]" in log and "Traceback" not in log
 
 
 @pytest.mark.parametrize(

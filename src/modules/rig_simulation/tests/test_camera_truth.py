@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
-import yaml
 
 from common import clock
 from rig_simulation.control_port import ControlPort
@@ -60,7 +61,7 @@ def test_the_pose_is_that_of_the_scene_and_follows_it(ros, fields):
         node = ros.run("rig_simulation", "camera_truth_node.py", f"_port:={port.port}")
         clock.sleep(0.1)
         np.testing.assert_allclose(published(), truth(fields), atol=1e-9)
-        world.fields = yaml.safe_load(yaml.safe_dump(fields))
+        world.fields = copy.deepcopy(fields)
         world.fields["scene"]["camera"]["position"][2] += 0.1
         clock.sleep(0.8)
         np.testing.assert_allclose(published(), truth(fields), atol=1e-9)
