@@ -67,7 +67,7 @@ def test_a_stamp_that_stays_is_said_and_not_silence(virtual_graph):
     assert "same stamp" in tool.stream.refusal(clock.monotonic())
     assert tool.run(1.0, (BASE, TOOL_DESIRED, now))[0] > 40
     _, refused = tool.run(1.0, (BASE, TOOL_DESIRED, lambda t: t - 0.4 * (t % 0.1)))
-    assert refused == [], "a frame that is repeated for less than half a second is none of these"
+    assert refused == [], "a frame that is repeated for less than half a second is not one of these"
 
 
 def test_stamps_that_go_back_are_said(virtual_graph):

@@ -21,7 +21,7 @@ OFF_CENTRE_RECTIFIED = 0.2  # rectification shifts it; that of half the image is
 
 def plausible_depth(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], without the readings beyond `FARTHEST_M`, which become NaN; it stays
-    itself where there are none. Not finite or 0 = no reading.
+    itself where there is no such reading. Not finite or 0 = no reading.
 
     Raises ValueError if most readings cannot be metres before a camera.
     """

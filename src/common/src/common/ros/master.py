@@ -55,7 +55,7 @@ def _check_address() -> None:
     try:
         address = urlparse(uri)
         complete = address.scheme == "http" and address.hostname and address.port
-    except ValueError:  # the port is none
+    except ValueError:  # the port is not a number
         complete = None
     if not complete:
         raise NoMaster(f"ROS_MASTER_URI is {uri!r}, but must be like http://localhost:11311.")
@@ -95,7 +95,7 @@ def check_host() -> None:
     if not _resolved(host):
         raise RigError(f"{given} is {host!r}, which has no address, {cure}")
     if not rosgraph.network.is_local_address(host):
-        raise RigError(f"{given} is {host!r}, which is none of this computer's, {cure}")
+        raise RigError(f"{given} is {host!r}, which is not an address of this computer, {cure}")
 
 
 def check_log_folder() -> Path:
@@ -103,7 +103,7 @@ def check_log_folder() -> Path:
     log = rosgraph.names.load_mappings(sys.argv).get("__log")
     folder = Path(log).parent if log else Path(rospkg.get_log_dir())
     if str(folder).startswith("~"):
-        home()  # which there is none of
+        home()  # raises that there is no home
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

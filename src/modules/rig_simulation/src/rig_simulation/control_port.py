@@ -18,7 +18,7 @@ from typing import Any, Callable
 
 from common import clock
 from common.errors import DeviceError, RigError
-from rig_simulation.stranger import stranger
+from leap_motion.stranger import stranger
 
 MAX_LINE_BYTES = 65536
 BACKLOG = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server

@@ -54,7 +54,7 @@ def _one_of(values: Mapping[str, Value]) -> Callable[[str], Value]:
 
     def read(text: str) -> Value:
         if text not in values:
-            raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(values)}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not one of {', '.join(values)}")
         return values[text]
 
     return read

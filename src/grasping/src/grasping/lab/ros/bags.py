@@ -16,7 +16,7 @@ ROS_2 = (".db3", ".mcap")
 
 @contextmanager
 def opened(path: Path) -> Iterator[rosbag.Bag]:
-    """Opens a recording; raises RigError if it is none of ROS 1, or if reading it fails."""
+    """Opens a recording; raises RigError if it is not a bag of ROS 1, or if reading it fails."""
     if path.is_dir() or path.suffix.lower() in ROS_2:
         raise RigError(f"{path} is not a bag of ROS 1; convert recordings of ROS 2 with rosbags-convert.")
     try:
