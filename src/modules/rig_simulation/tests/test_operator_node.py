@@ -1,5 +1,6 @@
 """The operator of the demonstration against a stand-in for the controller, in virtual time."""
 
+import math
 import signal
 
 import pytest
@@ -15,13 +16,18 @@ POLL_S, REMIND_S, SEEN_S = 0.1, 10.0, 0.1
 
 
 class Controller:
-    """Has the parameter, the topic and the two services of an arm's controller; `of`: its namespace with a slash."""
+    """Has the parameter, the topics and the two services of an arm's controller, whose status comes `status_s` after
+    control was switched on; `of`: its namespace with a slash.
+    """
+
+    status_s = 0.0
 
     def __init__(self, of=""):
         import rospy
 
         from kuka_msgs.msg import jointPositions
         from kuka_msgs.srv import setGripperControl, setKukaControl
+        from rig_msgs.msg import KukaStatus
 
         self.calls = []
         self.joints = [0.0] * 7
@@ -29,6 +35,9 @@ class Controller:
         rospy.set_param(f"{of}kuka/joints_home", HOME)
         self._publisher = rospy.Publisher(f"{of}kuka/joint_positions", jointPositions, queue_size=1, latch=True)
         self._message = jointPositions
+        self._status = rospy.Publisher(f"{of}kuka/status", KukaStatus, queue_size=1, latch=True)
+        self._state = KukaStatus()
+        self._status.publish(self._state)
         self._services = [
             rospy.Service(f"{of}kuka/gripper_control", setGripperControl, self._answer("gripper")),
             rospy.Service(f"{of}kuka/kuka_control", setKukaControl, self._answer("arm")),
@@ -47,14 +56,21 @@ class Controller:
         return answer
 
     def _publish(self):
+        on_at = math.inf
         while not self._ended.wait(0.05):
             self._publisher.publish(self._message(None, *self.joints))
+            if ("arm", True) in self.calls and not self._state.control_on:
+                on_at = min(on_at, clock.monotonic() + self.status_s)
+                if clock.monotonic() >= on_at:
+                    self._state.control_on = True
+                    self._status.publish(self._state)
 
     def close(self):
         self._ended.set()
         for service in self._services:
             service.shutdown()
         self._publisher.unregister()
+        self._status.unregister()
 
 
 @pytest.fixture
@@ -91,6 +107,16 @@ def test_waits_for_home_then_switches_on_and_plays(ros, controller, leapd):
     assert controller.calls == [("gripper", True), ("arm", True)] and leapd.played.is_set()
     clock.sleep(60.0)
     assert len(controller.calls) == 2 and node.poll() is None, "it lives on: a rig whose nodes end is not well"
+
+
+def test_no_hand_comes_in_before_the_status_says_that_control_is_on(ros, controller, leapd):
+    """leap_kuka hears of it by the status, and a hand that came in before is not followed."""
+    controller.joints, controller.status_s = HOME, 3.0
+    ros.run("rig_simulation", "operator_node.py", f"_leapd_port:={leapd.port}")
+    clock.sleep(3.0)
+    assert controller.calls == [("gripper", True), ("arm", True)] and not leapd.played.is_set()
+    clock.sleep(3 * POLL_S + SEEN_S)
+    assert leapd.played.is_set()
 
 
 def test_without_auto_start_it_only_starts_the_hand(ros, controller, leapd):

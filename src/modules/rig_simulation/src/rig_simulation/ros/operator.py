@@ -18,6 +18,7 @@ from common.ros.params import private_config
 from common.ros.service_calls import ServiceClient, ServiceFailed
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
+from rig_msgs.msg import KukaStatus
 from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import (
     ASSISTED_GRASP,
@@ -100,7 +101,10 @@ class Operator:
             raise failures[0]
 
     def _start(self, arm: str) -> None:
-        """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty."""
+        """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty.
+
+        leap_kuka, too, hears from the status that control is on, and follows only a hand that comes in afterwards.
+        """
         of = f" {arm[:-1]}" if arm else ""
         topic, take = f"{arm}kuka/joint_positions", partial(self._take_joints, arm)
         joints = rospy.Subscriber(topic, jointPositions, take, queue_size=1)
@@ -115,6 +119,12 @@ class Operator:
         if self._config.auto_start:
             self._switch(f"{arm}kuka/gripper_control", setGripperControl)
             self._switch(f"{arm}kuka/kuka_control", setKukaControl)
+            on = clock.Event()
+            status = rospy.Subscriber(
+                f"{arm}kuka/status", KukaStatus, lambda message: on.set() if message.control_on else None, queue_size=1
+            )
+            self._wait(on.is_set, f"the status{of} says that control is on")
+            status.unregister()
 
     def _take_joints(self, arm: str, message: jointPositions) -> None:
         self._joints[arm] = np.array([getattr(message, f"joint_{i}") for i in range(1, 8)])
