@@ -42,7 +42,7 @@ OF_BOTH = [
     ("opening_angle", 0.0), ("opening_angle", 180.0), ("z_lower_limit", 0.1), ("z_lower_limit", 0.6),
     ("z_upper_limit", 1.14), ("z_upper_limit", 0.2), ("z_upper_limit", 1.05), ("inner_sphere_limit", 0.4),
     ("inner_sphere_limit", 0.7), ("outer_sphere_limit", 0.8), ("tool_length", -0.001), ("time_out", 0.0),
-    ("rate_state", 0),
+    ("rate_state", 0), ("flange_force_raw", 1),
 ]  # fmt: skip
 OF_ONE = {
     RealTimeConfig: [
@@ -62,8 +62,19 @@ def test_a_value_out_of_its_range_is_refused_by_name(schema):
         assert all(key in fault for fault in error.value.faults), (value, error.value.faults)
 
 
-def test_the_other_arm_stands_higher():
-    assert parse(PtpConfig, values(PtpConfig, z_upper_limit=1.05, robot="LBR14R820")).z_upper_limit == 1.05
+@pytest.mark.parametrize(("robot", "outer", "highest"), [
+    ("LBR7R800", 0.7, 1.04), ("LBR7R800", 0.79, 1.13), ("LBR14R820", 0.7, 1.06), ("LBR14R820", 0.79, 1.139),
+])  # fmt: skip
+def test_the_workspace_is_as_high_as_the_outer_sphere_or_1_14_m(robot, outer, highest):
+    wide = values(PtpConfig, robot=robot, outer_sphere_limit=outer, use_home_pos=True)
+    assert Rig.of(parse(PtpConfig, {**wide, "z_upper_limit": highest})).workspace.z_upper == highest
+    with pytest.raises(ConfigError, match="z_upper_limit .* (top of the outer sphere|1.14)"):
+        parse(PtpConfig, {**wide, "z_upper_limit": highest + 0.005})
+
+
+def test_a_workspace_whose_middle_is_too_high_for_the_home_position_is_refused_with_the_cause():
+    with pytest.raises(RigError, match="the workspace is too high"):
+        Rig.of(parse(PtpConfig, values(PtpConfig, z_lower_limit=0.6, z_upper_limit=1.0)))
 
 
 @schemas

@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from controller_rig import MOVE_S, REAL_TIME, Node, home_tool, run_robot, set_params, shifted
+from controller_rig import MOVE_S, REAL_TIME, Hand, Node, home_tool, run_robot, set_params, shifted
 
 from common import clock
 
@@ -24,11 +24,12 @@ def robot(ros):
 
 
 @pytest.fixture
-def node(ros, robot):
-    """A controller whose arm is at home."""
+def node(ros, robot, request):
+    """A controller whose arm is at home; of changed parameters where a test names them."""
     from std_msgs.msg import String
 
-    set_params(REAL_TIME, ip="127.0.0.1", port=robot.port, velocity_ptp_slow=0.9)
+    changes = getattr(request, "param", {})
+    set_params(REAL_TIME, ip="127.0.0.1", port=robot.port, velocity_ptp_slow=0.9, **changes)
     node = Node(None, ros.wait_until)
     node.modes = ros.record("kuka/mode", String)
     node.process = ros.run("kuka_control", REAL_TIME)
@@ -118,6 +119,30 @@ def test_the_weight_of_the_hand_and_of_a_payload_is_no_contact(ros, node):
     clock.sleep(1.0)
     assert force[-1].vector.z < -9.5, "a payload that the simulated arm does not bear"
     assert node.call("set_payload", "setPayload", 0.0).success
+
+
+@pytest.mark.parametrize("node", [{"flange_force_raw": True}], indirect=True)
+def test_a_raw_flange_force_has_the_weight_of_the_hand_whatever_the_load_and_contact_torques_do_not(ros, node):
+    from geometry_msgs.msg import Vector3Stamped
+
+    from kuka_msgs.msg import jointTorquesExternal
+
+    contact = ros.record("kuka/joint_torques_contact", jointTorquesExternal)
+    force, torque = (ros.record(f"kuka/flange_{name}", Vector3Stamped) for name in ("force", "torque"))
+
+    def check(place):
+        clock.sleep(2.0)
+        assert force[-1].vector.z == pytest.approx(1.12 * 9.81, abs=0.1), f"{place}: the hand's weight"
+        assert abs(torque[-1].vector.y) == pytest.approx(1.12 * 9.81 * 0.022, abs=0.05), f"{place}: its lever"
+
+    check("at home")
+    assert abs(contact[-1].joint_2) < 0.05
+    assert node.call("set_payload", "setPayload", 1.0).success
+    check("with a payload, which takes nothing off")
+    assert node.control(True).success
+    Hand(home_tool())
+    node.wait_for_mode("servo")
+    check("in servo mode")
 
 
 def test_a_line_with_its_feedback_a_cancelled_one_and_home_as_control_goes_off(ros, robot, node, client):

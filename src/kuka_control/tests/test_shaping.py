@@ -164,6 +164,7 @@ HARD = {
     "hand turned to its limit": ([0.0, 0.0, 0.0], "z", 170.0),
     "elbow stretched": ([0.3, -0.3, 0.2], "x", 40.0),
     "over the shoulder": ([-0.3, 0.3, 0.25], "y", 0.0),
+    "at the top": ([-0.3, 0.3, 0.62], "y", 0.0),
     "close to the shoulder": ([-0.25, 0.25, 0.1], "x", 0.0),
     "beside the base": ([0.0, 0.5, 0.0], "x", 0.0),
     "low": ([0.1, 0.1, -0.3], "x", -30.0),
@@ -180,7 +181,7 @@ def home_degrees():
     *(("lts", where) for where in ("wrist and shoulder stretched", "hand turned to its limit", "over the shoulder")),
 ])  # fmt: skip
 def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, servo_law):
-    wide = dict(opening_angle=170.0, z_lower_limit=0.11, z_upper_limit=0.9, inner_sphere_limit=0.41)
+    wide = dict(opening_angle=170.0, z_lower_limit=0.11, z_upper_limit=1.04, inner_sphere_limit=0.41)
     r = rig(servo_law=servo_law, time_out=1.0, use_home_pos=True, home_pos=home_degrees(), **wide)
     T = home(r)
     r.follow(7.0, out_and_back(T, *HARD[where], seconds=2.5))

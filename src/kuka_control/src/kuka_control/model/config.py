@@ -15,6 +15,7 @@ import numpy as np
 
 from common.config import choice, flag, integer, names, number, parse, path, text, vector
 from common.mounting import ToolConfig, mounting_field
+from common.simulated import simulated_field
 from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, DhParameters, robot_model
 from kuka_control.model.workspace import workspace_faults
 
@@ -49,10 +50,19 @@ class ControllerConfig(RobotAddress):
     dh_parameters: str = path(doc="file of a calibrated arm's parameters; empty: as in its data sheet", absent="")
     center_line: np.ndarray = vector(3, doc="horizontal direction from the base to the middle of the workspace")
     opening_angle: float = number("deg", above=0.0, below=180.0, doc="angle between the workspace's side planes")
-    z_lower_limit: float = number("m", above=0.1, high=3.0, doc="lowest height of the tool")
-    z_upper_limit: float = number("m", below=1.14, doc="greatest height of the tool")
-    inner_sphere_limit: float = number("m", above=0.4, high=3.0, doc="smallest distance of the tool from joint 2")
-    outer_sphere_limit: float = number("m", below=0.8, doc="greatest distance of the tool from joint 2")
+    z_lower_limit: float = number("m", above=0.1, below=1.14, doc="lowest height of the tool, below z_upper_limit")
+    z_upper_limit: float = number(
+        "m",
+        above=0.1,
+        below=1.14,
+        doc="greatest height of the tool, at most the top of the outer sphere: joint 2 (0.34 m high on the 7 R800, "
+        "0.36 m on the 14 R820) + outer_sphere_limit, so 1.04 or 1.06 m unless that is changed too. The calculated "
+        "home, half way between the z limits, must be in reach",
+    )
+    inner_sphere_limit: float = number(
+        "m", above=0.4, below=0.8, doc="smallest distance of the tool from joint 2, below outer_sphere_limit"
+    )
+    outer_sphere_limit: float = number("m", above=0.4, below=0.8, doc="greatest distance of the tool from joint 2")
     mounting: np.ndarray = mounting_field()
     time_out: float = number("s", above=0.0, doc="go home after this long without a new desired tool frame")
     home_pos: np.ndarray = vector(7, "deg", low=-180.0, high=180.0, doc="joints of a home position of one's own")
@@ -69,6 +79,11 @@ class ControllerConfig(RobotAddress):
     )
     tool_center_of_mass: np.ndarray = vector(
         3, "m", low=-1.0, high=1.0, absent=(0.0, 0.0, 0.0), doc="centre of that mass in the flange frame"
+    )
+    flange_force_raw: bool = flag(
+        "whether kuka/flange_force and flange_torque are as the robot's controller reports them, with the weight of "
+        "the tool and of what the hand holds",
+        absent=False,
     )
     elbow_preference: float = number(
         "deg",
@@ -171,6 +186,7 @@ class DhDeviations:
     delta_alpha: np.ndarray = vector(7, "deg", low=-MAX_ANGLE_DEG, high=MAX_ANGLE_DEG, doc="about the axis x")
     delta_d: np.ndarray = vector(7, "mm", low=-MAX_LENGTH_MM, high=MAX_LENGTH_MM, doc="along the joint's axis z")
     delta_theta: np.ndarray = vector(7, "deg", low=-MAX_ANGLE_DEG, high=MAX_ANGLE_DEG, doc="zero of the joint")
+    simulated: bool | None = simulated_field()
 
     @property
     def parameters(self) -> DhParameters:

@@ -23,6 +23,7 @@ from common.ros.files import read_yaml
 from common.ros.params import arm_frames, wait_for_config
 from common.ros.service_calls import ask_master
 from common.rotations import quaternion_from_rotation
+from common.simulated import WITHOUT_HARDWARE
 from kst import KstClient, KstError, NoServer, ReplyTimeout
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import KstArm
@@ -105,6 +106,8 @@ class RobotLink:
                     if ends_soon():
                         break
                     sentence = f"There is no connection to the robot at {config.ip}:{config.port}: {error}."
+                    if not config.on_this_machine:
+                        sentence = f"{sentence} {WITHOUT_HARDWARE}"
                     raise DeviceError(sentence) from error
                 if not waiting:
                     rospy.logwarn("%s. Trying for %g s.", error, PATIENCE_S)
@@ -210,7 +213,7 @@ class _Node:
         self._switches = Switches()
         self._rest_period = min(1.0 / config.rate_joints, LONGEST_PERIOD_S)
         self._servo_period = 1.0 / getattr(config, "rate_servo", config.rate_joints)
-        self._state = StatePublisher(rig, config.rate_joints, config.rate_state, link.goals, frames)
+        self._state = StatePublisher(rig, config, link.goals, frames)
         self._markers = publish_workspace(rig.workspace, rig.home.centre, frames)
         self._stages = StageTimes("kuka_control")
         self._desired = DesiredTool(frames)

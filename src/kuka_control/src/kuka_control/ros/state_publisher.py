@@ -34,6 +34,7 @@ from common.ros.conversions import stamped_transform
 from common.ros.publishing import DirectPublisher
 from kuka_control.loop.arm import ArmState
 from kuka_control.loop.commands import Step
+from kuka_control.model.config import ControllerConfig
 from kuka_control.model.rig import Rig
 from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import MotionScaling
@@ -82,13 +83,12 @@ class GoalPublisher:
 class StatePublisher:
     """Publishes kuka/joint_positions at each reading, and everything else at the configured rates."""
 
-    def __init__(
-        self, rig: Rig, rate_joints: float, rate_state: float, goals: GoalPublisher, frames: ArmFrames = ONE_ARM
-    ) -> None:
+    def __init__(self, rig: Rig, config: ControllerConfig, goals: GoalPublisher, frames: ArmFrames = ONE_ARM) -> None:
         self._rig, self._goals, self._frames = rig, goals, frames
         self._base, self._flange, self._tool = map(frames, (BASE, FLANGE_MEASURED, TOOL_MEASURED))
-        self._period = 1.0 / rate_joints
-        self._state_period = 1.0 / rate_state
+        self._raw_force = config.flange_force_raw
+        self._period = 1.0 / config.rate_joints
+        self._state_period = 1.0 / config.rate_state
         self._newest: Snapshot | None = None
         self._read = clock.Event()
         self._published_joints: np.ndarray | None = None
@@ -200,7 +200,8 @@ class StatePublisher:
 
     def _publish_forces(self, snapshot: Snapshot, before: ArmState, now: rospy.Time) -> None:
         """Publishes torques as the robot's controller tells them; contact torques, force and moment without the weight
-        of the tool and of what the hand holds, which that controller takes for a force from outside.
+        of the tool and of what the hand holds, which that controller takes for a force from outside. With
+        `flange_force_raw` force and moment keep it.
         """
         arm, rig = snapshot.arm, self._rig
         for publisher, kind, new, old in (
@@ -217,8 +218,9 @@ class StatePublisher:
             (1, self._torque, arm.moment, before.moment),
         ):
             if new is not None and new is not old and publisher.get_num_connections():
-                # The toolbox reports both in the tool's axes.
-                vector = rig.T_flange_tool[:3, :3] @ (new - rig.load.wrench(arm.joints, snapshot.switched.payload)[i])
+                if not self._raw_force:
+                    new = new - rig.load.wrench(arm.joints, snapshot.switched.payload)[i]
+                vector = rig.T_flange_tool[:3, :3] @ new  # the toolbox reports both in the tool's axes
                 publisher.publish(Vector3Stamped(Header(0, now, self._flange), Vector3(*vector.tolist())))
 
     def _publish_state(self, snapshot: Snapshot) -> None:
