@@ -40,10 +40,10 @@ def grasp(touched: bool = True) -> list[tuple]:
     ]
 
 
-def ticks(phases):
+def ticks(phases, tick=TICK_S):
     """Yields bend, touched and height for each tick."""
     for seconds, bend, touched, before, after in phases:
-        count = round(seconds / TICK_S)
+        count = round(seconds / tick)
         for i in range(count):
             yield bend, touched, before + (after - before) * (i + 1) / count
 
@@ -108,9 +108,12 @@ def stream(active: bool):
 
 
 class PuppetRig:
-    """Publishes the tick that it is given, again and again, until it is given another."""
+    """Publishes the tick that it is given, again and again, until it is given another.
 
-    def __init__(self):
+    `tick` [s], with an image in one of `image_every`; `silent` are topics and child frames that do not come.
+    """
+
+    def __init__(self, tick=TICK_S, image_every=IMAGE_EVERY):
         import rospy
         from diagnostic_msgs.msg import DiagnosticStatus
         from sensor_msgs.msg import CameraInfo, Image
@@ -139,7 +142,7 @@ class PuppetRig:
         self.say("/leap_kuka/stream", stream(False))
         self.depth = image()
         self.silent: set[str] = set()
-        self._tick = (OPEN, False, GRASP_Z + 0.1)
+        self._tick, self._seconds, self._image_every = (OPEN, False, GRASP_Z + 0.1), tick, image_every
         self._ended = clock.Event()
         self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
@@ -149,9 +152,9 @@ class PuppetRig:
 
     def perform(self, phases) -> None:
         """Does what the operator does, in its time."""
-        for tick in ticks(phases):
+        for tick in ticks(phases, self._seconds):
             self._tick = tick
-            clock.sleep(TICK_S)
+            clock.sleep(self._seconds)
 
     def close(self) -> None:
         self._ended.set()
@@ -163,8 +166,10 @@ class PuppetRig:
         import rospy
 
         for count in itertools.count():
-            if self._ended.wait(TICK_S):
+            if self._ended.wait(self._seconds):
                 return
             for topic, message in messages(rospy.Time.now(), *self._tick, self.depth):
-                if topic not in self.silent and (count % IMAGE_EVERY == 0 or not topic.startswith("/camera")):
+                if topic == "/tf":
+                    message.transforms = [t for t in message.transforms if t.child_frame_id not in self.silent]
+                if topic not in self.silent and (count % self._image_every == 0 or not topic.startswith("/camera")):
                     self.say(topic, message)

@@ -69,8 +69,8 @@ def test_an_episode_comes_back_as_it_was(n, side, m, held):
         found.depth[0, 0, 0] = 1
 
 
-def test_the_format_is_what_the_handbook_says():
-    found = {name: (a.dtype.str.lstrip("<|"), a.shape) for name, a in content(GOLDEN.read_bytes()).items()}
+def test_the_format_is_what_the_handbook_says_and_files_of_schema_1_have_no_shown_tool():
+    found = {name: (a.dtype.str.lstrip("<|"), a.shape) for name, a in content(WHOLE).items()}
     assert found.pop("meta")[0].startswith("U")
     assert found == {
         "camera_K": ("f8", (3, 3)),
@@ -81,6 +81,7 @@ def test_the_format_is_what_the_handbook_says():
         "T_flange_tool": ("f8", (4, 4)),
         "T_tool_grasp": ("f8", (4, 4)),
         "T_base_tool_closed": ("f8", (4, 4)),
+        "T_base_tool_shown": ("f8", (4, 4)),
         "T_base_grasp": ("f8", (4, 4)),
         "t_grasp": ("f8", ()),
         "held": ("b1", ()),
@@ -95,6 +96,7 @@ def test_the_format_is_what_the_handbook_says():
         "finger_angles": ("f4", (2, 4)),
         "teleop_active": ("b1", (2,)),
     }
+    assert content(WHOLE).keys() - content(GOLDEN.read_bytes()).keys() == {"T_base_tool_shown"}
     meta = json.loads(str(content(GOLDEN.read_bytes())["meta"]))
     assert sorted(meta) == [
         "camera", "configuration", "date", "fingerprint", "object", "operator", "reason", "revision", "schema",
@@ -184,7 +186,7 @@ def test_each_damage_of_the_archive_is_a_sentence(data, cause):
         (changed(meta=np.array('{"schema": NaN}')), "metadata are not JSON"),
         (changed(meta=np.array("[1]")), "metadata name no schema"),
         (changed(meta=np.array({"schema": 1}, dtype=object)), "Not an episode"),
-        (changed_meta(schema=2), "has the schema 2, but this version reads 1"),
+        (changed_meta(schema=3), "has the schema 3, but this version reads 1 and 2"),
         (changed_meta(operator=None), "lack or distort 'operator'"),
         (changed_meta(camera=5), "lack or distort"),
         (changed_meta(camera={"name": "x", "width": "wide", "height": 1}), "lack or distort"),
@@ -202,6 +204,8 @@ def test_each_damage_of_the_archive_is_a_sentence(data, cause):
         (changed(stamp=np.array([101.0, 100.0])), "stamps do not rise"),
         (changed(stamp=np.array([101.0, 500.0])), "stamps do not rise"),
         (changed(T_tool_grasp=2.0 * np.eye(4)), "T_tool_grasp holds no pose"),
+        (changed(T_base_tool_shown=np.eye(4)), "T_base_grasp is not the grasp of the tool that labels it"),
+        (changed(T_base_tool_shown=None), "T_base_tool_shown missing or unknown"),
         (changed(T_base_camera=np.full((2, 4, 4), np.nan)), "T_base_camera holds values that are not finite"),
         (changed(T_base_grasp=np.eye(4)), "T_base_grasp is not the grasp"),
     ],

@@ -14,16 +14,17 @@ from hypothesis import strategies as st
 
 from common import clock
 from common.camera_model import pinhole
+from common.frames import TOOL_DESIRED
 from common.poses import translation
 from grasping.lab.dataset.episode import SHOWN
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics
-from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
+from grasping.lab.dataset.shown_grasp import Phase, SampleSchedule, ShownGrasp
 from grasping.lab.dataset.store import decode, encode
 from grasping.network.maps import Peak
 
 OPTICS = Optics(CAMERA, CROP, CAMERA)
-POSE_S, POLL_S, LATER_S = 0.2, 0.02, 0.01
-"""Time between two poses, and how often the program looks; how much later messages come."""
+MAPS_HZ, POSES_HZ, CAMERA_S, LATER_S = 15.0, 30.0, 1.0 / 30.0, 0.01
+"""Maps and poses a second, as the program takes them by default; how often images and tools come; how much later."""
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def frame(stamp):
 
 def run(maps, poses):
     """A whole session, at one map or pose a second: what it gives for each pose."""
-    session, given = ShownGrasp(maps, poses, 1.0), []
+    session, given = ShownGrasp(maps, poses, 1.0, 1.0), []
     for i in range(maps):
         assert session.phase is Phase.MAPS and session.taken == i and session.due(float(i))
         assert not session.add_map(frame(float(i)), OPTICS)
@@ -74,15 +75,50 @@ def test_every_map_and_every_pose_is_used_and_the_shorter_half_is_spread_evenly(
     assert max(sizes) - min(sizes) <= 1, "and poses have equally many"
 
 
-@given(st.floats(0.1, 30.0), st.floats(0.0, 1e9), st.floats(0.0, 20.0))
-def test_no_more_than_the_rate_is_taken(rate, begin, later):
-    session = ShownGrasp(2, 1, rate)
-    session.add_map(frame(begin), OPTICS)
-    assert session.due(begin + later) == (begin + later - begin >= 1.0 / rate)
+@given(st.floats(0.1, 100.0), st.floats(0.0, 2e9), st.lists(st.floats(0.01, 0.5), min_size=1, max_size=200))
+def test_of_a_faster_stream_as_many_a_second_are_taken_as_the_rate_says(rate, begin, gaps):
+    """`gaps` between the stream's samples, in periods of the schedule."""
+    schedule, taken = SampleSchedule(rate), []
+    stamps = begin + np.cumsum([0.0, *gaps]) / rate
+    for stamp in stamps.tolist():
+        if schedule.due(stamp):
+            schedule.take(stamp)
+            taken.append(stamp)
+    rounding = 1e-6 * max(rate, 1.0)
+    periods = (np.array(taken) - begin) * rate
+    late = periods - np.arange(len(taken))
+    assert np.all(late > -rounding) and np.all(late <= 0.5 + rounding), "no drift"
+    assert len(taken) > (stamps[-1] - begin) * rate - 0.5 - rounding
+
+
+def test_after_a_pause_what_was_missed_is_not_made_up_for():
+    schedule, taken = SampleSchedule(30.0), []
+    for stamp in [*np.arange(0.0, 1.0, 0.001), *np.arange(5.0, 6.0, 0.001)]:
+        if schedule.due(stamp):
+            schedule.take(stamp)
+            taken.append(stamp)
+    assert len(taken) in (60, 61) and np.diff(taken).min() >= 0.5 / 30.0
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_a_thousand_maps_of_a_camera_at_30_hz_take_67_s_and_a_thousand_poses_33_s(jitter):
+    session, random = ShownGrasp(1000, 1000, MAPS_HZ, POSES_HZ), np.random.default_rng(0)
+    one, maps, poses = frame(0.0), [], []
+    for k in range(3000):
+        stamp = 1.7e9 + k * CAMERA_S + random.uniform(-jitter, jitter)
+        if session.phase is Phase.MAPS and session.due(stamp):
+            session.add_map(one._replace(stamp=stamp), OPTICS)
+            maps.append(stamp)
+    for stamp in maps[-1] + np.arange(1.0, 60.0, 0.007):
+        if session.phase is Phase.POSES and session.due(stamp):
+            poses.append(session.add_pose(stamp, tool(GRASP_Z))[1].time)
+    assert session.phase is Phase.DONE and len(maps) == len(poses) == 1000
+    assert maps[-1] - maps[0] == pytest.approx(67.0, abs=0.5)
+    assert poses[-1] - poses[0] == pytest.approx(33.0, abs=0.5)
 
 
 def test_another_camera_drops_the_maps_before_it():
-    session = ShownGrasp(3, 1, 1.0)
+    session = ShownGrasp(3, 1, 1.0, 1.0)
     session.add_map(frame(0.0), OPTICS)
     other = pinhole("other", 640, 480, [[571.0, 0.0, 319.5], [0.0, 571.0, 239.5], [0.0, 0.0, 1.0]])
     assert session.add_map(frame(1.0), Optics(other, CROP, other))
@@ -90,7 +126,7 @@ def test_another_camera_drops_the_maps_before_it():
 
 
 def test_no_pose_comes_before_the_maps_or_after_the_end():
-    session = ShownGrasp(1, 1, 1.0)
+    session = ShownGrasp(1, 1, 1.0, 1.0)
     with pytest.raises(ValueError, match="maps"):
         session.add_pose(0.0, tool(GRASP_Z))
     session.add_map(frame(0.0), OPTICS)
@@ -101,10 +137,12 @@ def test_no_pose_comes_before_the_maps_or_after_the_end():
 
 def test_a_pair_is_an_episode_that_training_reads():
     ((frames, grasp),) = run(2, 1)
-    made = frames.episode(grasp, metadata(source=SHOWN), translation(0.0, 0.0, 0.106), np.eye(4))
+    T_tool_grasp, T_desired = translation(0.0, 0.0, 0.07), tool(GRASP_Z - 0.001)
+    made = frames.episode(grasp, metadata(source=SHOWN), translation(0.0, 0.0, 0.106), T_tool_grasp, T_desired)
     read = decode(encode(made))
     assert read.metadata.source == SHOWN and read.held and len(read) == 2
     np.testing.assert_allclose(read.T_base_tool_closed, tool(GRASP_Z))
+    np.testing.assert_allclose(read.T_base_grasp, T_desired @ T_tool_grasp)
     assert np.isnan(read.opening)
 
 
@@ -169,7 +207,7 @@ def arm(ros):
 
 @pytest.fixture
 def rig(ros):
-    made = PuppetRig()
+    made = PuppetRig(CAMERA_S, 1)
     yield made
     made.close()
 
@@ -185,43 +223,52 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(
 
     looked, look = [], FrameReader.look
     monkeypatch.setattr(FrameReader, "look", lambda reader, placed: looked.append(placed) or look(reader, placed))
-    one = program("--maps", "3", "--poses", "25")
+    one = program("--maps", "15", "--poses", "60")
     clock.sleep(1.0)
     assert "the arm is not at home: starting" in one.log and "silent" not in one.log
     assert not looked, "the network has no work away from home"
     arm("")
-    clock.sleep(0.9)  # 0.5 s until it counts as silent, and at 5 Hz every second image is looked at
-    assert "the arm's controller is silent" in one.log and "1/3" not in one.log
+    clock.sleep(0.7)  # 0.5 s until it counts as silent
+    assert "the arm's controller is silent" in one.log and "1/15" not in one.log
     arm("home")
-    clock.sleep(1.0)
-    assert "3/3" in one.log and "Bring the hand to the grasp" in one.log and not files()
+    clock.sleep(1.2)
+    assert "15/15" in one.log and "Bring the hand to the grasp" in one.log and not files()
     arm("servo")
     rig.say("/leap_kuka/stream", stream(True))
     rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z), (0.2, OPEN, False, GRASP_Z, GRASP_Z)])
     assert "Enter starts" in one.log and not files(), "the tool is on its way"
     keyboard.enter()
-    clock.sleep(5 * (POSE_S + POLL_S))
+    clock.sleep(0.5)
     said, count = len(one.log), len(files())
-    assert count in (5, 6)
+    assert count in (15, 16)
     rig.say("/leap_kuka/stream", stream(False))
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])
     keyboard.enter()
     clock.sleep(1.0)
     assert "Enter starts" in one.log[said:] and len(files()) == count, "it pauses, and Enter alone does not end that"
     rig.say("/leap_kuka/stream", stream(True))
+    rig.silent.add(TOOL_DESIRED)
     rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (0.2, FIST, False, GRASP_Z, GRASP_Z)])
     assert len(files()) == count, "also where a hand is followed again"
     keyboard.enter()
-    left = 25 - count
-    assert one.wait(left * (POSE_S + POLL_S)) == 0, one.log
-    (rate, *_) = re.findall(r"24/25 \[[^]]* ([\d.]+)it/s", one.log)
-    assert float(rate) < 24 / (24 * POSE_S + 3.2), "with the pause, as it tells the time that is left"
+    clock.sleep(0.5)
+    assert f"the pose of {TOOL_DESIRED} is older than 0.5 s" in one.log and len(files()) == count
+    rig.silent.clear()
+    left = (60 - count) / POSES_HZ
+    assert one.wait(left + 0.1) == 0, one.log
+    *_, (taken, rate) = re.findall(r"(5\d)/60 \[[^]]* ([\d.]+)it/s", one.log)
+    assert float(rate) < int(taken) / (int(taken) / POSES_HZ + 3.7), "with the pause, as it tells the time that is left"
     made = [decode(file.read_bytes()) for file in files()]
-    assert len(made) == 25 and "25 poses of cup with 3 maps" in one.log
-    assert np.diff([episode.t_grasp for episode in made]).min() >= POSE_S - 1e-6
+    assert len(made) == 60 and "60 poses of cup with 15 maps" in one.log
+    moments = np.array([episode.t_grasp for episode in made])
+    assert moments[count - 1] - moments[0] == pytest.approx((count - 1) / POSES_HZ, abs=CAMERA_S)
+    assert moments[-1] - moments[count] == pytest.approx((59 - count) / POSES_HZ, abs=CAMERA_S)
+    stamps = sorted({stamp for episode in made for stamp in episode.stamp})
+    assert len(stamps) == 15 and stamps[-1] - stamps[0] == pytest.approx(14 / MAPS_HZ, abs=CAMERA_S)
     for episode in made:
         assert (episode.metadata.source, episode.metadata.object) == (SHOWN, "cup") and episode.held
         np.testing.assert_allclose(episode.T_base_tool_closed, tool(GRASP_Z), atol=1e-6)
+        np.testing.assert_allclose(episode.T_base_grasp, tool(GRASP_Z - 0.001) @ episode.T_tool_grasp, atol=1e-6)
         np.testing.assert_allclose(episode.T_base_camera[0], DOWN, atol=1e-9)
     assert len({episode.metadata.fingerprint for episode in made}) == 1
 
@@ -230,6 +277,8 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(
 def test_what_ends_it_is_one_sentence(ros, program, keyboard, rig, arm, folder):
     one = program("--maps", "0")
     assert one.wait(LATER_S) == 2 and "--maps is 0 and must be 1 to 10000." in one.log
+    one = program("--pose-rate", "nan")
+    assert one.wait(LATER_S) == 2 and "--pose-rate is nan and must be 0.1 to 100 a second." in one.log
     ros.master_answers = False
     one = program()
     assert one.wait(LATER_S) == 1 and "There is no ROS master" in one.log and "Traceback" not in one.log

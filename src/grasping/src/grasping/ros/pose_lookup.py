@@ -59,10 +59,14 @@ class PoseLookup:
         return check_near(pose_from_transform(found.transform))
 
     def flange(self, max_age: float) -> np.ndarray:
-        """Returns the newest measured T_base_flange, shape (4, 4) [m]. Raises tf2_ros.TransformException if tf does not
-        know it, ValueError if older than `max_age` [s] or not a pose.
+        """Returns the newest measured T_base_flange, as `newest` does."""
+        return self.newest(FLANGE_MEASURED, max_age)
+
+    def newest(self, frame: str, max_age: float) -> np.ndarray:
+        """Returns the newest T_base_frame, shape (4, 4) [m]. Raises tf2_ros.TransformException if tf does not know it,
+        ValueError if older than `max_age` [s] or not a pose.
         """
-        found = self._buffer.lookup_transform(BASE, FLANGE_MEASURED, rospy.Time(0))
+        found = self._buffer.lookup_transform(BASE, frame, rospy.Time(0))
         if abs((rospy.Time.now() - found.header.stamp).to_sec()) > max_age:
-            raise ValueError(f"the pose of the tool is older than {max_age:g} s")
-        return pose_from_transform(found.transform)
+            raise ValueError(f"the pose of {frame} is older than {max_age:g} s")
+        return check_near(pose_from_transform(found.transform))

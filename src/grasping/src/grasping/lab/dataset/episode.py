@@ -10,13 +10,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from common.camera_model import CameraModel
-from common.poses import inverse
+from common.poses import inverse, read_only
 from grasping.network.depth_image import CAMERA, Crop
 from grasping.network.maps import Peak
 
@@ -26,6 +26,7 @@ thumb's knuckle, along the line on which they close (URDF of the hand)."""
 DEPTH_M = 0.150 - 0.0816  # from the knuckles down to the grasp
 WIDEST_M = 0.15  # fingers further apart are open to let go or to wave, not to grasp something: that says nothing
 NONE_MM = 0  # what a depth image holds where the camera had no reading
+NOWHERE = read_only(np.full((4, 4), np.nan))  # stands for a pose that is not known
 FINGERS = ("index", "middle", "thumb", "spread")  # columns of `Episode.finger_angles`
 EXECUTION, TELEOPERATION, SHOWN = SOURCES = "execution", "teleoperation", "shown"
 """Of an episode: a confirmed proposal, free teleoperation, or a tool that an operator held at the grasp, unlifted."""
@@ -47,6 +48,11 @@ def angles_of_opening(opening_m: float) -> np.ndarray:
     """Returns finger angles, shape (4,) [rad], that open the hand so far, all fingers alike."""
     finger = np.arctan2(2.0 * DEPTH_M, opening_m - SWIVEL_M - KNUCKLE_M - THUMB_M)
     return np.array([finger, finger, finger, 0.0])
+
+
+def tool_of_label(T_base_tool_closed: np.ndarray, T_base_tool_shown: np.ndarray) -> np.ndarray:
+    """Returns the tool at an episode's grasp: the desired one where it was shown, else the measured one."""
+    return T_base_tool_closed if np.isnan(T_base_tool_shown).any() else T_base_tool_shown
 
 
 @dataclass(frozen=True)
@@ -116,6 +122,8 @@ class Episode:
     T_base_tool_desired: np.ndarray  # as the operator's hand wanted it, shape (n, 4, 4) [m]; NaN: no hand followed
     finger_angles: np.ndarray  # the grip's opening, shape (n, 4) [rad]: index, middle, thumb (0 = open), spread
     teleop_active: np.ndarray  # whether an operator's hand was followed, shape (n,)
+    T_base_tool_shown: np.ndarray = field(default_factory=lambda: NOWHERE)
+    """Desired tool that an operator held at the grasp, shape (4, 4) [m]; NaN: the grasp was not shown, but made."""
 
     def __len__(self) -> int:
         """Returns how many frames there are."""
@@ -129,7 +137,7 @@ class Episode:
     @property
     def T_base_grasp(self) -> np.ndarray:
         """The operator's grasp in `kuka/base_frame`, shape (4, 4) [m]: the label of every frame."""
-        return self.T_base_tool_closed @ self.T_tool_grasp
+        return tool_of_label(self.T_base_tool_closed, self.T_base_tool_shown) @ self.T_tool_grasp
 
     @property
     def opening(self) -> float:

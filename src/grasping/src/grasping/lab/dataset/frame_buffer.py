@@ -16,7 +16,7 @@ import numpy as np
 from common.camera_model import CameraModel
 from common.config import integer, number
 from grasping.execution.grasp_watch import ObservedGrasp
-from grasping.lab.dataset.episode import NONE_MM, Episode, Metadata
+from grasping.lab.dataset.episode import NONE_MM, NOWHERE, Episode, Metadata
 from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak, highest, peaks
 from grasping.network.networks import MapNetwork, infer
@@ -107,9 +107,14 @@ class KeptFrames(NamedTuple):
     rows: list[KeptFrame]
 
     def episode(
-        self, grasp: ObservedGrasp, metadata: Metadata, T_flange_tool: np.ndarray, T_tool_grasp: np.ndarray
+        self,
+        grasp: ObservedGrasp,
+        metadata: Metadata,
+        T_flange_tool: np.ndarray,
+        T_tool_grasp: np.ndarray,
+        T_base_tool_shown: np.ndarray = NOWHERE,
     ) -> Episode:
-        """Returns the frames with the grasp as their label."""
+        """Returns the frames with the grasp as their label, or with the tool that was shown, shape (4, 4) [m]."""
         return Episode(
             metadata=metadata,
             camera=self.optics.camera,
@@ -117,6 +122,7 @@ class KeptFrames(NamedTuple):
             T_flange_tool=T_flange_tool,
             T_tool_grasp=T_tool_grasp,
             T_base_tool_closed=grasp.T_base_tool,
+            T_base_tool_shown=T_base_tool_shown,
             t_grasp=grasp.time,
             held=grasp.held,
             **{name: np.array([getattr(row, name) for row in self.rows]) for name in KeptFrame._fields},

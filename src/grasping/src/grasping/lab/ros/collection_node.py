@@ -30,10 +30,10 @@ from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
 from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
-from grasping.lab.dataset.episode import Episode
+from grasping.lab.dataset.episode import NOWHERE, Episode
 from grasping.lab.ros.collection_setup import GGCNN, SECTIONS, CollectionConfig, CollectionSetup, read_setup
 from grasping.lab.ros.episode_files import EpisodeFiles
-from grasping.lab.ros.frame_reader import NOWHERE, FrameReader
+from grasping.lab.ros.frame_reader import FrameReader
 from grasping.pipeline.view import NoView
 from grasping.ros.execution_io import hand_measurement
 from grasping.ros.pose_lookup import PoseLookup

@@ -12,11 +12,10 @@ from common.camera_model import CameraModel
 from common.frames import FLANGE_MEASURED
 from common.ros.images import camera_model_from_info, depth_from_image
 from common.ros.inputs import NodeInputs
+from grasping.lab.dataset.episode import NOWHERE
 from grasping.lab.dataset.frame_buffer import KeptFrame, Optics, look, on_hand
 from grasping.lab.ros.collection_setup import CollectionSetup
 from grasping.ros.pose_lookup import PoseLookup
-
-NOWHERE = np.full((4, 4), np.nan)
 
 
 class PlacedImage(NamedTuple):

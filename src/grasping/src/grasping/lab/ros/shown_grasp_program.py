@@ -1,8 +1,9 @@
 """The collection of 2019 as a program: maps of a thing with the arm at home, then poses of the tool at its grasp.
 
 It runs beside the rig. With the arm at home it takes the maps. Then the operator brings the hand to the grasp and keeps
-it there, and Enter starts the poses. They pause while no hand is followed, and go on with the next Enter. Each pose is
-written at once, as an episode that train_refinement.py reads; Ctrl-C keeps what is written.
+it there, and Enter starts the poses. They pause while no hand is followed, and continue with the next Enter. Each
+desired pose is written at once with the measured one beside it, as an episode that train_refinement.py reads; Ctrl-C
+keeps what is written.
 """
 
 from __future__ import annotations
@@ -22,22 +23,23 @@ from tqdm import tqdm
 
 from common import clock
 from common.errors import RigError
+from common.frames import TOOL_DESIRED
 from common.ros.compressed_images import depth_topic
 from common.ros.files import write_whole
 from common.ros.inputs import NodeInputs, clause
 from common.ros.node import join, run_program
-from grasping.lab.dataset.episode import SHOWN
+from grasping.lab.dataset.episode import NOWHERE, SHOWN
 from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
 from grasping.lab.dataset.store import encode, file_name
 from grasping.lab.ros.collection_setup import CollectionSetup, default_values, setup_from
-from grasping.lab.ros.frame_reader import NOWHERE, FrameReader
+from grasping.lab.ros.frame_reader import FrameReader
 from grasping.pipeline.view import NoView
 from grasping.ros.pose_lookup import PoseLookup
 from rig_msgs.msg import KukaStatus
 
 NAME = "collect_shown_grasp"
 STALE_S = 0.5
-POLL_S = 0.02
+POLL_S = 0.005
 
 
 class ShownGraspRecorder:
@@ -59,7 +61,7 @@ class ShownGraspRecorder:
         self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth))
 
     def take_pose(self) -> bool:
-        """Writes the episode of the tool's present pose if one is due. Returns whether it did; else `waits_for` says
+        """Writes the episode of the tool's desired pose if one is due. Returns whether it did; else `waits_for` says
         why not, or is empty. Raises RigError if the disk does not take it.
         """
         now = rospy.Time.now()
@@ -70,6 +72,7 @@ class ShownGraspRecorder:
             return False
         try:
             T_base_tool = self._poses.flange(STALE_S) @ self._setup.kuka.T_flange_tool
+            T_base_tool_desired = self._poses.newest(TOOL_DESIRED, STALE_S)
         except (ValueError, tf2_ros.TransformException) as error:
             self.waits_for = clause(error)
             return False
@@ -77,7 +80,8 @@ class ShownGraspRecorder:
         frames, grasp = self.session.add_pose(now.to_sec(), T_base_tool)
         setup = self._setup
         metadata = setup.metadata(grasp, SHOWN, setup.config.object, frames.optics.real, self._T_base_camera)
-        episode = frames.episode(grasp, metadata, setup.kuka.T_flange_tool, setup.T_tool_grasp)
+        tool = setup.kuka.T_flange_tool, setup.T_tool_grasp
+        episode = frames.episode(grasp, metadata, *tool, T_base_tool_desired)
         file = setup.folder / file_name(episode)
         try:
             write_whole(file, encode(episode))
@@ -153,12 +157,17 @@ def main() -> None:
     add("--operator", default="unnamed", help="who teleoperates")
     add("--maps", type=int, default=1000, help="default: %(default)s")
     add("--poses", type=int, default=1000, help="default: %(default)s")
+    add("--map-rate", type=float, default=15.0, help="maps a second; default: %(default)g")
+    add("--pose-rate", type=float, default=30.0, help="poses a second; default: %(default)g")
     add("--folder", type=Path, help="of the episodes; default: leap_rig/grasps in ROS's home, ~/.ros")
     add("--view", choices=("camera", "table"), help="what the network sees; default: as in ggcnn.yaml")
     options = parser.parse_args(rospy.myargv()[1:])
     for name in ("maps", "poses"):
         if not 1 <= getattr(options, name) <= 10000:
             parser.error(f"--{name} is {getattr(options, name)} and must be 1 to 10000.")
+    for name in ("map-rate", "pose-rate"):
+        if not 0.1 <= (rate := getattr(options, name.replace("-", "_"))) <= 100.0:
+            parser.error(f"--{name} is {rate:g} and must be 0.1 to 100 a second.")
     run_program(NAME, lambda: _run(options), "Interrupted; the poses that are written stay.")
 
 
@@ -170,7 +179,7 @@ def _run(options: argparse.Namespace) -> None:
     if options.view is not None:
         values["ggcnn"]["view"] = options.view
     setup = setup_from(values)
-    session = ShownGrasp(options.maps, options.poses, setup.frames.rate)
+    session = ShownGrasp(options.maps, options.poses, options.map_rate, options.pose_rate)
     recorder = ShownGraspRecorder(setup, session)
     _phase(recorder, Phase.MAPS, options.maps, "maps at home", recorder.watch_images)
     print("Bring the hand to the grasp and keep it there; then press Enter. After a pause, Enter continues.")
