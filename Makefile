@@ -4,7 +4,7 @@ SHELL := /bin/bash
 
 # What a new set-up or a new build depends on; Python sources, launch files and yaml are used in place.
 MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-webcam.txt tools/setup.sh \
-  $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.develspace.in' \) -not -path src/CMakeLists.txt)
+  $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
 BUILT_IN := $(shell sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$$|\1|p' build/CMakeCache.txt 2> /dev/null)
 IN_WORKSPACE := source devel/setup.bash &&
@@ -30,7 +30,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup demo test test-fast test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
+.PHONY: help setup environment demo test test-fast test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -38,6 +38,9 @@ help: ## this list
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
+
+environment: ## only the Python environment, for a clone in the src of a catkin workspace
+	@tools/setup.sh make_environment
 
 $(READY): $(MANIFESTS)
 	@tools/setup.sh
@@ -79,9 +82,10 @@ fuzz: $(READY) ## MINUTES=60 of input that nobody meant, for every parser and bo
 lint: $(READY) ## style, types, packages, shell scripts, architecture, handbook
 	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
 	@.venv/bin/mypy
+	@.venv/bin/python -m tools.python38
 	@catkin_lint --offline --strict --quiet --ignore plugin_depend src
 	@shellcheck --exclude SC1091 .ci/run $$(find src tools bench -name '*.sh')
-	@shellcheck --shell sh $$(find src -name '*.sh.develspace.in')
+	@shellcheck --shell sh $$(find src -name '*.sh.in')
 	@.venv/bin/python -m pytest -q tests/test_architecture.py
 	@.venv/bin/mkdocs build --strict --quiet --site-dir build/site
 

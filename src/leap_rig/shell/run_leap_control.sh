@@ -19,7 +19,7 @@ if [ "$sim" = true ] && (exec 3<>"/dev/tcp/127.0.0.1/$leap_port") 2>/dev/null; t
   echo "End the Leap service that runs (run_leapd.sh, or another rig), or choose a port: leap_port:=6438." >&2
   exit 1
 fi
-source "$(dirname "$(readlink -f "$0")")/../../../devel/setup.bash"
+source "$(dirname "$(readlink -f "$0")")/workspace.sh"
 set -u  # not before: the set-up files of ROS read variables that a plain terminal lacks
 roslaunch leap_rig leap_rig.launch "sim:=$sim" "$@" &
 rig=$!

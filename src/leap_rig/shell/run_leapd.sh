@@ -12,7 +12,7 @@ if [ "$(id -u)" = 0 ]; then as_root=(); else as_root=(sudo); fi
 if [ "${1:-}" = --sim ]; then
   shift
   set +u  # the set-up files of ROS read variables that a plain terminal lacks
-  source "$(dirname "$(readlink -f "$0")")/../../../devel/setup.bash"
+  source "$(dirname "$(readlink -f "$0")")/workspace.sh"
   exec rosrun rig_simulation leapd.py "$@"
 fi
 if has Ultraleap-Tracking-WS; then

@@ -97,7 +97,8 @@ def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path):
     folder = tmp_path / "src" / "leap_rig" / "shell"
     folder.mkdir(parents=True)
     script = folder / "run_leap_control.sh"
-    script.write_text((SHELL / "run_leap_control.sh").read_text())
+    for name in ("run_leap_control.sh", "workspace.sh"):
+        (folder / name).write_text((SHELL / name).read_text())
     (tmp_path / "devel").mkdir()
     (tmp_path / "devel" / "setup.bash").touch()
     log = tmp_path / "log"
@@ -113,6 +114,37 @@ def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path):
             f"roslaunch leap_rig leap_rig.launch {launched}",
             "rosrun kuka_control real_time_controller.py gui:=false",
         ]
+
+
+LAYOUTS = {  # folder of the scripts, what is built, whether the terminal has a workspace: what is sourced
+    "a clone of its own": ("src/leap_rig/shell", ["devel"], False, "devel"),
+    "a clone in a workspace": ("src/rig/src/leap_rig/shell", ["devel"], False, "devel"),
+    "both": ("src/rig/src/leap_rig/shell", ["devel", "src/rig/devel"], False, "src/rig/devel"),
+    "an install space": ("install/share/leap_rig/shell", ["install"], False, "install"),
+    "an install space beside a devel space": ("install/share/leap_rig/shell", ["devel", "install"], False, "install"),
+    "the terminal's": ("src/rig/src/leap_rig/shell", ["devel", "src/rig/devel"], True, None),
+    "nothing built": ("src/leap_rig/shell", [], False, None),
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_scripts_find_the_workspace_around_them(tmp_path, layout):
+    scripts, built, sourced, expected = LAYOUTS[layout]
+    folder = tmp_path / scripts
+    folder.mkdir(parents=True)
+    (folder / "workspace.sh").write_text((SHELL / "workspace.sh").read_text())
+    for space in built:
+        (tmp_path / space).mkdir(parents=True, exist_ok=True)
+        (tmp_path / space / "setup.bash").write_text(f"echo {space}\n")
+        (tmp_path / space / "local_setup.bash").touch()
+    (tmp_path / "rospack").write_text(f"#!/bin/sh\nexit {0 if sourced else 1}\n")
+    (tmp_path / "rospack").chmod(0o755)
+    done = subprocess.run(
+        ["bash", "-euo", "pipefail", "-c", f"source {folder}/workspace.sh; echo started"],
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.stdout.split() == [*([expected] if expected else []), *(["started"] if built else [])]
+    assert ("nothing was started" in done.stderr) is (not built) is (done.returncode == 1)
 
 
 @pytest.mark.long

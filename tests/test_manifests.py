@@ -1,0 +1,135 @@
+"""Each package.xml names what its package uses, no more, under keys that rosdep knows."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from packaging.requirements import Requirement
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = {manifest.parent.name: manifest.parent for manifest in sorted(ROOT.glob("src/**/package.xml"))}
+# The key of a module is its own name, but for these.
+KEYS = {
+    "apriltag": "leap-rig-apriltag",
+    "cv2": "leap-rig-opencv",
+    "glfw": "leap-rig-mujoco",  # which brings it, as it does OpenGL
+    "h5py": "leap-rig-h5py",
+    "hppfcl": "leap-rig-pin",
+    "matplotlib": "leap-rig-matplotlib",
+    "mcap": "leap-rig-mcap",
+    "mpl_toolkits": "leap-rig-matplotlib",
+    "mujoco": "leap-rig-mujoco",
+    "numpy": "leap-rig-numpy",
+    "OpenGL": "leap-rig-mujoco",
+    "openni": "leap-rig-openni",
+    "pinocchio": "leap-rig-pin",
+    "rospkg": "python3-rospkg",
+    "ruckig": "leap-rig-ruckig",
+    "torch": "leap-rig-torch",
+    "tqdm": "python3-tqdm",
+    "websockets": "leap-rig-websockets",
+    "yaml": "python3-yaml",
+    "zstandard": "leap-rig-mcap",
+}
+# rosdep installs none of these: a program says that it lacks them, or only a clone has them.
+OPTIONAL = {"lerobot", "mediapipe", "openni2_launch", "qt_gui", "tools"}
+# Programs that a package starts, libraries and messages that its modules load by name.
+LOADED = {
+    "leap_rig": {"sensor_msgs"},  # replay.py publishes recorded messages of it
+    "leap_motion": {"openssl"},  # the certificate of the headset's page
+    "rig_simulation": {"leap-rig-egl"},  # MuJoCo draws with it where there is no screen
+    "vision": {"libopenni2-dev"},  # the name under which openni looks for the library
+}
+FINDS = {"_package_folders", "find_node", "get_path"}  # calls whose argument is the name of a package
+# The versions of Debian 12 and Ubuntu 20.04 suffice, so that these are not of pip.
+OF_THE_SYSTEM = {"pyyaml", "tqdm"}
+OWN = yaml.safe_load((ROOT / "env" / "rosdep.yaml").read_text())
+PUBLIC = {key for keys in yaml.safe_load((ROOT / "tests" / "rosdistro_keys.yaml").read_text()).values() for key in keys}
+
+
+def names(file: Path) -> Iterator[str]:
+    """The modules that a Python file imports, and the packages that it finds by name."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield (node.module or "").split(".")[0]
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in FINDS:
+            yield from (argument.value for argument in node.args[:1] if isinstance(argument, ast.Constant))
+
+
+def used(folder: Path) -> set[str]:
+    """The keys of what a package is made of, imports, launches and finds; its tests are left out."""
+    found: set[str] = set()
+    for file in folder.rglob("*"):
+        if file.relative_to(folder).parts[0] in ("setup.py", "tests"):
+            continue
+        if file.suffix == ".py":
+            found |= set(names(file))
+        elif file.suffix == ".launch":
+            text = file.read_text()
+            found |= {*re.findall(r"\$\(find (\w+)\)", text), *re.findall(r'\bpkg="(\w+)"', text)}
+        elif file.suffix in (".msg", ".srv", ".action"):
+            found |= {"message_generation", "message_runtime", *re.findall(r"^(\w+)/\w+", file.read_text(), re.M)}
+            found |= {"std_msgs"} if re.search("^Header ", file.read_text(), re.M) else set()
+            found |= {"actionlib_msgs"} if file.suffix == ".action" else set()
+    found -= {*getattr(sys, "stdlib_module_names", found), *OPTIONAL, folder.name}
+    return {KEYS.get(name, name) for name in found} | LOADED.get(folder.name, set())
+
+
+def named(folder: Path, *but: str) -> list[str]:
+    manifest = ElementTree.parse(folder / "package.xml").getroot()
+    return [entry.text or "" for entry in manifest if entry.tag.endswith("depend") and entry.tag not in but]
+
+
+@pytest.mark.skipif(not hasattr(sys, "stdlib_module_names"), reason="this Python has no list of its own modules")
+@pytest.mark.parametrize("name", PACKAGES)
+def test_the_manifest_names_what_the_package_uses_and_no_more(name):
+    stated = named(PACKAGES[name], "buildtool_depend", "test_depend")
+    assert sorted(stated) == sorted(used(PACKAGES[name]))
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_the_manifest_names_what_the_build_uses(name):
+    tools = ["catkin", "python3-setuptools"] if (PACKAGES[name] / "setup.py").exists() else ["catkin"]
+    assert named(PACKAGES[name], "depend", "build_depend", "exec_depend", "test_depend") == tools
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_the_tests_use_what_is_named_for_them(name):
+    tests = {module for file in (PACKAGES[name] / "tests").rglob("*.py") for module in names(file)}
+    assert set(named(PACKAGES[name], "buildtool_depend", "depend", "build_depend", "exec_depend")) <= tests
+
+
+def test_rosdep_knows_every_key():
+    keys = {key for folder in PACKAGES.values() for key in named(folder)} - set(PACKAGES)
+    assert keys == OWN.keys() | PUBLIC
+
+
+def pins(system: str, version: str) -> dict[str, list[str]]:
+    """The requirements of a Python on a system, by rosdep's key."""
+    lines = (line.split("#")[0].strip() for line in (ROOT / "requirements.txt").read_text().splitlines())
+    wanted = [Requirement(line) for line in lines if line]
+    return {
+        f"leap-rig-{pin.name.replace('-python-headless', '')}": [f"{pin.name}{pin.specifier}"]
+        for pin in wanted
+        if pin.name not in OF_THE_SYSTEM and (pin.marker is None or pin.marker.evaluate({"python_version": version}))
+    }
+
+
+@pytest.mark.parametrize("system, release, python", [("debian", "bookworm", "3.11"), ("ubuntu", "focal", "3.8")])
+def test_rosdep_installs_the_pinned_requirements(system, release, python):
+    of_pip = {}
+    for key, systems in OWN.items():
+        rule = systems[system]
+        rule = rule.get(release, rule) if isinstance(rule, dict) else rule
+        if isinstance(rule, dict):
+            of_pip[key] = rule["pip"]["packages"]
+    assert of_pip == pins(system, python)
