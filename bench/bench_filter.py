@@ -34,18 +34,20 @@ def rows(quick: bool) -> list[Row]:
     for name in FILTERS:
         lag, rest, moving, cost = synthetic(name, seconds)
         values = {"lag": (1e3 * lag, "ms", where), "tremor, rest": (100.0 * rest, "%", where)}
-        values |= {"noise, rest": (100.0 * noise(name, seconds), "%", "independent from sample to sample")}
-        values |= {"tremor, motion": (100.0 * moving, "%", where), "one frame": (cost, "us", "processor time")}
+        values.update({"noise, rest": (100.0 * noise(name, seconds), "%", "independent from sample to sample")})
+        values.update({"tremor, motion": (100.0 * moving, "%", where), "one frame": (cost, "us", "processor time")})
         if hands:
             lag, passing = np.mean([on_recording(name, times, samples) for times, samples in hands], axis=0)
             real = f"mean of {len(hands)} recorded hands"
-            values |= {"lag, recorded": (1e3 * lag, "ms", real), "above 4 Hz, recorded": (100.0 * passing, "%", real)}
+            values.update(
+                {"lag, recorded": (1e3 * lag, "ms", real), "above 4 Hz, recorded": (100.0 * passing, "%", real)}
+            )
         for size in LARGER:
             lag, rest, _, _ = synthetic(name, seconds, size)
             passing = 100.0 * noise(name, seconds, size)
             how = f"{size} samples"
-            values |= {f"lag, {size}": (1e3 * lag, "ms", how), f"tremor, rest, {size}": (100.0 * rest, "%", how)}
-            values |= {f"noise, rest, {size}": (passing, "%", how)}
+            values.update({f"lag, {size}": (1e3 * lag, "ms", how), f"tremor, rest, {size}": (100.0 * rest, "%", how)})
+            values.update({f"noise, rest, {size}": (passing, "%", how)})
         measured[name] = values
     return [
         Row(f"filter {name}: {what}", value, None, unit, how, peer=Peer("mean", measured["mean"][what][0]))

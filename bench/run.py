@@ -76,7 +76,7 @@ def main(argv: list[str] | None = None) -> int:
             failed.append(f"{', '.join(names[i:])}: interrupted")
             code = INTERRUPTED
             break
-    result |= {"load_after": os.getloadavg()[0], "not_run": failed, "rows": [dataclasses.asdict(r) for r in rows]}
+    result.update(load_after=os.getloadavg()[0], not_run=failed, rows=[dataclasses.asdict(row) for row in rows])
 
     print(headline(result))
     print("\n".join(aligned([HEAD, *map(cells, rows)], right=(1, 2, 6))))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import rospy
 
-PIDFD_GETFD = 438  # the system call, on every architecture
+PIDFD_OPEN, PIDFD_GETFD = 434, 438  # system calls, on every architecture
 
 
 class Connection(NamedTuple):
@@ -31,12 +31,15 @@ class Connection(NamedTuple):
 def connections(pid: int) -> dict[int, Connection]:
     """Returns the TCP connections of a process by descriptor; OSError: this process may not look."""
     found = {}
-    pidfd = os.pidfd_open(pid)
+    libc = ctypes.CDLL(None, use_errno=True)
+    pidfd = libc.syscall(PIDFD_OPEN, pid, 0)
+    if pidfd < 0:
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     try:
         for entry in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(FileNotFoundError):
                 if os.readlink(entry).startswith("socket:"):
-                    connection = _connection(pidfd, int(entry.name))
+                    connection = _connection(libc, pidfd, int(entry.name))
                     if connection is not None:
                         found[int(entry.name)] = connection
     finally:
@@ -44,12 +47,11 @@ def connections(pid: int) -> dict[int, Connection]:
     return found
 
 
-def _connection(pidfd: int, number: int) -> Connection | None:
+def _connection(libc: ctypes.CDLL, pidfd: int, number: int) -> Connection | None:
     """Returns the connection of a descriptor; None if the descriptor is not a TCP connection.
 
     No Python socket is made of the duplicate: it would change the mode of the other process's socket, too.
     """
-    libc = ctypes.CDLL(None, use_errno=True)
     own = libc.syscall(PIDFD_GETFD, pidfd, number, 0)
     if own < 0:
         error = ctypes.get_errno()

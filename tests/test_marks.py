@@ -75,10 +75,10 @@ def test_a_test_that_leaves_its_process_must_be_marked(ran):
     code, said = ran(LEAVE)
     assert code == pytest.ExitCode.TESTS_FAILED
     events = {"bind": "socket.bind", "popen": "subprocess.Popen", "before": "os.system", "after": "os.system"}
-    events |= {"spawn": "os.posix_spawn", "sleep": "time.sleep", "clock": "time.sleep"}
-    events |= {"message": "socket.sendmsg", "select": "select.select", "condition": "Condition.wait"}
-    events |= {"event": "Condition.wait, Event.wait", "queue": "Condition.wait, Queue.get"}
-    events |= {"multiprocessing": "multiprocessing.util.spawnv_passfds"}
+    events.update({"spawn": "os.posix_spawn", "sleep": "time.sleep", "clock": "time.sleep"})
+    events.update({"message": "socket.sendmsg", "select": "select.select", "condition": "Condition.wait"})
+    events.update({"event": "Condition.wait, Event.wait", "queue": "Condition.wait, Queue.get"})
+    events.update({"multiprocessing": "multiprocessing.util.spawnv_passfds"})
     failed = dict(re.findall(r"ERROR at teardown of test_(\w+) _+\n.*\[(.*)\]", said.replace("'", "")))
     assert failed == events, said
     for mark in ("real", "long"):

@@ -138,7 +138,7 @@ def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
     parameters = {**{name: str(source) for name in names}, "deep": {"../victim": str(source), "good": str(source)}}
     files = _files({**parameters, "manifest": str(source.with_suffix(".json"))})
     source.with_suffix(".json").write_text("{}")
-    files |= _files({"manifest": str(source.with_suffix(".json"))})
+    files.update(_files({"manifest": str(source.with_suffix(".json"))}))
     assert set(files) <= {"deep.good.yaml", "messages.yaml", "parameters.yaml"} and "deep.good.yaml" in files
     assert "left out" in capsys.readouterr().err
     RecordingWriter(tmp_path / "home" / "run", {}, files, 1, 4096)

@@ -6,6 +6,7 @@ arrays which network it belongs to; nothing is guessed or cut to fit.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import pickle
@@ -193,7 +194,7 @@ def torch_state(data: bytes) -> dict[str, torch.Tensor]:
         # Of the records asks torch's own reader: another one may see others in a malformed archive.
         if data.startswith(ZIP_MAGIC) and PROGRAM in torch._C.PyTorchFileReader(io.BytesIO(data)).get_all_records():
             raise WeightsError("it is a TorchScript program, not a state dict")
-        if tarfile.is_tarfile(io.BytesIO(data)):
+        with contextlib.suppress(tarfile.TarError), tarfile.open(fileobj=io.BytesIO(data)):
             raise WeightsError("it is a tar archive of a torch before 0.2")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # torch remarks that the model's source is not the stub's
