@@ -403,7 +403,7 @@ def _grasps(scene: str) -> Iterator[str]:
     world, *others = (str(free_port()) for _ in range(5))
     options = ("--port", "--control-port", "--hand-port", "--hand-control-port")
     ports = (word for pair in zip(options, others) for word in pair)
-    options_of_launch = (f"port:={world}", "control_port:=0", "image_view:=false", "node:=true")
+    options_of_launch = ("sim:=true", f"port:={world}", "control_port:=0", "image_view:=false", "node:=true")
     launch = ("roslaunch", "grasping", "grasping.launch", *options_of_launch)
     truth = ("rosrun", "rig_simulation", "camera_truth_node.py", f"_port:={world}")
     master = f"http://localhost:{free_port()}"

@@ -100,7 +100,10 @@ def _vision() -> list[list[str]]:
     any_free += ["--hand-port", hand, "--world-port", port]
     return [
         ["rosrun", "rig_simulation", "world.py", "--scene", "empty", "--panel", *any_free],
-        ["roslaunch", "vision", "camera_apriltag.launch", "description:=true", f"port:={port}", "control_port:=0"],
+        [
+            *("roslaunch", "vision", "camera_apriltag.launch", "sim:=true"),
+            *("description:=true", f"port:={port}", "control_port:=0"),
+        ],
         ["roslaunch", "vision", "register_rgbd.launch", "camera:=false", "rviz:=false", "nodelets:=false"],
         ["roslaunch", "vision", "plane_pose.launch", "camera:=false"],
         ["roslaunch", "vision", "camera_oculus.launch", "camera:=false", "web:=true", "web_port:=0"],
@@ -118,13 +121,13 @@ PARTS = {
     ),
     "ptp": Part(
         "The PTP controller",
-        "`roslaunch leap_rig leap_rig_ptp_debug.launch` and `roslaunch kuka_control ptp_controller.launch`: "
+        "`roslaunch leap_rig leap_rig_ptp_debug.launch sim:=true` and `roslaunch kuka_control ptp_controller.launch`: "
         "differences from the rig above.",
         _ptp,
     ),
     "vision": Part(
         "Calibration, depth and headset",
-        "`roslaunch vision camera_apriltag.launch description:=true`, and with `camera:=false` beside it "
+        "`roslaunch vision camera_apriltag.launch sim:=true description:=true`, and with `camera:=false` beside it "
         "`register_rgbd.launch`, `plane_pose.launch` and `camera_oculus.launch web:=true`: "
         "differences from the rig above.",
         _vision,

@@ -138,7 +138,7 @@ def _calibration(stage: ProgramGroup, folder: Path) -> None:
     """RViz after a calibration: the cloud of the calibrated camera lies on the arm's model."""
     robot, world = _world(stage, "--scene", "cup", "--panel", "bundle")
     store = stage.folder / "store"
-    arguments = (f"port:={world}", "control_port:=0", f"folder:={store}", "rviz:=true")
+    arguments = ("sim:=true", f"port:={world}", "control_port:=0", f"folder:={store}", "rviz:=true")
     stage.start("roslaunch", "vision", "camera_apriltag.launch", *arguments)
     rospy.wait_for_message("tag_detections_image", Image, START_S)
     rospy.set_param("camera_calibration/views/count", VIEWS)
@@ -166,7 +166,7 @@ def _open_hand() -> JointState:
 def _headset(stage: ProgramGroup, folder: Path) -> None:
     """The view for the headset: as in 2019, and each eye its own with the lenses undone."""
     _, world = _world(stage, "--scene", "objects")
-    common = (f"port:={world}", "control_port:=0", "output:=screen")
+    common = ("sim:=true", f"port:={world}", "control_port:=0", "output:=screen")
     for name, arguments in (
         ("headset-2019.png", ("depth:=false", "lens:=none")),
         ("headset-stereo.png", ()),
@@ -187,7 +187,7 @@ def _page(stage: ProgramGroup, folder: Path) -> None:
         return
     _, world = _world(stage, "--scene", "objects")
     port = free_port()
-    arguments = (f"port:={world}", "control_port:=0", "window:=false", "web:=true", f"web_port:={port}")
+    arguments = ("sim:=true", f"port:={world}", "control_port:=0", "window:=false", "web:=true", f"web_port:={port}")
     stage.start("roslaunch", "vision", "camera_oculus.launch", *arguments)
     profile = stage.folder / "browser"
     words = (

@@ -46,10 +46,22 @@ def _real(words: list[str]) -> bool:
         return False
     if re.search(r"(?<!\S)(sim:=false|robot_ip:=|ip:=|--ip[ =])", rest):
         return True
+    if words[0] == "roslaunch" and _real_by_default(words[1:]):
+        return True
     if re.match(r"kuka_control (real_time|ptp)_controller\.launch", rest):
         return True  # the address of the parameter files is the real robot's
     asks = re.search(r"(?<!\S)--(list|help|by-hand|again)(?!\S)", rest)
     return not asks and re.match(r"kuka_control simple_controller\.py|vision calibrate_camera\.py", rest) is not None
+
+
+def _real_by_default(words: list[str]) -> bool:
+    """Whether a launch file starts real devices where it is not asked to simulate them."""
+    launch = _launch_file(*(*words, "", "")[:2])
+    sim = launch_files.arguments(launch).get("sim") if launch is not None and launch.is_file() else None
+    given = {name: value for name, assigned, value in (word.partition(":=") for word in words) if assigned}
+    if sim is None or given.get("camera") == "false":
+        return False
+    return given.get("sim", sim.get("default")) != "true"
 
 
 def _faults(words: list[str]) -> list[str]:
@@ -97,10 +109,9 @@ def _takes(source: str, option: str) -> bool:
 def _roslaunch(words: list[str]) -> Iterator[str]:
     words = [word for word in words if not word.startswith("--")]
     package, file = (*words, "", "")[:2]
-    folder = _packages().get(package)
-    if folder is None or EXAMPLE.search(file):
+    launch = _launch_file(package, file)
+    if launch is None or EXAMPLE.search(file):
         return
-    launch = folder / "launch" / (file if file.endswith(".launch") else f"{file}.launch")
     if not launch.is_file():
         yield f"{package} has no launch file {file}"
         return
@@ -109,6 +120,13 @@ def _roslaunch(words: list[str]) -> Iterator[str]:
         name, assigned, _ = word.partition(":=")
         if assigned and name not in known:
             yield f"{launch.name} has no argument {name}"
+
+
+def _launch_file(package: str, file: str) -> Path | None:
+    """Returns the path of a launch file, which need not exist; None for a package that is not here."""
+    folder = _packages().get(package)
+    name = file if file.endswith(".launch") else f"{file}.launch"
+    return None if folder is None else folder / "launch" / name
 
 
 def _graph(words: list[str]) -> Iterator[str]:

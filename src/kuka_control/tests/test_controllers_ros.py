@@ -602,13 +602,19 @@ def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_warne
     assert status.level == 1 and "The workspace is lifted" in status.message and values["workspace"] == "lifted"
 
 
-def test_without_a_robot_it_tries_for_20_s_says_so_and_ends(run):
+@pytest.mark.parametrize("simulated", [True, False])
+def test_without_a_robot_it_tries_for_20_s_says_so_and_ends(run, monkeypatch, simulated):
+    """It names the way without hardware, unless that was taken: an address of this machine is a simulated arm's."""
+    from kuka_control.model.config import RobotAddress
+
+    monkeypatch.setattr(RobotAddress, "on_this_machine", simulated)
     set_params(REAL_TIME, ip="127.0.0.1", port=1)
     begun = clock.monotonic()
     node = run()
     assert node.wait_for_end(60.0) == 1
     assert 20.0 < clock.monotonic() - begun < 22.0
     assert "Trying for" in node.log and "There is no connection to the robot" in node.log
+    assert ("sim:=true" in node.log) is not simulated
     assert "Traceback" not in node.log
 
 

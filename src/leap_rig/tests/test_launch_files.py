@@ -27,26 +27,49 @@ def nodes(*arguments: str) -> set[str]:
 
 
 ROOT = Path(__file__).resolve().parents[3]
-LAUNCH_FILES = ROOT.glob("src/**/launch/*.launch")
-SIMULATED = {path for path in LAUNCH_FILES if '<arg name="sim" default="true"' in path.read_text()}
+LAUNCH_FILES = sorted(ROOT.glob("src/**/launch/*.launch"))
 PANEL = "/kuka_panel"
 DEMO = ROOT / "src/leap_rig/launch/demo.launch"
+SIMULATORS = {DEMO, DEMO.with_name("simulated_devices.launch"), DEMO.with_name("two_simulated_arms.launch")}
+"""The launch files that start simulated devices unasked."""
+CHOOSING = [path for path in LAUNCH_FILES if '<arg name="sim" default' in path.read_text()]
 
 
-@pytest.mark.parametrize("file", sorted(SIMULATED), ids=lambda path: f"{path.parents[1].name}-{path.stem}")
-def test_what_simulates_by_default_says_so_before_anything_else_does(file):
+def simulators(path: Path, *arguments: str) -> list:
+    """Returns the nodes that simulate, or that say that what follows is simulated, in the order of their start."""
     from tools import launched
 
-    first, *others = launched.prefixes(file.parents[1].name, file.name)
-    assert "/simulated.sh " in first
-    real = launched.prefixes(file.parents[1].name, file.name, "sim:=false")
-    assert real and not any("simulated.sh" in prefix for prefix in real)
+    started = launched.config(path.parents[1].name, path.name, arguments).nodes
+    return [node for node in started if node.package == "rig_simulation" or "simulated.sh" in str(node.launch_prefix)]
 
 
-def test_the_files_that_simulate_by_default_are_known():
-    assert {"demo", "leap_rig", "leap_rig_ptp_debug", "camera", "grasping", "camera_apriltag", "camera_oculus"} <= {
-        path.stem for path in SIMULATED
-    }
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
+def test_no_launch_file_but_the_demo_and_the_simulated_devices_simulates_unasked(path):
+    must_be_given = ("robot_ip:=1.2.3.4", "leap_host:=h", "hand_interface:=e", "arm:=left")
+    assert bool(simulators(path, *must_be_given)) is (path in SIMULATORS)
+
+
+@pytest.mark.parametrize("path", CHOOSING, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
+def test_what_is_asked_to_simulate_says_so_before_anything_else_does(path):
+    from tools import launched
+
+    assert "/simulated.sh " in launched.prefixes(path.parents[1].name, path.name, "sim:=true")[0]
+    assert any(node.package == "rig_simulation" for node in simulators(path, "sim:=true"))
+    assert not simulators(path, "sim:=false") and launched.nodes(path.parents[1].name, path.name, "sim:=false")
+
+
+def test_the_lines_that_the_report_of_2019_has_are_those_of_the_page():
+    from tools.reference.commands import AS_TYPED
+
+    lines = [line.typed.split() for line in AS_TYPED]
+    typed = {(words[1], words[2]) for words in lines if words[0] == "roslaunch"}
+    files = {("vision", name) for name in ("camera_oculus.launch", "camera_apriltag.launch", "register_rgbd.launch")}
+    assert files | {("grasping", "grasping.launch"), ("leap_rig", "leap_rig.launch")} <= typed
+    paths = {(path.parents[1].name, path.name): path for path in LAUNCH_FILES}
+    for line, words in zip(AS_TYPED, lines):
+        if words[0] == "roslaunch":
+            path = paths[words[1], words[2] if "." in words[2] else f"{words[2]}.launch"]
+            assert bool(simulators(path, *words[3:])) is (path == DEMO), line
 
 
 @pytest.mark.parametrize("asked", [False, True])

@@ -45,7 +45,7 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     from vision.ros.calibration.calibration_setup import read
 
     robot_port, world_port = world
-    arguments = {"port": world_port, "control_port": "0", "folder": tmp_path}
+    arguments = {"sim": "true", "port": world_port, "control_port": "0", "folder": tmp_path}
     launch = ros.launch("vision", "camera_apriltag.launch", **arguments)
     ros.record("tag_detections", AprilTagDetectionArray).wait(3, 60.0)
     rospy.set_param("camera_calibration/views/guess_position", [1.0, 0.0, 0.65])

@@ -22,7 +22,7 @@ def test_the_lenses_are_those_of_the_files_that_are_given(package, file, tmp_pat
     for name in ("rgb", "depth"):
         (tmp_path / f"{name}.yaml").write_text(f"camera_name: my_{name}\n")
     args = [f"{name}_calibration:={tmp_path / name}.yaml" for name in ("rgb", "depth")]
-    values = launched.parameters(package, file, "sim:=false", *args)
+    values = launched.parameters(package, file, *args)
     assert values["/camera/driver/rgb_calibration/camera_name"] == "my_rgb"
     assert values["/camera/driver/depth_calibration/camera_name"] == "my_depth"
 
@@ -42,15 +42,16 @@ def openni2_launch(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("package", "file"), [("vision", "camera.launch"), *ABOVE])
 def test_with_openni2_launch_our_own_names_of_the_frames_are_there_too(openni2_launch, package, file):
-    args = (package, file, "sim:=false", "openni2_launch:=true")
+    args = (package, file, "openni2_launch:=true")
     nodes = launched.nodes(*args)
     assert {"/camera_of_openni2", "/camera/frames", "/camera/watchdog"} <= nodes
     assert "/camera/driver" not in nodes
-    assert launched.parameters(*args)["/camera/frames/driver_frames"] is False
+    values = launched.parameters(*args)
+    assert values["/camera/frames/driver_frames"] is False and values["/camera/driver/serial"] == ""
 
 
 @pytest.mark.parametrize("openni2", ["true", "false"])
 def test_the_simulated_camera_has_all_its_frames(openni2):
-    args = ("vision", "camera.launch", f"openni2_launch:={openni2}")
+    args = ("vision", "camera.launch", "sim:=true", f"openni2_launch:={openni2}")
     assert {"/camera/driver", "/camera/frames"} <= launched.nodes(*args)
     assert launched.parameters(*args)["/camera/frames/driver_frames"] is True

@@ -41,7 +41,7 @@ def xtion(ros, monkeypatch, tmp_path):
                 matrix = np.reshape(calibration[key]["data"], (3, columns))
                 matrix[:2] *= SIZE["image_width"] / calibration["image_width"]
                 calibration[key]["data"] = matrix.ravel().tolist()
-            values[f"{name}_calibration"] = {**calibration, **SIZE}
+            values[f"{name}_calibration"] = {**calibration, **SIZE, "simulated": does == "simulated"}
         values["frames"] = yaml.safe_load((CONFIG / "camera_frames.yaml").read_text())
         rospy.set_param("camera/driver", {**values, **changes})
         return ros.run("vision", "xtion_node.py", "__ns:=camera", "__name:=driver"), state
@@ -128,6 +128,7 @@ def test_a_camera_pulled_out_or_silent_is_reported_and_comes_back(xtion, ros):
         ("absent", {}, "no devices found"),
         ("present", {"rate": 0, "gain": 1}, "~gain is not a known key"),
         ("present", {"rgb_calibration": {}}, "camera_matrix"),
+        ("simulated", {}, "The calibration rgb_calibration was measured with simulated devices"),
         ("present", {"frames": {}}, "~frames/rgb"),
     ],
 )
@@ -136,6 +137,7 @@ def test_without_a_camera_it_exits_with_a_sentence(xtion, does, changes, complai
     assert process.wait(1.0) == 1
     output = process.log_path.read_text()
     assert complaint in output
+    assert ("sim:=true" in output) is (does == "absent")
     assert "Traceback" not in output
 
 
@@ -339,7 +341,7 @@ def test_the_launch_file_brings_frames_and_waits_for_the_world(ros):
     driver, watchdog = statuses(ros, "camera"), statuses(ros, "camera_watchdog")
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
-    process = ros.launch("vision", "camera.launch", port=30099, control_port=0)
+    process = ros.launch("vision", "camera.launch", sim="true", port=30099, control_port=0)
     clock.sleep(1.0)
     found = buffer.lookup_transform("camera_rgb_optical_frame", "camera_depth_optical_frame", rospy.Time())
     assert found.transform.translation.x == pytest.approx(-0.027)

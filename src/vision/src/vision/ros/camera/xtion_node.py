@@ -10,11 +10,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from common import clock
 from common.camera_model import CameraModel, from_calibration
-from common.errors import DeviceError
+from common.errors import ConfigError, DeviceError
 from common.input_watch import InputWatch
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import RgbdTopics, metres_from_millimetres
 from common.ros.params import private_config, private_values
+from common.simulated import SIMULATED, WITHOUT_HARDWARE, refusal
 from vision.camera.frames import CameraFramesConfig, depth_in_rgb
 from vision.camera.openni_camera import OpenniCamera, OpenniFrame, XtionConfig
 from vision.camera.registration import Registration, millimetres_from_metres
@@ -121,6 +122,14 @@ class XtionNode:
 def main() -> None:
     """Runs the node with its private parameters."""
     config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES, SERIAL))
-    rgb, depth = (from_calibration(private_values().get(name, {})) for name in CALIBRATIONS)
+    given = [private_values().get(name, {}) for name in CALIBRATIONS]
+    rgb, depth = map(from_calibration, given)
+    for name, values in zip(CALIBRATIONS, given):
+        why = refusal(f"The calibration {name}", values.get(SIMULATED), False, "Calibrate the real camera.")
+        if why:
+            raise ConfigError([why])
     frames = private_config(CameraFramesConfig, FRAMES)
-    XtionNode(config, rgb, depth, depth_in_rgb(frames)).run()
+    try:
+        XtionNode(config, rgb, depth, depth_in_rgb(frames)).run()
+    except DeviceError as error:
+        raise DeviceError(f"{error} {WITHOUT_HARDWARE}") from error
