@@ -233,6 +233,12 @@ def reaching(waypoints, sign):
     return targets
 
 
+def test_the_file_says_whether_the_places_were_measured_in_simulation():
+    assert [arms_from({**TWO, **said}).simulated for said in ({}, {"simulated": True}, {"simulated": False})] == [
+        None, True, False,
+    ]  # fmt: skip
+
+
 def test_the_wall_stands_halfway_and_is_the_same_for_both():
     arms = arms_from(TWO)
     for name, sign in (("left", -1.0), ("right", 1.0)):
@@ -256,6 +262,7 @@ def test_the_wall_stands_halfway_and_is_the_same_for_both():
         ({**TWO, "left": {"rpy": [0, 0, 0]}}, "arms/left/position is missing"),
         ({**TWO, "the left": TWO["left"]}, "arms/the left: an arm's name"),
         ({**TWO, 3: TWO["left"]}, "arms/3: an arm's name"),
+        ({**TWO, "simulated": "no"}, "arms/simulated is 'no', but must be true or false"),
     ],
 )
 def test_bad_values_are_refused_by_their_key(values, words):

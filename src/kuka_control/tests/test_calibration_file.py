@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -50,3 +51,19 @@ def test_a_value_that_is_not_plausible_is_refused_with_its_key_and_range(key, va
 def test_a_key_that_is_not_known_is_refused():
     with pytest.raises(ConfigError, match="delta_q is not a known key"):
         example(delta_q=[0] * 7)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("on_this_machine", [True, False])
+@pytest.mark.parametrize("said", [{}, {"simulated": False}, {"simulated": True}])
+def test_a_simulated_arms_geometry_is_refused_by_a_real_arm(tmp_path, said, on_this_machine):
+    from kuka_control.ros.parameter_server import dh_deviations
+
+    file = tmp_path / "arm.yaml"
+    file.write_text(yaml.safe_dump({**yaml.safe_load(EXAMPLE.read_text()), **said}))
+    config = SimpleNamespace(dh_parameters=str(file), robot="LBR7R800", on_this_machine=on_this_machine)
+    if said.get("simulated") and not on_this_machine:
+        with pytest.raises(ConfigError, match=f"^{file} was measured with simulated devices"):
+            dh_deviations(config)
+    else:
+        assert dh_deviations(config).robot == "LBR7R800"

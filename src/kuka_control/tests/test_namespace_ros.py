@@ -128,6 +128,20 @@ def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros,
     assert "connected" not in robot.log
 
 
+def test_a_real_arm_refuses_places_that_were_measured_in_simulation(ros, robot, monkeypatch):
+    import rospy
+
+    from kuka_control.model.config import RobotAddress
+
+    monkeypatch.setattr(RobotAddress, "on_this_machine", False)
+    set_params("/left", "left", robot.port)
+    rospy.set_param("/arms", {**ARMS, "simulated": True})
+    process = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
+    assert process.wait(30.0) == 1
+    assert "The file of arms:= was measured with simulated devices" in process.log, process.log
+    assert "connected" not in robot.log
+
+
 def set_right(**kuka):
     import rospy
 

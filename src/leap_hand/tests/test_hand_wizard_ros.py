@@ -27,6 +27,7 @@ def test_the_wizard_measures_the_hand_that_the_simulated_leap_tracks(virtual_gra
         person.reach(curl=0.6, seconds=0.3)
         assert wizard.wait(10.0) == 0
     stored = yaml.safe_load((tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml").read_text())
+    assert stored["simulated"] is True
     for finger in ("index", "middle"):
         opened, closed = stored[f"{finger}_human"]
         assert opened - closed > 30.0

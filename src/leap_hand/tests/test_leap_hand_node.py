@@ -392,7 +392,9 @@ def test_the_launch_file_loads_the_stored_hand_of_an_operator(tmp_path, monkeypa
     stored.parent.mkdir(parents=True)
     stored.write_text("thumb_human: [77.5, 32.5]")
     params = launched.parameters("leap_hand", "leap_hand.launch", "operator:=anna")
-    assert params["/leap_hand/thumb_human"] == [77.5, 32.5]
+    assert params["/leap_hand/thumb_human"] == [77.5, 32.5] and params["/leap_hand/simulated"] is False
+    stored.write_text("simulated: true")
+    assert launched.parameters("leap_hand", "leap_hand.launch", "operator:=anna")["/leap_hand/simulated"] is True
     assert params["/leap_hand/thumb_robot"] == LIMITS["thumb_robot"] and params["/leap_hand_node/operator"] == "anna"
 
 
@@ -415,6 +417,7 @@ def test_the_wizard_stores_a_hand(ros, tracker, tmp_path, monkeypatch):
     assert process.wait(20.0) == 0
     stored = yaml.safe_load((tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml").read_text())
     assert stored["thumb_human"] == pytest.approx([77.5, 32.5], abs=0.2)
+    assert "simulated" not in stored, "no driver says whether the tracker is"
     unknown = ros.run("leap_hand", "hand_wizard.py", "--check", "bob")
     again = ros.run("leap_hand", "hand_wizard.py", "anna")
     folder = tmp_path / ".config" / "leap_rig" / "operators"
@@ -432,6 +435,7 @@ def test_the_wizard_stores_a_hand(ros, tracker, tmp_path, monkeypatch):
     [
         ({"index_humen": [85.0, 40.0]}, {}, "leap_hand/index_humen is not a known key"),
         ({}, {"hand": "both"}, "~hand is 'both'"),
+        ({"simulated": True}, {"operator": "anna"}, "operators/anna.yaml of operator:= was measured with simulated"),
     ],
 )
 def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, private, words):
@@ -445,6 +449,16 @@ def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, privat
     log = process.log_path.read_text()
     assert process.returncode == 1 and words in log and "Traceback" not in log
     assert not driver.calls and not driver.commands
+
+
+def test_with_the_simulated_robot_hand_a_simulated_operators_mapping_counts(ros, driver, tracker):
+    import rospy
+
+    rospy.set_param("leap_hand", {**LIMITS, "simulated": True})
+    rospy.set_param("reflex_takktile_driver/network_interface", "lo")
+    tracker.show(make_hand(20.0))
+    ros.run("leap_hand", "leap_hand_node.py")
+    ros.wait_until(lambda: is_near(driver, FIST), 5.0, "the fist")
 
 
 def test_a_missing_limit_ends_the_node(ros, driver):

@@ -61,6 +61,7 @@ class BoardScene:
         )
         self.visible, self.noise, self.sd = True, SD / 3.0, SD
         self.detects, self.frame = True, OPTICAL  # whether the detector publishes, and in which frame
+        rospy.set_param("camera/driver/serial", "simulated")
         rospy.set_param(DETECTOR, yaml.safe_load((CONFIG / "tags.yaml").read_text()))
         self._model = pinhole("test", 640, 480, [[545.0, 0, 319.5], [0, 545.0, 239.5], [0, 0, 1]])
         self._rng = np.random.default_rng(0)

@@ -72,7 +72,7 @@ def test_the_program_writes_that_base_from_both_calibrations(seen, tmp_path, cap
     found, truth = seen
     head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "panel": BOARD.frame, "camera": "simulated"}
     for name, (views, verdict) in found.items():
-        record = by_views(verdict, views, date="2026-01-31T12:00:00", camera_frame=OPTICAL, **head)
+        record = by_views(verdict, views, date="2026-01-31T12:00:00", camera_frame=OPTICAL, simulated=True, **head)
         (tmp_path / name).mkdir()
         (tmp_path / name / "camera_place_1.yaml").write_text(yaml.safe_dump(mapping_from_record(record)))
     given = tmp_path / "drawing.yaml"

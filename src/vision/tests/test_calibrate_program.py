@@ -115,6 +115,7 @@ def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scen
     record = read(file)
     assert len(record.views) >= 8
     assert (record.camera, record.robot, record.panel) == ("1234", "LBR7R800", "tag_frame")
+    assert record.simulated is True
     off = inverse(T_BASE_CAMERA) @ record.T_base_camera
     assert np.linalg.norm(off[:3, 3]) < 0.003
     assert np.degrees(rotation_angle(off[:3, :3])) < 0.3
@@ -137,6 +138,16 @@ def test_views_of_another_rig_are_refused(calibrate, still_scene, tmp_path):
     code, log = calibrate("--again", str(file), "--yes")
     assert code == 1
     assert "another rig" in log and all(f"{key} {value}, not" in log for key, value in others.items())
+    assert stored(tmp_path) == []
+
+
+def test_views_of_simulated_devices_are_refused_beside_a_real_camera(calibrate, still_scene, tmp_path):
+    import rospy
+
+    file = file_of_views(tmp_path, simulated=True)
+    rospy.set_param("camera/driver/serial", "1234")
+    code, log = calibrate("--again", str(file), "--yes")
+    assert code == 1 and f"The calibration {file} was measured with simulated devices" in log
     assert stored(tmp_path) == []
 
 
@@ -170,8 +181,9 @@ def file_of_views(tmp_path, board=T_FLANGE_BOARD, **head):
     verdict = judge(views, board, limits)
     assert verdict.accepted, verdict.sentence
     head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "camera": "1234", "panel": "tag_frame", **head}
-    record = by_views(verdict, views, date="2026-01-01T00:00:00", camera_frame="camera_rgb_optical_frame", **head)
-    return CalibrationStore(StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch")).save(record)
+    head = {"date": "2026-01-01T00:00:00", "camera_frame": "camera_rgb_optical_frame", "simulated": False, **head}
+    config = StoreConfig(str(tmp_path / "other"), "1234", "LBR7R800", "MF_elektrisch")
+    return CalibrationStore(config, simulated=True).save(by_views(verdict, views, **head))
 
 
 def test_a_board_that_is_not_as_drawn_is_refused(calibrate, still_scene, tmp_path):

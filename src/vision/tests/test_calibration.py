@@ -30,7 +30,7 @@ from vision.marker_board.board import MarkerBoardConfig
 CONFIG = Path(__file__).parents[1] / "config"
 HEAD = {
     "date": "2026-01-31T12:00:00", "robot": "LBR7R800", "flange": "MF_elektrisch", "panel": "tag_frame",
-    "camera": "1234", "camera_frame": "camera_rgb_optical_frame",
+    "camera": "1234", "camera_frame": "camera_rgb_optical_frame", "simulated": False,
 }  # fmt: skip
 
 

@@ -26,7 +26,8 @@ pytestmark = pytest.mark.ros
 def store(tmp_path):
     from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
 
-    return CalibrationStore(StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch"))
+    config = StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch")
+    return CalibrationStore(config, simulated=False)
 
 
 @pytest.fixture
@@ -34,7 +35,7 @@ def record():
     _, _, views = scene(1, 4, SD)
     return CalibrationRecord(
         "2026-01-31T12:00:00", LIVE, "LBR7R800", "MF_elektrisch", "tag_frame", "1234", "camera_rgb_optical_frame",
-        0.5, 0.1, 0.2, pose(p=(1.0, 2.0, 3.0)), np.eye(4), np.ones((4, 2)), tuple(views),
+        0.5, 0.1, 0.2, False, pose(p=(1.0, 2.0, 3.0)), np.eye(4), np.ones((4, 2)), tuple(views),
     )  # fmt: skip
 
 
@@ -72,11 +73,48 @@ def test_the_newest_is_so_in_every_time_zone(store, record, monkeypatch, dates, 
     time.tzset()
     try:
         assert dated(store, record, *dates)[newest] == store.newest()[1]
-        setup = CalibrationSetup(*[SimpleNamespace(frame="", robot="", flange="", camera="")] * 5)
+        setup = CalibrationSetup(*[SimpleNamespace(frame="", robot="", flange="", camera="")] * 5, False)
         assert utc(clock.time())[:15] == setup.head["date"][:15] and setup.head["date"].endswith("Z")
     finally:
         monkeypatch.undo()
         time.tzset()
+
+
+@pytest.mark.parametrize("rig", [True, False, None])
+@pytest.mark.parametrize("made", [True, False, None])
+def test_a_simulated_calibration_is_refused_where_the_camera_is_not_known_to_be_simulated(store, record, made, rig):
+    """The newest counts or nothing: an older one is no substitute that nobody asked for."""
+    from vision.ros.calibration.calibration_setup import CalibrationStore, read
+
+    store.save(record)
+    file = store.save(replace(record, date="2026-02-01T08:00:00", simulated=made))
+    assert read(file).simulated is made and ("simulated" in yaml.safe_load(file.read_text())) is (made is not None)
+    here = CalibrationStore(store._config, rig)
+    if made and not rig:
+        with pytest.raises(DeviceError, match=str(file)):
+            here.newest()
+    else:
+        assert here.newest()[1] == file
+
+
+def test_a_file_from_before_the_key_is_known_by_the_simulated_cameras_serial_number(store, record):
+    from vision.ros.calibration.calibration_setup import read
+
+    for camera, made in (("simulated", True), ("1234", None)):
+        assert read(store.save(replace(record, simulated=None, camera=camera))).simulated is made
+
+
+@pytest.mark.parametrize(
+    ("camera", "arm", "made"),
+    [
+        (False, "172.31.1.147", False), (False, "127.0.0.1", True), (True, "172.31.1.147", True), (False, "", None),
+        (None, "172.31.1.147", None), (None, "localhost", True),
+    ],
+)  # fmt: skip
+def test_camera_and_arm_are_both_real_or_the_calibration_is_not(camera, arm, made):
+    from vision.ros.calibration.calibration_setup import CalibrationSetup
+
+    assert CalibrationSetup(*[None] * 5, camera).measured_by(arm) is made
 
 
 def test_a_copy_under_another_name_counts_by_its_date(store, record):

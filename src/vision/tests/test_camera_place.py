@@ -142,13 +142,16 @@ def test_the_serial_number_is_the_drivers_and_is_waited_for(ros, scene, tmp_path
     import rospy
 
     rospy.set_param("camera_calibration/store/camera", "")
+    rospy.set_param("kuka/ip", "172.31.1.147")
+    rospy.delete_param("camera/driver/serial")
     ros.run("vision", "camera_place_node.py", "_mode:=live")
     clock.sleep(seconds)
     rospy.set_param("camera/driver/serial", "1207290099")
     if stores:
         stored(ros)
         (file,) = (tmp_path / "store").iterdir()
-        assert yaml.safe_load(file.read_text())["camera"] == "1207290099"
+        values = yaml.safe_load(file.read_text())
+        assert (values["camera"], values["simulated"]) == ("1207290099", False)
     else:
         clock.sleep(1.0)
         assert "The camera's serial number is unknown" in call("camera_place/store").message

@@ -26,7 +26,8 @@ def moved(views, T):
 
 
 def record_of(views, date):
-    head = (date, VIEWS, "LBR7R800", "MF_elektrisch", "tag_frame", "1234", "camera_rgb_optical_frame", 0.5, 0.1, 0.2)
+    hardware = ("LBR7R800", "MF_elektrisch", "tag_frame", "1234", "camera_rgb_optical_frame")
+    head = (date, VIEWS, *hardware, 0.5, 0.1, 0.2, False)
     return CalibrationRecord(*head, solve(views).T_base_camera, np.eye(4), np.ones((len(views), 2)), tuple(views))
 
 
@@ -71,7 +72,10 @@ def test_the_second_arm_is_written_where_it_stands(run, records):
     assert "The base of right stands at x 0.0" in printed and "standard deviations" in printed
     assert "not moved between 2026-01-31T12:00:00 and 2026-01-31T12:30:00" in printed
     assert f"arms:={file}" in printed and "standard deviations" in file.read_text()
-    assert arms.margin == 0.3
+    assert arms.margin == 0.3 and arms.simulated is False and "Measured with real devices" in printed
+    for said, origin in ((True, True), (None, None)):
+        _, _, file = run(records[0], replace(records[1], simulated=said))
+        assert arms_from(yaml.safe_load(file.read_text())).simulated is origin
 
 
 def test_the_newest_calibration_of_a_folder_counts_and_an_only_view_does_not(run, records):

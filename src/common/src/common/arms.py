@@ -14,6 +14,7 @@ from common.errors import ConfigError
 from common.frames import PREFIX
 from common.mounting import rotation_of_mounting
 from common.poses import pose, read_only
+from common.simulated import SIMULATED
 
 LEAST_MARGIN_M = 0.3  # both hands, and what the elbows stick out beyond the tools [m]
 MOST_MARGIN_M = 5.0
@@ -40,6 +41,7 @@ class Arms:
 
     margin: float  # between tool points of different arms [m]
     placements: Mapping[str, BasePlacement]
+    simulated: bool | None = None  # whether they were measured with simulated devices; None: they do not say
 
 
 def arms_from(values: Any, prefix: str = "") -> Arms:
@@ -60,6 +62,10 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
     for name, entry in values.items():
         if name == "margin":
             continue
+        if name == SIMULATED:
+            if not isinstance(entry, bool):
+                faults.append(f"{prefix}{name} is {entry!r}, but must be true or false.")
+            continue
         if not isinstance(name, str) or not name or not PREFIX.fullmatch(name):
             faults.append(f"{prefix}{name}: an arm's name must be letters, digits and _, such as left.")
             continue
@@ -70,4 +76,4 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
         faults.append(f"{prefix or 'The file '}names {len(placements)} arms, but must name at least two.")
     if faults:
         raise ConfigError(faults)
-    return Arms(float(margin), placements)
+    return Arms(float(margin), placements, values.get(SIMULATED))

@@ -8,6 +8,7 @@ import numpy as np
 
 from common.config import choice, flag, number, text, vector
 from common.hand_tracking import ANY, LEFT, RIGHT
+from common.simulated import simulated_field
 
 FINGERS = ("index", "middle", "thumb", "spread")
 """Order of the angles of the human hand and of the commands of the robot hand."""
@@ -62,6 +63,7 @@ class HandConfig:
         doc="who moves the fingers while no hand steers the arm: any hand in view, as in 2019, or none",
         absent=ANY,
     )
+    simulated: bool | None = simulated_field()
 
     @property
     def human(self) -> np.ndarray:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.hand_tracking import FrameWatch
+from common.simulated import SIMULATED
 from leap_hand.config import FINGERS, HandConfig
 from leap_hand.flexion import flexion
 from leap_motion.frames import TrackedHand, TrackingFrame
@@ -216,11 +217,12 @@ class HandWizard:
         return HandCalibration(values, tuple(remarks))
 
 
-def as_yaml(name: str, calibration: HandCalibration) -> str:
-    """Returns the text of a person's file."""
+def as_yaml(name: str, calibration: HandCalibration, simulated: bool | None) -> str:
+    """Returns the text of a person's file, measured with a simulated tracker or not; None: it is not known."""
     lines = [f"# The hand of {name}: values above those of leap_hand.yaml, written by hand_wizard.py."]
     lines += [f"# {remark}" for remark in calibration.remarks]
     lines += [f"{key}: [{first:g}, {second:g}]    # [deg]" for key, (first, second) in calibration.values.items()]
+    lines += [] if simulated is None else [f"{SIMULATED}: {str(simulated).lower()}"]
     return "\n".join(lines) + "\n"
 
 

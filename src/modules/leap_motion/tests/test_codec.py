@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from leap_motion import codec
-from leap_motion.codec import DeviceEvent, LeapProtocolError, read_header, read_message
+from leap_motion.codec import DeviceEvent, LeapProtocolError, is_simulated, read_header, read_message
 from leap_motion.frames import DISTAL, INDEX, METACARPAL
 
 RECORDINGS = {
@@ -383,6 +383,12 @@ def test_events():
     assert event == DeviceEvent("LP12345678901", attached=True, streaming=False)
     assert read({"event": {"state": False, "type": "deviceConnect"}}) == DeviceEvent("", False, False)
     assert read({"event": {"type": "somethingNew"}}) is None
+
+
+def test_a_service_says_that_it_is_simulated_or_it_is_not():
+    for says, simulated in (("true", True), ("false", False), ('"true"', False), ("1", False)):
+        assert is_simulated(f'{{"version":6,"simulated":{says}}}') is simulated
+    assert is_simulated('{"version":6,"serviceVersion":"2.3.1+33747"}') is False
 
 
 def test_headers():

@@ -144,6 +144,7 @@ def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
     for count in (1, 2, 3):
         clock.sleep(0.25 if count == 1 else REMIND_S)
         assert (said(), node.poll(), humans) == (count, None, [])
+    assert node.log_path.read_text().count("sim:=true") == 3
     service = wire.serve(Talk(), port=port)
     humans.wait(5, RETRY_MAX_S + 6 * PERIOD_S)
     service.close()
@@ -159,7 +160,7 @@ def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, mo
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     T = np.array([[1.0, 0.0, 0.0, 0.1], [0.0, 0.8, -0.6, 0.02], [0.0, 0.6, 0.8, 0.3], [0.0, 0.0, 0.0, 1.0]])
-    store(registration_file("desk"), PointFit(T, np.array([1e-3]), 1.0), "LP1", clock.time())
+    store(registration_file("desk"), PointFit(T, np.array([1e-3]), 1.0), "LP1", clock.time(), simulated=False)
     humans = ros.record("leap_motion/leap_device", Human)
     arrays = ros.record("/diagnostics", DiagnosticArray)
     talk = Talk(serial="LP2")
@@ -177,6 +178,19 @@ def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, mo
     assert (hand.direction.x, hand.direction.y, hand.direction.z) == pytest.approx((0.0, 0.6, -0.8), abs=1e-6)
 
 
+def reported(registered, of_simulation, plugged, simulated):
+    """Returns level and sentence for a tracker of the serial `plugged`, and whether its frame was used."""
+    from leap_motion.ros.driver import LinkReport
+
+    status = LeapStatus(LeapLink.STREAMING, "It sends frames.", serial=plugged, simulated=simulated)
+    client = SimpleNamespace(status=status, counts=LeapCounts())
+    registration = SimpleNamespace(serial=registered, simulated=of_simulation, T_desk_leap=np.eye(4))
+    report = LinkReport(client, registration, "desk")
+    level, sentence, values = report.diagnostics()
+    assert (values["registration"], values["simulated"]) == ("desk", str(simulated).lower())
+    return level, sentence, report.frame(LeapFrame(1, 8000, 115.0, ())) is not None
+
+
 @pytest.mark.parametrize(
     ("registered", "plugged", "level", "words"),
     [
@@ -188,15 +202,19 @@ def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, mo
     ],
 )
 def test_a_registration_is_used_or_refused_by_the_serial(registered, plugged, level, words):
-    from leap_motion.ros.driver import LinkReport
+    found, sentence, used = reported(registered, False, plugged, False)
+    assert (found, used) == (level, level < 2) and words in sentence
 
-    status = LeapStatus(LeapLink.STREAMING, "It sends frames.", serial=plugged)
-    client = SimpleNamespace(status=status, counts=LeapCounts())
-    frame = LeapFrame(1, 8000, 115.0, ())
-    report = LinkReport(client, SimpleNamespace(serial=registered, T_desk_leap=np.eye(4)), "desk")
-    found, sentence, values = report.diagnostics()
-    assert (found, values["registration"]) == (level, "desk") and words in sentence
-    assert (report.frame(frame) is None) == (level == 2)
+
+@pytest.mark.parametrize("simulated", [True, False])
+@pytest.mark.parametrize("of_simulation", [True, False, None])
+def test_a_simulated_registration_counts_for_the_simulated_tracker_alone(of_simulation, simulated):
+    """Today's service does not say which tracker it is, so that the serial tells nothing."""
+    level, sentence, used = reported("LP1", of_simulation, "LP1", simulated)
+    refused = of_simulation is True and not simulated
+    assert used is not refused and ("trackers/desk.yaml was measured with simulated devices" in sentence) is refused
+    doubtful = of_simulation is None and not simulated
+    assert level == (2 if refused else 1 if doubtful else 0) and ("does not say" in sentence) is doubtful
 
 
 @pytest.mark.parametrize(

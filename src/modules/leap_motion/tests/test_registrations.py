@@ -25,7 +25,7 @@ def home(tmp_path, monkeypatch):
 
 def stored(**changes):
     """A good file with changed keys; None leaves one out."""
-    store(registration_file("desk"), PointFit(np.eye(4), np.array([1e-3]), 1.0), "LP1", NOW)
+    store(registration_file("desk"), PointFit(np.eye(4), np.array([1e-3]), 1.0), "LP1", NOW, simulated=False)
     path = registration_file("desk")
     values = {**yaml.safe_load(path.read_text()), **changes}
     path.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not None}))
@@ -38,10 +38,15 @@ def stored(**changes):
 )
 def test_what_is_stored_is_read(numbers, serial, days):
     T = pose(pin.exp3(np.array(numbers[:3])), numbers[3:])
-    store(registration_file("desk"), PointFit(T, np.array([1e-3, 2e-3]), 1.0), serial, NOW)
+    store(registration_file("desk"), PointFit(T, np.array([1e-3, 2e-3]), 1.0), serial, NOW, days > 1.0)
     found = load("desk", NOW + 86400.0 * days)
     assert_allclose(found.T_desk_leap, T, atol=1e-6)
-    assert (found.serial, found.residual_mm) == (serial, 2.0)
+    assert (found.serial, found.residual_mm, found.simulated) == (serial, 2.0, days > 1.0)
+
+
+def test_a_file_from_before_the_key_does_not_say_how_it_was_measured():
+    stored(simulated=None)
+    assert load("desk", NOW).simulated is None
 
 
 @pytest.mark.parametrize(
@@ -56,6 +61,7 @@ def test_what_is_stored_is_read(numbers, serial, days):
         ({"quaternion": [0.0, 1.0, 0.0, 0.0]}, "by 180 deg"),
         ({"residual_mm": None}, "residual_mm is missing"),
         ({"serial": [5]}, "serial is .*, but must be a string"),
+        ({"simulated": "no"}, "simulated is 'no', but must be true or false"),
         ({"serial": "WebXR"}, "places its axes anew"),
         ({"serial": "WC-front"}, "places its axes anew"),
         ({"date": "yesterday"}, "date is 'yesterday'"),
@@ -92,7 +98,7 @@ def test_a_name_that_is_none_of_a_file_is_refused(name):
 def test_a_folder_that_cannot_be_written(tmp_path):
     (tmp_path / ".config").write_text("a file")
     with pytest.raises(RigError, match="could not be written"):
-        store(registration_file("desk"), PointFit(np.eye(4), np.zeros(3), 1.0), "", NOW)
+        store(registration_file("desk"), PointFit(np.eye(4), np.zeros(3), 1.0), "", NOW, simulated=False)
 
 
 @pytest.mark.parametrize("serial", ["WebXR", "WC-front"])

@@ -217,6 +217,7 @@ def test_the_bytes_of_todays_service():
     """Golden bytes of the header, device event, empty frame and three hands: no version, serial, or box."""
     hand = any_hand(np.random.default_rng(0))
     assert wire.text(wire.header(6, "gemini", "2.3.1")) == '{"version":6}'
+    assert wire.text(wire.header(6, "gemini", "2.3.1", simulated=True)) == '{"version":6,"simulated":true}'
     event = '{"event":{"type":"deviceEvent","state":{"attached":true,"id":1,"streaming":true,"type":"peripheral"}}}'
     assert wire.text(wire.device_event(6, "gemini", "LP1", True)) == event
     assert wire.frame([], 90.0, "gemini").text(4, 5) == (

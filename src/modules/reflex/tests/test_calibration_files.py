@@ -26,6 +26,26 @@ def test_what_was_saved_is_loaded(files, shipped):
     assert files.load()[2]
 
 
+@pytest.mark.parametrize("of_simulation", [True, False, None])
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_real_hand_takes_no_calibration_of_the_simulated_one(shipped, tmp_path, of_simulation, simulated):
+    """None: a file of the maker's driver, or from before the key."""
+    for calibration in shipped:
+        file = CalibrationFiles(str(tmp_path), simulated=bool(of_simulation)).save(calibration)
+        if of_simulation is None:
+            file.write_text("".join(line for line in file.open() if "simulated" not in line))
+    here = CalibrationFiles(str(tmp_path), simulated=simulated)
+    if of_simulation and not simulated:
+        with pytest.raises(CalibrationFileError, match=f"{tmp_path}/finger_calibrate.yaml is of the simulated hand"):
+            here.load()
+    else:
+        assert here.load()[2]
+    first = tmp_path / "finger_calibrate.yaml"
+    first.write_text(first.read_text().partition("simulated")[0] + "simulated: perhaps\n")
+    with pytest.raises(CalibrationFileError, match="must be true or false"):
+        here.load()
+
+
 def test_a_file_that_cannot_be_read(files):
     (files.folder / "finger_calibrate.yaml").mkdir(parents=True)
     with pytest.raises(CalibrationFileError):

@@ -79,7 +79,7 @@ def received(connection, seconds):
 
 def test_header_then_device_event_then_frames(start):
     with client_of(start()) as connection:
-        assert receive(connection) == {"version": 6, "serviceVersion": "2.3.1+simulated"}
+        assert receive(connection) == {"version": 6, "serviceVersion": "2.3.1+simulated", "simulated": True}
         event = receive(connection)["event"]
         assert event["type"] == "deviceEvent"
         assert event["state"] == {"attached": True, "streaming": True, "type": "Peripheral", "id": event["state"]["id"]}
@@ -92,10 +92,10 @@ def test_header_then_device_event_then_frames(start):
 @pytest.mark.parametrize(
     ("path", "header", "event"),
     [
-        ("/v5.json", {"version": 5, "serviceVersion": "2.3.1+simulated"}, "deviceEvent"),
-        ("/v4.json", {"version": 4}, "deviceConnect"),
-        ("/v2.json", {"version": 2}, None),
-        ("/", {"version": 1}, None),
+        ("/v5.json", {"version": 5, "serviceVersion": "2.3.1+simulated", "simulated": True}, "deviceEvent"),
+        ("/v4.json", {"version": 4, "simulated": True}, "deviceConnect"),
+        ("/v2.json", {"version": 2, "simulated": True}, None),
+        ("/", {"version": 1, "simulated": True}, None),
     ],
 )
 def test_lower_versions(start, path, header, event):

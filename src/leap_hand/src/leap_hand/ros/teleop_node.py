@@ -11,18 +11,21 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Empty
 
 from common import clock
-from common.errors import DeviceError
+from common.errors import ConfigError, DeviceError
 from common.hand_tracking import LEFT
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
 from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import call
+from common.simulated import refusal
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
+from leap_hand.ros.operators import operator_file
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedHuman, Subscribe, subscribe
+from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
@@ -178,6 +181,11 @@ def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> N
     config = wait_for_config(HandConfig, f"{of}leap_hand")
     if node.operator:
         rospy.loginfo("The finger mapping is that of %s.", node.operator)
+    simulated_hand = rospy.get_param(f"{of}reflex_takktile_driver/network_interface", None) == LOOPBACK
+    what = f"The finger mapping {operator_file(node.operator or 'NAME')} of operator:="
+    why = refusal(what, config.simulated, simulated_hand, "Run rosrun leap_hand hand_wizard.py with a real tracker.")
+    if why:
+        raise ConfigError([why])
     calibrate(node.service_timeout, of)
     HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config), of).run(subscribe)
 

@@ -9,12 +9,14 @@ from pathlib import Path
 import rospkg
 import rospy
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
 
 from common import clock
 from common.config import parse
 from common.errors import RigError
 from common.ros.files import write_whole
 from common.ros.node import join, run_program
+from common.simulated import SIMULATED
 from leap_hand.config import HandConfig
 from leap_hand.hand_wizard import HandWizard, WizardStep, as_yaml
 from leap_hand.ros.operators import known_file, operator_file
@@ -53,20 +55,22 @@ def _run(options: argparse.Namespace) -> None:
     default = yaml.safe_load(shipped.read_text(encoding="utf-8"))
     wizard = HandWizard(parse(HandConfig, default, "leap_hand/"))
     join(NODE, anonymous=True)
-    _measure(wizard, options.timeout)
+    simulated = _measure(wizard, options.timeout)
     calibration = wizard.result()
     parse(HandConfig, {**default, **calibration.values}, "leap_hand/")
     for remark in calibration.remarks:
         print(remark)
     try:
-        write_whole(path, as_yaml(options.name, calibration))
+        write_whole(path, as_yaml(options.name, calibration, simulated))
     except OSError as error:
         raise WizardRefused(f"{path} could not be written: {error.strerror}.") from error
     print(f"Stored in {path}. Start the rig with operator:={options.name}.")
 
 
-def _measure(wizard: HandWizard, timeout: float) -> None:
-    """Leads the person until the wizard is done; raises WizardRefused."""
+def _measure(wizard: HandWizard, timeout: float) -> bool | None:
+    """Leads the person until the wizard is done; returns whether the tracker is simulated, None if its driver does not
+    say. Raises WizardRefused.
+    """
     frames: clock.Queue[TrackingFrame] = clock.Queue(maxsize=100)
     statuses: list[KukaStatus] = []
 
@@ -74,6 +78,14 @@ def _measure(wizard: HandWizard, timeout: float) -> None:
         if not frames.full():
             frames.put_nowait(frame)
 
+    tracker: dict[str, str] = {}
+
+    def hear(array: DiagnosticArray) -> None:
+        for status in array.status:
+            if status.name == "leap_motion":
+                tracker.update({value.key: value.value for value in status.values})
+
+    rospy.Subscriber("/diagnostics", DiagnosticArray, hear)
     rospy.Subscriber("kuka/status", KukaStatus, lambda status: statuses.__setitem__(slice(None), [status]))
     subscribe(put)
     terminal, deadline = _Terminal(), clock.monotonic() + timeout
@@ -86,7 +98,7 @@ def _measure(wizard: HandWizard, timeout: float) -> None:
             raise WizardRefused("The arm would follow the hand: switch kuka/kuka_control off. Nothing was stored.")
         terminal.say(step, clock.monotonic())
         if step.done:
-            return
+            return {"true": True, "false": False}.get(tracker.get(SIMULATED, ""))
         if wizard.failed:
             raise WizardRefused(f"{wizard.failed} Nothing was stored.")
         if clock.monotonic() > deadline:

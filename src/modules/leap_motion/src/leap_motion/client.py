@@ -22,6 +22,7 @@ from leap_motion.codec import (
     DeviceEvent,
     LeapProtocolError,
     UnknownVersion,
+    is_simulated,
     read_header,
     read_message,
 )
@@ -83,6 +84,7 @@ class LeapStatus:
     sentence: str
     service: str = ""  # its version, if known
     serial: str = ""  # of the device that sends the frames, if the service gives one
+    simulated: bool = False  # the service says that its hands are nobody's
 
 
 @dataclass(frozen=True)
@@ -258,7 +260,7 @@ class LeapClient:
         with self._changed:
             self._counts.connections += 1
         service = f"Leap service {version or 'of unknown version'} on {self._address}"
-        self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version)
+        self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version, is_simulated(text))
 
     def _stranger(self, first: bytes) -> str:
         return "W" + stranger(self._address, "a Leap service", first)[1:]
@@ -323,10 +325,11 @@ class LeapClient:
         with self._changed:
             self._unusable = None if reason is None else self._unusable or (self._monotonic(), reason)
 
-    def _set_status(self, link: LeapLink, sentence: str, service: str | None = None) -> None:
+    def _set_status(self, link: LeapLink, sentence: str, service: str | None = None, simulated: bool = False) -> None:
         with self._changed:
             known = replace(self._status, link=link, sentence=sentence)
-            self._status = known if service is None else replace(known, service=service, serial="")
+            new = {} if service is None else {"service": service, "serial": "", "simulated": simulated}
+            self._status = replace(known, **new)
             self._unusable = None
 
 

@@ -84,6 +84,11 @@ def read_header(text: str | bytes) -> str:
     return str(message.get("serviceVersion") or "")
 
 
+def is_simulated(header: str | bytes) -> bool:
+    """Returns whether a service says in its `header`, which `read_header` has read, that nobody's hand is before it."""
+    return _object(header).get("simulated") is True
+
+
 def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:
     """Returns the frame or device event in `text`, or None for an event of another kind.
 

@@ -18,6 +18,7 @@ from reflex.errors import CalibrationFileError
 from reflex.settings import HandSettings
 
 Calibration = TypeVar("Calibration", "FingerZeros", "TactileOffsets")
+SIMULATED = "simulated"  # key of a file; the maker's driver does not write it
 _JUMP_TICKS = 200
 _TURN_TOLERANCE_TICKS = 40
 
@@ -79,15 +80,16 @@ def mean_offsets(packets: list[StatePacket]) -> TactileOffsets:
     return TactileOffsets(*np.rint(np.mean([p.pressures for p in packets], axis=0)))
 
 
-def calibration_text(calibration: FingerZeros | TactileOffsets) -> str:
-    """Returns the text of the calibration's file."""
+def calibration_text(calibration: FingerZeros | TactileOffsets, simulated: bool) -> str:
+    """Returns the text of the calibration's file, which says for ever whether it is a `simulated` hand's."""
     rows = (f"{key}: [{', '.join(map(_digits, values))}]\n" for key, values in vars(calibration).items())
-    return calibration.HEADING + "".join(rows)
+    return f"{calibration.HEADING}{''.join(rows)}{SIMULATED}: {str(simulated).lower()}\n"
 
 
-def parse_calibration(record: type[Calibration], text: str, where: str) -> Calibration:
+def parse_calibration(record: type[Calibration], text: str, where: str, simulated: bool = False) -> Calibration:
     """Returns FingerZeros or TactileOffsets from the text of their file, named `where` in the messages; raises
-    CalibrationFileError if it is not yaml, or a key is missing, unknown or out of range.
+    CalibrationFileError if it is not yaml, a key is missing, unknown or out of range, or it is a simulated hand's and
+    this one is not `simulated`.
     """
     try:
         values = yaml.safe_load(text)
@@ -96,6 +98,14 @@ def parse_calibration(record: type[Calibration], text: str, where: str) -> Calib
     if not isinstance(values, dict):
         raise CalibrationFileError(f"{where} is {values!r}, but must be a mapping of keys to values.")
     known = {f.name: f.metadata for f in fields(record)}
+    origin = values.pop(SIMULATED, False)
+    if not isinstance(origin, bool):
+        raise CalibrationFileError(f"{where}: {SIMULATED} is {origin!r}, but must be true or false.")
+    if origin and not simulated:
+        raise CalibrationFileError(
+            f"{where} is of the simulated hand, which says nothing of a real one: it is not used. Delete it, and "
+            "calibrate fingers and taxels again."
+        )
     faults = [f"{where}: {key} is not a known key; known are {', '.join(known)}." for key in values if key not in known]
     read = {}
     for name, allowed in known.items():

@@ -13,12 +13,13 @@ from reflex.errors import CalibrationFileError
 
 class CalibrationFiles:
     """Reads and writes the two files in `folder`, which may begin with ~ and is made when something is saved; where
-    none was saved, reads those in `shipped`, or takes this package's values if that is None.
+    none was saved, reads those in `shipped`, or takes this package's values if that is None. The files of a `simulated`
+    hand say so, and serve no real one.
     """
 
-    def __init__(self, folder: str, shipped: Path | None = None) -> None:
+    def __init__(self, folder: str, shipped: Path | None = None, simulated: bool = False) -> None:
         self.folder = Path(os.path.expanduser(folder))
-        self._shipped = shipped
+        self._shipped, self._simulated = shipped, simulated
 
     def load(self) -> tuple[FingerZeros, TactileOffsets, bool]:
         """Returns both calibrations, and whether that of the fingers was saved for this hand; raises
@@ -34,7 +35,7 @@ class CalibrationFiles:
         """
         path = self.folder / calibration.FILE
         try:
-            _write_whole(path, calibration_text(calibration))
+            _write_whole(path, calibration_text(calibration, self._simulated))
         except OSError as error:
             raise CalibrationFileError(
                 f"Cannot write {path}: {error.strerror}; the calibration holds until the driver exits."
@@ -53,7 +54,7 @@ class CalibrationFiles:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise CalibrationFileError(f"Cannot read {path}: {error}.") from None
-        return parse_calibration(record, text, str(path)), saved
+        return parse_calibration(record, text, str(path), self._simulated), saved
 
 
 def _write_whole(path: Path, text: str) -> None:

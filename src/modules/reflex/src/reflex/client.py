@@ -18,7 +18,7 @@ from reflex.reading import HandReading
 from reflex.runtime import HandRuntime
 from reflex.settings import HandSettings
 from reflex.status import status
-from reflex.transport import HandTransport
+from reflex.transport import LOOPBACK, HandTransport
 
 PORT = 11333
 RECEIVE_TIMEOUT_S = 0.005
@@ -57,7 +57,9 @@ class ReflexHand:
         self._interface, self._port = interface, port
         self._settings = HandSettings() if settings is None else settings
         self._transport = HandTransport(interface, port)
-        self._files = CalibrationFiles(f"~/.ros/reflex/{interface}") if files is None else files
+        self._files = (
+            CalibrationFiles(f"~/.ros/reflex/{interface}", simulated=interface == LOOPBACK) if files is None else files
+        )
         self._on_reading, self._on_note, self._hold_at_exit = on_reading, on_note, hold_at_exit
         try:
             self._logic = HandLogic(self._settings, *self._files.load())

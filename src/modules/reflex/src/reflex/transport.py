@@ -13,6 +13,8 @@ import struct
 from reflex.codec import GROUP
 from reflex.errors import WireFault
 
+LOOPBACK = "lo"  # the interface of the simulated hand: no real one is on it
+
 MAX_DATAGRAM_BYTES = 2048
 
 _SIOCGIFADDR = 0x8915

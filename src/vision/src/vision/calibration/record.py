@@ -13,6 +13,7 @@ from common.errors import ConfigError
 from common.frames import frame_name
 from common.poses import pose, read_only
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+from common.simulated import SIMULATED, origin, simulated_field
 from common.stored_time import moment
 from vision.calibration.acceptance import Verdict
 from vision.calibration.hand_eye import CalibrationView
@@ -43,6 +44,7 @@ class RecordHead:
     rms_mm: float | None = number("mm", low=0.0, absent=None)
     rms_deg: float | None = number("deg", low=0.0, absent=None)  # of the views; None for LIVE, a single view
     point_sd_mm: float = number("mm", low=0.0)  # standard deviation of a point at the marker board
+    simulated: bool | None = simulated_field()
 
     def faults(self) -> list[str]:
         """Returns what no single field can check."""
@@ -68,8 +70,10 @@ class CalibrationRecord(RecordHead):
     def accuracy(self) -> str:
         """The accuracy, as a part of a sentence."""
         if self.kind == LIVE:
-            return f"one view without confirmation, standard deviation of a point {self.point_sd_mm:.2f} mm"
-        return f"{self.rms_mm:.2f} mm, {self.rms_deg:.2f} deg in {len(self.views)} views"
+            found = f"one view without confirmation, standard deviation of a point {self.point_sd_mm:.2f} mm"
+        else:
+            found = f"{self.rms_mm:.2f} mm, {self.rms_deg:.2f} deg in {len(self.views)} views"
+        return f"{found}, {origin(self.simulated)}"
 
 
 @dataclass(frozen=True)
@@ -99,8 +103,10 @@ BOUNDS = {"T_base_flange": _PoseOnArm, "T_flange_panel": _PoseOnFlange}
 VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_board"}  # key in the file: attribute
 
 
-def by_views(verdict: Verdict, views: list[CalibrationView], **head: str) -> CalibrationRecord:
-    """Returns the record of a calibration by views; `head` has date, robot, flange, panel, camera and camera_frame."""
+def by_views(verdict: Verdict, views: list[CalibrationView], **head: Any) -> CalibrationRecord:
+    """Returns the record of a calibration by views; `head` has date, robot, flange, panel, camera, camera_frame and
+    simulated.
+    """
     errors = verdict.result.errors
     norms = (1e3 * np.linalg.norm(errors[:, :3], axis=1), np.degrees(np.linalg.norm(errors[:, 3:], axis=1)))
     return CalibrationRecord(
@@ -151,7 +157,8 @@ def record_from_mapping(values: Any) -> CalibrationRecord:
         faults.append("A view has no error; a calibration of the kind views needs one for each.")
     if faults or head is None or poses is None:
         raise ConfigError(faults)
-    return CalibrationRecord(**vars(head), **poses, errors=read_only(np.reshape(errors, (-1, 2))), views=tuple(views))
+    said = {**vars(head), "simulated": True if head.camera == SIMULATED else head.simulated}
+    return CalibrationRecord(**said, **poses, errors=read_only(np.reshape(errors, (-1, 2))), views=tuple(views))
 
 
 def _mapping_of_poses(source: Any, names: dict[str, str]) -> dict[str, Any]:

@@ -207,7 +207,8 @@ def serve(folder: Path, options: argparse.Namespace) -> int:
     if not run.frames:
         raise RecordingFault(f"{folder} has no tracker frames in this time.")
     version, serial = _service(folder)
-    service = LeapService("127.0.0.1", options.port, "2.3" if version.startswith("2") else "gemini", version, serial)
+    protocol = "2.3" if version.startswith("2") else "gemini"
+    service = LeapService("127.0.0.1", options.port, protocol, version, serial, simulated=True)
     thread = clock.Thread(target=service.run, name="service", daemon=True)
     thread.start()
     try:

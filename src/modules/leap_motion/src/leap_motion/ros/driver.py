@@ -13,6 +13,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config
 from common.ros.publishing import DirectPublisher
+from common.simulated import SIMULATED, WITHOUT_HARDWARE, doubt, refusal
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.device_clock import DeviceClock
 from leap_motion.frames import LeapFrame
@@ -20,7 +21,7 @@ from leap_motion.msg import Human, RawFrame
 from leap_motion.registration import registered
 from leap_motion.ros.human import FrameMessage
 from leap_motion.ros.parameters import DriverConfig
-from leap_motion.ros.registrations import TrackerRegistration, load
+from leap_motion.ros.registrations import TrackerRegistration, load, registration_file
 
 POLL_S = 0.1
 REMIND_S = 10.0
@@ -37,7 +38,7 @@ class LinkReport:
     def __init__(self, client: LeapClient, registration: TrackerRegistration | None = None, name: str = "") -> None:
         self._client = client
         self._registration, self._name = registration, name
-        self._is_sure = registration is None or bool(registration.serial)
+        self._what = f"The registration {registration_file(name)}" if registration is not None else ""
         self._status: LeapStatus | None = None
         self._logged: LeapStatus | None = None
         self._changed_at = self._logged_at = 0.0
@@ -46,7 +47,7 @@ class LinkReport:
         """Returns the frame in the axes of the registration; None while another tracker is plugged in."""
         if self._registration is None:
             return frame
-        if self._client.status.serial != self._registration.serial:
+        if self._refusal(self._client.status):
             return None
         return registered(frame, self._registration.T_desk_leap)
 
@@ -59,9 +60,10 @@ class LinkReport:
         due = status != self._logged or (not streaming and now - self._logged_at > REMIND_S)
         if due and now - self._changed_at > SETTLED_S:
             self._logged, self._logged_at = status, now
-            fine = (streaming and self._is_sure) or status.link is LeapLink.CONNECTING
+            fine = (streaming and not self._remark(status)) or status.link is LeapLink.CONNECTING
             log = rospy.loginfo if fine else rospy.logwarn
-            log("%s", status.sentence)
+            absent = status.link is LeapLink.NO_SERVICE and not self._client.counts.connections
+            log("%s", f"{status.sentence} {WITHOUT_HARDWARE}" if absent else status.sentence)
 
     def diagnostics(self) -> tuple[int, str, dict[str, object]]:
         """Returns level, sentence and counts for /diagnostics."""
@@ -70,6 +72,7 @@ class LinkReport:
             "state": status.link.value,
             "service_version": status.service or "unknown",
             "serial": status.serial or "unknown",
+            SIMULATED: str(status.simulated).lower(),
             "registration": self._name or "none",
             "frames_received": counts.received,
             "frames_superseded": counts.superseded,
@@ -79,22 +82,38 @@ class LinkReport:
             **{f"dropped: {reason}": count for reason, count in (counts.dropped + counts.hands_dropped).items()},
         }
         level = LEVELS.get(status.link, DiagnosticStatus.ERROR)
-        return level if self._is_sure else max(level, DiagnosticStatus.WARN), status.sentence, values
+        return max(level, DiagnosticStatus.WARN) if self._remark(status) else level, status.sentence, values
+
+    def _refusal(self, status: LeapStatus) -> str:
+        """Returns why the registration does not count for the tracker that is plugged in, or ""."""
+        of, again = self._registration, f"run rosrun leap_motion register_tracker.py {self._name}."
+        if of is None:
+            return ""
+        if status.serial != of.serial:
+            whose = f"The registration {self._name} is of the tracker {of.serial or 'unknown'}"
+            found = f"{status.serial or 'an unknown one'} is plugged in"
+            return f"{whose}, but {found}: its frames are unused. Plug in that one, or {again}"
+        cure = f"The tracker's frames are unused: {again}"
+        return refusal(self._what, of.simulated, status.simulated, cure)
+
+    def _remark(self, status: LeapStatus) -> str:
+        """Returns what the person has to make sure of, or ""."""
+        of = self._registration
+        if of is None:
+            return ""
+        check = f"make sure that it is the one of the registration {self._name}, and has not been moved."
+        which = "" if of.serial else f"It does not say which tracker is plugged in: {check}"
+        return f"{which} {doubt(self._what, of.simulated, status.simulated)}".strip()
 
     def _checked_status(self) -> LeapStatus:
         """Returns the state of the link, which is refused while the registration is another tracker's."""
         status = self._client.status
         if self._registration is None or status.link is not LeapLink.STREAMING:
             return status
-        if status.serial != self._registration.serial:
-            whose = f"The registration {self._name} is of the tracker {self._registration.serial or 'unknown'}"
-            cure = f"Plug in that one, or run rosrun leap_motion register_tracker.py {self._name}."
-            sentence = f"{whose}, but {status.serial or 'an unknown one'} is plugged in: its frames are unused. {cure}"
-            return replace(status, link=LeapLink.REFUSED, sentence=sentence)
-        if self._is_sure:
-            return status
-        check = f"make sure that it is the one of the registration {self._name}, and has not been moved."
-        return replace(status, sentence=f"{status.sentence} It does not say which tracker is plugged in: {check}")
+        why = self._refusal(status)
+        if why:
+            return replace(status, link=LeapLink.REFUSED, sentence=why)
+        return replace(status, sentence=f"{status.sentence} {self._remark(status)}".strip())
 
 
 def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda _: None) -> None:

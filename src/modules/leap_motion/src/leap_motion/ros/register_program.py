@@ -91,7 +91,7 @@ def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
         raise RigError(str(error)) from error
     try:
         _wait_for_frames(client)
-        serial = client.status.serial
+        serial, simulated = client.status.serial, client.status.simulated
         check_serial(serial)
         unknown = "This service does not say which tracker is plugged in: keep this one."
         print(f"Tracker {serial}." if serial else unknown)
@@ -100,14 +100,14 @@ def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
         touched = {}
         for i, name in enumerate(points, start=1):
             touched[name] = _touch(client, f"{i} of {len(points)}: {name}", ask)
-        if client.status.serial != serial:
+        if (client.status.serial, client.status.simulated) != (serial, simulated):
             raise RigError(f"Another tracker, {client.status.serial or 'unknown'}, was plugged in meanwhile.")
     finally:
         client.close()
     found = fit_level(touched) if options.level else fit(points, touched)
     _report(found, list(points))
     check_fit(found, list(points), 1e-3 * options.limit, 1e-2 * options.scale_limit)
-    store(path, found, serial, clock.time())
+    store(path, found, serial, clock.time(), simulated)
     print(f"Stored in {path}. Start the rig with registration:={options.name}.")
 
 

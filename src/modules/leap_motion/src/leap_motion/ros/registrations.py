@@ -13,6 +13,7 @@ from common.errors import ConfigError, RigError
 from common.poses import pose, read_only
 from common.ros.files import read_yaml, user_file, write_whole
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
+from common.simulated import simulated_field
 from common.stored_time import moment, utc
 from leap_motion.registration import MAX_TURN_DEG, PointFit, RegistrationRefused, check_serial, turn_deg
 
@@ -28,6 +29,7 @@ class TrackerRegistration:
     position: np.ndarray = vector(3, "m", low=-2.0, high=2.0, doc="of the tracker from the points' origin")
     quaternion: np.ndarray = vector(4, doc="x, y, z, w of its orientation")
     residual_mm: float = number("mm", low=0.0, doc="largest distance of a point from where it was shown")
+    simulated: bool | None = simulated_field()
 
     def faults(self) -> list[str]:
         """Returns what no single field can check."""
@@ -61,7 +63,7 @@ def registration_file(name: str) -> Path:
     return user_file("tracker", name)
 
 
-def store(path: Path, found: PointFit, serial: str, now: float) -> None:
+def store(path: Path, found: PointFit, serial: str, now: float, simulated: bool) -> None:
     """Writes a registration of `now` [s since 1970]; raises RigError if that fails."""
     values = {
         "date": utc(now),
@@ -69,6 +71,7 @@ def store(path: Path, found: PointFit, serial: str, now: float) -> None:
         "position": found.T_desk_leap[:3, 3].round(6).tolist(),
         "quaternion": quaternion_from_rotation(found.T_desk_leap[:3, :3]).tolist(),
         "residual_mm": round(1e3 * float(found.residuals.max()), 2),
+        "simulated": simulated,
     }
     try:
         write_whole(path, yaml.safe_dump(values, sort_keys=False))

@@ -80,8 +80,9 @@ class LeapService(SocketService):
         code: str = "",
         certificate: Certificate | None = None,
         secure_port: int = 6436,
+        simulated: bool = False,  # its hands are nobody's: simulated, or a recording
     ) -> None:
-        self._service, self._version, self._serial = service, version, serial
+        self._service, self._version, self._serial, self._simulated = service, version, serial, simulated
         self._clients: list[LeapClientLink] = []
         self._attached = True
         self._next = 0  # whose turn the frame is, where clients share them
@@ -195,7 +196,7 @@ class LeapService(SocketService):
 
     async def _send(self, client: LeapClientLink) -> None:
         with contextlib.suppress(ConnectionClosed):
-            await client.send(wire.text(wire.header(client.version, self._service, self._version)))
+            await client.send(wire.text(wire.header(client.version, self._service, self._version, self._simulated)))
             client.notify(wire.device_event(client.version, self._service, self._serial, self._attached))
             while True:
                 await client.wake.wait()

@@ -57,10 +57,13 @@ def text(message: dict) -> str:
     return json.dumps(message, separators=(",", ":"), allow_nan=False)
 
 
-def header(version: int, service: str, service_version: str) -> dict:
-    """Returns the first message of a connection."""
+def header(version: int, service: str, service_version: str, simulated: bool = False) -> dict:
+    """Returns the first message of a connection; a service whose hands are simulated or recorded says that in a key of
+    its own, as programs that do not know it read the others.
+    """
     named = service == "2.3" and version >= 5
-    return {"serviceVersion": service_version, "version": version} if named else {"version": version}
+    first = {"serviceVersion": service_version, "version": version} if named else {"version": version}
+    return {**first, "simulated": True} if simulated else first
 
 
 def device_event(version: int, service: str, serial: str, attached: bool) -> dict | None:

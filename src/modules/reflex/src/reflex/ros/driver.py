@@ -17,12 +17,14 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import while_running
 from common.ros.params import wait_for_config
 from common.ros.publishing import DirectPublisher
+from common.simulated import WITHOUT_HARDWARE
 from reflex.calibration_files import CalibrationFiles
 from reflex.client import ReflexHand
 from reflex.errors import CalibrationFileError, CommandRefused, ReflexError
 from reflex.motion import HandNote
 from reflex.reading import JOINT_NAMES, HandReading, joint_positions
 from reflex.ros.parameters import HandAddresses, ReflexDriverConfig
+from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands, RawServoCommands
 from reflex_msgs.srv import SetSpeed, SetTactileThreshold
 
@@ -39,8 +41,9 @@ class HandDriver:
         self._hand_state = DirectPublisher("reflex_takktile/hand_state", Hand, queue_size=10)
         self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)
         shipped = Path(rospkg.RosPack().get_path("reflex")) / "config"
-        files = CalibrationFiles(config.calibration_folder, shipped)
         interface, port = config.network_interface, config.port
+        files = CalibrationFiles(config.calibration_folder, shipped, simulated=interface == LOOPBACK)
+        self._real_and_unheard = interface != LOOPBACK
         hooks = (self._publish, self._say)
         self._hand = ReflexHand(
             interface, port, config.settings(), files, *hooks, hold_at_exit=config.hold_at_exit, runtime=clock
@@ -95,6 +98,7 @@ class HandDriver:
         rospy.Service(f"reflex_takktile/{name}", service_type, handle)
 
     def _publish(self, reading: HandReading) -> None:
+        self._real_and_unheard = False
         with while_running():
             self._hand_state.publish(hand_message(reading))
             joints = JointState(name=list(JOINT_NAMES), position=list(joint_positions(reading)))
@@ -104,9 +108,9 @@ class HandDriver:
     def _set_thresholds(self, request: object) -> None:
         self._hand.set_thresholds([finger.sensor for finger in request.finger])
 
-    @staticmethod
-    def _say(note: HandNote) -> None:
-        LOG[note.level](note.text)
+    def _say(self, note: HandNote) -> None:
+        unanswered = self._real_and_unheard and note.level == "warning"
+        LOG[note.level](f"{note.text} {WITHOUT_HARDWARE}" if unanswered else note.text)
 
     def _diagnosis(self) -> tuple[int, str, dict[str, object]]:
         level, sentence, values = self._hand.diagnosis()
@@ -149,4 +153,4 @@ def main() -> None:
     except CalibrationFileError as error:
         raise ConfigError(error.faults) from error
     except ReflexError as error:
-        raise DeviceError(str(error)) from error
+        raise DeviceError(f"{error} {WITHOUT_HARDWARE}") from error

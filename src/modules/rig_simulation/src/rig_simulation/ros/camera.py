@@ -20,6 +20,7 @@ from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import RGBD_FRAMES, Outgoing, RgbdTopics
 from common.ros.params import private_config, private_values
+from common.simulated import SIMULATED
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 from rig_simulation.faults.camera import CAMERA_FAULTS, Exposure, ImageStream
@@ -31,6 +32,7 @@ RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
 IDLE_S = 1.0  # time between two looks at the world while nobody wants an image
 SMOOTHING = 0.1  # weight of the newest value in the durations of the diagnostics
+SERIAL = "serial"  # private parameter that the node writes, as the Xtion's driver does
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
 
 
@@ -132,7 +134,8 @@ class CameraNode:
 def main() -> None:
     """Runs the node with its private parameters."""
     cv2.setNumThreads(1)  # images this small take more processor time when shared
-    config = private_config(CameraConfig, others=SECTIONS)
+    config = private_config(CameraConfig, others=(*SECTIONS, SERIAL))
+    rospy.set_param(rospy.resolve_name(f"~{SERIAL}"), SIMULATED)
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in ("rgb_calibration", "depth_calibration"))
     effects = private_config(ColourConfig, "colour"), private_config(DepthConfig, "depth")
     camera = RgbdCamera(rgb, depth, *effects, config.samples, config.seed)

@@ -69,11 +69,13 @@ def _run(options: argparse.Namespace) -> None:
         others = "; ".join(f"{key} {stored}, not {value}" for key, stored, value in pairs if stored != value)
         if others:
             raise DeviceError(f"The file belongs to another rig: {others}. Start camera_apriltag.launch for that rig.")
-        views, frame = list(record.views), record.camera_frame
+        setup.store.check(record, options.again)
+        views, frame, simulated = list(record.views), record.camera_frame, record.simulated
     else:
         take = _views_by_hand if options.by_hand else _views_by_arm
         views, frame = take(options, setup, listener), listener.frame
-    _conclude(options, setup, views, frame, comparison)
+        simulated = setup.measured_by(options.ip or rospy.get_param("kuka/ip", ""))
+    _conclude(options, setup, views, {"camera_frame": frame, "simulated": simulated}, comparison)
 
 
 def _views_by_hand(
@@ -205,9 +207,12 @@ def _detected_guess(arm, setup, listener, planner: ViewPlanner, guess, start, rn
 
 
 def _conclude(
-    options: argparse.Namespace, setup: CalibrationSetup, views: list, frame: str, comparison: RvizComparison
+    options: argparse.Namespace, setup: CalibrationSetup, views: list, measured: dict, comparison: RvizComparison
 ) -> None:
-    """Solves, reports, shows, asks and stores; raises CalibrationRefused unless the result is good and confirmed."""
+    """Solves, reports, shows, asks and stores; raises CalibrationRefused unless the result is good and confirmed.
+
+    `measured`: the entries of the record that say by which camera frame, and whether by simulated devices.
+    """
     try:
         verdict = judge(views, setup.board.T_flange_tag, setup.limits)
     except DegenerateViews as error:
@@ -228,7 +233,7 @@ def _conclude(
     if not verdict.accepted:
         raise CalibrationRefused("Nothing was stored; the previous calibration stays valid.")
     _confirm(options, "Keep it?")
-    record = by_views(verdict, views, camera_frame=frame, **setup.head)
+    record = by_views(verdict, views, **measured, **setup.head)
     print(f"Stored in {setup.store.save(record)}.")
     with suppress(ServiceFailed):
         print(call("camera_place/reload", Trigger, timeout=RELOAD_S, wait=RELOAD_S).message)

@@ -24,7 +24,9 @@ from common.poses import inverse
 from common.ros.conversions import pose_from_transform, stamped_transform
 from common.ros.files import read_text, read_yaml, write_whole
 from common.ros.params import wait_for_config, wait_for_param
+from common.simulated import SIMULATED, any_simulated, doubt, refusal
 from common.stored_time import moment, utc
+from leap_motion.service.access import is_loopback
 from vision.calibration.acceptance import CalibrationConfig
 from vision.calibration.record import CalibrationRecord, mapping_from_record, record_from_mapping
 from vision.marker_board.board import MarkerBoardConfig, board_target
@@ -49,14 +51,18 @@ class StoreConfig:
 
 
 class CalibrationStore:
-    """Reads and writes the calibrations of one arm and one camera."""
+    """Reads and writes the calibrations of one arm and one camera; `simulated`: whether that is the simulated one, None
+    if nothing says so.
+    """
 
-    def __init__(self, config: StoreConfig) -> None:
-        self._config = config
+    def __init__(self, config: StoreConfig, simulated: bool | None) -> None:
+        self._config, self._simulated = config, simulated
         self.folder = Path(config.folder) if config.folder else Path(rospkg.get_ros_home()) / "leap_rig"
 
     def newest(self) -> tuple[CalibrationRecord, Path] | None:
-        """Returns the newest calibration of this arm and camera and its file, or None; skips and logs damaged files."""
+        """Returns the newest calibration of this arm and camera and its file, or None; skips and logs damaged files.
+        Raises DeviceError if it may not be used here.
+        """
         for file in sorted(self.folder.glob(f"{PREFIX}*.yaml"), key=_age_order, reverse=True):
             try:
                 record = read(file)
@@ -64,9 +70,21 @@ class CalibrationStore:
                 rospy.logerr("Skipped the calibration %s: %s Delete it, or calibrate again.", file, error)
                 continue
             if (record.robot, record.camera) == (self._config.robot, self._config.camera):
+                self.check(record, file)
                 return record, file
             rospy.loginfo("The calibration %s is for %s and camera %s.", file, record.robot, record.camera)
         return None
+
+    def check(self, record: CalibrationRecord, file: Path) -> None:
+        """Raises DeviceError for a calibration that may not be used with this camera; warns of one that does not say
+        how it was measured.
+        """
+        said = f"The calibration {file}", record.simulated, self._simulated
+        why = refusal(*said, "Move it away, then run rosrun vision calibrate_camera.py with the real arm and camera.")
+        if why:
+            raise DeviceError(why)
+        if doubt(*said):
+            rospy.logwarn("%s", doubt(*said))
 
     def save(self, record: CalibrationRecord) -> Path:
         """Writes a calibration and returns its file; raises DeviceError, and leaves no file behind, if it cannot."""
@@ -103,6 +121,13 @@ class CalibrationSetup:
     store_config: StoreConfig
     store: CalibrationStore
     target: TagTarget
+    simulated: bool | None  # the camera; None if its driver does not say
+
+    def measured_by(self, arm: str) -> bool | None:
+        """Returns whether what this camera and the arm at an address, "" for an unknown one, measure is simulated: a
+        simulated arm listens on this machine alone, where no real one is.
+        """
+        return any_simulated(self.simulated, is_loopback(arm) if arm else None)
 
     def check_serial(self) -> None:
         """Raises DeviceError if the camera has no serial number; nothing may be stored for it then."""
@@ -125,14 +150,16 @@ def read_setup(detector: str) -> CalibrationSetup:
     board = wait_for_config(MarkerBoardConfig, f"{NAMESPACE}/panel")
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")
     store = wait_for_config(StoreConfig, f"{NAMESPACE}/store")
+    deadline = clock.monotonic() + SERIAL_WAIT_S
+    while not rospy.has_param(SERIAL) and clock.monotonic() < deadline and not rospy.is_shutdown():
+        clock.sleep(POLL_S)
+    serial = rospy.get_param(SERIAL, None)
+    simulated = None if serial is None else serial == SIMULATED
     if not store.camera:
-        deadline = clock.monotonic() + SERIAL_WAIT_S
-        while not rospy.has_param(SERIAL) and clock.monotonic() < deadline and not rospy.is_shutdown():
-            clock.sleep(POLL_S)
-        store = replace(store, camera=str(rospy.get_param(SERIAL, "")) or UNKNOWN)
+        store = replace(store, camera=str(serial or UNKNOWN))
         rospy.loginfo("The camera's serial number is %s.", store.camera)
     target = board_target(wait_for_param(detector), detector, board.frame)
-    return CalibrationSetup(board, limits, store, CalibrationStore(store), target)
+    return CalibrationSetup(board, limits, store, CalibrationStore(store, simulated), target, simulated)
 
 
 class TfPoses:

@@ -163,6 +163,7 @@ class CameraPoseNode:
         return CalibrationRecord(
             **self._setup.head,
             kind=LIVE,
+            simulated=self._setup.measured_by(rospy.get_param("kuka/ip", "")),
             camera_frame=last.optical,
             T_base_camera=read_only(camera_pose(view, T_flange_board)),
             T_flange_board=T_flange_board,

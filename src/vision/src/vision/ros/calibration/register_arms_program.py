@@ -18,6 +18,7 @@ from common.arms import Arms, BasePlacement, arms_from
 from common.errors import RigError
 from common.ros.files import read_yaml, write_whole
 from common.rotations import zyx_from_rotation
+from common.simulated import SIMULATED, any_simulated, origin
 from vision.calibration.arm_registration import ArmRegistration, register
 from vision.calibration.hand_eye import DegenerateViews, HandEyeSolution, solve
 from vision.calibration.record import VIEWS, CalibrationRecord
@@ -58,8 +59,9 @@ def _run(options: argparse.Namespace) -> str:
     T_world_second = T_world_first @ found.T_first_second
     sentence = _sentence(names, found)
     write_whole(options.output, _content(names, arms, T_world_second, (first, second), sentence))
+    how = origin(any_simulated(first.simulated, second.simulated))
     return (
-        f"{sentence} This holds if the camera was not moved between {first.date} and {second.date}. "
+        f"{sentence} Measured {how}. This holds if the camera was not moved between {first.date} and {second.date}. "
         f"Written to {options.output}; start the rig with arms:={options.output.resolve()}."
     )
 
@@ -117,6 +119,8 @@ def _content(
         "",
         f"margin: {arms.margin:g}",
     ]
+    simulated = any_simulated(*(record.simulated for record in records))
+    lines += [] if simulated is None else [f"{SIMULATED}: {str(simulated).lower()}"]
     for name in arms.placements:
         place = placements[name]
         lines += ["", f"{name}:", f"  position: {_row(place.position, 5)}  # m", f"  rpy: {_row(place.rpy, 4)}  # deg"]

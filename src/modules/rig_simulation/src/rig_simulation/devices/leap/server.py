@@ -45,7 +45,7 @@ class SimulatedLeapService(LeapService):
         requests: Mapping[str, Handler] | None = None,  # further ones of the control port
     ) -> None:
         require_loopback(host, PURPOSE)
-        super().__init__(host, port, service, VERSION)
+        super().__init__(host, port, service, VERSION, simulated=True)
         self._playback = playback
         self.faults = Faults(LEAP_FAULTS)
         self._stream = FrameStream(self.faults)
