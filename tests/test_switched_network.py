@@ -1,4 +1,4 @@
-"""The handbook's two ways to connect arm and hand: its addresses, the product's defaults, and both devices on the wire."""
+"""The two ways to connect arm and hand: the handbook's addresses, the product's defaults, both devices on the wire."""
 
 from __future__ import annotations
 
