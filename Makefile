@@ -3,7 +3,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 # What a new set-up or a new build depends on; Python sources, launch files and yaml are used in place.
-MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-webcam.txt tools/setup.sh \
+MANIFESTS := apt-packages.txt apt-packages-noetic.txt requirements.txt requirements-dev.txt requirements-noetic.txt requirements-webcam.txt tools/setup.sh \
   $(shell find src \( -name package.xml -o -name CMakeLists.txt -o -name setup.py -o -name '*.msg' -o -name '*.srv' -o -name '*.sh.in' \) -not -path src/CMakeLists.txt)
 READY := build/.ready
 BUILT_IN := $(shell sed -n 's|^CMAKE_HOME_DIRECTORY:INTERNAL=\(.*\)/src$$|\1|p' build/CMakeCache.txt 2> /dev/null)
@@ -20,6 +20,7 @@ TUTORIAL ?= 0
 TRACKER ?=
 REPORT ?=
 ARGS ?=
+ROS ?= 0
 # Hours of `make soak`, minutes of `make fuzz`.
 HOURS ?= 2
 MINUTES ?= 60
@@ -30,7 +31,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup environment demo test test-fast test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
+.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -56,6 +57,9 @@ test: $(READY) ## all tests
 
 test-fast: $(READY) ## the tests that only compute, without ROS; part of `make test`
 	@.venv/bin/python -m pytest -n "$$(nproc)" --dist worksteal -m "not ros and not real and not long"
+
+test-noetic: ## the tests that only compute, on Python 3.8 where there is one; ROS=1: nodes and the demo there instead
+	@tools/noetic.sh $(if $(filter 1 true yes,$(ROS)),--ros)
 
 test-long: $(READY) ## before a release: what takes hours, by the real clock; prints a table at the end
 	@$(IN_WORKSPACE) python -m tools.test_long
@@ -112,4 +116,4 @@ clean: ## removes the build
 	rm -rf build devel install logs site src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 distclean: clean ## removes the build and the Python environment
-	rm -rf .venv .venv-lerobot cad/.venv
+	rm -rf .venv .venv-noetic .venv-lerobot cad/.venv

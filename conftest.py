@@ -39,11 +39,19 @@ from common import clock  # noqa: E402 - needs the path above
 from common.ports import free_port  # noqa: E402
 
 # On a busy machine one example of a law may take long, to make or to try. Each run tries the same ones: what one finds
-# is due to a change. `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many.
-SEARCH, TIMES = os.environ.get("HYPOTHESIS_SEARCH") == "1", int(os.environ.get("HYPOTHESIS_TIMES", "1"))
+# is due to a change. `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many,
+# 0.2 a fifth of them.
+SEARCH, TIMES = os.environ.get("HYPOTHESIS_SEARCH") == "1", float(os.environ.get("HYPOTHESIS_TIMES", "1"))
+
+
+def examples(count: int) -> int:
+    """Returns how many examples of a law are tried in this run, where it asks for so many."""
+    return max(1, round(TIMES * count))
+
+
 TOO_SLOW = hypothesis.HealthCheck.too_slow
 hypothesis.settings.register_profile(
-    "tests", deadline=None, max_examples=50, derandomize=not SEARCH, suppress_health_check=[TOO_SLOW]
+    "tests", deadline=None, max_examples=examples(50), derandomize=not SEARCH, suppress_health_check=[TOO_SLOW]
 )
 hypothesis.settings.load_profile("tests")
 
@@ -76,7 +84,7 @@ def pytest_collection_modifyitems(items):
         own = getattr(law, "_hypothesis_internal_use_settings", None)
         if own is not None:
             checks = {TOO_SLOW, *own.suppress_health_check}
-            own = hypothesis.settings(own, max_examples=TIMES * own.max_examples, suppress_health_check=checks)
+            own = hypothesis.settings(own, max_examples=examples(own.max_examples), suppress_health_check=checks)
             law._hypothesis_internal_use_settings = own
 
 

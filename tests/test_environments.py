@@ -25,6 +25,13 @@ def test_conda_has_what_pip_has():
     assert sorted(of_pip) == sorted(pins("requirements.txt") + pins("requirements-dev.txt"))
 
 
+def test_python_38_has_what_is_needed_elsewhere_each_package_in_one_release():
+    known = pins("requirements-noetic.txt")
+    assert all(re.fullmatch(r"[\w.-]+==[\w.]+", pin) for pin in known)
+    elsewhere = pins("requirements.txt") + pins("requirements-dev.txt")
+    assert not {pin.lower().split("==")[0] for pin in elsewhere} - {pin.split("==")[0] for pin in known}
+
+
 def test_noetic_has_what_debian_has():
     wanted, served = pins("apt-packages.txt"), []
     for line in (ROOT / "apt-packages-noetic.txt").read_text().splitlines():

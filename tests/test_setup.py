@@ -26,7 +26,13 @@ NOTE_CALL = 'echo "$(basename "$0") $* ROS_DISTRO=${ROS_DISTRO:-}" >>"$CALLS"\n'
 def project(tmp_path):
     """A folder with the script, the lists, and programs that write down how they were called."""
     (tmp_path / "tools").mkdir()
-    for name in ("apt-packages.txt", "apt-packages-noetic.txt", "requirements.txt", "requirements-webcam.txt"):
+    for name in (
+        "apt-packages.txt",
+        "apt-packages-noetic.txt",
+        "requirements.txt",
+        "requirements-noetic.txt",
+        "requirements-webcam.txt",
+    ):
         shutil.copy(ROOT / name, tmp_path / name)
     shutil.copy(ROOT / "tools" / "setup.sh", tmp_path / "tools")
     (tmp_path / "requirements-dev.txt").write_text("pytest\n")
@@ -79,6 +85,8 @@ def test_with_noetic_its_packages_are_taken_and_the_build_is_on_top_of_it(projec
     calls = set_up(project, noetic)
     assert asked_for(calls) == names("apt-packages-noetic.txt")
     assert any(call.startswith("python -m pip install -q pip==") for call in calls)
+    assert any(call.split(" ROS")[0].endswith(" -rrequirements-noetic.txt") for call in calls)
+    assert not any("requirements.txt" in call for call in calls)
     assert calls[-1].startswith("catkin_make") and calls[-1].endswith("ROS_DISTRO=noetic")
 
 

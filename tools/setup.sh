@@ -84,13 +84,14 @@ make_environment() {
   # Only Debian's own Python sees Debian's rospy.
   .venv/bin/python -m pip --version >>"$log" 2>&1 ||  # interrupted while it was made, it has a Python and no pip
     /usr/bin/python3 -m venv --system-site-packages .venv >>"$log" 2>&1 || failed "Making .venv failed."
-  # The pip of Ubuntu 20.04 does not know today's wheels; this is the last one for Python 3.8.
-  if [ "$packages" = apt-packages-noetic.txt ]; then
-    .venv/bin/python -m pip install -q "pip==25.0.1; python_version < '3.9'" >>"$log" 2>&1 || failed "Updating pip in .venv failed."
+  local lists=(requirements.txt requirements-dev.txt) total count=0
+  if [ "$packages" = apt-packages-noetic.txt ] && .venv/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 9))'; then
+    lists=(requirements-noetic.txt)
+    # The pip of Ubuntu 20.04 does not know today's wheels; this is the last one for Python 3.8.
+    .venv/bin/python -m pip install -q pip==25.0.1 >>"$log" 2>&1 || failed "Updating pip in .venv failed."
   fi
-  local total count=0
-  total=$(grep -cE '^[a-zA-Z]' requirements.txt requirements-dev.txt | awk -F: '{s += $2} END {print s}')
-  { .venv/bin/python -m pip install --disable-pip-version-check -r requirements.txt -r requirements-dev.txt 2>&1 || echo "pip-failed"; } |
+  total=$(cat "${lists[@]}" | grep -cE '^[a-zA-Z]')
+  { .venv/bin/python -m pip install --disable-pip-version-check "${lists[@]/#/-r}" 2>&1 || echo "pip-failed"; } |
     while IFS= read -r line; do
       echo "$line" >>"$log"
       case $line in
