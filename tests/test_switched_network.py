@@ -40,9 +40,10 @@ def test_the_default_interface_of_the_hand_is_that_of_both_ways():
 @pytest.mark.real
 def test_the_clients_reach_both_devices_in_both_ways():
     own_network = ["unshare", "--net", "--mount", "--map-root-user"]
-    try_out = "mount -t tmpfs tmpfs /run && ip netns add a && ip link add b type veth peer name c netns a && "
+    try_out = "mount -t tmpfs tmpfs /run && ip netns add other && ip link add one type veth peer name two netns other"
     allowed = shutil.which("ip") and shutil.which("unshare") and not subprocess.run(
-        [*own_network, "sh", "-c", f"{try_out} ip link add d type bridge && ip netns exec a true"], capture_output=True
+        [*own_network, "sh", "-c", f"{try_out} && ip link add plain type bridge && ip netns exec other true"],
+        capture_output=True,
     ).returncode  # fmt: skip
     if not allowed:
         pytest.skip("this machine lets nobody make networks joined by wires and a switch (unshare, ip)")
