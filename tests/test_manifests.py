@@ -113,14 +113,21 @@ def test_rosdep_knows_every_key():
     assert keys == OWN.keys() | PUBLIC
 
 
+def requirements(name: str) -> list[Requirement]:
+    lines = (line.split("#")[0].strip() for line in (ROOT / name).read_text().splitlines())
+    return [Requirement(line) for line in lines if line]
+
+
 def pins(system: str, version: str) -> dict[str, list[str]]:
-    """The requirements of a Python on a system, by rosdep's key."""
-    lines = (line.split("#")[0].strip() for line in (ROOT / "requirements.txt").read_text().splitlines())
-    wanted = [Requirement(line) for line in lines if line]
+    """The requirements of a Python on a system, by key of rosdep."""
+    wanted = [pin for pin in requirements("requirements.txt") if pin.name not in OF_THE_SYSTEM]
+    if system == "ubuntu" and (ROOT / "requirements-noetic.txt").exists():  # what worked there, in all
+        of_ubuntu = {pin.name: pin for pin in requirements("requirements-noetic.txt")}
+        wanted = [of_ubuntu[pin.name] for pin in wanted]
     return {
         f"leap-rig-{pin.name.replace('-python-headless', '')}": [f"{pin.name}{pin.specifier}"]
         for pin in wanted
-        if pin.name not in OF_THE_SYSTEM and (pin.marker is None or pin.marker.evaluate({"python_version": version}))
+        if pin.marker is None or pin.marker.evaluate({"python_version": version})
     }
 
 
