@@ -327,9 +327,9 @@ class LeapClient:
 
     def _set_status(self, link: LeapLink, sentence: str, service: str | None = None, simulated: bool = False) -> None:
         with self._changed:
-            known = replace(self._status, link=link, sentence=sentence)
-            new = {} if service is None else {"service": service, "serial": "", "simulated": simulated}
-            self._status = replace(known, **new)
+            self._status = replace(self._status, link=link, sentence=sentence)
+            if service is not None:
+                self._status = replace(self._status, service=service, serial="", simulated=simulated)
             self._unusable = None
 
 
