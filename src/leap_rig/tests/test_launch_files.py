@@ -45,8 +45,10 @@ def simulators(path: Path, *arguments: str) -> list:
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
 def test_no_launch_file_but_the_demo_and_the_simulated_devices_simulates_unasked(path):
-    must_be_given = ("robot_ip:=1.2.3.4", "leap_host:=h", "hand_interface:=e", "arm:=left")
-    assert bool(simulators(path, *must_be_given)) is (path in SIMULATORS)
+    from tools.reference.launch_files import arguments
+
+    must_be_given = [name for name, arg in arguments(path).items() if arg.get("default") is None]
+    assert bool(simulators(path, *(f"{name}:=left" for name in must_be_given))) is (path in SIMULATORS)
 
 
 @pytest.mark.parametrize("path", CHOOSING, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
