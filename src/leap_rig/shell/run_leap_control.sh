@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Starts the control of the real rig: all nodes, the control panel, then the arm's real-time controller; with --sim of
 # the simulated one, devices included. Other arguments go to leap_rig.launch:
-# run_leap_control.sh robot_ip:=172.31.1.147 hand_interface:=eth1
+# run_leap_control.sh robot_ip:=172.31.1.147 hand_interface:=eth0
 set -eo pipefail
 sim=false
 leap_port=6437
