@@ -66,7 +66,8 @@ class OpenniCamera:
         try:
             self._device = openni.Device(uri)
         except Exception as error:
-            raise DeviceError(f"No camera answers (device {self._config.device}): {_reason(error)}; {NOT_FOUND}.") from None
+            fault = f"No camera answers (device {self._config.device}): {_reason(error)}; {NOT_FOUND}."
+            raise DeviceError(fault) from None
         try:
             self._start("rgb", openni.SENSOR_COLOR, openni.PIXEL_FORMAT_RGB888)
             self._start("depth", openni.SENSOR_DEPTH, openni.PIXEL_FORMAT_DEPTH_1_MM)
