@@ -105,7 +105,7 @@ def test_a_home_of_ones_own():
 )
 def test_the_elbow_goes_where_the_parameter_prefers_it_and_home_keeps_it_up(schema, preference, calibrated):
     config = parse(schema, values(schema, elbow_preference=preference, center_line=[1, 0, 0]))
-    deviations = DhDeviations(config.robot, "", "", *np.full((4, 7), 1e-3)) if calibrated else None
+    deviations = DhDeviations(config.robot, "", "", *np.full((4, 7), 1e-3), None) if calibrated else None
     rig = Rig.of(config, deviations)
     q, T = rig.home.q, rig.home.T_base_tool
     np.testing.assert_allclose(q[2], 0.0, atol=1e-3)

@@ -267,7 +267,8 @@ class TestNodes:
             raise NoServer("nobody answers")
 
         monkeypatch.setattr(controller_node.KstClient, "connect", connect)
-        config, rig = SimpleNamespace(ip="127.0.0.1", port=1), SimpleNamespace(T_flange_tool=np.eye(4))
+        config = SimpleNamespace(ip="127.0.0.1", port=1, on_this_machine=True)
+        rig = SimpleNamespace(T_flange_tool=np.eye(4))
         with pytest.raises(DeviceError):
             controller_node.RobotLink(config, rig)
         times, timeouts = np.transpose(tries)

@@ -98,8 +98,9 @@ def service(monkeypatch):
     class Service:
         port, clients, sent, lost = 6437, 0, 0, 0
 
-        def __init__(self, *given):
-            self.given, self.offered, self._stopped = given, [], clock.Event()
+        def __init__(self, *given, simulated):
+            self.given, self.simulated = given, simulated
+            self.offered, self._stopped = [], clock.Event()
             self.stop, self.run = self._stopped.set, self._stopped.wait
             made.append(self)
 
@@ -140,6 +141,7 @@ def test_the_tracker_sends_what_was_recorded_at_its_pace(ros, service, frames, r
     )  # fmt: skip
     clock.sleep(1.0)
     assert service[0].given == ("127.0.0.1", 7000, "2.3", "2.3.1", "LP1") and not service[0].offered
+    assert service[0].simulated, "a recording is no real tracker"
     service[0].clients, connected = 1, clock.monotonic()
     assert program.wait(10.0) == 0, program.log
     sent, times = zip(*service[0].offered)
