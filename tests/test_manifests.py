@@ -15,6 +15,9 @@ from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {manifest.parent.name: manifest.parent for manifest in sorted(ROOT.glob("src/**/package.xml"))}
+BUILD_FILES = {name: (folder / "CMakeLists.txt").read_text() for name, folder in PACKAGES.items()}
+# Folders that are built from, or that only a clone needs.
+MADE_OR_NOT_USED = {"src", "msg", "srv", "action", "env-hooks", "tests", "tools", "__pycache__"}
 # The key of a module is its own name, but for these.
 KEYS = {
     "apriltag": "leap-rig-apriltag",
@@ -38,8 +41,8 @@ KEYS = {
     "yaml": "python3-yaml",
     "zstandard": "leap-rig-mcap",
 }
-# rosdep installs none of these: a program says that it lacks them, or only a clone has them.
-OPTIONAL = {"lerobot", "mediapipe", "openni2_launch", "qt_gui", "tools"}
+# rosdep installs none of these: a program says that it lacks them.
+OPTIONAL = {"lerobot", "mediapipe", "openni2_launch", "qt_gui"}
 # Programs that a package starts, libraries and messages that its modules load by name.
 LOADED = {
     "leap_rig": {"sensor_msgs"},  # replay.py publishes recorded messages of it
@@ -106,6 +109,24 @@ def test_the_manifest_names_what_the_build_uses(name):
 def test_the_tests_use_what_is_named_for_them(name):
     tests = {module for file in (PACKAGES[name] / "tests").rglob("*.py") for module in names(file)}
     assert set(named(PACKAGES[name], "buildtool_depend", "depend", "build_depend", "exec_depend")) <= tests
+
+
+def of_install_space(folder: Path) -> Iterator[str]:
+    """What nodes, launch files and terminals look for in a package: its programs, and its folders and files of data."""
+    for path in folder.iterdir():
+        if path.name in ("scripts", "shell"):
+            yield from (f"{path.name}/{file.name}" for file in path.iterdir() if file.is_file())
+        elif path.is_dir() and path.name not in MADE_OR_NOT_USED or path.suffix == ".xml" and path.stem != "package":
+            yield path.name
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_an_install_space_has_what_the_package_reads_and_starts(name):
+    rules = re.findall(r"install\w*\(\s*(?:PROGRAMS|DIRECTORY|FILES)\s(.*?)DESTINATION", BUILD_FILES[name], re.S)
+    installed = " ".join(rules).split()
+    missing = [path for path in of_install_space(PACKAGES[name]) if not {path, path.split("/")[0]} & {*installed}]
+    assert missing == []
+    assert ("catkin_python_setup()" in BUILD_FILES[name]) is (PACKAGES[name] / "setup.py").exists()
 
 
 def test_rosdep_knows_every_key():

@@ -122,7 +122,6 @@ PROGRAMS = [
     Program("vision/register_rgbd_start.py", ("--nodelets", "false")),
     Program("vision/stereo_view_node.py", (), (*NODE, WINDOW)),
     Program("vision/stereo_web_node.py"),
-    Program("vision/take_pictures.py", ("--help",), ALONE),
     Program("vision/xtion_node.py"),
 ]  # fmt: skip
 

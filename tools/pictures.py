@@ -233,7 +233,7 @@ def parts() -> None:
 
 def vision() -> None:
     """Calibration and the view for the headset."""
-    _run("rosrun", "vision", "take_pictures.py", str(PICTURES))
+    _run(sys.executable, "-m", "tools.vision_pictures", str(PICTURES))
 
 
 def plots() -> None:

@@ -1,4 +1,4 @@
-"""The program `take_pictures.py`: the pictures of this package for the handbook, from the simulation, without a screen.
+"""The pictures of vision for the handbook, from the simulation, without a screen: python -m tools.vision_pictures.
 
 It starts a ROS master, a screen in memory (Xvfb) and the simulated world of its own, and ends them again.
 """
@@ -34,7 +34,7 @@ from websockets.sync.client import connect
 from common.errors import DeviceError
 from common.ports import free_port
 
-NAME = "take_pictures"
+NAME = "vision_pictures"
 WIDTH, COLOURS = 1000, 112
 """Of a picture; few colours keep the files small in spite of the camera's noise."""
 SCREEN = (1920, 1080)
@@ -248,3 +248,7 @@ def _wait(condition: Callable[[], Any], timeout: float, what: str) -> Any:
             return found
         time.sleep(0.2)
     raise DeviceError(f"{what} did not come within {timeout:g} s.")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -65,15 +65,18 @@ def test_its_version_is_asked_for_without_a_lock(processes, tmp_path):
         who = ("-c", "user.name=a", "-c", "user.email=a@b")
         assert processes.start("git", "-C", str(tmp_path), *who, *words).wait(60.0) == 0
 
-    assert _commit(tmp_path) == ""
     source, index = tmp_path / "source.py", tmp_path / ".git" / "index"
+    assert _commit(source) == ""
     source.write_text("a = 1\n")
     git("init", "-q")
     git("add", "source.py")
     git("commit", "-q", "-m", "one")
     os.utime(source, (1.0, 1.0))  # which git would note in the index
     before = index.read_bytes()
-    assert re.fullmatch("[0-9a-f]{7,}", _commit(tmp_path))
+    assert re.fullmatch("[0-9a-f]{7,}", _commit(source))
     assert index.read_bytes() == before
     source.write_text("a = 2\n")
-    assert re.fullmatch("[0-9a-f]{7,}-dirty", _commit(tmp_path))
+    assert re.fullmatch("[0-9a-f]{7,}-dirty", _commit(source))
+    installed = tmp_path / "source_of_an_install_space.py"
+    installed.write_text("a = 1\n")
+    assert _commit(installed) == ""

@@ -119,7 +119,10 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
         lerobot_export.export(folders, options.lerobot, options.fps, options.task)
     else:
         if not options.python.is_file():
-            raise RecordingFault(f"LeRobot is not installed: `make lerobot` installs it ({options.python} is missing).")
+            raise RecordingFault(
+                f"LeRobot is not installed: {options.python} is missing. `make lerobot` installs it in the clone; from an "
+                "install space, name the clone's .venv-lerobot/bin/python with --python."
+            )
         request = {
             "recordings": [str(folder.resolve()) for folder in folders],
             "folder": str(options.lerobot.resolve()),

@@ -208,27 +208,30 @@ def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str,
     }
 
 
-def _commit(folder: Path) -> str:
-    """Returns what git calls the commit of a folder, with "-dirty" if a file differs; empty outside of git.
+def _commit(file: Path) -> str:
+    """Returns what git calls the commit of a file, with "-dirty" if any file differs; empty if git does not hold it.
+
+    An install space may lie in a repository of something else.
 
     `git describe --dirty` would write the index, and on a full disk leave it locked.
     """
     answers = []
-    for question in (("describe", "--always"), ("status", "--porcelain", "--untracked-files=no")):
-        command = ("git", "--no-optional-locks", "-C", str(folder), *question)
+    commit, changes = ("describe", "--always"), ("status", "--porcelain", "--untracked-files=no")
+    for question in (("ls-files", str(file)), commit, changes):
+        command = ("git", "--no-optional-locks", "-C", str(file.parent), *question)
         try:
             found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S)
         except (OSError, subprocess.TimeoutExpired):
             return ""
         answers.append(found.stdout.strip())
-    name, changes = answers
-    return f"{name}-dirty" if name and changes else name
+    held, name, changed = answers
+    return (f"{name}-dirty" if name and changed else name) if held else ""
 
 
 def _versions() -> dict[str, Any]:
     packages = rospkg.RosPack()
     return {
-        "git": _commit(Path(__file__).resolve().parent),
+        "git": _commit(Path(__file__).resolve()),
         "packages": {name: packages.get_manifest(name).version for name in PACKAGES},
         "ros": os.environ.get("ROS_DISTRO", ""),
         "python": platform.python_version(),
