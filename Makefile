@@ -31,7 +31,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad lerobot clean distclean
+.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad wheels lerobot clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -107,6 +107,9 @@ cad: $(READY) ## exports the printed parts again: STEP, STL, drawings, pictures,
 	@cad/.venv/bin/python -m cad.build
 	@MUJOCO_GL=egl .venv/bin/python -m cad.pictures
 	@.venv/bin/python -m cad.tag_sheets.sheets
+
+wheels: $(READY) ## the libraries that need no ROS, for pip: build/wheels
+	@tools/wheels.sh
 
 lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerobot (8 GB from PyPI)
 	@.venv-lerobot/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv .venv-lerobot
