@@ -207,6 +207,8 @@ def test_contact_is_strictly_above_the_threshold(shipped, above, touched):
     reading = measure(packet, *shipped, ((20,) * 9,) * 3)
     assert reading.pressure[1][4] == above
     assert reading.contact[1] == tuple(touched and cell == 4 for cell in range(9))
+    angles = reading.joint_angles + reading.proximal + reading.distal + reading.loads
+    assert {*map(type, angles)} == {float}, "numpy's own numbers print as np.float64(2.5)"
 
 
 def test_only_the_overloaded_finger_is_loosened(bench):

@@ -33,7 +33,7 @@ _MAX_FORWARD_LOAD = 1023
 
 def joint_angle(motor: int, raw: float, zero: float) -> float:
     """Returns the joint angle [rad] of a motor whose servo is at `raw` [ticks] and open at `zero` [joint rad]."""
-    return SIGNS[motor] * (zero_reference(motor, raw) - zero)
+    return float(SIGNS[motor] * (zero_reference(motor, raw) - zero))
 
 
 def zero_reference(motor: int, raw: float) -> float:
@@ -81,7 +81,7 @@ def proximal_angle(raw: int, zero: float) -> float:
 
     Closing lowers the count. The encoder wraps; the angle is the one in [-pi/2, 3 pi/2), the range of a finger.
     """
-    return (zero - raw * ENCODER_RAD + PI / 2) % (2 * PI) - PI / 2
+    return float((zero - raw * ENCODER_RAD + PI / 2) % (2 * PI) - PI / 2)
 
 
 def closing_load(motor: int, raw: int) -> int:
