@@ -55,6 +55,11 @@ def test_what_is_copied_is_there_and_not_ignored(words):
         assert source not in ignored
 
 
+def test_an_image_gets_nothing_that_git_ignores():
+    ignored = {line.replace("**/", "") for line in (ROOT / ".containerignore").read_text().splitlines()}
+    assert {line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()} <= ignored
+
+
 def test_packages_come_from_the_lists_of_the_set_up_alone():
     packages = {*pins("apt-packages.txt"), *(pin.split("==")[0] for pin in pins("requirements.txt"))}
     words = {word for command in arguments("RUN") for word in command}
