@@ -120,8 +120,8 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
     else:
         if not options.python.is_file():
             raise RecordingFault(
-                f"LeRobot is not installed: {options.python} is missing. `make lerobot` installs it in the clone; from an "
-                "install space, name the clone's .venv-lerobot/bin/python with --python."
+                f"LeRobot is not installed: {options.python} is missing. `make lerobot` installs it in the clone; "
+                "from an install space, name the clone's .venv-lerobot/bin/python with --python."
             )
         request = {
             "recordings": [str(folder.resolve()) for folder in folders],
