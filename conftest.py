@@ -171,6 +171,7 @@ def application():
 
     Left to Python, a window would go whenever its reference cycle is found, in whatever thread: Qt may crash then.
     """
+    pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
     from python_qt_binding.QtCore import QEvent
     from python_qt_binding.QtWidgets import QApplication
 
@@ -192,10 +193,14 @@ class Process(subprocess.Popen):
     def wait(self, timeout: float | None = None) -> int:
         """Waits for its end and returns the exit code; `timeout` as for wait_until.
 
-        Raises:
-            subprocess.TimeoutExpired: it lasts longer.
+        Fails the test if it lasts longer, with what the program said and where its threads are.
         """
-        return super().wait(None if timeout is None else max(timeout, LONGEST_S))
+        try:
+            return super().wait(None if timeout is None else max(timeout, LONGEST_S))
+        except subprocess.TimeoutExpired as error:
+            self.send_signal(signal.SIGABRT)  # PYTHONFAULTHANDLER has it print its threads
+            super().wait()
+            pytest.fail(f"{error}:\n{self.log_path.read_text()}")
 
 
 END_S = 60.0  # after which a program that does not end is killed
@@ -238,7 +243,8 @@ class Processes:
 def with_sources(changes: dict[str, str]) -> dict[str, str]:
     """Returns this process's environment with these changes, in which the packages are found without a build."""
     paths = [*filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *SOURCES]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", **changes}
+    own = {"PYTHONPATH": os.pathsep.join(paths), "PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}
+    return {**os.environ, **own, **changes}
 
 
 def _without_search(command: tuple[str, ...]) -> tuple[str, ...]:

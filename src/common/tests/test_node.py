@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -212,6 +213,29 @@ def test_what_is_closed_is_silent_and_leaves_nothing_and_threads_share_one_heap(
         if name == "node":
             # Open are the two that stay, and those whose connections are just ending.
             assert found["heaps"] == 1 and found["left open"] <= 4, found
+
+
+HANGS = """
+import threading
+import rospy
+import common.ros.node as node
+
+def main():
+    rospy.set_param("~begun", True)
+    threading.Event().wait()
+
+node.END_S = 1.0
+node.run("worker", main)
+"""
+
+
+@pytest.mark.real
+def test_a_node_that_does_not_end_says_where_it_is(ros, start, wait_until):
+    process = start("hangs", HANGS)
+    wait_until(lambda: ros_has("/hangs/begun"), END_S, "the node")
+    process.send_signal(signal.SIGINT)
+    code, log = process.wait(END_S), process.log_path.read_text()
+    assert code == 1 and re.search(r'hangs.py", line \d+ in main', log), log
 
 
 DISPOSABLE = """

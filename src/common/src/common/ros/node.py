@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import errno
+import faulthandler
 import logging
 import os
 import signal
@@ -29,6 +30,7 @@ LOG_TOPICS = "/rosout_disable_topics_generation"
 UNPRINTABLE = "backslashreplace"  # of a letter that the locale of a terminal lacks, or of a file name in another one
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
 CLOCK_POLL_S = 0.05
+END_S = 120.0  # a node that has not ended so long after its signal hangs; roslaunch kills it after 17 s
 M_ARENA_MAX = -8  # mallopt(3)
 REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
 
@@ -309,7 +311,8 @@ def _wait_for_clock() -> None:
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
     is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs.
-    With `leave` the process exits afterwards.
+    With `leave` the process exits afterwards. One that has not ended after END_S prints where its threads are, and exits
+    with 1.
 
     The kernel may give a signal to any thread, and a main thread that waits for a lock would not learn of it. So it
     comes through a socket (signal.set_wakeup_fd).
@@ -327,6 +330,7 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
         with reader, writer:
             while (number := reader.recv(1)[0]) not in numbers:
                 pass
+            faulthandler.dump_traceback_later(END_S, exit=True)
             clock.Thread(target=shut_down, args=(f"signal-{number}",), name="shutdown").start()
             clock.Event().wait()  # the socket stays open for the signals that follow
 

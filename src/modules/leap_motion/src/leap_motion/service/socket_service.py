@@ -17,6 +17,7 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from leap_motion.service.access import ConnectionLimits
 
@@ -39,6 +40,16 @@ def own_names() -> tuple[str, ...]:
     """Returns the names by which this computer is known in its network."""
     name = socket.gethostname()
     return name, f"{name}.local"
+
+
+class EndingConnection(ServerConnection):
+    """Ends though its client is gone: before Python 3.11 the end of TLS waits for the client's without a limit."""
+
+    def send_data(self) -> None:
+        """Sends what waits; after the connection's own end, its socket is cut a little later."""
+        super().send_data()
+        if self.state is State.CLOSING:
+            self.loop.call_later(2 * CLOSE_TIMEOUT_S, cut, self.transport.get_extra_info("socket"))
 
 
 class SocketService(ABC):
@@ -96,6 +107,7 @@ class SocketService(ABC):
                     compression=None,
                     open_timeout=OPEN_TIMEOUT_S,
                     close_timeout=CLOSE_TIMEOUT_S,
+                    create_connection=EndingConnection,
                     max_size=self.max_message_bytes,
                     write_limit=self.write_limit,
                     ping_interval=PING_S if tls else None,
