@@ -46,16 +46,16 @@ if [ ! -d "$debian/rospy" ]; then
   echo "ROS is not installed as Debian's packages: run make setup." >&2
   exit 1
 fi
+mkdir -p "$here/build"
 # What Debian's ROS takes from Debian's Python 3.11, from PyPI.
 printf '%s\n' rospkg==1.4.0 catkin-pkg==0.5.2 defusedxml==0.7.1 docutils==0.19 empy==3.3.4 netifaces==0.11.0 \
-  pycryptodomex==3.11.0 python-gnupg==0.4.9 PyQt5==5.15.9 PyQt5-Qt5==5.15.2 PyQt5-sip==12.11.1 >"$environment/ros.txt.new"
-install "$environment/ros.txt.new"
+  pycryptodomex==3.11.0 python-gnupg==0.4.9 PyQt5==5.15.9 PyQt5-Qt5==5.15.2 PyQt5-sip==12.11.1 >"$here/build/ros.txt"
+install "$here/build/ros.txt"
 # ROS's own packages are Python alone, and their programs name Debian's Python.
 mkdir -p "$environment/ros/tf2_py"
-for manifest in /usr/share/*/package.xml; do
-  package=$(basename "$(dirname "$manifest")")
-  [ "$package" = tf2_py ] || [ ! -d "$debian/$package" ] || ln -sfn "$debian/$package" "$environment/ros/$package"
-done
+dpkg-query -W -f='${source:Package} ${Package}\n' | sed -n 's/^ros-[^ ]* //p' | xargs dpkg-query -L |
+  sed -n "s|^$debian/\([a-z0-9_]*\)/__init__.py$|\1|p" | grep -v '^tf2_py$' |
+  while read -r package; do ln -sfn "$debian/$package" "$environment/ros/$package"; done
 # This one is compiled, for Python 3.11. It calls only what Python 3.8 has too, and loads there under this name.
 cp "$debian/tf2_py/__init__.py" "$environment/ros/tf2_py/"
 cp "$debian"/tf2_py/_tf2.cpython-*.so "$environment/ros/tf2_py/_tf2.so"
