@@ -54,7 +54,7 @@ install "$here/build/ros.txt"
 # ROS's own packages are Python alone, and their programs name Debian's Python.
 mkdir -p "$environment/ros/tf2_py"
 dpkg-query -W -f='${source:Package} ${Package}\n' | sed -n 's/^ros-[^ ]* //p' | xargs dpkg-query -L |
-  sed -n "s|^$debian/\([a-z0-9_]*\)/__init__.py$|\1|p" | grep -v '^tf2_py$' |
+  sed -n "s|^$debian/\([a-z0-9_]*\)/__init__.py$|\1|p" | grep -vE '^(tf2_py|rosdep2)$' |
   while read -r package; do ln -sfn "$debian/$package" "$environment/ros/$package"; done
 # This one is compiled, for Python 3.11. It calls only what Python 3.8 has too, and loads there under this name.
 cp "$debian/tf2_py/__init__.py" "$environment/ros/tf2_py/"
@@ -76,6 +76,7 @@ set +u
 source "$build/devel/setup.bash"
 set -u
 export PATH=$environment/bin:$PATH  # before the workspace's own environment
+export ROS_PACKAGE_PATH=$ROS_PACKAGE_PATH:/usr/share  # Debian's rospkg knows it, that of PyPI does not
 code=0
 mapfile -t files < <(grep -rlE "mark\.ros\b" --include='test_*.py' src tests | sort -r)
 python -m pytest -n "$(nproc)" --dist worksteal -m "ros and not real and not long" "$@" "${files[@]}" || code=$?

@@ -10,6 +10,7 @@ import re
 import signal
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -232,11 +233,16 @@ def _versions() -> dict[str, Any]:
     packages = rospkg.RosPack()
     return {
         "git": _commit(Path(__file__).resolve()),
-        "packages": {name: packages.get_manifest(name).version for name in PACKAGES},
+        "packages": {name: _version(Path(packages.get_path(name))) for name in PACKAGES},
         "ros": os.environ.get("ROS_DISTRO", ""),
         "python": platform.python_version(),
         "host": platform.node(),
     }
+
+
+def _version(package: Path) -> str:
+    """Returns the version of a package; rospkg would ask rosdep for the operating system, where it is installed."""
+    return ElementTree.parse(package / "package.xml").findtext("version", "")
 
 
 def _files(parameters: dict[str, Any]) -> dict[str, bytes]:
