@@ -118,5 +118,5 @@ lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerob
 clean: ## removes the build
 	rm -rf build devel install logs site src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
-distclean: clean ## removes the build and the Python environment
+distclean: clean ## removes the build and all Python environments
 	rm -rf .venv .venv-noetic .venv-lerobot cad/.venv

@@ -7,8 +7,12 @@
 # The exit code is the demo's, or 3 if the foreign node heard nothing.
 set -euo pipefail
 project=$(cd "$(dirname "$0")/.." && pwd -P)
-way=$1 workspace=$2 environment=${3:-}
-case $way in catkin_make | catkin_build | install) ;; *) sed -n '4,7p' "$0" >&2; exit 2 ;; esac
+way=${1:-} workspace=${2:-} environment=${3:-}
+case $way:$environment in
+  catkin_make: | catkin_build: | install: | catkin_make:--environment | catkin_build:--environment | install:--environment) ;;
+  *) way= ;;
+esac
+[ -n "$way" ] && [ -n "$workspace" ] || { sed -n '4,7p' "$0" >&2; exit 2; }
 mkdir -p "$workspace/src/lab_arm/msg" "$workspace/src/lab_arm/scripts"
 cd "$workspace"
 

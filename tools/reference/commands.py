@@ -19,7 +19,7 @@ class LineAsTyped(NamedTuple):
     without: str  # what to add where there is no hardware
 
 
-CAMERA = "*No camera …* or what is not installed, and *Without hardware: sim:=true.*; `camera/driver` exits"
+CAMERA = "*No camera …* or what is not installed, each with *sim:=true*; `camera/driver` exits"
 RIG = "*No Leap service answers …*, *No packet from the hand …* or *The network interface …*, each with *sim:=true*"
 ROBOT = "*There is no connection to the robot …*, with *sim:=true*"
 SIM = "`sim:=true`"

@@ -6,7 +6,7 @@ case "$1" in
     echo "Everything is simulated: no real arm or hand moves. For the real rig: sim:=false," \
          "and robot_ip:= and hand_interface:= where they are not 172.31.1.147 and eth0."
     ;;
-  camera) echo "The camera is simulated. For the Xtion Pro Live: sim:=false." ;;
+  camera) echo "The camera is simulated. For the Xtion Pro Live: leave sim:=true out." ;;
 esac
 shift
 exec "$@"

@@ -9,9 +9,9 @@ import json
 import os
 import shutil
 import signal
-import sys
 import ssl
 import subprocess
+import sys
 import urllib.request
 from pathlib import Path
 from types import SimpleNamespace

@@ -311,8 +311,7 @@ def _wait_for_clock() -> None:
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
     is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs.
-    With `leave` the process exits afterwards. One that has not ended after END_S prints where its threads are, and exits
-    with 1.
+    With `leave` the process exits afterwards. After END_S it prints where its threads are, and exits with 1.
 
     The kernel may give a signal to any thread, and a main thread that waits for a lock would not learn of it. So it
     comes through a socket (signal.set_wakeup_fd).

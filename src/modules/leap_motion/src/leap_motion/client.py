@@ -84,7 +84,7 @@ class LeapStatus:
     sentence: str
     service: str = ""  # its version, if known
     serial: str = ""  # of the device that sends the frames, if the service gives one
-    simulated: bool = False  # the service says that its hands are nobody's
+    simulated: bool = False  # the service says that its hands are simulated or recorded
 
 
 @dataclass(frozen=True)

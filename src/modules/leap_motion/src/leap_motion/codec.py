@@ -85,7 +85,7 @@ def read_header(text: str | bytes) -> str:
 
 
 def is_simulated(header: str | bytes) -> bool:
-    """Returns whether a service says in its `header`, which `read_header` has read, that nobody's hand is before it."""
+    """Returns whether a service says in its `header`, of `read_header`, that its hands are simulated or recorded."""
     return _object(header).get("simulated") is True
 
 

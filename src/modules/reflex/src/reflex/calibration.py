@@ -81,7 +81,7 @@ def mean_offsets(packets: list[StatePacket]) -> TactileOffsets:
 
 
 def calibration_text(calibration: FingerZeros | TactileOffsets, simulated: bool = False) -> str:
-    """Returns the text of the calibration's file, which says for ever whether it is a `simulated` hand's."""
+    """Returns the text of the calibration's file, which records whether it is a `simulated` hand's."""
     rows = (f"{key}: [{', '.join(map(_digits, values))}]\n" for key, values in vars(calibration).items())
     return f"{calibration.HEADING}{''.join(rows)}{SIMULATED}: {str(simulated).lower()}\n"
 

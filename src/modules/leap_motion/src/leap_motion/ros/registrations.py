@@ -13,7 +13,7 @@ from common.errors import ConfigError, RigError
 from common.poses import pose, read_only
 from common.ros.files import read_yaml, user_file, write_whole
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion
-from common.simulated import simulated_field
+from common.simulated import SIMULATED, simulated_field
 from common.stored_time import moment, utc
 from leap_motion.registration import MAX_TURN_DEG, PointFit, RegistrationRefused, check_serial, turn_deg
 
@@ -71,7 +71,7 @@ def store(path: Path, found: PointFit, serial: str, now: float, simulated: bool)
         "position": found.T_desk_leap[:3, 3].round(6).tolist(),
         "quaternion": quaternion_from_rotation(found.T_desk_leap[:3, :3]).tolist(),
         "residual_mm": round(1e3 * float(found.residuals.max()), 2),
-        "simulated": simulated,
+        SIMULATED: simulated,
     }
     try:
         write_whole(path, yaml.safe_dump(values, sort_keys=False))

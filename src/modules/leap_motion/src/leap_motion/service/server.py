@@ -80,7 +80,7 @@ class LeapService(SocketService):
         code: str = "",
         certificate: Certificate | None = None,
         secure_port: int = 6436,
-        simulated: bool = False,  # its hands are nobody's: simulated, or a recording
+        simulated: bool = False,  # its hands are simulated or recorded
     ) -> None:
         self._service, self._version, self._serial, self._simulated = service, version, serial, simulated
         self._clients: list[LeapClientLink] = []

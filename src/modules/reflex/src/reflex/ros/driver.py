@@ -148,9 +148,11 @@ def main() -> None:
     """Reads the private parameters and drives the hand until ROS shuts down; raises ConfigError if a parameter or a
     calibration file is wrong, DeviceError if the network interface or the port cannot be used.
     """
+    config = wait_for_config(ReflexDriverConfig, rospy.get_name())
     try:
-        HandDriver(wait_for_config(ReflexDriverConfig, rospy.get_name())).run()
+        HandDriver(config).run()
     except CalibrationFileError as error:
         raise ConfigError(error.faults) from error
     except ReflexError as error:
-        raise DeviceError(f"{error} {WITHOUT_HARDWARE}") from error
+        hint = "" if config.network_interface == LOOPBACK else f" {WITHOUT_HARDWARE}"
+        raise DeviceError(f"{error}{hint}") from error
