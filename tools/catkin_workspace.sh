@@ -12,7 +12,10 @@ case $way:$environment in
   catkin_make: | catkin_build: | install: | catkin_make:--environment | catkin_build:--environment | install:--environment) ;;
   *) way= ;;
 esac
-[ -n "$way" ] && [ -n "$workspace" ] || { sed -n '4,7p' "$0" >&2; exit 2; }
+if [ -z "$way" ] || [ -z "$workspace" ]; then
+  sed -n '4,7p' "$0" >&2
+  exit 2
+fi
 mkdir -p "$workspace/src/lab_arm/msg" "$workspace/src/lab_arm/scripts"
 cd "$workspace"
 
