@@ -93,10 +93,10 @@ def test_the_workspace_is_lifted_only_where_it_is_asked_for_and_never_on_a_real_
 @pytest.mark.real
 def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments():
     script = ROOT / "src/common/shell/simulated.sh"
-    for what, word in (("rig", "robot_ip"), ("camera", "Xtion")):
+    for what, *words in (("rig", "robot_ip", "sim:=false"), ("camera", "Xtion", "sim:=true")):
         command = [script, what, "printf", "%s|", "a b", "c"]
         lines = subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()
-        assert len(lines) == 2 and all(part in lines[0] for part in ("simulated", "sim:=false", word))
+        assert len(lines) == 2 and all(part in lines[0] for part in ("simulated", *words))
         assert lines[1] == "a b|c|"
 
 
