@@ -199,7 +199,8 @@ class Process(subprocess.Popen):
             return super().wait(None if timeout is None else max(timeout, LONGEST_S))
         except subprocess.TimeoutExpired as error:
             self.send_signal(signal.SIGABRT)  # PYTHONFAULTHANDLER has it print its threads
-            super().wait()
+            self.send_signal(signal.SIGCONT)  # a test may have suspended it
+            super().wait(END_S)
             pytest.fail(f"{error}:\n{self.log_path.read_text()}")
 
 

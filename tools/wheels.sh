@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Wheels of the modules that need no ROS, into the folder that is named, or build/wheels.
+# Wheels of the modules that need no ROS, into build/wheels, or a folder that is named from the root of the repository.
 # They are made from copies, because a build leaves files beside its source.
 set -euo pipefail
 cd "$(dirname "$0")/.."
