@@ -209,6 +209,7 @@ class TestChecker:
             "roslaunch leap_rig demo",
             "roslaunch leap_rig demo sim:=false robot_ip:=127.0.0.1 hand_interface:=lo",
             "roslaunch kuka_control real_time_controller.launch ip:=127.0.0.1",
+            "roslaunch kuka_control ptp_controller.launch sim:=true",
             "roslaunch leap_rig leap_rig.launch sim:=true auto_start:=true",
             "roslaunch vision plane_pose.launch camera:=false",
             "rosrun kuka_control simple_controller.py --list",

@@ -48,8 +48,6 @@ def _real(words: list[str]) -> bool:
         return True
     if words[0] == "roslaunch" and _real_by_default(words[1:]):
         return True
-    if re.match(r"kuka_control (real_time|ptp)_controller\.launch", rest):
-        return True  # the address of the parameter files is the real robot's
     asks = re.search(r"(?<!\S)--(list|help|by-hand|again)(?!\S)", rest)
     return not asks and re.match(r"kuka_control simple_controller\.py|vision calibrate_camera\.py", rest) is not None
 

@@ -716,3 +716,60 @@ def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, 
         patch.setattr(controller_node.rospy, "set_param", lambda key, _: uploaded.append(key))
         controller_node._run(RealTimeConfig, lambda *_: None, types.SimpleNamespace(lift_workspace=False))
     assert uploaded == ["kuka/running", "kuka/joints_home", "kuka/rotation_home", "kuka/ws_center"]
+
+
+@pytest.fixture
+def announced(ros):
+    """Announces a node of simulated devices on this ROS master, as itself."""
+    import rospy
+    from std_msgs.msg import String
+
+    publisher = rospy.Publisher("/simulated_devices", String, queue_size=1, latch=True)
+    yield lambda: publisher.publish("/operator")
+    publisher.unregister()
+
+
+BESIDE = "The node /operator belongs to simulated devices, and on the same ROS master they could move the real arm"
+
+
+@pytest.mark.parametrize("executable", [REAL_TIME, PTP])
+def test_a_real_arm_is_not_connected_beside_simulated_devices(robot, run, announced, monkeypatch, executable):
+    from kuka_control.model.config import RobotAddress
+
+    announced()
+    quick_params(executable, robot.port)
+    monkeypatch.setattr(RobotAddress, "on_this_machine", False)
+    node = run(executable)
+    assert node.wait_for_end(20.0) == 1
+    assert BESIDE in node.log and "Traceback" not in node.log
+    assert "Connecting" not in node.log and "connected" not in robot.log
+
+
+def test_of_devices_whose_node_is_dead_nothing_is_heard(robot, run, announced, monkeypatch):
+    """The master still lists the topic of a node that was killed."""
+    from kuka_control.model.config import RobotAddress
+
+    quick_params(REAL_TIME, robot.port)
+    monkeypatch.setattr(RobotAddress, "on_this_machine", False)
+    run(REAL_TIME).wait_for_mode("home")
+
+
+def test_simulated_devices_that_come_later_end_the_controller_of_a_real_arm_which_brakes(
+    ros, robot, run, announced, monkeypatch
+):
+    from kuka_control.model.config import RobotAddress
+
+    quick_params(REAL_TIME, robot.port)
+    monkeypatch.setattr(RobotAddress, "on_this_machine", False)
+    node = run(REAL_TIME)
+    node.wait_for_mode("home")
+    assert node.control(True).success
+    hand = Hand(home_tool())
+    node.wait_for_mode("servo")
+    hand.T = far = shifted(home_tool(), 0.0, 0.1, 0.0)
+    ros.wait_until(lambda: not robot.is_at(home_tool()), 2.0, "the arm on its way")
+    announced()
+    assert node.wait_for_end(5.0) == 1
+    assert BESIDE in node.log and "Traceback" not in node.log
+    assert "The connection to the robot is closed." in node.log
+    assert not robot.is_at(far) and robot.ask("state")["safety_stop"] is None

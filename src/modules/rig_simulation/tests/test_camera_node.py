@@ -113,6 +113,7 @@ def diagnostics(ros):
 
 def test_it_publishes_what_an_xtion_does(world, start, ros):
     from sensor_msgs.msg import CameraInfo, Image
+    from std_msgs.msg import String
 
     images = {
         topic: ros.record(f"camera/{topic}", Image)
@@ -121,9 +122,11 @@ def test_it_publishes_what_an_xtion_does(world, start, ros):
     infos = {
         name: ros.record(f"camera/{name}/camera_info", CameraInfo) for name in ("rgb", "depth", "depth_registered")
     }
+    announced = ros.record("/simulated_devices", String)
     with world.open():
         start()
         clock.sleep(1.0)
+    assert [message.data for message in announced] == ["/camera/driver"]
     together = [[m.header.stamp for m in recording] for recording in (*images.values(), *infos.values())]
     assert all(stamps == together[0] for stamps in together), "all images of one moment have one stamp"
     assert len(together[0]) == pytest.approx(RATE, abs=1)

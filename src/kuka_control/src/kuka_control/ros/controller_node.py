@@ -22,6 +22,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
 from common.ros.params import arm_frames, wait_for_config
 from common.ros.service_calls import ask_master
+from common.ros.simulated_devices import SimulatedDevices
 from common.rotations import quaternion_from_rotation
 from common.simulated import WITHOUT_HARDWARE
 from kst import KstClient, KstError, NoServer, ReplyTimeout
@@ -169,6 +170,9 @@ def _run(
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     config = wait_for_config(schema, "kuka", others=neighbours(schema), patience=PARAMETERS_S)
     frames = arm_frames()
+    beside = None if config.on_this_machine else SimulatedDevices(f"arm at {config.ip}")
+    if beside is not None:
+        beside.refuse()
     if options.lift_workspace:
         if not (config.on_this_machine or options.i_know):
             raise ConfigError([LIFT_REFUSED.format(ip=config.ip)])
@@ -187,7 +191,7 @@ def _run(
         rospy.set_param("kuka/joints_home", rig.home.q.tolist())
         rospy.set_param("kuka/rotation_home", quaternion_from_rotation(rig.home.T_base_tool[:3, :3]).tolist())
         rospy.set_param("kuka/ws_center", rig.home.centre.tolist())  # the last: leap_kuka reads when this is there
-        _Node(config, rig, link, partial(make_loop, config, rig), frames).spin(
+        _Node(config, rig, link, partial(make_loop, config, rig), frames, beside).spin(
             None if placed is None else placed.T_world_base
         )
     finally:
@@ -205,7 +209,9 @@ class _Node:
         link: RobotLink,
         make_loop: Callable[[], ControlLoop],
         frames: ArmFrames,
+        beside: SimulatedDevices | None,
     ) -> None:
+        self._beside = beside
         self._link, self._lifted = link, rig.workspace.lifted
         self._make_loop = make_loop
         self._loop: ControlLoop | ReconnectSupervisor = make_loop()
@@ -263,6 +269,8 @@ class _Node:
         deadline = 0.0
         while not rospy.is_shutdown():
             desired = self._desired.wait(deadline)
+            if self._beside is not None:
+                self._beside.check()
             started = clock.monotonic()
             self._loop.open_hand(self._opening.at(started))
             inputs = Inputs(desired, rospy.get_time(), self._switches.now, self._moves.move, self._desired.missing)

@@ -13,6 +13,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config
 from common.ros.publishing import DirectPublisher
+from common.ros.simulated_devices import announce
 from common.simulated import SIMULATED, WITHOUT_HARDWARE, doubt, refusal
 from leap_motion.client import LeapClient, LeapLink, LeapStatus
 from leap_motion.device_clock import DeviceClock
@@ -135,10 +136,14 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
     options = {**proof, "tap": publish_raw, "runtime": clock, "bounds": config.bounds}
     client = LeapClient(config.host, config.port, clock=rospy.Time.now, **options)
     report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
+    announced = False
     Diagnostics("leap_motion", report.diagnostics)
     try:
         while not rospy.is_shutdown():
             report.update()
+            if client.status.simulated and not announced:
+                announced = True
+                announce()
             received = client.next_frame(POLL_S)
             if received is None:
                 continue

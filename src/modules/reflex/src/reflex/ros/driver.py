@@ -17,6 +17,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import while_running
 from common.ros.params import wait_for_config
 from common.ros.publishing import DirectPublisher
+from common.ros.simulated_devices import SimulatedDevices
 from common.simulated import WITHOUT_HARDWARE
 from reflex.calibration_files import CalibrationFiles
 from reflex.client import ReflexHand
@@ -44,6 +45,7 @@ class HandDriver:
         interface, port = config.network_interface, config.port
         files = CalibrationFiles(config.calibration_folder, shipped, simulated=interface == LOOPBACK)
         self._real_and_unheard = interface != LOOPBACK
+        self._beside = SimulatedDevices(f"hand on {interface}") if interface != LOOPBACK else None
         hooks = (self._publish, self._say)
         self._hand = ReflexHand(
             interface, port, config.settings(), files, *hooks, hold_at_exit=config.hold_at_exit, runtime=clock
@@ -55,12 +57,16 @@ class HandDriver:
     def run(self) -> None:
         """Runs until ROS shuts down; leaves the hand idle, or holding."""
         try:
+            if self._beside is not None:
+                self._beside.refuse()
             self._hand.connect()
             rospy.on_shutdown(self._hand.disconnect)
             self._offer()
             while not rospy.is_shutdown():
                 if not self._hand.listening and not rospy.core.is_shutdown_requested():  # which ends the thread
                     raise RuntimeError("the receive thread of the hand ended; its traceback is above")
+                if self._beside is not None:
+                    self._beside.check()
                 clock.sleep(POLL_S)
         finally:
             self._hand.disconnect()

@@ -20,6 +20,7 @@ from common.errors import DeviceError
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import RGBD_FRAMES, Outgoing, RgbdTopics
 from common.ros.params import private_config, private_values
+from common.ros.simulated_devices import announce
 from common.simulated import SIMULATED
 from rig_simulation.control_port import ControlClient, ControlPort
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
@@ -135,6 +136,7 @@ def main() -> None:
     """Runs the node with its private parameters."""
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(CameraConfig, others=(*SECTIONS, SERIAL))
+    announce()
     rospy.set_param(rospy.resolve_name(f"~{SERIAL}"), SIMULATED)
     rgb, depth = (from_calibration(private_values().get(name, {})) for name in ("rgb_calibration", "depth_calibration"))
     effects = private_config(ColourConfig, "colour"), private_config(DepthConfig, "depth")

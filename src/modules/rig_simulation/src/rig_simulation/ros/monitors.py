@@ -35,6 +35,7 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.node import run_together
 from common.ros.params import arm_frames, private_config
 from common.ros.publishing import DirectPublisher
+from common.ros.simulated_devices import announce
 from common.rotations import quaternion_from_rotation, rotation_from_quaternion, rotation_from_zyx
 from rig_msgs.msg import ObjectState, ObjectStates
 from rig_msgs.srv import (
@@ -282,6 +283,7 @@ def show_world(config: SimulationConfig) -> None:
 def simulation() -> None:
     """Runs the node simulation with its private parameters."""
     config = private_config(SimulationConfig)
+    announce()
     FaultService(config)
     jobs: list[Callable[[], None]] = [rospy.spin]
     if config.arm_port:

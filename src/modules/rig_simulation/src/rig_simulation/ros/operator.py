@@ -16,6 +16,7 @@ from common import clock
 from common.errors import DeviceError, RigError
 from common.ros.params import private_config
 from common.ros.service_calls import ServiceClient, ServiceFailed
+from common.ros.simulated_devices import announce
 from kuka_msgs.msg import jointPositions
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from rig_msgs.msg import KukaStatus
@@ -171,4 +172,6 @@ class Operator:
 
 def main() -> None:
     """Runs the node with its private parameters."""
-    Operator(private_config(OperatorConfig)).run()
+    config = private_config(OperatorConfig)
+    announce()
+    Operator(config).run()

@@ -1,0 +1,45 @@
+"""Simulated devices on the ROS master of a real arm or hand: their nodes announce them, and what moves it ends."""
+
+from __future__ import annotations
+
+import rospy
+from std_msgs.msg import String
+
+from common import clock
+from common.errors import DeviceError
+from common.ros.service_calls import ask_master
+
+TOPIC = "/simulated_devices"
+LATCHED_S = 3.0  # a node that lives delivers what it announced within this time [s]
+REFUSED = (
+    "The node {node} belongs to simulated devices, and on the same ROS master they could move the real {device}, so this "
+    "node ends. End one of the two rigs."
+)
+
+
+def announce() -> None:
+    """Tells all on this ROS master, as long as this node lives, that it belongs to simulated devices."""
+    rospy.Publisher(TOPIC, String, queue_size=1, latch=True).publish(rospy.get_name())
+
+
+class SimulatedDevices:
+    """Those on the ROS master of a real device; `device` ends the part of a sentence."""
+
+    def __init__(self, device: str) -> None:
+        self._device, self._node, self._heard = device, "", clock.Event()
+        rospy.Subscriber(TOPIC, String, self._take, queue_size=1)
+
+    def refuse(self) -> None:
+        """Waits for what nodes have announced already; raises DeviceError as `check`."""
+        if TOPIC in dict(ask_master("getSystemState")[0]):  # perhaps of a node that was killed: then nothing comes
+            self._heard.wait(LATCHED_S)
+        self.check()
+
+    def check(self) -> None:
+        """Raises DeviceError once a node has announced simulated devices."""
+        if self._node:
+            raise DeviceError(REFUSED.format(node=self._node, device=self._device))
+
+    def _take(self, message: String) -> None:
+        self._node = message.data
+        self._heard.set()
