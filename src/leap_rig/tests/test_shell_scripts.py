@@ -92,28 +92,57 @@ WORDS = [
 ]
 
 
-def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path):
-    """With programs of ROS that only note how they are called."""
-    folder = tmp_path / "src" / "leap_rig" / "shell"
-    folder.mkdir(parents=True)
-    script = folder / "run_leap_control.sh"
-    for name in ("run_leap_control.sh", "workspace.sh"):
-        (folder / name).write_text((SHELL / name).read_text())
-    (tmp_path / "devel").mkdir()
-    (tmp_path / "devel" / "setup.bash").touch()
-    log = tmp_path / "log"
-    # The controller that ends at once would end the rig before it is there.
-    for name, first in (("roslaunch", ""), ("rosrun", f'until grep -qs roslaunch "{log}"; do sleep 0.05; done\n')):
-        (tmp_path / name).write_text(f'#!/bin/sh\n{first}echo "{name} $*" >> "{log}"\n')
-        (tmp_path / name).chmod(0o755)
-    for words, launched in WORDS:
+@pytest.fixture
+def noted(tmp_path):
+    """Runs run_leap_control.sh with programs of ROS, given as shell scripts, that note how they are called; returns its
+    exit code and the notes.
+    """
+
+    def call(*words, roslaunch="", rosrun=""):
+        folder = tmp_path / "src" / "leap_rig" / "shell"
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in ("run_leap_control.sh", "workspace.sh"):
+            (folder / name).write_text((SHELL / name).read_text())
+        (tmp_path / "devel").mkdir(exist_ok=True)
+        (tmp_path / "devel" / "setup.bash").touch()
+        log = tmp_path / "log"
         log.unlink(missing_ok=True)
-        done = subprocess.run(["bash", script, *words], env={"PATH": f"{tmp_path}:/usr/bin:/bin"})
-        assert done.returncode == 0
-        assert sorted(log.read_text().splitlines()) == [
-            f"roslaunch leap_rig leap_rig.launch {launched}",
-            "rosrun kuka_control real_time_controller.py gui:=false",
-        ]
+        # The controller that ends at once would end the rig before it is there.
+        both = f'until grep -qs "roslaunch leap_rig" "{log}"; do sleep 0.05; done\n'
+        for name, before, after in (("roslaunch", "", roslaunch), ("rosrun", both, rosrun)):
+            note = f'echo "{name} $*" >> "{log}"\n'
+            (tmp_path / name).write_text(f"#!/bin/bash\n{before}{note}{after}\n")
+            (tmp_path / name).chmod(0o755)
+        script = ["bash", folder / "run_leap_control.sh", *words]
+        done = subprocess.run(script, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, timeout=60)
+        return done.returncode, log.read_text().splitlines()
+
+    return call
+
+
+CONTROLLER = "rosrun kuka_control real_time_controller.py gui:=false"
+
+
+@pytest.mark.parametrize("words, launched", WORDS)
+def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(noted, words, launched):
+    code, (checked, *started) = noted(*words, roslaunch="[ $1 = --nodes ] || until grep -q rosrun ${0%/*}/log; do :; done")
+    assert code == 0
+    assert checked == f"roslaunch --nodes leap_rig leap_rig.launch {launched}"
+    assert sorted(started) == [f"roslaunch leap_rig leap_rig.launch {launched}", CONTROLLER]
+
+
+def test_no_controller_is_started_with_arguments_that_roslaunch_refuses(noted):
+    """It would take the parameters that an earlier launch left on a living master."""
+    refused = "roslaunch --nodes leap_rig leap_rig.launch sim:=true gui:=flase"
+    assert noted("--sim", "gui:=flase", roslaunch="[ $1 != --nodes ] || exit 2") == (2, [refused])
+
+
+def test_the_controller_ends_with_the_rig(noted):
+    until = "until grep -q rosrun ${0%/*}/log; do :; done; exit 3"
+    code, notes = noted(
+        roslaunch=f"[ $1 = --nodes ] || {{ {until}; }}", rosrun="trap 'echo ended >> ${0%/*}/log; exit' TERM; sleep 600 & wait"
+    )
+    assert code == 3 and CONTROLLER in notes and notes[-1] == "ended"
 
 
 LAYOUTS = {  # folder of the scripts, what is built, whether the terminal has a workspace: what is sourced
