@@ -32,7 +32,17 @@ PANEL = "/kuka_panel"
 DEMO = ROOT / "src/leap_rig/launch/demo.launch"
 SIMULATORS = {DEMO, DEMO.with_name("simulated_devices.launch"), DEMO.with_name("two_simulated_arms.launch")}
 """The launch files that start simulated devices unasked."""
-CHOOSING = [path for path in LAUNCH_FILES if '<arg name="sim" default' in path.read_text()]
+BESIDE = [
+    ("kuka_control", "real_time_controller.launch", "/kuka/ip", "127.0.0.1", "172.31.1.147"),
+    ("kuka_control", "ptp_controller.launch", "/kuka/ip", "127.0.0.1", "172.31.1.147"),
+    ("reflex", "reflex_takktile.launch", "/reflex_takktile_driver/network_interface", "lo", "eth0"),
+]
+"""Those that use a simulated device which another one starts: the parameter that says where it is, and is the real one."""
+CHOOSING = [
+    path
+    for path in LAUNCH_FILES
+    if '<arg name="sim" default' in path.read_text() and path.name not in {file for _, file, *_ in BESIDE}
+]
 
 
 def simulators(path: Path, *arguments: str) -> list:
@@ -58,6 +68,14 @@ def test_what_is_asked_to_simulate_says_so_before_anything_else_does(path):
     assert "/simulated.sh " in launched.prefixes(path.parents[1].name, path.name, "sim:=true")[0]
     assert any(node.package == "rig_simulation" for node in simulators(path, "sim:=true"))
     assert not simulators(path, "sim:=false") and launched.nodes(path.parents[1].name, path.name, "sim:=false")
+
+
+@pytest.mark.parametrize("package, file, parameter, simulated, real", BESIDE)
+def test_a_driver_alone_finds_the_simulated_device_with_sim_true(package, file, parameter, simulated, real):
+    from tools import launched
+
+    assert launched.parameters(package, file, "sim:=true")[parameter] == simulated
+    assert launched.parameters(package, file)[parameter] == real
 
 
 def test_the_lines_that_the_report_of_2019_has_are_those_of_the_page():
