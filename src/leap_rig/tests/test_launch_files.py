@@ -37,7 +37,7 @@ BESIDE = [
     ("kuka_control", "ptp_controller.launch", "/kuka/ip", "127.0.0.1", "172.31.1.147"),
     ("reflex", "reflex_takktile.launch", "/reflex_takktile_driver/network_interface", "lo", "eth0"),
 ]
-"""Those that use a simulated device which another one starts: the parameter that says where it is, and is the real one."""
+"""Those that use a device which another one simulates: the parameter that says where, simulated and real."""
 CHOOSING = [
     path
     for path in LAUNCH_FILES

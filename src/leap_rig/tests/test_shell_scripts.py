@@ -120,12 +120,13 @@ def noted(tmp_path):
     return call
 
 
+STARTED = "until grep -q rosrun ${0%/*}/log; do :; done"
 CONTROLLER = "rosrun kuka_control real_time_controller.py gui:=false"
 
 
 @pytest.mark.parametrize("words, launched", WORDS)
 def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(noted, words, launched):
-    code, (checked, *started) = noted(*words, roslaunch="[ $1 = --nodes ] || until grep -q rosrun ${0%/*}/log; do :; done")
+    code, (checked, *started) = noted(*words, roslaunch=f"[ $1 = --nodes ] || {STARTED}")
     assert code == 0
     assert checked == f"roslaunch --nodes leap_rig leap_rig.launch {launched}"
     assert sorted(started) == [f"roslaunch leap_rig leap_rig.launch {launched}", CONTROLLER]
@@ -138,10 +139,8 @@ def test_no_controller_is_started_with_arguments_that_roslaunch_refuses(noted):
 
 
 def test_the_controller_ends_with_the_rig(noted):
-    until = "until grep -q rosrun ${0%/*}/log; do :; done; exit 3"
-    code, notes = noted(
-        roslaunch=f"[ $1 = --nodes ] || {{ {until}; }}", rosrun="trap 'echo ended >> ${0%/*}/log; exit' TERM; sleep 600 & wait"
-    )
+    waits = "trap 'echo ended >> ${0%/*}/log; kill $!; exit' TERM; sleep 60 & wait"
+    code, notes = noted(roslaunch=f"[ $1 = --nodes ] || {{ {STARTED}; exit 3; }}", rosrun=waits)
     assert code == 3 and CONTROLLER in notes and notes[-1] == "ended"
 
 

@@ -48,8 +48,9 @@ def leap_driver(ros, wire):
 
 @pytest.mark.parametrize("start", [simulation, operator, leap_driver])
 def test_the_nodes_of_simulated_devices_announce_them(ros, start):
-    from simulated.leap_wire import LeapWire
     from std_msgs.msg import String
+
+    from simulated.leap_wire import LeapWire
 
     announced = ros.record(TOPIC, String)
     with LeapWire() as wire:

@@ -13,7 +13,9 @@ from common.config import flag
 
 SIMULATED = "simulated"
 """The key in files, and the simulated camera's serial number."""
-WITHOUT_HARDWARE = "Without hardware, launch this and leap_rig.launch, which starts the simulated devices, with sim:=true."
+WITHOUT_HARDWARE = (
+    "Without hardware, launch this and leap_rig.launch, which starts the simulated devices, with sim:=true."
+)
 
 
 def simulated_field() -> Any:

@@ -12,8 +12,8 @@ from common.ros.service_calls import ask_master
 TOPIC = "/simulated_devices"
 LATCHED_S = 3.0  # a node that lives delivers what it announced within this time [s]
 REFUSED = (
-    "The node {node} belongs to simulated devices, and on the same ROS master they could move the real {device}, so this "
-    "node ends. End one of the two rigs."
+    "The node {node} belongs to simulated devices, and on the same ROS master they could move the real {device}, so "
+    "this node ends. End one of the two rigs."
 )
 
 
