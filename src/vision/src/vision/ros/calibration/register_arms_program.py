@@ -58,10 +58,10 @@ def _run(options: argparse.Namespace) -> str:
     T_world_first = arms.placements[names[0]].T_world_base
     T_world_second = T_world_first @ found.T_first_second
     sentence = _sentence(names, found)
-    write_whole(options.output, _content(names, arms, T_world_second, (first, second), sentence))
-    how = origin(any_simulated(first.simulated, second.simulated))
+    simulated = any_simulated(first.simulated, second.simulated)
+    write_whole(options.output, _content(names, arms, T_world_second, (first, second), simulated, sentence))
     return (
-        f"{sentence} Measured {how}. This holds if the camera was not moved between {first.date} and {second.date}. "
+        f"{sentence} Measured {origin(simulated)}. This holds if the camera was not moved between {first.date} and {second.date}. "
         f"Written to {options.output}; start the rig with arms:={options.output.resolve()}."
     )
 
@@ -107,6 +107,7 @@ def _content(
     arms: Arms,
     T_world_second: np.ndarray,
     records: tuple[CalibrationRecord, CalibrationRecord],
+    simulated: bool | None,
     sentence: str,
 ) -> str:
     """Returns the yaml file."""
@@ -119,7 +120,6 @@ def _content(
         "",
         f"margin: {arms.margin:g}",
     ]
-    simulated = any_simulated(*(record.simulated for record in records))
     lines += [] if simulated is None else [f"{SIMULATED}: {str(simulated).lower()}"]
     for name in arms.placements:
         place = placements[name]
