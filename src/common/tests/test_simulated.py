@@ -2,7 +2,8 @@
 
 import pytest
 
-from common.simulated import any_simulated, doubt, origin, refusal
+from common.errors import ConfigError
+from common.simulated import any_simulated, doubt, origin, refusal, said_by
 
 UNKNOWN = None
 
@@ -32,3 +33,14 @@ def test_only_a_rig_that_is_simulated_uses_what_was_simulated_and_only_it_has_no
 def test_one_simulated_device_is_enough_and_one_unknown_leaves_a_doubt(devices, made):
     assert any_simulated(*devices) is made
     assert len({origin(each) for each in (True, False, UNKNOWN)}) == 3
+
+
+@pytest.mark.parametrize(("said", "found"), [({}, UNKNOWN), ({"simulated": True}, True), ({"simulated": False}, False)])
+def test_the_key_of_a_file_counts_beside_any_others(said, found):
+    assert said_by({"camera_name": "a", **said}, "a.yaml: ") is found
+
+
+@pytest.mark.parametrize("value", [None, "maybe", "true", 1, []])
+def test_another_value_is_refused_by_file_and_key(value):
+    with pytest.raises(ConfigError, match="^a.yaml: simulated is .*, but must be true or false"):
+        said_by({"simulated": value}, "a.yaml: ")

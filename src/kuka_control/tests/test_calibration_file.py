@@ -56,14 +56,21 @@ def test_a_key_that_is_not_known_is_refused():
 @pytest.mark.ros
 @pytest.mark.parametrize("on_this_machine", [True, False])
 @pytest.mark.parametrize("said", [{}, {"simulated": False}, {"simulated": True}])
-def test_a_simulated_arms_geometry_is_refused_by_a_real_arm(tmp_path, said, on_this_machine):
+def test_a_simulated_arms_geometry_is_refused_by_a_real_arm_and_an_unknown_one_doubted(
+    tmp_path, said, on_this_machine, monkeypatch
+):
     from kuka_control.ros.parameter_server import dh_deviations
 
+    warned: list[str] = []
+    monkeypatch.setattr("rospy.logwarn", lambda text, *words: warned.append(text % words))
+    example = {key: value for key, value in yaml.safe_load(EXAMPLE.read_text()).items() if key != "simulated"}
     file = tmp_path / "arm.yaml"
-    file.write_text(yaml.safe_dump({**yaml.safe_load(EXAMPLE.read_text()), **said}))
+    file.write_text(yaml.safe_dump({**example, **said}))
     config = SimpleNamespace(dh_parameters=str(file), robot="LBR7R800", on_this_machine=on_this_machine)
     if said.get("simulated") and not on_this_machine:
         with pytest.raises(ConfigError, match=f"^{file} was measured with simulated devices"):
             dh_deviations(config)
     else:
         assert dh_deviations(config).robot == "LBR7R800"
+    doubted = [f"{file} does not say whether"] if not said and not on_this_machine else []
+    assert [text[: len(doubted[0])] if doubted else text for text in warned] == doubted

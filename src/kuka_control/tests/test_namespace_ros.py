@@ -128,17 +128,30 @@ def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros,
     assert "connected" not in robot.log
 
 
-def test_a_real_arm_refuses_places_that_were_measured_in_simulation(ros, robot, monkeypatch):
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ({"simulated": True}, "The file of arms:= was measured with simulated devices"),
+        ({}, "The file of arms:= does not say whether it was measured with real devices"),
+        ({"simulated": False}, ""),
+    ],
+)
+def test_a_real_arm_refuses_places_that_were_measured_in_simulation_and_doubts_unknown_ones(
+    ros, robot, monkeypatch, said, words
+):
     import rospy
 
     from kuka_control.model.config import RobotAddress
 
     monkeypatch.setattr(RobotAddress, "on_this_machine", False)
     set_params("/left", "left", robot.port)
-    rospy.set_param("/arms", {**ARMS, "simulated": True})
+    set_right()
+    together = {**{key: value for key, value in ARMS.items() if key != "simulated"}, "right": ARMS["left"]}
+    rospy.set_param("/arms", {**together, **said})
     process = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
     assert process.wait(30.0) == 1
-    assert "The file of arms:= was measured with simulated devices" in process.log, process.log
+    assert words in process.log and bool(words) is ("measured with" in process.log), process.log
+    assert ("left and right are 0.000 m apart" in process.log) is not said.get("simulated", False)
     assert "connected" not in robot.log
 
 

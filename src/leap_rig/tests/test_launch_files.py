@@ -325,6 +325,12 @@ def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():
     assert real["/left/kuka/rate_servo"] > values["/left/kuka/rate_servo"], "lower rates are for simulated arms alone"
 
 
+def test_what_an_earlier_file_said_of_two_arms_does_not_stay():
+    from tools import launched
+
+    assert launched.config("leap_rig", "two_arms.launch", ()).clear_params == ["/arms/"]
+
+
 def test_the_controllers_of_two_arms_accept_what_the_launch_files_set():
     from common.arms import arms_from
     from common.config import parse

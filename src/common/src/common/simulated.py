@@ -7,9 +7,11 @@ what it is. Files from before this key do not say.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from common.config import flag
+from common.config import flag, parse
 
 SIMULATED = "simulated"
 """The key in files, and the simulated camera's serial number."""
@@ -21,6 +23,18 @@ WITHOUT_HARDWARE = (
 def simulated_field() -> Any:
     """The key of a calibration's schema; None where the file does not say."""
     return flag(doc="whether a simulated device took part in the measurement", absent=None)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The key beside those of others, whose schemas do not have it."""
+
+    simulated: bool | None = simulated_field()
+
+
+def said_by(values: Mapping[str, Any], prefix: str) -> bool | None:
+    """Returns what a file's values say; None: nothing. `prefix` as of `parse`; raises ConfigError for another value."""
+    return parse(Origin, values, prefix, others=values).simulated
 
 
 def any_simulated(*devices: bool | None) -> bool | None:

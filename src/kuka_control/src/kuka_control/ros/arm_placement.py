@@ -11,9 +11,9 @@ from common.arms import arms_from
 from common.config import parse
 from common.errors import ConfigError
 from common.frames import ArmFrames
+from common.ros.calibration_use import check_use
 from common.ros.params import wait_for_config
 from common.ros.service_calls import ask_master, listens
-from common.simulated import refusal
 from kuka_control.model.arms import placement_faults, walls
 from kuka_control.model.config import ControllerConfig, neighbours
 from kuka_control.model.obstacles import ConvexBody
@@ -41,9 +41,7 @@ def placed_beside_others(config: ControllerConfig, frames: ArmFrames, found: str
     values = rospy.get_param(found)
     arms = arms_from(values, "arms/")
     again = "Calibrate the camera to both real arms, then run rosrun vision register_arms.py."
-    why = refusal("The file of arms:=", arms.simulated, config.on_this_machine, again)
-    if why:
-        raise ConfigError([why])
+    check_use("The file of arms:=", arms.simulated, config.on_this_machine, again)
     own = frames.tf_prefix
     if own not in arms.placements:
         raise ConfigError([

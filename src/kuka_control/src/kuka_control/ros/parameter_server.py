@@ -12,10 +12,10 @@ import rospkg
 from common import clock
 from common.config import parse
 from common.errors import ConfigError, RigError
+from common.ros.calibration_use import check_use
 from common.ros.files import file_hash, read_yaml
 from common.ros.master import NoMaster, check_master, check_namespace
 from common.ros.service_calls import listens
-from common.simulated import refusal
 from iiwa_kinematics import robot_model
 from kuka_control.model.config import ControllerConfig, DhDeviations
 from kuka_control.model.obstacles import ConvexBody, obstacles_from
@@ -96,9 +96,7 @@ def dh_deviations(config: ControllerConfig) -> DhDeviations | None:
     path = Path(config.dh_parameters)
     found = parse(DhDeviations, read_yaml(path), f"{path}: ")
     again = "Measure the real arm, or leave dh_parameters empty."
-    why = refusal(str(path), found.simulated, config.on_this_machine, again)
-    if why:
-        raise ConfigError([why])
+    check_use(str(path), found.simulated, config.on_this_machine, again)
     if found.robot != config.robot:
         raise ConfigError([f"{path}: robot is {found.robot}, but the arm is a {config.robot}."])
     return found
