@@ -383,6 +383,66 @@ def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker):
     assert is_near(driver, np.zeros(4))
 
 
+SOURCES = ("limits", "overrides", "operator")
+"""The files of leap_hand.launch; each stands above those before it."""
+
+
+@pytest.mark.parametrize("real", [True, False])
+@pytest.mark.parametrize("simulated", SOURCES)
+def test_a_real_robot_hand_refuses_a_simulated_mapping_whichever_file_says_so(ros, driver, tmp_path, simulated, real):
+    import rospy
+
+    files = {name: tmp_path / f"{name}.yaml" for name in SOURCES}
+    for name, file in files.items():
+        values = {**(LIMITS if name == "limits" else {}), "simulated": name == simulated}
+        file.write_text(yaml.safe_dump(values))
+    if not real:
+        rospy.set_param("reflex_takktile_driver/network_interface", "lo")
+    process = launch_with(ros, files)
+    if real:
+        ros.wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
+        where = "operators/anna.yaml of operator:=" if simulated == "operator" else f"The hand's file of {simulated}:="
+        assert f"{where} was measured with simulated devices" in process.log_path.read_text()
+    ros.wait_until(lambda: bool(driver.calls) is not real, 5.0, "the calibration")
+
+
+def launch_with(ros, files):
+    """Launches the node with the files; an operator's is loaded as the launch file does, whose check is a process."""
+    import rospy
+
+    loaded = {name: file for name, file in files.items() if name != "operator"}
+    if "operator" not in files:
+        return ros.launch("leap_hand", "leap_hand.launch", **loaded)
+    ros.launch("leap_hand", "leap_hand.launch", node="false", **loaded)
+    values = yaml.safe_load(files["operator"].read_text())
+    rospy.set_param("leap_hand/files/operator", values)
+    for name, value in values.items():
+        rospy.set_param(f"leap_hand/{name}", value)
+    return ros.run("leap_hand", "leap_hand_node.py", "_operator:=anna")
+
+
+@pytest.mark.parametrize("said", [{}, {"simulated": False}])
+def test_an_operators_file_that_does_not_say_how_it_was_measured_is_doubted(ros, driver, tmp_path, said):
+    (tmp_path / "anna.yaml").write_text(yaml.safe_dump({"thumb_human": [77.5, 32.5], **said}))
+    process = launch_with(ros, {"operator": tmp_path / "anna.yaml"})
+    ros.wait_until(lambda: driver.calls, 5.0, "the calibration")
+    log = process.log_path.read_text()
+    assert ("operators/anna.yaml of operator:= does not say whether" in log) is not said
+    assert log.count("does not say whether") == int(not said), "the shipped file is no measurement"
+
+
+def test_nothing_of_an_earlier_launch_stays(ros, driver, tmp_path):
+    import rospy
+
+    (tmp_path / "a.yaml").write_text("simulated: true\n")
+    rospy.set_param("leap_hand_node/operator", "maybe")
+    rospy.set_param("leap_hand/files/operator", {"simulated": True})
+    ros.launch("leap_hand", "leap_hand.launch", overrides=tmp_path / "a.yaml", node="false")
+    process = ros.launch("leap_hand", "leap_hand.launch")
+    ros.wait_until(lambda: driver.calls, 5.0, "the calibration")
+    assert "The finger mapping is that of" not in process.log_path.read_text()
+
+
 @pytest.mark.real  # the launch file runs the wizard
 def test_the_launch_file_loads_the_stored_hand_of_an_operator(tmp_path, monkeypatch):
     from tools import launched
@@ -396,6 +456,11 @@ def test_the_launch_file_loads_the_stored_hand_of_an_operator(tmp_path, monkeypa
     stored.write_text("simulated: true")
     assert launched.parameters("leap_hand", "leap_hand.launch", "operator:=anna")["/leap_hand/simulated"] is True
     assert params["/leap_hand/thumb_robot"] == LIMITS["thumb_robot"] and params["/leap_hand_node/operator"] == "anna"
+    stored.write_text("simulated: false\nindex_human: [85, 40]\n")
+    (tmp_path / "over.yaml").write_text("simulated: true\n")
+    params = launched.parameters("leap_hand", "leap_hand.launch", "operator:=anna", f"overrides:={tmp_path}/over.yaml")
+    assert [params[f"/leap_hand/files/{name}/simulated"] for name in SOURCES[1:]] == [True, False]
+    assert params["/leap_hand/files/operator/index_human"] == [85, 40]
 
 
 def test_the_wizard_stores_a_hand(ros, tracker, tmp_path, monkeypatch):
@@ -428,6 +493,31 @@ def test_the_wizard_stores_a_hand(ros, tracker, tmp_path, monkeypatch):
     status.publish(KukaStatus(control_on=True))
     moving = ros.run("leap_hand", "hand_wizard.py", "anna", "--force")
     assert moving.wait(20.0) == 1 and "The arm would follow the hand" in moving.log_path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("simulated:\n", "anna.yaml: simulated is None, but must be true or false"),
+        ("simulated: maybe\n", "anna.yaml: simulated is 'maybe', but must be true or false"),
+        ("thumb_human:\n", "anna.yaml: thumb_human is None, but must be 2 finite numbers"),
+        ("thumb: [1, 2]\n", "anna.yaml: thumb is not a known key"),
+        ("- 1\n", "is [1], but must be a mapping"),
+        ("# nothing\n", "anna"),
+        ("simulated: true\nthumb_human: [77.5, 32.5]\n", "anna"),
+    ],
+)
+def test_the_launch_files_check_refuses_a_file_that_roslaunch_or_the_node_could_not_use(
+    ros, tmp_path, monkeypatch, content, words
+):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    stored = tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml"
+    stored.parent.mkdir(parents=True)
+    stored.write_text(content)
+    program = ros.run("leap_hand", "hand_wizard.py", "--check", "anna")
+    assert program.wait(20.0) == int(words != "anna")
+    log = program.log_path.read_text()
+    assert words in log and log.count("anna") == 1 and "Traceback" not in log
 
 
 @pytest.mark.parametrize(

@@ -328,7 +328,7 @@ def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():
 def test_what_an_earlier_file_said_of_two_arms_does_not_stay():
     from tools import launched
 
-    assert launched.config("leap_rig", "two_arms.launch", ()).clear_params == ["/arms/"]
+    assert "/arms/" in launched.config("leap_rig", "two_arms.launch", ()).clear_params
 
 
 def test_the_controllers_of_two_arms_accept_what_the_launch_files_set():

@@ -11,14 +11,15 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Empty
 
 from common import clock
-from common.errors import ConfigError, DeviceError
+from common.errors import DeviceError
 from common.hand_tracking import LEFT
+from common.ros.calibration_use import check_use
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_config
 from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import call
-from common.simulated import refusal
+from common.simulated import said_by
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.ros.operators import operator_file
@@ -30,6 +31,7 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 
 WATCH_PERIOD_S = 0.1
 FIRST_STATE_S = 2.0  # longest wait for the first state of the robot hand [s]
+FILES, OPERATOR = "files", "operator"  # under leap_hand/: the values of each file by itself, that of operator:= too
 CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
 ANSWER_TIMEOUT_S = 10.0
 SETTLING_S = 2.0
@@ -176,16 +178,29 @@ def calibrate(timeout: float, of: str = "") -> None:
         clock.sleep(0.05)
 
 
+def _check_origin(config: HandConfig, operator: str, of: str) -> None:
+    """Raises ConfigError if one of the files was measured with simulated devices and the robot hand is real; warns of
+    an operator's file that does not say.
+    """
+    measured = f"The finger mapping {operator_file(operator or 'NAME')} of operator:="
+    simulated_hand = rospy.get_param(f"{of}reflex_takktile_driver/network_interface", None) == LOOPBACK
+    again = "Run rosrun leap_hand hand_wizard.py with a real tracker."
+    for name, values in rospy.get_param(f"{of}leap_hand/{FILES}", {}).items():
+        said = said_by(values, f"{of}leap_hand/{FILES}/{name}/")
+        if name == OPERATOR:
+            check_use(measured, said, simulated_hand, again)
+        else:
+            check_use(f"The hand's file of {name}:=", bool(said), simulated_hand, again)
+    what = measured if operator else f"The finger mapping under {of}leap_hand/"
+    check_use(what, bool(config.simulated), simulated_hand, again)
+
+
 def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> None:
     """Follows the tracking frames of `subscribe` until ROS shuts down; `of` as of HandTeleopNode."""
-    config = wait_for_config(HandConfig, f"{of}leap_hand")
+    config = wait_for_config(HandConfig, f"{of}leap_hand", others=(FILES,))
     if node.operator:
         rospy.loginfo("The finger mapping is that of %s.", node.operator)
-    simulated_hand = rospy.get_param(f"{of}reflex_takktile_driver/network_interface", None) == LOOPBACK
-    what = f"The finger mapping {operator_file(node.operator or 'NAME')} of operator:="
-    why = refusal(what, config.simulated, simulated_hand, "Run rosrun leap_hand hand_wizard.py with a real tracker.")
-    if why:
-        raise ConfigError([why])
+    _check_origin(config, node.operator, of)
     calibrate(node.service_timeout, of)
     HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config), of).run(subscribe)
 

@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from common import clock
 from common.config import parse
 from common.errors import RigError
-from common.ros.files import write_whole
+from common.ros.files import read_yaml, write_whole
 from common.ros.node import join, run_program
 from common.simulated import SIMULATED
 from leap_hand.config import HandConfig
@@ -39,20 +39,23 @@ def main() -> None:
     parser.add_argument("name", help="of the person: letters, digits, - and _; later operator:=NAME")
     parser.add_argument("--force", action="store_true", help="replace the person's file without a question")
     parser.add_argument("--timeout", type=float, default=60.0, metavar="S", help="give up after this time, 60 s")
-    parser.add_argument("--check", action="store_true", help="print the name if its file exists; measure nothing")
+    parser.add_argument("--check", action="store_true", help="print the name if its file is good; measure nothing")
     options = parser.parse_args(arguments)
     run_program(NODE, lambda: _run(options), "Interrupted; nothing was stored.")
 
 
 def _run(options: argparse.Namespace) -> None:
+    shipped = Path(rospkg.RosPack().get_path("leap_hand")) / "config" / "leap_hand.yaml"
+    default = yaml.safe_load(shipped.read_text(encoding="utf-8"))
     if options.check:
-        print(known_file(options.name).stem, end="")
+        known = known_file(options.name)
+        stored = read_yaml(known) or {}
+        parse(HandConfig, {**default, **stored} if isinstance(stored, dict) else stored, f"{known}: ")
+        print(known.stem, end="")
         return
     path = operator_file(options.name)
     if path.exists() and not options.force:
         _ask(f"{path} exists. Replace it? [y/N] ")
-    shipped = Path(rospkg.RosPack().get_path("leap_hand")) / "config" / "leap_hand.yaml"
-    default = yaml.safe_load(shipped.read_text(encoding="utf-8"))
     wizard = HandWizard(parse(HandConfig, default, "leap_hand/"))
     join(NODE, anonymous=True)
     simulated = _measure(wizard, options.timeout)
