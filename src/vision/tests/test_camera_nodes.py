@@ -41,7 +41,7 @@ def xtion(ros, monkeypatch, tmp_path):
                 matrix = np.reshape(calibration[key]["data"], (3, columns))
                 matrix[:2] *= SIZE["image_width"] / calibration["image_width"]
                 calibration[key]["data"] = matrix.ravel().tolist()
-            values[f"{name}_calibration"] = {**calibration, **SIZE, "simulated": does == "simulated"}
+            values[f"{name}_calibration"] = {**calibration, **SIZE, "simulated": {"simulated": True, "maybe": "maybe"}.get(does, False)}
         values["frames"] = yaml.safe_load((CONFIG / "camera_frames.yaml").read_text())
         rospy.set_param("camera/driver", {**values, **changes})
         return ros.run("vision", "xtion_node.py", "__ns:=camera", "__name:=driver"), state
@@ -129,6 +129,7 @@ def test_a_camera_pulled_out_or_silent_is_reported_and_comes_back(xtion, ros):
         ("present", {"rate": 0, "gain": 1}, "~gain is not a known key"),
         ("present", {"rgb_calibration": {}}, "camera_matrix"),
         ("simulated", {}, "The calibration rgb_calibration was measured with simulated devices"),
+        ("maybe", {}, "~rgb_calibration/simulated is 'maybe', but must be true or false"),
         ("present", {"frames": {}}, "~frames/rgb"),
     ],
 )

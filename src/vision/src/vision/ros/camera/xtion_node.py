@@ -15,7 +15,7 @@ from common.input_watch import InputWatch
 from common.ros.diagnostics import Diagnostics
 from common.ros.images import RgbdTopics, metres_from_millimetres
 from common.ros.params import private_config, private_values
-from common.simulated import SIMULATED, WITHOUT_HARDWARE, refusal
+from common.simulated import WITHOUT_HARDWARE, refusal, said_by
 from vision.camera.frames import CameraFramesConfig, depth_in_rgb
 from vision.camera.openni_camera import OpenniCamera, OpenniFrame, XtionConfig
 from vision.camera.registration import Registration, millimetres_from_metres
@@ -125,7 +125,7 @@ def main() -> None:
     given = [private_values().get(name, {}) for name in CALIBRATIONS]
     rgb, depth = map(from_calibration, given)
     for name, values in zip(CALIBRATIONS, given):
-        why = refusal(f"The calibration {name}", values.get(SIMULATED), False, "Calibrate the real camera.")
+        why = refusal(f"The calibration {name}", said_by(values, f"~{name}/"), False, "Calibrate the real camera.")
         if why:
             raise ConfigError([why])
     frames = private_config(CameraFramesConfig, FRAMES)
