@@ -27,7 +27,7 @@ class StubHand:
 def node(monkeypatch):
     """The driver without its topics and services; `rospy.on_shutdown` leaves its callback in `callbacks`."""
     node = object.__new__(driver.HandDriver)
-    node._hand, node.callbacks = StubHand(), []
+    node._hand, node._beside, node.callbacks = StubHand(), None, []
     monkeypatch.setattr(node, "_offer", lambda: None)
     monkeypatch.setattr(driver.rospy, "on_shutdown", node.callbacks.append)
     return node

@@ -209,7 +209,7 @@ class _Node:
         link: RobotLink,
         make_loop: Callable[[], ControlLoop],
         frames: ArmFrames,
-        beside: SimulatedDevices | None,
+        beside: SimulatedDevices | None = None,
     ) -> None:
         self._beside = beside
         self._link, self._lifted = link, rig.workspace.lifted
