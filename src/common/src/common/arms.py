@@ -14,7 +14,7 @@ from common.errors import ConfigError
 from common.frames import PREFIX
 from common.mounting import rotation_of_mounting
 from common.poses import pose, read_only
-from common.simulated import SIMULATED, Origin
+from common.simulated import SIMULATED, MeasuredWith
 
 LEAST_MARGIN_M = 0.3  # both hands, and what the elbows stick out beyond the tools [m]
 MOST_MARGIN_M = 5.0
@@ -63,7 +63,7 @@ def arms_from(values: Any, prefix: str = "") -> Arms:
         if name == "margin":
             continue
         if name == SIMULATED:
-            parse_part(Origin, {name: entry}, prefix, faults)
+            parse_part(MeasuredWith, {name: entry}, prefix, faults)
             continue
         if not isinstance(name, str) or not name or not PREFIX.fullmatch(name):
             faults.append(f"{prefix}{name}: an arm's name must be letters, digits and _, such as left.")

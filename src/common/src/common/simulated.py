@@ -26,7 +26,7 @@ def simulated_field() -> Any:
 
 
 @dataclass(frozen=True)
-class Origin:
+class MeasuredWith:
     """The key beside those of others, whose schemas do not have it."""
 
     simulated: bool | None = simulated_field()
@@ -34,7 +34,7 @@ class Origin:
 
 def said_by(values: Mapping[str, Any], prefix: str) -> bool | None:
     """Returns what a file's values say; None: nothing. `prefix` as of `parse`; raises ConfigError for another value."""
-    return parse(Origin, values, prefix, others=values).simulated
+    return parse(MeasuredWith, values, prefix, others=values).simulated
 
 
 def any_simulated(*devices: bool | None) -> bool | None:
