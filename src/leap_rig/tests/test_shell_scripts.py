@@ -175,6 +175,36 @@ def test_the_scripts_find_the_workspace_around_them(tmp_path, layout):
     assert ("nothing was started" in done.stderr) is (not built) is (done.returncode == 1)
 
 
+HOOK = SHELL.parents[1] / "common" / "env-hooks" / "50.leap_rig.sh.in"
+SOURCED = {  # workspaces sourced one after the other, PATH before: PATH after; a and b have a .venv, c has none
+    "first": ("a", "/usr/bin:/bin", "a:/usr/bin:/bin"),
+    "again": ("aaa", "/usr/bin:/bin", "a:/usr/bin:/bin"),
+    "the last one is first": ("aba", "/usr/bin:/bin", "a:b:/usr/bin:/bin"),
+    "between others": ("a", "/usr/bin:a:/bin:a", "a:/usr/bin:/bin"),
+    "twice in a row": ("a", "/bin:a:a:b", "a:/bin:b"),
+    "alone": ("a", "a", "a"),
+    "without an environment": ("ac", "/bin", "a:/bin"),
+}
+
+
+@pytest.mark.parametrize("case", SOURCED)
+def test_the_python_of_the_workspace_sourced_last_is_first(tmp_path, case):
+    workspaces, before, after = SOURCED[case]
+    for name in "abc":
+        python = tmp_path / name / ".venv" / "bin" / "python"
+        python.parent.mkdir(parents=True)
+        python.touch(0o644 if name == "c" else 0o755)
+        (tmp_path / f"{name}.sh").write_text(HOOK.read_text().replace("@CLONE@", str(tmp_path / name)))
+
+    def path(text):
+        return ":".join(f"{tmp_path}/{part}/.venv/bin" if part in ("a", "b") else part for part in text.split(":"))
+
+    hooks = " ".join(f". {tmp_path}/{name}.sh;" for name in workspaces)
+    script = ["/bin/sh", "-eu", "-c", f'{hooks} echo "$PATH"']
+    done = subprocess.run(script, env={"PATH": path(before)}, capture_output=True, text=True)
+    assert (done.stdout.strip(), done.stderr) == (path(after), "")
+
+
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_run_leap_control_starts_the_rig_and_the_real_time_controller_and_ends_both(bare, free_port, wait_until):
