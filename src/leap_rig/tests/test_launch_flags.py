@@ -1,4 +1,4 @@
-"""An argument of a launch file that is true or false may be typed as roslaunch allows: true, True, 1, false, False, 0."""
+"""A flag of a launch file may be typed as roslaunch allows: true, True, 1, false, False, 0."""
 
 from __future__ import annotations
 

@@ -41,7 +41,8 @@ def xtion(ros, monkeypatch, tmp_path):
                 matrix = np.reshape(calibration[key]["data"], (3, columns))
                 matrix[:2] *= SIZE["image_width"] / calibration["image_width"]
                 calibration[key]["data"] = matrix.ravel().tolist()
-            values[f"{name}_calibration"] = {**calibration, **SIZE, "simulated": {"simulated": True, "maybe": "maybe"}.get(does, False)}
+            said = {"simulated": True, "maybe": "maybe"}.get(does, False)
+            values[f"{name}_calibration"] = {**calibration, **SIZE, "simulated": said}
         values["frames"] = yaml.safe_load((CONFIG / "camera_frames.yaml").read_text())
         rospy.set_param("camera/driver", {**values, **changes})
         return ros.run("vision", "xtion_node.py", "__ns:=camera", "__name:=driver"), state

@@ -61,8 +61,8 @@ def _run(options: argparse.Namespace) -> str:
     simulated = any_simulated(first.simulated, second.simulated)
     write_whole(options.output, _content(names, arms, T_world_second, (first, second), simulated, sentence))
     return (
-        f"{sentence} Measured {origin(simulated)}. This holds if the camera was not moved between {first.date} and {second.date}. "
-        f"Written to {options.output}; start the rig with arms:={options.output.resolve()}."
+        f"{sentence} Measured {origin(simulated)}. This holds if the camera was not moved between {first.date} and "
+        f"{second.date}. Written to {options.output}; start the rig with arms:={options.output.resolve()}."
     )
 
 
