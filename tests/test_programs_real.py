@@ -145,7 +145,8 @@ PROGRAMS = {
         Program("tutorial.py", "tutorial", ("leap_rig", "demo.launch", "tutorial:=true"), sign="/kuka/status"),
     ],
     "the Leap and the camera": [
-        Program("leap_driver.py", "leap_driver", ("leap_motion", "leap_driver.launch")),
+        Program("leap_driver.py", "leap_driver", ("leap_motion", "leap_driver.launch"),
+                later=frozenset({"/simulated_devices"})),
         Program("visualizer.py", "leap_motion_visualizer", ("leap_motion", "visualization.launch"),
                 sign="/leap_motion/visualization_marker_array"),
         Program("xtion_node.py", "camera/driver", ("vision", "camera.launch"),

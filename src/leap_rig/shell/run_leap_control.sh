@@ -8,8 +8,8 @@ leap_port=6437
 for argument in "$@"; do
   shift
   case "$argument" in
-    --sim | sim:=true) sim=true ;;
-    sim:=false) sim=false ;;
+    --sim | sim:=[tT]rue | sim:=TRUE | sim:=1) sim=true ;;
+    sim:=[fF]alse | sim:=FALSE | sim:=0) sim=false ;;
     *) set -- "$@" "$argument" ;;
   esac
   case "$argument" in leap_port:=*) leap_port=${argument#*:=} ;; esac
@@ -21,11 +21,5 @@ if [ "$sim" = true ] && (exec 3<>"/dev/tcp/127.0.0.1/$leap_port") 2>/dev/null; t
 fi
 source "$(dirname "$(readlink -f "$0")")/workspace.sh"
 set -u  # not before: the set-up files of ROS read variables that a plain terminal lacks
-# With an argument that roslaunch refuses, the controller would take what an earlier launch left on a living master.
-roslaunch --nodes leap_rig leap_rig.launch "sim:=$sim" "$@" >/dev/null
-roslaunch leap_rig leap_rig.launch "sim:=$sim" "$@" &
-rig=$!
-rosrun kuka_control real_time_controller.py gui:=false &
-controller=$!
-trap 'kill -TERM "$controller" 2>/dev/null || true; kill -INT "$rig" 2>/dev/null || true; wait "$rig" "$controller" || true' EXIT
-wait -n  # whichever ends first ends the other
+# In one launch, so that the controller takes its parameters and not what an earlier launch left on a living master.
+exec roslaunch leap_rig leap_rig.launch controller:=true "sim:=$sim" "$@"

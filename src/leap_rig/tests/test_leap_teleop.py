@@ -116,12 +116,17 @@ def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros
 
     ros.wait_until(lambda: all(arm in steering(arm) for arm in ARMS), 30.0, "each arm's hand to steer it")
     ros.wait_until(lambda: all(commands.values()), 10.0, "commands to both robot hands")
+
+    def followed() -> set[tuple[str, str]]:
+        said = re.findall(r"(left|right): Hand following: (left|right) hand", node.log_path.read_text())
+        return set(said)
+
+    ros.wait_until(lambda: len(followed()) == 2, 10.0, "both robot hands to follow")
     assert humans and all(steering(arm) <= {"", arm} for arm in ARMS)
     children = {transform.child_frame_id for message in tf for transform in message.transforms}
     assert {f"{arm}/kuka/tool_frame/desired" for arm in ARMS} <= children
     assert all(child.split("/")[0] in ARMS for child in children)
-    followed = re.findall(r"(left|right): Hand following: (left|right) hand", node.log_path.read_text())
-    assert set(followed) == {("left", "left"), ("right", "right")}
+    assert followed() == {("left", "left"), ("right", "right")}
     names = {f"{arm}/{name}" for arm in ARMS for name in ("leap_kuka", "leap_hand")} | {"leap_motion"}
     assert names == {status.name for message in diagnostics for status in message.status}
     ends(node)

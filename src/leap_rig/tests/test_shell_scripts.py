@@ -89,59 +89,38 @@ WORDS = [
     (("gui:=false", "robot_ip:=10.0.0.1"), "sim:=false gui:=false robot_ip:=10.0.0.1"),
     (("--sim", "leap_port:=1"), "sim:=true leap_port:=1"),
     (("sim:=true", "sim:=false"), "sim:=false"),
+    (("sim:=1", "leap_port:=1"), "sim:=true leap_port:=1"),
+    (("--sim", "sim:=False"), "sim:=false"),
 ]
 
 
-@pytest.fixture
-def noted(tmp_path):
-    """Runs run_leap_control.sh with programs of ROS, given as shell scripts, that note how they are called; returns its
-    exit code and the notes.
-    """
-
-    def call(*words, roslaunch="", rosrun=""):
-        folder = tmp_path / "src" / "leap_rig" / "shell"
-        folder.mkdir(parents=True, exist_ok=True)
-        for name in ("run_leap_control.sh", "workspace.sh"):
-            (folder / name).write_text((SHELL / name).read_text())
-        (tmp_path / "devel").mkdir(exist_ok=True)
-        (tmp_path / "devel" / "setup.bash").touch()
-        log = tmp_path / "log"
-        log.unlink(missing_ok=True)
-        # The controller that ends at once would end the rig before it is there.
-        both = f'until grep -qs "roslaunch leap_rig" "{log}"; do sleep 0.05; done\n'
-        for name, before, after in (("roslaunch", "", roslaunch), ("rosrun", both, rosrun)):
-            note = f'echo "{name} $*" >> "{log}"\n'
-            (tmp_path / name).write_text(f"#!/bin/bash\n{before}{note}{after}\n")
-            (tmp_path / name).chmod(0o755)
-        script = ["bash", folder / "run_leap_control.sh", *words]
-        done = subprocess.run(script, env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, timeout=60)
-        return done.returncode, log.read_text().splitlines()
-
-    return call
-
-
-STARTED = "until grep -q rosrun ${0%/*}/log; do :; done"
-CONTROLLER = "rosrun kuka_control real_time_controller.py gui:=false"
-
-
 @pytest.mark.parametrize("words, launched", WORDS)
-def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(noted, words, launched):
-    code, (checked, *started) = noted(*words, roslaunch=f"[ $1 = --nodes ] || {STARTED}")
-    assert code == 0
-    assert checked == f"roslaunch --nodes leap_rig leap_rig.launch {launched}"
-    assert sorted(started) == [f"roslaunch leap_rig leap_rig.launch {launched}", CONTROLLER]
+def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path, words, launched):
+    """With a roslaunch that only notes how it is called."""
+    folder = tmp_path / "src" / "leap_rig" / "shell"
+    folder.mkdir(parents=True)
+    for name in ("run_leap_control.sh", "workspace.sh"):
+        (folder / name).write_text((SHELL / name).read_text())
+    (tmp_path / "devel").mkdir()
+    (tmp_path / "devel" / "setup.bash").touch()
+    (tmp_path / "roslaunch").write_text('#!/bin/sh\necho "$*"\nexit 3\n')
+    (tmp_path / "roslaunch").chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:/usr/bin:/bin"}
+    done = subprocess.run(
+        ["bash", folder / "run_leap_control.sh", *words], env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stdout) == (3, f"leap_rig leap_rig.launch controller:=true {launched}\n")
 
 
-def test_no_controller_is_started_with_arguments_that_roslaunch_refuses(noted):
-    """It would take the parameters that an earlier launch left on a living master."""
-    refused = "roslaunch --nodes leap_rig leap_rig.launch sim:=true gui:=flase"
-    assert noted("--sim", "gui:=flase", roslaunch="[ $1 != --nodes ] || exit 2") == (2, [refused])
+def test_the_controller_that_is_launched_with_the_rig_ends_it():
+    from tools import launched
 
-
-def test_the_controller_ends_with_the_rig(noted):
-    waits = "trap 'echo ended >> ${0%/*}/log; kill $!; exit' TERM; sleep 60 & wait"
-    code, notes = noted(roslaunch=f"[ $1 = --nodes ] || {{ {STARTED}; exit 3; }}", rosrun=waits)
-    assert code == 3 and CONTROLLER in notes and notes[-1] == "ended"
+    for asked in ("true", "false"):
+        nodes = launched.config("leap_rig", "leap_rig.launch", (f"controller:={asked}",)).nodes
+        found = [
+            (node.type, node.required) for node in nodes if node.package == "kuka_control" and "controller" in node.type
+        ]
+        assert found == ([("real_time_controller.py", True)] if asked == "true" else [])
 
 
 LAYOUTS = {  # folder of the scripts, what is built, whether the terminal has a workspace: what is sourced

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from common import clock
+
 pytestmark = pytest.mark.ros
 
 TOPIC = "/simulated_devices"
@@ -87,3 +89,19 @@ def test_the_driver_of_a_real_hand_ends_when_simulated_devices_come(ros, announc
     announce()
     ros.wait_until(lambda: driver.poll() is not None, WAIT_S, "the end")
     assert SENTENCE in driver.read_text()
+
+
+def test_a_tracker_that_comes_in_place_of_a_simulated_one_is_announced_no_more(ros):
+    from simulated.leap_wire import LeapWire
+
+    said = iter(('{"version":6,"simulated":true}', '{"version":6}'))
+
+    def talk(service, connection):
+        connection.send(next(said))
+        service.ended.wait(2.0)
+
+    with LeapWire() as wire:
+        ros.run("leap_motion", "leap_driver.py", f"_port:={wire.serve(talk).port}", "__name:=it")
+        clock.sleep(1.0)
+        assert TOPIC in ros.names("/it")["publishes"]
+        ros.wait_until(lambda: TOPIC not in ros.names("/it")["publishes"], 10.0, "the real tracker")

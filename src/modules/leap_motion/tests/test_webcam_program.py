@@ -223,6 +223,7 @@ def test_the_program_serves_a_film_as_it_plays_and_ends_in_order(virtual, tmp_pa
     assert np.diff([frame.timestamp_us for frame in frames]) == pytest.approx(np.full(39, 50_000), abs=2)
     assert not any(frame.hands for frame in frames)
     assert status.service == "2.3.1+webcam" and status.serial == "WC-front"
+    assert status.simulated, "nobody's hand is before the camera now"
     out, err = capsys.readouterr()
     assert "listening on 127.0.0.1:6437, set-up front" in out and "from image to frame" in out
     assert "No hand is seen." in err

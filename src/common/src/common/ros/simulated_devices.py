@@ -17,9 +17,13 @@ REFUSED = (
 )
 
 
-def announce() -> None:
-    """Tells all on this ROS master, as long as this node lives, that it belongs to simulated devices."""
-    rospy.Publisher(TOPIC, String, queue_size=1, latch=True).publish(rospy.get_name())
+def announce() -> rospy.Publisher:
+    """Tells all on this ROS master that this node belongs to simulated devices, until it ends or the returned publisher
+    is unregistered.
+    """
+    publisher = rospy.Publisher(TOPIC, String, queue_size=1, latch=True)
+    publisher.publish(rospy.get_name())
+    return publisher
 
 
 class SimulatedDevices:

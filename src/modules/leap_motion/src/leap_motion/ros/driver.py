@@ -136,14 +136,16 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
     options = {**proof, "tap": publish_raw, "runtime": clock, "bounds": config.bounds}
     client = LeapClient(config.host, config.port, clock=rospy.Time.now, **options)
     report, device_clock = LinkReport(client, registration, config.registration), DeviceClock()
-    announced = False
+    announced: rospy.Publisher | None = None
     Diagnostics("leap_motion", report.diagnostics)
     try:
         while not rospy.is_shutdown():
             report.update()
-            if client.status.simulated and not announced:
-                announced = True
-                announce()
+            if client.status.simulated and announced is None:
+                announced = announce()
+            elif announced is not None and not client.status.simulated:
+                announced.unregister()
+                announced = None
             received = client.next_frame(POLL_S)
             if received is None:
                 continue

@@ -70,6 +70,7 @@ class WebcamTracker:
             code=options.code,
             certificate=own,
             secure_port=options.secure_port,
+            simulated=options.video is not None,
         )
         self.address = f"{self._service.host}:{self._service.port}"
         self.invitation = ""
