@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 
 from common import clock
@@ -73,11 +75,15 @@ def real_hand(ros, monkeypatch, tmp_path):
 
 
 def test_the_driver_of_a_real_hand_refuses_simulated_devices_that_are_there(ros, announce, real_hand):
+    from reflex_msgs.msg import Hand
+
+    states = ros.record("/reflex_takktile/hand_state", Hand)
     announce()
     driver = real_hand()
     ros.wait_until(lambda: driver.poll() is not None, LATCHED_S + WAIT_S, "the end")
     said = driver.read_text()
     assert SENTENCE in said and "Traceback" not in said
+    assert not states, "the hand was connected"
 
 
 def test_the_driver_of_a_real_hand_ends_when_simulated_devices_come(ros, announce, real_hand):
@@ -92,16 +98,21 @@ def test_the_driver_of_a_real_hand_ends_when_simulated_devices_come(ros, announc
 
 
 def test_a_tracker_that_comes_in_place_of_a_simulated_one_is_announced_no_more(ros):
+    from std_msgs.msg import String
+
     from simulated.leap_wire import LeapWire
 
-    said = iter(('{"version":6,"simulated":true}', '{"version":6}'))
+    said = itertools.chain(['{"version":6,"simulated":true}'], itertools.repeat('{"version":6}'))
 
     def talk(service, connection):
         connection.send(next(said))
         service.ended.wait(2.0)
 
+    announced = ros.record(TOPIC, String)
     with LeapWire() as wire:
         ros.run("leap_motion", "leap_driver.py", f"_port:={wire.serve(talk).port}", "__name:=it")
         clock.sleep(1.0)
         assert TOPIC in ros.names("/it")["publishes"]
         ros.wait_until(lambda: TOPIC not in ros.names("/it")["publishes"], 10.0, "the real tracker")
+        clock.sleep(1.0)
+    assert [message.data for message in announced] == ["/it"]
