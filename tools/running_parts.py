@@ -121,8 +121,8 @@ PARTS = {
     ),
     "ptp": Part(
         "The PTP controller",
-        "`roslaunch leap_rig leap_rig_ptp_debug.launch sim:=true` and `roslaunch kuka_control ptp_controller.launch`: "
-        "differences from the rig above.",
+        "`roslaunch leap_rig leap_rig_ptp_debug.launch sim:=true` and "
+        "`roslaunch kuka_control ptp_controller.launch sim:=true`: differences from the rig above.",
         _ptp,
     ),
     "vision": Part(
