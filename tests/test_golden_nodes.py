@@ -19,6 +19,29 @@ from golden.runs import RUNS, Missing
 from golden.stored import Stored, differences, stored
 from leap_kuka.scaling import Scaling
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import pose_from_transform
+from kuka_control.loop import algorithms
+from kuka_control.ros import controller_node
+from kuka_control.ros.controller_node import _Node
+from kuka_control.ros.state_publisher import GoalPublisher
+from kuka_msgs.srv import setGripperControl, setKukaControl, setScalingFactor
+from leap_hand.force_limit import ForceLimit
+from leap_hand.ros.teleop_node import HandTeleopNode
+from leap_hand.teleop import HandTeleop
+from leap_kuka.ros.teleop_node import ArmTeleopNode
+from leap_kuka.teleop import ArmTeleop
+from leap_motion.codec import LeapProtocolError, read_message
+from leap_motion.frames import LeapFrame
+from leap_motion.ros.human import FrameMessage, Human
+from leap_motion.ros.tracking import subscribe
+from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands
+from rig_msgs.msg import KukaStatus, OperatorInput
+from simulated import graph, graph_parts, scheduler
+
 pytestmark = pytest.mark.ros
 
 BOUNDS = {"tools": 1e-6, "hands": 1e-5, "goals": 1e-4}
@@ -37,16 +60,6 @@ class NodeChain:
     """The nodes, and what the world brings them."""
 
     def __init__(self, graph, patch, run):
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from kuka_control.ros import controller_node
-        from kuka_msgs.srv import setGripperControl, setKukaControl, setScalingFactor
-        from leap_motion.ros.human import Human
-        from reflex_msgs.msg import Hand, RadianServoCommands
-        from rig_msgs.msg import KukaStatus, OperatorInput
-        from simulated import graph_parts
-
         patch.setattr(graph_parts, "DELAY_S", 0.0)
         self.start = BEGIN_S - START_S
         self.world, self.graph = World(run), graph
@@ -76,16 +89,10 @@ class NodeChain:
     # The nodes.
 
     def begin(self, name):
-        import rospy
-
         rospy.init_node(name)
         clock.sleep(self.start - clock.monotonic())
 
     def arm_node(self):
-        from leap_kuka.ros.teleop_node import ArmTeleopNode
-        from leap_kuka.teleop import ArmTeleop
-        from leap_motion.ros.tracking import subscribe
-
         self.begin("leap_kuka_node")
         world = self.world
         teleop = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
@@ -94,11 +101,6 @@ class NodeChain:
         self.arm.watch()
 
     def hand_node(self):
-        from leap_hand.force_limit import ForceLimit
-        from leap_hand.ros.teleop_node import HandTeleopNode
-        from leap_hand.teleop import HandTeleop
-        from leap_motion.ros.tracking import subscribe
-
         self.begin("leap_hand_node")
         teleop = HandTeleop(self.world.hand, False, self.world.leap.hand)
         self.hand = HandTeleopNode(teleop, ForceLimit(self.world.hand))
@@ -107,10 +109,6 @@ class NodeChain:
         self.hand.run(subscribe)
 
     def controller_node(self):
-        from kuka_control.loop import algorithms
-        from kuka_control.ros.controller_node import _Node
-        from kuka_control.ros.state_publisher import GoalPublisher
-
         self.begin("kuka_real_time_node")
         world = self.world
         link = SimpleNamespace(arm=world.arm, goals=GoalPublisher(), close=lambda: None)
@@ -156,10 +154,6 @@ class NodeChain:
         clock.sleep(SOON_S)
 
     def switched(self, what, value, now):
-        import rospy
-
-        from rig_msgs.msg import OperatorInput
-
         if what == "input":  # at once, as frames of this cycle are still to come
             message = OperatorInput(enabled=value[0], clutch=value[1], source="service")
             message.header.stamp = rospy.Time.now()
@@ -169,12 +163,6 @@ class NodeChain:
             self.status()
 
     def frame(self, text, now):
-        import rospy
-
-        from leap_motion.codec import LeapProtocolError, read_message
-        from leap_motion.frames import LeapFrame
-        from leap_motion.ros.human import FrameMessage
-
         self.at(now)
         self.tool = self.command = None
         try:
@@ -190,8 +178,6 @@ class NodeChain:
         return self.tool, self.command
 
     def look(self, now):
-        from reflex_msgs.msg import Finger, Hand, Motor
-
         felt = self.world.feedback
         fingers = [Finger(pressure=pressures) for pressures in felt.pressures]
         motors = [Motor(joint_angle=angle, load=load) for angle, load in zip(felt.angles, felt.loads)]
@@ -199,8 +185,6 @@ class NodeChain:
         self.status()
 
     def status(self):
-        from rig_msgs.msg import KukaStatus
-
         world = self.world
         on, scale = world.switches.control_on, world.switches.scale
         self.send("kuka/status", KukaStatus(mode=world.mode.value, control_on=on, scaling_factor=scale))
@@ -208,8 +192,6 @@ class NodeChain:
     # What they send.
 
     def on_tf(self, message):
-        from common.ros.conversions import pose_from_transform
-
         poses = {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms}
         if TOOL_DESIRED in poses:
             self.tool = np.asarray(poses[VIRTUAL_LEAP] @ poses[TOOL_DESIRED])
@@ -232,8 +214,6 @@ def states(events):
 
 @pytest.mark.parametrize("name", RUNS)
 def test_the_nodes_make_of_it_what_the_pure_chain_makes(monkeypatch, name):
-    from simulated import graph, scheduler
-
     try:
         run = RUNS[name]()
     except Missing as missing:

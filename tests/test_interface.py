@@ -9,6 +9,11 @@ import pytest
 
 from tools.reference.sources import REFERENCE, ROOT
 
+pytest.importorskip("rig_msgs.srv")
+from leap_rig.ros.demo import launch_arguments, parse_arguments
+from tools import interface, launched
+from tools.running_parts import PARTS
+
 pytestmark = pytest.mark.ros
 
 
@@ -28,10 +33,6 @@ def test_the_page_is_as_the_graph(part):
 
 def test_the_page_says_what_the_demo_starts():
     """The nodes of `make demo` are those that its launch file starts with its arguments, not those of roslaunch."""
-    from leap_rig.ros.demo import launch_arguments, parse_arguments
-    from tools import interface, launched
-    from tools.running_parts import PARTS
-
     rig = PARTS["rig"]
     for command, words in {"HEADLESS=1": [], "HEADLESS=1 TRACKER=none": ["--tracker", "none"]}.items():
         arguments = launch_arguments(parse_arguments(words), screen=False)

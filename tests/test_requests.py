@@ -21,6 +21,22 @@ from common import clock
 from common.camera_model import pinhole
 from common.poses import pose
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from actionlib import CommState
+
+from apriltag_ros.srv import AnalyzeSingleImageRequest
+from common.frames import BASE
+from common.ros.conversions import stamped_pose
+from common.ros.images import camera_info_message
+from kuka_msgs.msg import MoveGoal
+from kuka_msgs.srv import setPayloadRequest, setScalingFactorRequest
+from reflex_msgs.msg import FingerPressure
+from reflex_msgs.srv import SetSpeedRequest, SetTactileThresholdRequest
+from rig_msgs.srv import CheckToolPoseRequest, ChooseArmRequest, HoldToolRequest, SetSceneRequest
+from rig_msgs.srv import SimulationFaultRequest as FaultRequest
+from simulated.rig import VirtualRig
+
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -146,8 +162,6 @@ class Asker:
     """Asks one service, or the action, and tells what came of it."""
 
     def __init__(self, graph, name: str, kind: str) -> None:
-        import rospy
-
         self._graph, self._kind = graph, kind
         if kind == "MoveAction":
             import actionlib
@@ -160,8 +174,6 @@ class Asker:
 
     def ask(self, request) -> str:
         """Returns why the request was refused, empty if it was not."""
-        import rospy
-
         try:
             answer = self._client(request) if self._kind != "MoveAction" else self._move(request)
         except rospy.ServiceException as error:
@@ -170,8 +182,6 @@ class Asker:
         return "" if getattr(answer, "success", True) else answer.message or "refused without a sentence"
 
     def _move(self, goal):
-        from actionlib import CommState
-
         handle = self._client.send_goal(goal)
         self._graph.wait_until(lambda: handle.get_comm_state() == CommState.DONE, 30.0, "the result")
         return handle.get_result()
@@ -183,8 +193,6 @@ def meant(meanings, path: str):
 
 
 def test_each_request_that_cannot_be_meant_is_refused_in_a_sentence_and_changes_nothing(virtual_graph, tmp_path):
-    from simulated.rig import VirtualRig
-
     with VirtualRig(virtual_graph) as rig:
         rig.calm()
         faults, asked = [], set()
@@ -230,19 +238,6 @@ def settled(rig):
 
 def requests(graph, rig, folder):
     """Yields each service or action, its type, a request that is followed, and what else is meaningful here."""
-    import rospy
-
-    from apriltag_ros.srv import AnalyzeSingleImageRequest
-    from common.frames import BASE
-    from common.ros.conversions import stamped_pose
-    from common.ros.images import camera_info_message
-    from kuka_msgs.msg import MoveGoal
-    from kuka_msgs.srv import setPayloadRequest, setScalingFactorRequest
-    from reflex_msgs.msg import FingerPressure
-    from reflex_msgs.srv import SetSpeedRequest, SetTactileThresholdRequest
-    from rig_msgs.srv import CheckToolPoseRequest, ChooseArmRequest, HoldToolRequest, SetSceneRequest
-    from rig_msgs.srv import SimulationFaultRequest as FaultRequest
-
     yield "reflex_takktile/set_speed", "SetSpeed", SetSpeedRequest([1.0, 1.0, 1.0, 1.0]), {}
     thresholds = [FingerPressure([20] * 9) for _ in range(3)]
     yield "reflex_takktile/set_tactile_threshold", "SetTactileThreshold", SetTactileThresholdRequest(thresholds), {}

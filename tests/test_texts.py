@@ -17,6 +17,13 @@ from common.config import QUOTE_IT, choice, keys, names, parse, text
 from common.errors import ConfigError
 from common.ros.files import read_yaml
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from common.ros.node import run
+from common.ros.params import private_config, private_values
+from tools import launched
+
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -113,10 +120,6 @@ class Whole:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in NO_YAML + NO_PARAMETER])
 def test_a_private_parameter_on_the_command_line_is_the_text_until_it_is_set_again(virtual_graph, name):
-    import rospy
-
-    from common.ros.params import private_config, private_values
-
     read = []
 
     def main():
@@ -133,8 +136,6 @@ def test_a_private_parameter_on_the_command_line_is_the_text_until_it_is_set_aga
 
 
 def test_what_the_parameter_server_cannot_hold_ends_the_node_with_a_sentence(virtual_graph, monkeypatch):
-    import rospy
-
     def init_node(*_, **__):
         raise TypeError("cannot marshal <class 'datetime.date'> objects")
 
@@ -144,8 +145,6 @@ def test_what_the_parameter_server_cannot_hold_ends_the_node_with_a_sentence(vir
 
 
 def run_node(main) -> None:
-    from common.ros.node import run
-
     run("texts", main)
 
 
@@ -180,8 +179,6 @@ def test_a_parameter_that_is_a_text_says_so_where_roslaunch_would_make_a_number_
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_arguments_of_the_launch_files_are_the_texts_that_they_are(name):
-    from tools import launched
-
     def parameters(file, *arguments):
         return launched.parameters(file.parts[0], file.name, *(f"{one}:={name}" for one in arguments))
 

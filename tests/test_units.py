@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
+pytest.importorskip("rig_msgs.srv")
+from tools.reference.parameters import SCHEMAS
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -19,8 +22,6 @@ LEAST_M = 0.02  # shorter ones are tolerances, whose thousandfold may be true
 
 def lengths():
     """Yields file, key, value and how a key is read, for each length of our yaml files."""
-    from tools.reference.parameters import SCHEMAS
-
     for file, parts in SCHEMAS.items():
         whole = yaml.safe_load(next(SOURCE.glob(f"**/{file}")).read_text())
         for part in parts:

@@ -12,12 +12,18 @@ import pytest
 from common import clock
 from tests import graph_laws
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Empty, Trigger
+
+import kst.transport
+from common.ros.publishing import DirectPublisher
+from common.ros.service_calls import ServiceFailed, call
+from simulated import scheduler
+from simulated.graph import Graph
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -57,11 +63,8 @@ class TestLives(graph_laws.Lives):
 @pytest.fixture
 def beats(ros):
     """A node that publishes the time each 0.1 s, and what the test hears."""
-    from std_msgs.msg import Float64
 
     def main():
-        import rospy
-
         rospy.init_node("heart")
         publisher, rate = rospy.Publisher("beat", Float64, queue_size=1), rospy.Rate(10)
         rospy.on_shutdown(lambda: print("bye"))
@@ -85,9 +88,6 @@ class TestTheGraph:
         assert heart.name == "/heart" and came[0]._connection_header["callerid"] == "/heart"
 
     def test_what_is_sent_before_the_connection_is_lost(self, ros):
-        import rospy
-        from std_msgs.msg import Float64
-
         publisher = rospy.Publisher("numbers", Float64, queue_size=10)
         came = ros.record("numbers", Float64)
         publisher.publish(1.0)
@@ -99,9 +99,6 @@ class TestTheGraph:
 
     @pytest.mark.parametrize("size, kept", [(1, [0, 9]), (3, [0, 7, 8, 9]), (None, list(range(10)))])
     def test_a_full_queue_keeps_the_newest(self, ros, size, kept):
-        import rospy
-        from std_msgs.msg import Float64
-
         publisher, came = rospy.Publisher("numbers", Float64, queue_size=10), []
 
         def take(message):
@@ -117,9 +114,6 @@ class TestTheGraph:
         assert came == kept
 
     def test_a_topic_of_another_type_is_not_heard(self, ros):
-        import rospy
-        from std_msgs.msg import Float64, String
-
         publisher = rospy.Publisher("numbers", Float64, queue_size=1, latch=True)
         publisher.publish(1.0)
         came = ros.record("numbers", String)
@@ -152,10 +146,6 @@ class TestTheGraph:
         assert sys.argv[0] != "other"
 
     def test_a_publisher_that_writes_directly_is_one(self, ros):
-        from std_msgs.msg import Float64
-
-        from common.ros.publishing import DirectPublisher
-
         publisher = DirectPublisher("numbers", Float64, queue_size=1, latch=True)
         publisher.publish(1.0)
         came = ros.record("numbers", Float64)
@@ -204,9 +194,6 @@ class TestServicesOfNodes:
         """A node that takes 1 s for an answer."""
 
         def main():
-            import rospy
-            from std_srvs.srv import Empty
-
             rospy.init_node("slow")
             rospy.Service("work", Empty, lambda _: clock.sleep(1.0) or [])
             rospy.spin()
@@ -217,10 +204,6 @@ class TestServicesOfNodes:
 
     @staticmethod
     def call(timeout=2.0):
-        from std_srvs.srv import Empty
-
-        from common.ros.service_calls import ServiceFailed, call
-
         begun = clock.monotonic()
         try:
             call("work", Empty, timeout=timeout)
@@ -258,22 +241,16 @@ class TestServicesOfNodes:
 
 def scene(seed):
     """Two nodes that talk to each other and stop; returns the turns."""
-    from simulated.graph import Graph
-
     with Graph(seed, trace=True) as graph:
         from std_msgs.msg import String
         from std_srvs.srv import Trigger
 
         def server():
-            import rospy
-
             rospy.init_node("server")
             rospy.Service("ask", Trigger, lambda _: [True, "yes"])
             rospy.spin()
 
         def client():
-            import rospy
-
             rospy.init_node("client", anonymous=True)
             rospy.wait_for_service("ask")
             publisher = rospy.Publisher("answers", String, queue_size=5, latch=True)
@@ -296,8 +273,6 @@ def test_a_seed_makes_one_run_and_others_make_others():
 
 
 def test_a_node_that_waits_outside_of_virtual_time_is_named(ros, monkeypatch):
-    from simulated import scheduler
-
     monkeypatch.setattr(scheduler, "POLL_S", 0.02)
     monkeypatch.setattr(scheduler, "POLLS", 5)
     outside = threading.Event()
@@ -310,9 +285,6 @@ def test_a_node_that_waits_outside_of_virtual_time_is_named(ros, monkeypatch):
 
 
 def test_who_calls_a_node_that_is_killed_learns_that_it_has_ended(ros):
-    import rospy
-    from std_srvs.srv import Trigger
-
     def main():
         rospy.init_node("server")
         rospy.Service("/ask", Trigger, lambda _: (True, ""))
@@ -338,8 +310,6 @@ def test_who_calls_a_node_that_is_killed_learns_that_it_has_ended(ros):
 
 
 def test_the_ends_of_a_killed_node_reach_nobody(ros):
-    import kst.transport
-
     listener = kst.transport.socket.socket()
     listener.bind(("127.0.0.1", 0))
     listener.listen()

@@ -6,21 +6,17 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from actionlib_msgs.msg import GoalStatus
+
+from common.ros.action_client import ActionClient
+from kuka_msgs.msg import MoveAction, MoveActionResult, MoveGoal, MoveResult
+
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 def test_a_result_that_comes_before_the_goal_is_sent_counts(ros):
-    import rospy
-    from actionlib_msgs.msg import GoalStatus
-
-    from common.ros.action_client import ActionClient
-    from kuka_msgs.msg import MoveAction, MoveActionResult, MoveGoal, MoveResult
-
     client = ActionClient("move", MoveAction)
     manager = client.action_client.manager
 

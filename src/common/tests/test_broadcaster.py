@@ -5,16 +5,17 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from common.ros.broadcaster import FreshBroadcaster
+from common.ros.conversions import stamped_transform
+
 pytestmark = pytest.mark.ros
 
 
 def test_no_frame_goes_out_twice_with_one_stamp(virtual_graph):
-    import rospy
-    from tf2_msgs.msg import TFMessage
-
-    from common.ros.broadcaster import FreshBroadcaster
-    from common.ros.conversions import stamped_transform
-
     got, broadcaster = virtual_graph.record("/tf", TFMessage), FreshBroadcaster()
     clock.sleep(0.1)
 
@@ -33,9 +34,5 @@ def test_no_frame_goes_out_twice_with_one_stamp(virtual_graph):
 
 @pytest.mark.parametrize(("parent", "child"), [("", "tag"), ("camera", ""), ("camera", "camera")])
 def test_frames_that_no_listener_takes_are_refused(parent, child):
-    import rospy
-
-    from common.ros.conversions import stamped_transform
-
     with pytest.raises(ValueError, match="frame_id"):
         stamped_transform(np.eye(4), parent, child, rospy.Time(1))

@@ -6,6 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from sensor_msgs.msg import CompressedImage, Image
+
+from common.ros.compressed_images import depth_from_compressed, depth_topic
+from common.ros.images import depth_from_image
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -13,8 +19,6 @@ DEPTH = np.array([[0, 700, 640], [655, 4500, 10000]], np.uint16)
 
 
 def packed(format, data):
-    from sensor_msgs.msg import CompressedImage
-
     message = CompressedImage(format=format, data=data)
     message.header.frame_id = "camera"
     return message
@@ -44,9 +48,6 @@ def as_inverse(depth, nearest=0.3, quantization=100.0) -> bytes:
     ],
 )
 def test_the_depth_that_was_packed_comes_back(format, data):
-    from common.ros.compressed_images import depth_from_compressed
-    from common.ros.images import depth_from_image
-
     image = depth_from_compressed(packed(format, data))
     expected = np.where(DEPTH == 0, np.nan, 0.001 * DEPTH)
     np.testing.assert_allclose(depth_from_image(image), expected, rtol=1e-6 if format[0] != "3" else 0.01)
@@ -65,17 +66,11 @@ def test_the_depth_that_was_packed_comes_back(format, data):
     ],
 )
 def test_what_holds_no_depth_is_named(format, data):
-    from common.ros.compressed_images import depth_from_compressed
-
     with pytest.raises(ValueError, match=format.split(";")[0]):
         depth_from_compressed(packed(format, data))
 
 
 def test_a_topic_is_subscribed_to_by_its_type():
-    from sensor_msgs.msg import CompressedImage, Image
-
-    from common.ros.compressed_images import depth_topic
-
     taken = []
     assert depth_topic("camera/depth/image", taken.append) == ("camera/depth/image", Image, taken.append)
     for kind in ("compressed", "compressedDepth"):

@@ -5,15 +5,17 @@ import pytest
 
 from common.camera_model import pinhole
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from sensor_msgs.msg import CameraInfo, RegionOfInterest
+
+from common.ros import images
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
 
 def messages():
-    import rospy
-
-    from common.ros import images
-
     return images, rospy.Time(3, 4)
 
 
@@ -109,8 +111,6 @@ REFUSED = [
 
 
 def info(roi=None, **changes):
-    from sensor_msgs.msg import CameraInfo, RegionOfInterest
-
     values = dict(height=480, width=640, distortion_model="plumb_bob", D=[0.0] * 5, K=K, R=TURNED, P=P)
     message = CameraInfo(**{**values, **changes}, roi=RegionOfInterest(**(roi or {})))
     message.header.frame_id = "/camera"

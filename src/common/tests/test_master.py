@@ -7,6 +7,12 @@ import sys
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rosgraph
+
+from common.ros import master
+from common.ros.master import NoMaster, check_surroundings
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 NODE = """
@@ -40,8 +46,6 @@ def test_a_node_disengages_without_its_master_and_exits_when_another_one_answers
 @pytest.mark.parametrize("busy", [1, 100])
 def test_a_node_that_starts_has_patience_with_a_master_that_is_busy(monkeypatch, busy):
     """With the nodes of a whole rig, which begin at once."""
-    from common.ros import master
-
     asked = []
 
     def ask(method):
@@ -60,8 +64,6 @@ def test_a_node_that_starts_has_patience_with_a_master_that_is_busy(monkeypatch,
 
 
 def answers(uri):
-    import rosgraph
-
     try:
         return rosgraph.Master("/test", uri).getPid()
     except OSError:
@@ -69,8 +71,6 @@ def answers(uri):
 
 
 def knows(uri, name):
-    import rosgraph
-
     try:
         return rosgraph.Master("/test", uri).lookupNode(name)
     except (OSError, rosgraph.MasterError):
@@ -82,8 +82,6 @@ def knows(uri, name):
     [("off", "[::1]", "or set ROS_IPV6=on"), ("on", "127.0.0.1", "unset ROS_IPV6"), ("off", "nobody.invalid", "name")],
 )
 def test_a_masters_address_of_the_other_internet_protocol_is_told(monkeypatch, ipv6, host, cure):
-    from common.ros.master import NoMaster, check_surroundings
-
     monkeypatch.setenv("ROS_IPV6", ipv6)
     monkeypatch.setenv("ROS_MASTER_URI", f"http://{host}:11999")
     with pytest.raises(NoMaster, match=rf"has no address: correct .*{cure}\.$"):

@@ -14,6 +14,14 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import logging
+
+import rospy
+from std_msgs.msg import String
+
+from common.ros.node import REPEAT_S, RepeatedExceptions, run
+
 pytestmark = pytest.mark.ros
 
 END_S = 30.0
@@ -89,8 +97,6 @@ run("together", lambda: run_together(job))
 @pytest.mark.real
 def test_a_node_ends_wherever_a_signal_reaches_it(ros, start):
     """While it publishes, while it asks the master, and in another thread than the main one."""
-    from std_msgs.msg import String
-
     ros.record("chatter", String)
     places = {"publishing": PUBLISHING, "thread": ANY_THREAD}
     places.update((method, STARTING.replace("{method}", method)) for method in ASKED)
@@ -277,16 +283,10 @@ def test_a_disposable_node_ends_wherever_it_is_and_when_it_has_done_its_work(ros
 
 
 def ros_has(name):
-    import rospy
-
     return rospy.has_param(name)
 
 
 def test_the_exception_of_a_callback_is_logged_once_in_a_while_and_all_else_always():
-    import logging
-
-    from common.ros.node import REPEAT_S, RepeatedExceptions
-
     now = 100.0
     repeated = RepeatedExceptions(lambda: now)
 
@@ -301,10 +301,6 @@ def test_the_exception_of_a_callback_is_logged_once_in_a_while_and_all_else_alwa
 
 
 def test_simulated_time_without_a_clock_is_said(virtual_graph):
-    import rospy
-
-    from common.ros.node import run
-
     rospy.set_param("use_sim_time", True)
     begun = clock.monotonic()
     node = virtual_graph.start("timeless", lambda: run("timeless", lambda: None))
@@ -342,8 +338,6 @@ def test_a_log_ends_no_node(ros, start, processes, wait_until):
     """Neither on a full disk: no file may grow beyond 2 kB. Nor what an older node of the same name logs at its end: it
     is no reason for the master to end the newer one.
     """
-    import rospy
-
     talkative = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
     twins = []
     for number in (1, 2):

@@ -8,6 +8,13 @@ from types import SimpleNamespace
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from rospy.exceptions import TransportTerminated
+from std_msgs.msg import UInt32
+
+from common.ros.publishing import DirectPublisher, _Outbox
+
 pytestmark = pytest.mark.ros
 
 
@@ -38,8 +45,6 @@ def message(number, size):
 @pytest.mark.parametrize("queue_size", [1, 3])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_subscriber_that_pauses_gets_whole_messages_in_order_and_the_newest(queue_size, seed):
-    from common.ros.publishing import _Outbox
-
     rng = random.Random(seed)
     connection, receiver = connection_of()
     outbox, data, newest = _Outbox(connection, queue_size), b"", 0
@@ -64,10 +69,6 @@ def test_a_subscriber_that_pauses_gets_whole_messages_in_order_and_the_newest(qu
 
 
 def test_a_closed_connection_is_an_error():
-    from rospy.exceptions import TransportTerminated
-
-    from common.ros.publishing import _Outbox
-
     connection, receiver = connection_of()
     outbox = _Outbox(connection, 1)
     receiver.close()
@@ -80,11 +81,6 @@ def test_a_closed_connection_is_an_error():
 
 @pytest.mark.real
 def test_messages_reach_subscribers_that_come_early_and_late(ros, wait_until):
-    import rospy
-    from std_msgs.msg import UInt32
-
-    from common.ros.publishing import DirectPublisher
-
     heard = ros.record("direct", UInt32)
     publisher = DirectPublisher("direct", UInt32, queue_size=1)
 
@@ -101,10 +97,6 @@ def test_messages_reach_subscribers_that_come_early_and_late(ros, wait_until):
 
 
 def test_a_second_publisher_of_a_topic_ends_the_messages_that_the_first_has_begun(monkeypatch):
-    import rospy
-
-    from common.ros.publishing import DirectPublisher
-
     connection, receiver = connection_of()
     connection.write_data = None
     impl = SimpleNamespace(connections=[connection], add_connection=bool, set_queue_size=lambda _: None)

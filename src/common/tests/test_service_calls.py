@@ -8,21 +8,20 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from std_srvs.srv import SetBool, SetBoolResponse
+
+from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
+
 pytestmark = pytest.mark.ros
 
 DELAY_S = 0.005  # of a call
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def offer(ros):
     """A service, which answers with what its handler returns, in a node of its own; the requests, and the node."""
-    import rospy
-    from std_srvs.srv import SetBool, SetBoolResponse
 
     def start(name, handler=lambda: None):
         requests = []
@@ -43,17 +42,12 @@ def offer(ros):
 
 @pytest.fixture
 def client():
-    from std_srvs.srv import SetBool
-
-    from common.ros.service_calls import ServiceClient
-
     return ServiceClient("switch", SetBool)
 
 
 @pytest.fixture
 def failure(client):
     """How a call fails, and after which time [s]."""
-    from common.ros.service_calls import ServiceFailed
 
     def call(value, **times):
         begun = clock.monotonic()
@@ -79,8 +73,6 @@ def test_a_call_answers_or_is_given_up_in_time_and_the_next_one_waits_for_its_en
 
 
 def test_a_service_that_fails_or_is_absent(offer, failure):
-    from common.ros.service_calls import ServiceAbsent
-
     def fail():
         raise ValueError("no arm")
 

@@ -8,14 +8,19 @@ from types import SimpleNamespace
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import rospy.impl.tcpros_base as tcpros
+from std_srvs.srv import SetBool, SetBoolResponse, Trigger
+
+from common.ros import service_calls
+from common.ros.service_calls import MasterLost, ServiceAbsent, ServiceClient, ServiceFailed, call, listens
+
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
 def offer():
-    import rospy
-    from std_srvs.srv import SetBool
-
     services = []
 
     def start(name, handler):
@@ -30,9 +35,6 @@ def offer():
 @pytest.mark.real
 def test_services_of_real_nodes(ros, offer, monkeypatch, free_port):
     """One that is absent, one that fails, and one that is called without the master, as its address is known."""
-    from std_srvs.srv import SetBool, SetBoolResponse, Trigger
-
-    from common.ros.service_calls import MasterLost, ServiceAbsent, ServiceClient, ServiceFailed, call
 
     def fail(_request):
         raise ValueError("no arm")
@@ -67,11 +69,6 @@ def test_services_of_real_nodes(ros, offer, monkeypatch, free_port):
 @pytest.fixture
 def hanging(monkeypatch):
     """A client of a node that accepts connections and says nothing, and that node's socket."""
-    import rospy.impl.tcpros_base as tcpros
-    from std_srvs.srv import SetBool
-
-    from common.ros import service_calls
-
     monkeypatch.setattr(tcpros, "rospywarn", lambda *_: None)
     monkeypatch.setattr(tcpros, "_is_use_tcp_keepalive", lambda: False)
     monkeypatch.setattr(service_calls, "ask_master", lambda *_: None)
@@ -88,9 +85,6 @@ def attempts():
 @pytest.mark.real
 def test_a_node_that_hangs_costs_one_thread_at_most_and_never_executes_what_was_given_up(hanging, monkeypatch):
     """The handshake is not answered, as by a suspended process; then the node continues."""
-    from common.ros import service_calls
-    from common.ros.service_calls import ServiceFailed, listens
-
     client, node = hanging
     uri = f"http://127.0.0.1:{node.getsockname()[1]}/"
     assert listens(uri)
@@ -124,10 +118,6 @@ def test_a_node_that_hangs_costs_one_thread_at_most_and_never_executes_what_was_
 
 @pytest.mark.real
 def test_a_call_that_is_given_up_after_the_request_ends(monkeypatch):
-    from std_srvs.srv import SetBool
-
-    from common.ros import service_calls
-
     here, there = socket.socketpair()
     sent, response = threading.Event(), service_calls._Attempt.response
     client = service_calls.ServiceClient("hangs", SetBool)
@@ -155,6 +145,4 @@ def test_a_call_that_is_given_up_after_the_request_ends(monkeypatch):
 
 @pytest.mark.parametrize("uri", ["", "http://", "http://127.0.0.1:port/", "nonsense"])
 def test_what_is_no_address_does_not_listen(uri):
-    from common.ros.service_calls import listens
-
     assert not listens(uri)

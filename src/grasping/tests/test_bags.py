@@ -13,6 +13,15 @@ from test_programs import call
 from common.config import parse
 from common.errors import ConfigError, RigError
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_msgs.msg import Empty
+
+from grasping.lab.ros import depth_images
+from grasping.lab.ros.play_program import PlayConfig, player
+from reflex_msgs.msg import Hand
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -22,8 +31,6 @@ IMAGES = 6
 
 
 def depth_message(kind: str = ""):
-    from sensor_msgs.msg import CompressedImage, Image
-
     depth = np.full((48, 64), 700, np.uint16)
     if kind == "metres as millimetres":
         return Image(height=48, width=64, encoding="32FC1", step=256, data=depth.astype(np.float32).tobytes())
@@ -37,11 +44,6 @@ def depth_message(kind: str = ""):
 def write_bag(path, *, depth=DEPTH, kind="", without=(), slash="/", close=True):
     """Writes a recording; returns its path."""
     import rosbag
-    import rospy
-    from sensor_msgs.msg import CameraInfo
-    from std_msgs.msg import Empty
-
-    from reflex_msgs.msg import Hand
 
     topics = {depth: depth_message(kind), INFO: CameraInfo(), HAND: Hand(), **{name: Empty() for name in OTHERS}}
     bag = rosbag.Bag(str(path), "w")
@@ -60,8 +62,6 @@ def write_bag(path, *, depth=DEPTH, kind="", without=(), slash="/", close=True):
 
 
 def command(bag, folder="/", depth=DEPTH, info=INFO):
-    from grasping.lab.ros.play_program import PlayConfig, player
-
     return player(parse(PlayConfig, {"bag": bag, "rate": 2, "depth": depth, "camera_info": info}), folder)
 
 
@@ -104,8 +104,6 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path, monkeypatch, capsys, name):
-    from grasping.lab.ros import depth_images
-
     damage, said = BAD[name]
     path = write_bag(tmp_path / name)
     damage(path)
@@ -138,8 +136,6 @@ def test_a_topic_that_the_recording_lacks_is_named(tmp_path, written, said):
 
 @pytest.mark.parametrize(("key", "value"), [("bag", ""), ("rate", 0), ("rate", "fast"), ("depth", "")])
 def test_bad_parameters_of_the_player_are_named(key, value):
-    from grasping.lab.ros.play_program import PlayConfig
-
     values = {"bag": "a.bag", "rate": 1.0, "depth": DEPTH, "camera_info": INFO, key: value}
     with pytest.raises(ConfigError, match=f"{key} is "):
         parse(PlayConfig, values)
@@ -148,8 +144,6 @@ def test_bad_parameters_of_the_player_are_named(key, value):
 @pytest.mark.parametrize("kind", ["", "compressed", "compressedDepth"])
 @pytest.mark.parametrize("slash", ["", "/"])
 def test_images_are_taken_out_of_a_recording(tmp_path, monkeypatch, capsys, kind, slash):
-    from grasping.lab.ros import depth_images
-
     topic = f"{DEPTH}/{kind}".rstrip("/")
     path = write_bag(tmp_path / "session 1.bag", depth=topic, kind=kind)
     call(monkeypatch, depth_images, path, tmp_path / "images", "--topic", slash + topic[1:])
@@ -159,8 +153,6 @@ def test_images_are_taken_out_of_a_recording(tmp_path, monkeypatch, capsys, kind
 
 
 def test_images_in_another_unit_are_left_out_and_counted(tmp_path, monkeypatch, capsys):
-    from grasping.lab.ros import depth_images
-
     path = write_bag(tmp_path / "a.bag", kind="metres as millimetres")
     with pytest.raises(SystemExit) as ended:
         call(monkeypatch, depth_images, path, tmp_path / "images")

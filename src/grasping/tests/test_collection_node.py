@@ -29,6 +29,16 @@ from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.lab.dataset.labels import relative_label
 from grasping.lab.dataset.store import decode
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_srvs.srv import SetBool
+
+from common.ros.conversions import stamped_pose
+from grasp_msgs.msg import GraspOutcome
+from grasping.lab.ros import collection_setup
+from grasping.lab.ros.collection_setup import read_setup
+
 pytest.importorskip("rospy")
 
 pytestmark = pytest.mark.ros
@@ -39,11 +49,6 @@ LATER_S = 0.01
 """How much later messages come and go."""
 SILENT_S, PLAYER_S = 1.0, 30.0
 """After which a sensor counts as silent, and longest wait for the topics of a recording."""
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -75,10 +80,6 @@ def parameters(folder):
 @pytest.fixture
 def start(ros, parameters, monkeypatch):
     """Starts the node with the parameters, and lets it listen; its revision is made up."""
-    import rospy
-
-    from grasping.lab.ros import collection_setup
-
     monkeypatch.setattr(collection_setup, "revision", lambda folder: f"that of {folder.name}")
 
     def run(**changes):
@@ -101,8 +102,6 @@ def rig(ros):
 @pytest.fixture
 def status(ros):
     """A function that gives the message and the values of the node's last status."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read() -> dict:
@@ -118,9 +117,6 @@ def files(folder):
 
 
 def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, status, folder):
-    import rospy
-    from std_srvs.srv import SetBool
-
     process = start()
     assert status()["message"] == "0 episodes, 0 held"
     rig.say("/leap_kuka/stream", stream(True))
@@ -168,12 +164,6 @@ def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, s
 
 
 def test_a_confirmed_proposal_makes_an_episode_by_its_outcome(rig, start, status, folder):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
-    from common.ros.conversions import stamped_pose
-    from grasp_msgs.msg import GraspOutcome
-
     def state(name):
         rig.say("/grasping/state", DiagnosticStatus(values=[KeyValue("state", name)]))
 
@@ -304,10 +294,6 @@ def test_it_ends_with_a_sentence(start):
     ],
 )
 def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):
-    import rospy
-
-    from grasping.lab.ros.collection_setup import read_setup
-
     rospy.set_param(rospy.get_name(), parameters(**change))
     with pytest.raises(RigError, match=re.escape(sentence)):
         read_setup()

@@ -24,6 +24,12 @@ from episodes import episode
 
 from grasping.lab.dataset.store import decode, encode, file_name
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from grasping.lab.ros.collection_setup import revision
+from grasping.lab.ros.episode_files import EpisodeFiles
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -42,7 +48,6 @@ def files(folder):
 def write_bag(path: Path, began: float) -> None:
     """Records two grasps."""
     import rosbag
-    import rospy
 
     with rosbag.Bag(str(path), "w") as bag:
         now = rospy.Time.from_sec(began)
@@ -71,8 +76,6 @@ def test_a_recording_makes_the_same_episodes(ros, folder, tmp_path):
 
 @pytest.mark.real
 def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(folder, processes, virtual_graph):
-    from grasping.lab.ros.episode_files import EpisodeFiles
-
     one = episode()
     whole = folder / file_name(one)
     folder.mkdir()
@@ -93,8 +96,6 @@ def test_a_process_that_dies_while_it_writes_leaves_no_episode_but_a_sentence(fo
 
 @pytest.mark.real
 def test_the_revision_is_asked_of_git_and_git_writes_nothing(folder, processes):
-    from grasping.lab.ros.collection_setup import revision
-
     def git(*words):
         who = ("-c", "user.name=tests", "-c", "user.email=tests@localhost")
         assert processes.start("git", "-C", str(folder), *who, *words).wait(LONG_S) == 0

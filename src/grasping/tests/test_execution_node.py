@@ -12,6 +12,19 @@ import yaml
 from common import clock
 from common.poses import pose, translation
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from common.ros.conversions import message_from_pose, pose_from_message, pose_in, stamped_pose, stamped_transform
+from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
+from reflex_msgs.msg import Hand
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse, HoldTool
+
 pytestmark = pytest.mark.ros
 
 FOLDER = Path(__file__).parents[1]
@@ -28,24 +41,10 @@ KNOWN_S = RIG_S + NODE_S + LATER_S
 """How long the node takes at most to act on what the rig publishes."""
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 class Rig:
     """Publishes the values that the test sets, 20 times a second, except on topics that are silent."""
 
     def __init__(self):
-        import rospy
-        from diagnostic_msgs.msg import DiagnosticStatus
-        from tf2_msgs.msg import TFMessage
-
-        from grasp_msgs.msg import GraspList
-        from reflex_msgs.msg import Hand
-        from rig_msgs.msg import KukaStatus
-        from rig_msgs.srv import CheckToolPose, HoldTool
-
         def publisher(topic, kind, latch=False):
             return rospy.Publisher(topic, kind, queue_size=10, latch=latch)
 
@@ -69,18 +68,11 @@ class Rig:
 
     @staticmethod
     def grasp(number, T=GRASP, reachable=True):
-        import rospy
-
-        from common.ros.conversions import stamped_pose
-        from grasp_msgs.msg import Grasp
-
         return Grasp(
             id=number, pose_base=stamped_pose(T, "kuka/base_frame", rospy.Time.now()), width=0.06, reachable=reachable
         )
 
     def say_hold(self, hold, reason="no hand is seen"):
-        from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
         self.hold = hold
         state = "running" if hold == "taken" else "waiting"
         values = [KeyValue("state", state), KeyValue("hold", hold)]
@@ -96,9 +88,6 @@ class Rig:
             topic.unregister()
 
     def _check(self, request):
-        from common.ros.conversions import message_from_pose, pose_from_message
-        from rig_msgs.srv import CheckToolPoseResponse
-
         self.answers.wait()
         T = pose_from_message(request.tool.pose)
         self.checked.append(T)
@@ -107,8 +96,6 @@ class Rig:
         return CheckToolPoseResponse(success=True, desired=message_from_pose(translation(0.0, 0.01, 0.0) @ T))
 
     def _hold(self, request):
-        from common.ros.conversions import pose_in
-
         if request.duration == 0.0:
             self.held.append(None)
             self.say_hold("none", "the tool is held no longer: it was ended")
@@ -120,14 +107,6 @@ class Rig:
         return True, "The tool is held."
 
     def _loop(self):
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from common.ros.conversions import stamped_transform
-        from grasp_msgs.msg import GraspList
-        from reflex_msgs.msg import Hand
-        from rig_msgs.msg import KukaStatus
-
         while not self._stop.wait(RIG_S):
             now = rospy.Time.now()
             T = self.tool @ translation(0.0, 0.0, -0.1)
@@ -155,13 +134,6 @@ def rig(ros):
 
 @pytest.fixture
 def node(ros):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from std_srvs.srv import Trigger
-    from visualization_msgs.msg import MarkerArray
-
-    from grasp_msgs.msg import GraspOutcome
-
     class Node:
         states = ros.record("grasping/state", DiagnosticStatus)
         outcomes = ros.record("grasping/outcome", GraspOutcome)
@@ -195,8 +167,6 @@ def node(ros):
 @pytest.fixture
 def asked(ros, rig, node):
     """A node that the launch file started, and that executes a grasp."""
-    import rospy
-
     rospy.set_param("kuka", ARM)
     (node.process,) = ros.launch("grasping", "execution.launch").nodes
     clock.sleep(2 * KNOWN_S)
@@ -337,8 +307,6 @@ def test_without_an_arm_it_waits_and_says_so(node):
 
 
 def test_diagnostics_say_which_inputs_do_not_come(ros, rig, node):
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def says(level, sentence, after=CONFIG["silence"] + 1.1):

@@ -8,6 +8,13 @@ import xmlrpc.client
 import pytest
 from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
 
+pytest.importorskip("rig_msgs.srv")
+import rosgraph
+import rospy
+from std_srvs.srv import Trigger
+
+from grasp_msgs.msg import GraspOutcome
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 LONG_S = 60.0
@@ -21,12 +28,6 @@ def rig_of_the_test(ros):
 
 
 def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(ros, rig_of_the_test, wait_until):
-    import rosgraph
-    import rospy
-    from std_srvs.srv import Trigger
-
-    from grasp_msgs.msg import GraspOutcome
-
     outcomes = ros.record("grasping/outcome", GraspOutcome)
     rospy.set_param("kuka", ARM)
     rospy.set_param("grasp_execution", {**CONFIG, "tool_pose": TOOL_POSE, "silence": 10.0})

@@ -15,6 +15,27 @@ from common.frames import DEPTH_OPTICAL
 from common.poses import inverse, pose
 from grasping.pipeline.settings import NetworkConfig
 
+pytest.importorskip("rig_msgs.srv")
+import roslib.message
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import CameraInfo, Image, TimeReference
+
+from common.ros.conversions import pose_from_message, pose_from_transform, stamped_transform
+from common.ros.images import array_from_image, camera_info_message, image_message
+from grasp_msgs.msg import GraspList
+from grasping.pipeline.pipeline import GraspPipeline
+from grasping.pipeline.settings import live_origin, overlaid, settings_from
+from grasping.pipeline.tool_pose import ASKED, RETRY_S, SILENT
+from grasping.refinement import taste
+from grasping.refinement.preference import Preference
+from grasping.refinement.refinement_file import Origin, content
+from grasping.ros.weight_files import load_network, load_refinement, own_yaml
+from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
+from tools import launched
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -40,11 +61,6 @@ TYPES = {
 }
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 class Camera:
     """Publishes a depth image ten times a second, with a new stamp each time.
 
@@ -56,9 +72,6 @@ class Camera:
     """
 
     def __init__(self, depth):
-        import rospy
-        from sensor_msgs.msg import CameraInfo, Image
-
         self.period, self.depth, self.late, self.info = PERIOD_S, depth, 0.0, True
         self.frame = DEPTH_OPTICAL
         self._image = rospy.Publisher("camera/depth/image", Image, queue_size=1)
@@ -74,10 +87,6 @@ class Camera:
         self._info.unregister()
 
     def _loop(self):
-        import rospy
-
-        from common.ros.images import camera_info_message, image_message
-
         while not self._ended.wait(self.period):
             depth = self.depth
             if depth is None:
@@ -104,11 +113,6 @@ def camera(ros, depth):
 @pytest.fixture
 def calibrated(ros):
     """The camera's pose in the base, and its own frames, as vision's nodes publish them."""
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import stamped_transform
-
     broadcaster, now = tf2_ros.StaticTransformBroadcaster(), rospy.Time.now()
     T_link_optical = pose(R_LINK_OPTICAL)
     broadcaster.sendTransform([
@@ -121,8 +125,6 @@ def calibrated(ros):
 
 def start(ros, **changes):
     """Starts the node with changes to the package's parameters; a key may be section/name."""
-    import rospy
-
     for key, value in changes.items():
         rospy.set_param(f"ggcnn/{key.replace('__', '/')}", value)
     return ros.run("grasping", "ggcnn.py")
@@ -130,8 +132,6 @@ def start(ros, **changes):
 
 def statuses(ros):
     """Returns a function that gives the message and the values of the node's last status."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read() -> dict:
@@ -153,14 +153,6 @@ def seconds_between(first, second):
 
 
 def test_what_it_publishes(ros, camera, calibrated):
-    import roslib.message
-    import rospy
-    import tf2_ros
-    from sensor_msgs.msg import TimeReference
-
-    from common.ros.conversions import pose_from_message, pose_from_transform
-    from common.ros.images import array_from_image
-
     classes = {name: roslib.message.get_message_class(kind) for name, kind in TYPES.items()}
     got = {name: ros.record(f"ggcnn/{name}", kind) for name, kind in classes.items()}
     times, status = ros.record("rig/stage_times", TimeReference), statuses(ros)
@@ -209,10 +201,6 @@ def test_what_it_publishes(ros, camera, calibrated):
 
 
 def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
-    from geometry_msgs.msg import PoseStamped
-
-    from grasp_msgs.msg import GraspList
-
     lists, targets = ros.record("ggcnn/out/grasps", GraspList), ros.record("ggcnn/out/target_pose", PoseStamped)
     camera.info, status = False, statuses(ros)
     process = start(ros)
@@ -274,11 +262,6 @@ def test_where_there_is_no_grasp_it_says_why(ros, camera, depth):
 
 
 def test_a_torn_image_is_refused(ros, camera):
-    import rospy
-    from sensor_msgs.msg import Image
-
-    from grasp_msgs.msg import GraspList
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.depth, torn = None, rospy.Publisher("camera/depth/image", Image, queue_size=1)
     process = start(ros)
@@ -306,8 +289,6 @@ def test_a_torn_image_is_refused(ros, camera):
 
 
 def test_it_is_not_fine_while_nothing_comes_out_for_a_second(ros, camera, calibrated, monkeypatch):
-    from grasping.pipeline.pipeline import GraspPipeline
-
     status, step, slow = statuses(ros), GraspPipeline.step, []
 
     def slowly(*args):
@@ -325,8 +306,6 @@ def test_it_is_not_fine_while_nothing_comes_out_for_a_second(ros, camera, calibr
 
 
 def test_a_frame_that_tf_does_not_know_is_not_an_uncalibrated_camera(ros, camera, calibrated):
-    from grasp_msgs.msg import GraspList
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.frame = "other_optical_frame"
     start(ros)
@@ -335,12 +314,6 @@ def test_a_frame_that_tf_does_not_know_is_not_an_uncalibrated_camera(ros, camera
 
 
 def test_a_camera_pose_in_millimetres_is_named(ros, camera):
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import stamped_transform
-    from grasp_msgs.msg import GraspList
-
     lists, far = ros.record("ggcnn/out/grasps", GraspList), ASIDE.copy()
     far[:3, 3] *= 1000.0
     broadcaster = tf2_ros.StaticTransformBroadcaster()
@@ -352,13 +325,6 @@ def test_a_camera_pose_in_millimetres_is_named(ros, camera):
 
 
 def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, calibrated):
-    import rospy
-
-    from common.ros.conversions import pose_from_message
-    from grasp_msgs.msg import GraspList
-    from grasping.pipeline.tool_pose import ASKED, RETRY_S, SILENT
-    from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
-
     lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
     answer = CheckToolPoseResponse(success=True)
     rospy.set_param("kuka/center_line", [1.0, 0.0, 0.0])
@@ -386,12 +352,6 @@ def test_the_arms_controller_is_asked_and_grasps_go_on_without_it(ros, camera, c
 
 
 def test_a_controller_that_comes_late_and_hangs_counts_as_silent_in_time(ros, camera, calibrated):
-    import rospy
-
-    from grasp_msgs.msg import GraspList
-    from grasping.pipeline.tool_pose import SILENT
-    from rig_msgs.srv import CheckToolPose
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     start(ros, reach__timeout=0.5)
     first = newest(ros, lists, lambda m: m.grasps, "a grasp")
@@ -404,11 +364,6 @@ def test_a_controller_that_comes_late_and_hangs_counts_as_silent_in_time(ros, ca
 def test_a_controller_that_is_absent_is_waited_for_as_long_as_an_answer_and_asked_again_after_a_second(
     ros, camera, calibrated
 ):
-    import rospy
-
-    from grasp_msgs.msg import GraspList
-    from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse
-
     lists, asked = ros.record("ggcnn/out/grasps", GraspList), []
     start(ros, reach__timeout=0.5)
     newest(ros, lists, lambda m: m.grasps, "a grasp")
@@ -430,8 +385,6 @@ def test_a_controller_that_is_absent_is_waited_for_as_long_as_an_answer_and_aske
     ],
 )
 def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, name, value, sentence):
-    import rospy
-
     rospy.set_param(name, value)
     process = start(ros)
     assert process.wait(1.0) == 1
@@ -451,17 +404,12 @@ def test_what_it_cannot_work_with_ends_it_with_a_sentence(ros, name, value, sent
     ],
 )
 def test_weight_files_are_checked(changes, sentence):
-    from grasping.ros.weight_files import load_network, own_yaml
-
     with pytest.raises(RigError, match=sentence):
         load_network(parse(NetworkConfig, {**own_yaml("ggcnn.yaml")["network"], **changes}))
 
 
 def rig(**changes):
     """Returns the rig that the package's own yaml files describe."""
-    from grasping.pipeline.settings import live_origin, overlaid, settings_from
-    from grasping.ros.weight_files import own_yaml
-
     values = {**own_yaml("ggcnn.yaml"), "tool": own_yaml("tool_pose.yaml")}
     return live_origin(settings_from(overlaid(values, changes)), "ab" * 32, "LBR7R800")
 
@@ -482,11 +430,6 @@ def rig(**changes):
 def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, sentence):
     import torch
 
-    from grasping.refinement import taste
-    from grasping.refinement.preference import Preference
-    from grasping.refinement.refinement_file import content
-    from grasping.ros.weight_files import load_refinement
-
     file = str(tmp_path / "refinement.pt")
     torch.save(content({"cup": Preference(taste.nobody(), None)}, rig(**learned)), file)
     load_refinement(file, rig(**learned))
@@ -496,8 +439,6 @@ def test_the_second_network_is_refused_on_another_rig(tmp_path, learned, used, s
 
 def test_a_second_network_of_an_older_version_or_none_is_refused(tmp_path):
     import torch
-
-    from grasping.ros.weight_files import load_refinement
 
     file = str(tmp_path / "refinement.pt")
     torch.save({"offset": torch.zeros(7)}, file)
@@ -513,10 +454,6 @@ def refinement_of_kinds(file, view, **tilts):
     """Writes a refinement of kinds that the operator grasps with these tilts [rad]; returns parameters for the node."""
     import torch
 
-    from grasping.refinement import taste
-    from grasping.refinement.preference import Preference
-    from grasping.refinement.refinement_file import Origin, content
-
     known, kinds = taste.nobody(), {}
     for name, tilt in tilts.items():
         hand = known.hand._replace(tilt_x=np.array([tilt, 0.0, 0.0]))
@@ -527,9 +464,6 @@ def refinement_of_kinds(file, view, **tilts):
 
 @pytest.mark.parametrize("view", ["camera", "table"])
 def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, calibrated, tmp_path, view):
-    from common.ros.conversions import pose_from_message
-    from grasp_msgs.msg import GraspList
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     choice = refinement_of_kinds(tmp_path / "refinement.pt", view, cup=0.2)
     start(ros, **choice, reach__ask=False, peaks__threshold=0.05)
@@ -541,11 +475,6 @@ def test_with_the_second_network_there_are_grasps_in_either_view(ros, camera, ca
 
 
 def test_the_kind_of_object_is_changed_while_it_runs(ros, camera, calibrated, tmp_path):
-    import rospy
-
-    from common.ros.conversions import pose_from_message
-    from grasp_msgs.msg import GraspList
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     camera.period = 3 * PERIOD_S
     choice = refinement_of_kinds(tmp_path / "refinement.pt", "table", cup=0.2, bottle=0.0)
@@ -584,9 +513,6 @@ def test_a_kind_that_the_file_lacks_ends_it(ros, tmp_path):
 
 
 def test_the_launch_file_starts_the_node_with_a_file_of_changes(ros, camera, tmp_path):
-    from grasp_msgs.msg import GraspList
-    from tools import launched
-
     changes = tmp_path / "changes.yaml"
     changes.write_text("peaks: {threshold: 0.95}\n")
     launch = ("grasping", "grasping.launch", "camera:=false", "image_view:=false", f"config:={changes}")

@@ -11,6 +11,13 @@ from table_scene import CAMERA
 
 from common.frames import DEPTH_OPTICAL
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from sensor_msgs.msg import CameraInfo, Image
+
+from common.ros.images import camera_info_message, image_message
+from grasp_msgs.msg import GraspList
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -25,12 +32,6 @@ PATIENCE_S = 60.0
     ],
 )
 def test_interrupted_it_ends_whatever_it_does(ros, wait_until, moment):
-    import rospy
-    from sensor_msgs.msg import CameraInfo, Image
-
-    from common.ros.images import camera_info_message, image_message
-    from grasp_msgs.msg import GraspList
-
     lists = ros.record("ggcnn/out/grasps", GraspList)
     images = rospy.Publisher("camera/depth/image", Image, queue_size=1)
     infos = rospy.Publisher("camera/depth/camera_info", CameraInfo, queue_size=1)

@@ -7,28 +7,26 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from sensor_msgs.msg import Image
+from std_msgs.msg import String
+
+from common.ros.images import image_message
+from grasping.ros.image_viewer import ImageViewer, picture
+from tools import launched
+
 pytestmark = pytest.mark.ros
 
 SOON_S = 0.1
 """After which an image that is published 20 times a second has come."""
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 def message(array, encoding):
-    import rospy
-
-    from common.ros.images import image_message
-
     return image_message(array, encoding, "camera", rospy.Time(1))
 
 
 def test_colours_are_shown_red_first_and_grey_as_grey():
-    from grasping.ros.image_viewer import picture
-
     colours = np.random.default_rng(1).integers(0, 256, (4, 6, 3)).astype(np.uint8)
     np.testing.assert_array_equal(picture(message(colours, "rgb8")), colours)
     np.testing.assert_array_equal(picture(message(colours, "bgr8")), colours[..., ::-1])
@@ -40,8 +38,6 @@ def test_colours_are_shown_red_first_and_grey_as_grey():
 
 @pytest.mark.parametrize(("kind", "encoding", "none"), [(np.uint16, "16UC1", 0), (np.float32, "32FC1", np.nan)])
 def test_depth_is_brighter_where_it_is_nearer_and_black_where_there_is_none(kind, encoding, none):
-    from grasping.ros.image_viewer import picture
-
     depth = np.tile(np.linspace(600, 900, 60).astype(kind), (40, 1))
     depth[:10] = none
     shown = picture(message(depth, encoding)).astype(int).sum(axis=2)
@@ -52,8 +48,6 @@ def test_depth_is_brighter_where_it_is_nearer_and_black_where_there_is_none(kind
 
 def test_an_image_with_a_sign_is_shown_whole():
     """ggcnn/img/depth has its mean taken off, ggcnn/img/ang is an angle."""
-    from grasping.ros.image_viewer import picture
-
     shown = picture(message(np.tile(np.linspace(-1.0, 1.0, 60, dtype=np.float32), (20, 1)), "32FC1"))
     assert shown.any(axis=2).all() and (shown[10, 10] != shown[10, 25]).any()
 
@@ -61,10 +55,6 @@ def test_an_image_with_a_sign_is_shown_whole():
 @pytest.fixture
 def publishers(ros):
     """Three topics, each of one colour, published until the test ends, and one of another type."""
-    import rospy
-    from sensor_msgs.msg import Image
-    from std_msgs.msg import String
-
     colours = {"/viewer/red": (200, 0, 0), "/viewer/green": (0, 200, 0)}
     made = {topic: rospy.Publisher(topic, Image, queue_size=1) for topic in (*colours, "/viewer/odd")}
     rospy.Publisher("/viewer/text", String, queue_size=1)
@@ -82,8 +72,6 @@ def publishers(ros):
 
 @pytest.fixture
 def viewer(application, publishers):
-    from grasping.ros.image_viewer import ImageViewer
-
     window = ImageViewer("/viewer/red")
     window.show()
     yield window
@@ -132,7 +120,5 @@ def test_the_list_has_the_image_topics_and_a_choice_switches(viewer, publishers)
 
 
 def test_the_launch_file_starts_it_with_the_chosen_image():
-    from tools import launched
-
     assert "/heat_map_view" in launched.nodes("grasping", "grasping.launch", "image_view:=true")
     assert "/heat_map_view" not in launched.nodes("grasping", "grasping.launch", "image_view:=false")

@@ -27,11 +27,6 @@ MAPS_HZ, POSES_HZ, CAMERA_S, LATER_S = 15.0, 30.0, 1.0 / 30.0, 0.01
 """Maps and poses a second, as the program takes them by default; how often images and tools come; how much later."""
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 def frame(stamp):
     return KeptFrame(
         stamp=stamp,

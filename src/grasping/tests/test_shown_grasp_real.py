@@ -6,6 +6,9 @@ import os
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from grasping.lab.ros.shown_grasp_program import Enters
+
 pytest.importorskip("rospy")
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
@@ -13,8 +16,6 @@ LONG_S = 60.0
 
 
 def test_without_a_master_it_ends_with_a_sentence_and_enter_comes_through_a_pipe(processes, wait_until):
-    from grasping.lab.ros.shown_grasp_program import Enters
-
     command = ("rosrun", "grasping", "collect_shown_grasp.py", "cup")
     process = processes.start(*command, env={"ROS_MASTER_URI": "http://localhost:9"})
     assert process.wait(LONG_S) == 1

@@ -7,6 +7,9 @@ import signal
 import pytest
 from controller_rig import MOVE_S, REAL_TIME, SLOW, Node, quick_params, run_robot
 
+pytest.importorskip("rig_msgs.srv")
+from std_msgs.msg import String
+
 pytestmark = pytest.mark.ros
 
 
@@ -17,8 +20,6 @@ def robot(ros, wait_until):
 
 @pytest.mark.real
 def test_from_the_launch_file_to_an_interrupt(ros, robot, wait_until, processes):
-    from std_msgs.msg import String
-
     modes = ros.record("kuka/mode", String)
     launched = ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", port=robot.port, gui="false")
     wait_until(lambda: modes, MOVE_S, "the controller")
@@ -31,8 +32,6 @@ def test_from_the_launch_file_to_an_interrupt(ros, robot, wait_until, processes)
 
 @pytest.mark.long
 def test_the_emergency_exit_works_while_the_robot_hangs(ros, robot, wait_until, suspend):
-    from std_msgs.msg import String
-
     quick_params(REAL_TIME, robot.port, **SLOW)
     node = Node(None, wait_until)
     node.modes = ros.record("kuka/mode", String)

@@ -30,15 +30,29 @@ from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
 from kuka_control.model.config import RealTimeConfig
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Vector3Stamped
+from sensor_msgs.msg import JointState, TimeReference
+from std_msgs.msg import Bool, String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose, stamped_transform
+from kuka_control.model.config import RobotAddress
+from kuka_control.ros import controller_node
+from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import CheckToolPose
+from rig_simulation.devices.sunrise.robot import Robot
+from rig_simulation.files import read_urdf
+
 pytestmark = pytest.mark.ros
 
 EXAMPLE = str(CONFIG / "dh_parameters_example.yaml")
 LINK_LOST = "The link to the robot is lost for the moment"
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -50,7 +64,6 @@ def robot(ros, request):
 @pytest.fixture
 def run(ros):
     """Starts a controller with the parameters that are set."""
-    from std_msgs.msg import String
 
     def run_controller(executable=REAL_TIME, *options):
         node = Node(None, ros.wait_until)
@@ -82,11 +95,6 @@ def leaves_and_comes_back(hand, node):
 
 def frame(name, ros):
     """Returns the pose of a frame in the base, shape (4, 4) [m]."""
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import pose_from_transform
-
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     ros.wait_until(lambda: buffer.can_transform("kuka/base_frame", name, rospy.Time(0)), 20.0, f"tf of {name}")
@@ -96,19 +104,11 @@ def frame(name, ros):
 
 def gravity_on_the_floor(q):
     """Returns the joint torques that hold an arm on the floor, shape (7,) [Nm]."""
-    from rig_simulation.devices.sunrise.robot import Robot
-    from rig_simulation.files import read_urdf
-
     return Robot(read_urdf("LBR7R800", "MF_elektrisch")).torques(q, np.zeros(7), np.zeros(7))
 
 
 def check_tool_poses(node, robot):
     """Whether the tool can be brought to a pose; the scaling factor is 0.5 and the arm does not move."""
-    import rospy
-
-    from common.ros.conversions import pose_from_message, stamped_pose
-    from rig_msgs.srv import CheckToolPose
-
     assert node.call("scaling_factor", "setScalingFactor", 0.5).success
     before = robot.joints
     check = rospy.ServiceProxy("kuka/check_tool_pose", CheckToolPose)
@@ -133,17 +133,6 @@ def check_tool_poses(node, robot):
 
 
 def test_the_life_of_the_real_time_controller(ros, robot, run):
-    import rospy
-    import tf2_ros
-    from geometry_msgs.msg import Vector3Stamped
-    from sensor_msgs.msg import JointState, TimeReference
-    from std_msgs.msg import Bool
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
-
-    from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
-    from rig_msgs.msg import KukaStatus
-
     topics = {
         "joint_states": JointState,
         "kuka/joint_positions": jointPositions,
@@ -296,8 +285,6 @@ def test_a_motion_that_something_pushes_on_ends_there_and_both_services_say_what
 
 
 def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controller(ros, robot, start):
-    import rospy
-
     node = start()
     node.wait_for_mode("home")
     check_tool_poses(node, robot)
@@ -324,9 +311,6 @@ def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controll
 
 @pytest.mark.parametrize("robot", [("--toolbox-version", version) for version in ("1.7", "2019-03")], indirect=True)
 def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, start):
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import Vector3Stamped
-
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     node = start()
     node.wait_for_mode("home")
@@ -353,10 +337,6 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
 def test_in_servo_mode_joints_come_with_the_goals_a_jump_is_picked_up_anew_and_an_interrupt_leaves_and_disconnects(
     ros, robot, start
 ):
-    from sensor_msgs.msg import JointState
-
-    from kuka_msgs.msg import jointPositions
-
     node = start(rate_joints=2.0)
     node.wait_for_mode("home")
     assert node.control(True).success
@@ -400,12 +380,6 @@ def test_an_interrupt_while_the_arm_follows_a_moving_hand_brakes_it_by_goals(rob
 
 
 def test_a_frame_that_two_nodes_publish_stops_the_arm_and_names_both(ros, robot, start):
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import stamped_transform
-    from rig_msgs.msg import KukaStatus
-
     def another():
         rospy.init_node("another")
         broadcaster = tf2_ros.TransformBroadcaster()
@@ -444,8 +418,6 @@ def lose(ros, robot, states):
 
 
 def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on(ros, robot, start):
-    from rig_msgs.msg import KukaStatus
-
     node = start()
     node.wait_for_mode("home")
     node.control(True)
@@ -484,10 +456,6 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
 def test_a_frozen_robot_is_waited_for_on_the_same_connection_and_for_a_lost_one_it_waits_until_an_interrupt(
     ros, robot, start
 ):
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    from rig_msgs.msg import KukaStatus
-
     node = start()
     node.wait_for_mode("home")
     node.control(True)
@@ -586,8 +554,6 @@ def test_the_workspace_of_a_real_robot_is_not_lifted(run, executable):
 
 
 def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_warned(ros, robot, run):
-    from diagnostic_msgs.msg import DiagnosticArray
-
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     quick_params(REAL_TIME, robot.port)
     node = run(REAL_TIME, "--lift-workspace")
@@ -605,8 +571,6 @@ def test_where_the_workspace_is_lifted_the_tool_leaves_it_and_everybody_is_warne
 @pytest.mark.parametrize("simulated", [True, False])
 def test_without_a_robot_it_tries_for_20_s_says_so_and_ends(run, monkeypatch, simulated):
     """It names the way without hardware, unless that was taken: an address of this machine is a simulated arm's."""
-    from kuka_control.model.config import RobotAddress
-
     monkeypatch.setattr(RobotAddress, "on_this_machine", simulated)
     set_params(REAL_TIME, ip="127.0.0.1", port=1)
     begun = clock.monotonic()
@@ -620,8 +584,6 @@ def test_without_a_robot_it_tries_for_20_s_says_so_and_ends(run, monkeypatch, si
 
 def test_it_waits_15_s_for_the_rest_of_its_parameters_and_refuses_an_incomplete_set_in_one_sentence(run):
     """As after leap_kuka_debug.launch, which uploads two keys of another set."""
-    import rospy
-
     rospy.set_param("kuka", {"center_line": [1, 0, 0], "ws_center": [0.5, 0, 0.5]})
     begun = clock.monotonic()
     node = run(PTP)
@@ -634,8 +596,6 @@ def test_it_waits_15_s_for_the_rest_of_its_parameters_and_refuses_an_incomplete_
 
 
 def test_it_waits_for_parameters_and_says_so_and_takes_what_comes_late(ros, robot, run):
-    import rospy
-
     node = run(PTP)
     ros.wait_until(lambda: "Waiting for the parameter /kuka" in node.log, 30.0, "the sentence")
     clock.sleep(100.0)
@@ -648,8 +608,6 @@ def test_it_waits_for_parameters_and_says_so_and_takes_what_comes_late(ros, robo
 
 @pytest.mark.parametrize("robot", [("--mounting", "180", "0", "0")], indirect=True)
 def test_an_arm_on_a_ceiling_follows_the_hand(ros, robot, start):
-    from kuka_msgs.msg import jointTorquesExternal, jointTorquesMeasured
-
     external = ros.record("kuka/joint_torques_external", jointTorquesExternal)
     measured = ros.record("kuka/joint_torques_measured", jointTorquesMeasured)
     node = start(**yaml.safe_load((CONFIG / "ceiling.yaml").read_text()))
@@ -689,9 +647,6 @@ def test_a_tool_that_is_a_whole_pose(ros, robot, start):
 
 def test_a_calibrated_arm_has_its_home_and_its_measured_flange_by_its_own_parameters(ros, robot):
     """The simulated arm is as in the data sheet; its joints are those that the controller chose for another."""
-    import rospy
-    from std_msgs.msg import String
-
     modes = ros.record("kuka/mode", String)
     own = {"port": robot.port, "dh_parameters": EXAMPLE, "gui": "false"}
     ros.launch("kuka_control", "real_time_controller.launch", ip="127.0.0.1", **own)
@@ -705,8 +660,6 @@ def test_a_calibrated_arm_has_its_home_and_its_measured_flange_by_its_own_parame
 
 def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, monkeypatch):
     """What came between its two readings of the parameters was an unknown key, and ended it."""
-    from kuka_control.ros import controller_node
-
     uploaded = []
     nothing = types.SimpleNamespace(spin=lambda _: None, close=lambda: None)
     with monkeypatch.context() as patch:
@@ -721,9 +674,6 @@ def test_the_centre_of_the_workspace_is_uploaded_last_as_leap_kuka_expects(ros, 
 @pytest.fixture
 def announced(ros):
     """Announces a node of simulated devices on this ROS master, as itself."""
-    import rospy
-    from std_msgs.msg import String
-
     publisher = rospy.Publisher("/simulated_devices", String, queue_size=1, latch=True)
     yield lambda: publisher.publish("/operator")
     publisher.unregister()
@@ -734,8 +684,6 @@ BESIDE = "The node /operator belongs to simulated devices, and on the same ROS m
 
 @pytest.mark.parametrize("executable", [REAL_TIME, PTP])
 def test_a_real_arm_is_not_connected_beside_simulated_devices(robot, run, announced, monkeypatch, executable):
-    from kuka_control.model.config import RobotAddress
-
     announced()
     quick_params(executable, robot.port)
     monkeypatch.setattr(RobotAddress, "on_this_machine", False)
@@ -747,8 +695,6 @@ def test_a_real_arm_is_not_connected_beside_simulated_devices(robot, run, announ
 
 def test_of_devices_whose_node_is_dead_nothing_is_heard(robot, run, announced, monkeypatch):
     """The master still lists the topic of a node that was killed."""
-    from kuka_control.model.config import RobotAddress
-
     quick_params(REAL_TIME, robot.port)
     monkeypatch.setattr(RobotAddress, "on_this_machine", False)
     run(REAL_TIME).wait_for_mode("home")
@@ -757,8 +703,6 @@ def test_of_devices_whose_node_is_dead_nothing_is_heard(robot, run, announced, m
 def test_simulated_devices_that_come_later_end_the_controller_of_a_real_arm_which_brakes(
     ros, robot, run, announced, monkeypatch
 ):
-    from kuka_control.model.config import RobotAddress
-
     quick_params(REAL_TIME, robot.port)
     monkeypatch.setattr(RobotAddress, "on_this_machine", False)
     node = run(REAL_TIME)

@@ -8,6 +8,14 @@ from common import clock
 from common.frames import BASE, TOOL_DESIRED
 from common.poses import translation
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import stamped_transform
+from kuka_control.model.desired_frame import DesiredStream
+from kuka_control.ros.desired_tool import DesiredTool
+
 pytestmark = pytest.mark.ros
 DT = 0.02
 OWN = ("kuka/flange_frame/desired", "kuka/tool_frame/commanded", "kuka/tool_frame/measured", "kuka/link_1")
@@ -17,12 +25,6 @@ class Publisher:
     """Publishes transforms on /tf, and takes what a controller gets of them."""
 
     def __init__(self):
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from kuka_control.model.desired_frame import DesiredStream
-        from kuka_control.ros.desired_tool import DesiredTool
-
         self._publisher, self.desired = rospy.Publisher("/tf", TFMessage, queue_size=10), DesiredTool()
         self.stream = DesiredStream()
         self.begin = rospy.get_time()
@@ -33,11 +35,6 @@ class Publisher:
 
         Returns how many desired tool frames were accepted, and the sentences about those refused.
         """
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from common.ros.conversions import stamped_transform
-
         accepted, refused = 0, []
         for _ in range(round(seconds / DT)):
             now = rospy.get_time()
@@ -115,8 +112,6 @@ NAMES = ("tool_frame/desired", "kuka/tool_frame_desired", "/kuka/desired", "iiwa
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_frame_of_another_name_is_named_with_its_node(virtual_graph, name):
-    import rospy
-
     tool = Publisher()
     assert tool.desired.missing == f"It waits for the frame {TOOL_DESIRED}."
     tool.run(2.0, *[(BASE, child, now) for child in (name, *OWN)])

@@ -5,6 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from kuka_control.limits.speed_change import GuardError
+from kuka_control.ros import guard_view
+
 pytestmark = pytest.mark.ros
 
 
@@ -27,8 +33,6 @@ class Topic:
 @pytest.fixture
 def view(monkeypatch):
     rospy = pytest.importorskip("rospy")
-    from kuka_control.ros import guard_view
-
     monkeypatch.setattr(rospy, "Publisher", Topic)
     monkeypatch.setattr(guard_view, "repeat", lambda *_: None)
     monkeypatch.setattr(rospy.Time, "now", rospy.Time)
@@ -47,8 +51,6 @@ class Guard:
 
 @pytest.mark.parametrize("shut_down", [True, False])
 def test_a_closed_topic_is_an_error_only_while_ros_runs(view, monkeypatch, shut_down):
-    import rospy
-
     monkeypatch.setattr(Topic, "error", rospy.ROSException("publish() to a closed topic"))
     monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: shut_down)
     if shut_down:
@@ -59,10 +61,6 @@ def test_a_closed_topic_is_an_error_only_while_ros_runs(view, monkeypatch, shut_
 
 
 def test_a_guard_that_fails_is_said_and_the_display_continues(view, monkeypatch):
-    import rospy
-
-    from kuka_control.limits.speed_change import GuardError
-
     said = []
     monkeypatch.setattr(rospy, "logwarn_throttle", lambda _, text: said.append(text))
     monkeypatch.setattr(Guard, "failure", GuardError("The collision guard failed: some number is not finite."))

@@ -10,12 +10,17 @@ from controller_rig import MOVE_S, REAL_TIME, Hand, Node, home_tool, run_robot, 
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import actionlib
+import rospy
+from actionlib import CommState
+from geometry_msgs.msg import Vector3Stamped
+from std_msgs.msg import String
+
+from common.ros.conversions import stamped_pose
+from kuka_msgs.msg import MoveAction, MoveGoal, jointTorquesExternal
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -26,8 +31,6 @@ def robot(ros):
 @pytest.fixture
 def node(ros, robot, request):
     """A controller whose arm is at home; of changed parameters where a test names them."""
-    from std_msgs.msg import String
-
     changes = getattr(request, "param", {})
     set_params(REAL_TIME, ip="127.0.0.1", port=robot.port, velocity_ptp_slow=0.9, **changes)
     node = Node(None, ros.wait_until)
@@ -41,18 +44,11 @@ class Client:
     """Not actionlib's simple client, in which a late status of a goal that was rejected may end the next one."""
 
     def __init__(self, ros):
-        import actionlib
-        import rospy
-
-        from kuka_msgs.msg import MoveAction
-
         self._ros = ros
         self._client = actionlib.ActionClient("kuka/move", MoveAction)
         assert self._client.wait_for_server(rospy.Duration(5.0))
 
     def send(self, **goal):
-        from kuka_msgs.msg import MoveGoal
-
         self.feedback, self.times = [], []
         return self._client.send_goal(MoveGoal(**goal), feedback_cb=lambda _, told: self._note(told))
 
@@ -61,8 +57,6 @@ class Client:
         self.times.append(clock.monotonic())
 
     def result_of(self, handle):
-        from actionlib import CommState
-
         self._ros.wait_until(lambda: handle.get_comm_state() == CommState.DONE, MOVE_S, "the result")
         return handle.get_result()
 
@@ -76,17 +70,10 @@ def client(ros, node):
 
 
 def pose_goal(T, frame="kuka/base_frame", **goal):
-    import rospy
-
-    from common.ros.conversions import stamped_pose
-    from kuka_msgs.msg import MoveGoal
-
     return {"kind": MoveGoal.POSE, "pose": stamped_pose(T, frame, rospy.Time()), **goal}
 
 
 def test_nothing_moves_while_control_is_off_or_for_an_invalid_goal(robot, client):
-    from kuka_msgs.msg import MoveGoal
-
     home = home_tool()
     start = robot.joints
     loose = pose_goal(home)
@@ -105,10 +92,6 @@ def test_nothing_moves_while_control_is_off_or_for_an_invalid_goal(robot, client
 
 
 def test_the_weight_of_the_hand_and_of_a_payload_is_no_contact(ros, node):
-    from geometry_msgs.msg import Vector3Stamped
-
-    from kuka_msgs.msg import jointTorquesExternal
-
     contact = ros.record("kuka/joint_torques_contact", jointTorquesExternal)
     external = ros.record("kuka/joint_torques_external", jointTorquesExternal)
     force = ros.record("kuka/flange_force", Vector3Stamped)
@@ -123,10 +106,6 @@ def test_the_weight_of_the_hand_and_of_a_payload_is_no_contact(ros, node):
 
 @pytest.mark.parametrize("node", [{"flange_force_raw": True}], indirect=True)
 def test_a_raw_flange_force_has_the_weight_of_the_hand_whatever_the_load_and_contact_torques_do_not(ros, node):
-    from geometry_msgs.msg import Vector3Stamped
-
-    from kuka_msgs.msg import jointTorquesExternal
-
     contact = ros.record("kuka/joint_torques_contact", jointTorquesExternal)
     force, torque = (ros.record(f"kuka/flange_{name}", Vector3Stamped) for name in ("force", "torque"))
 
@@ -146,8 +125,6 @@ def test_a_raw_flange_force_has_the_weight_of_the_hand_whatever_the_load_and_con
 
 
 def test_a_line_with_its_feedback_a_cancelled_one_and_home_as_control_goes_off(ros, robot, node, client):
-    from kuka_msgs.msg import MoveGoal
-
     home, start = home_tool(), robot.joints
     assert node.control(True).success
     T = shifted(home, 0.0, 0.03, 0.08)

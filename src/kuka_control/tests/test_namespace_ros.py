@@ -12,14 +12,20 @@ from controller_rig import CONFIG, MOVE_S, QUICK, RATES, REAL_TIME, Hand, run_ro
 from common import clock
 from common.poses import pose
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from kuka_control.model.config import RobotAddress
+from kuka_msgs.msg import jointPositions
+from kuka_msgs.srv import setKukaControl
+
 pytestmark = pytest.mark.ros
 
 ARMS = {"margin": 0.3, "left": {"position": [0.0, 0.5, 0.0]}, "right": {"position": [0.0, -2.0, 0.0]}}
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -28,8 +34,6 @@ def robot(ros):
 
 
 def set_params(namespace, prefix, port):
-    import rospy
-
     values = yaml.safe_load((CONFIG / "kuka_params_rt.yaml").read_text())
     address = {"ip": "127.0.0.1", "port": port, "tool_mass": 0.0}
     rospy.set_param(f"{namespace}/kuka", {**values, **QUICK[REAL_TIME], **RATES, **address})
@@ -52,15 +56,6 @@ def frames_of(recordings, node):
 
 @pytest.mark.parametrize("namespace, prefix", [("", ""), ("/left", "left")], ids=["one arm", "left of two"])
 def test_the_names_of_a_controller(ros, robot, names_on_the_page, namespace, prefix):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from std_msgs.msg import String
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
-
-    from kuka_msgs.msg import jointPositions
-    from kuka_msgs.srv import setKukaControl
-
     of, node = f"{prefix}/" if prefix else "", f"{namespace}/kuka_real_time_node"
     set_params(namespace, prefix, robot.port)
     modes = ros.record(f"{namespace}/kuka/mode", String)
@@ -118,8 +113,6 @@ def test_the_names_of_a_controller(ros, robot, names_on_the_page, namespace, pre
     ],
 )
 def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros, robot, prefix, arms, options, words):
-    import rospy
-
     set_params("/left", prefix, robot.port)
     rospy.set_param("/arms", arms)
     process = ros.run("kuka_control", REAL_TIME, *options, "__ns:=/left")
@@ -139,10 +132,6 @@ def test_an_arm_that_may_not_move_beside_the_other_exits_before_it_connects(ros,
 def test_a_real_arm_refuses_places_that_were_measured_in_simulation_and_doubts_unknown_ones(
     ros, robot, monkeypatch, said, words
 ):
-    import rospy
-
-    from kuka_control.model.config import RobotAddress
-
     monkeypatch.setattr(RobotAddress, "on_this_machine", False)
     set_params("/left", "left", robot.port)
     set_right()
@@ -156,15 +145,11 @@ def test_a_real_arm_refuses_places_that_were_measured_in_simulation_and_doubts_u
 
 
 def set_right(**kuka):
-    import rospy
-
     rospy.set_param("/right", {"tf_prefix": "right", "kuka": {**rospy.get_param("/left/kuka"), **kuka}})
 
 
 def test_the_controllers_of_two_arms_that_run_place_both_alike(ros, robot):
     """Or their walls would stand at different places: what a controller started with counts, as long as it runs."""
-    import rospy
-
     set_params("/left", "left", robot.port)
     left = ros.run("kuka_control", REAL_TIME, "__ns:=/left")
     ros.wait_until(lambda: "The arm is at home" in left.log, MOVE_S, "the left arm at home")
@@ -179,8 +164,6 @@ def test_the_controllers_of_two_arms_that_run_place_both_alike(ros, robot):
 
 
 def test_the_workspace_that_a_running_controller_keeps_counts_and_not_what_is_set_since(ros, robot):
-    import rospy
-
     set_params("/left", "left", robot.port)
     rospy.set_param("/arms", {**ARMS, "right": {"position": [0.8, 0.3, 0.0]}})
     rospy.set_param("/left/kuka/opening_angle", 10.0)

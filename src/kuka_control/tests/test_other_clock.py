@@ -17,6 +17,16 @@ from common.poses import translation
 from kuka_control.model.clock_offset import WIDTH_S
 from kuka_control.model.desired_frame import DesiredStream
 
+pytest.importorskip("rig_msgs.srv")
+import rosgraph.network
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import stamped_transform
+from kuka_control.ros import other_clock
+from kuka_control.ros.desired_tool import DesiredTool
+from kuka_control.ros.other_clock import NoAnswer, measure
+
 pytestmark = pytest.mark.ros
 DT = 0.02
 
@@ -25,11 +35,6 @@ class Stream:
     """Publishes the desired tool frame, by stamps that are `ahead` [s], and takes what a controller gets of it."""
 
     def __init__(self, parent=BASE):
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from kuka_control.ros.desired_tool import DesiredTool
-
         self._publisher, self.desired = rospy.Publisher("/tf", TFMessage, queue_size=10), DesiredTool()
         self.stream, self.parent = DesiredStream(), parent
         self.last = None
@@ -37,11 +42,6 @@ class Stream:
 
     def run(self, seconds, ahead=0.0, tool=True, hand=True):
         """Returns how many frames were accepted, and the sentences about those that were refused."""
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from common.ros.conversions import stamped_transform
-
         accepted, refused = 0, []
         for _ in range(round(seconds / DT)):
             stamp = rospy.Time.from_sec(rospy.get_time() + ahead)
@@ -60,8 +60,6 @@ class Stream:
 
     def anew(self):
         """The stream begins anew."""
-        import rospy
-
         for _ in range(100):
             self.stream.take(self.last, rospy.get_time(), clock.monotonic())
             clock.sleep(0.01)
@@ -76,9 +74,6 @@ def stated(refused):
 def elsewhere(virtual_graph, monkeypatch):
     """The test's node runs on another machine; `clock`: what asking its clock brings [s], or raises; `takes`: how long
     that takes [s]."""
-    import rosgraph.network
-
-    from kuka_control.ros import other_clock
 
     class Elsewhere:
         clock, takes = 0.0, 1.2
@@ -133,8 +128,6 @@ def test_after_the_clock_was_set_nothing_counts_until_the_stream_begins_anew(els
 
 @pytest.mark.parametrize(("why", "words"), [("does not answer", "does not answer"), ("says no time", "says no time")])
 def test_a_clock_that_cannot_be_asked_is_refused_with_the_figure_and_what_to_do(elsewhere, why, words):
-    from kuka_control.ros.other_clock import NoAnswer
-
     elsewhere.clock = NoAnswer(why)
     accepted, refused = Stream().run(5.0, 2.0)
     assert accepted == 0 and words in refused[-1] and "synchronise the clocks" in refused[-1]
@@ -187,8 +180,6 @@ def test_a_program_that_holds_the_tool_while_no_hand_is_in_view_brings_none_in(v
 @pytest.fixture
 def asked(elsewhere, monkeypatch):
     """The virtual times at which the clock of another machine was asked [s]."""
-    from kuka_control.ros import other_clock
-
     times, measure = [], other_clock.measure
     monkeypatch.setattr(other_clock, "measure", lambda uri: (times.append(clock.monotonic()), measure(uri))[1])
     return times
@@ -212,8 +203,6 @@ def test_a_clock_that_differs_is_asked_again_after_a_minute(elsewhere, asked):
 
 
 def test_while_ros_time_is_simulated_no_clock_is_asked(elsewhere, asked, monkeypatch):
-    from kuka_control.ros import other_clock
-
     monkeypatch.setattr(other_clock.rospy.rostime, "is_wallclock", lambda: False)
     accepted, refused = Stream().run(3.0, -1.0)
     assert accepted == 0 and asked == [] and "ROS time is simulated" in refused[-1]
@@ -231,8 +220,6 @@ class Shifted(SimpleXMLRPCRequestHandler):
 @pytest.mark.real
 @pytest.mark.parametrize("shift", [-7.3, 0.0, 1.6])
 def test_the_clock_of_a_rospy_node_is_in_its_answers(shift):
-    from kuka_control.ros.other_clock import measure
-
     handler = type("Handler", (Shifted,), {"shift": shift})
     with SimpleXMLRPCServer(("127.0.0.1", 0), handler, logRequests=False) as server:
         server.register_function(lambda caller: (1, "", 1), "getPid")
@@ -254,8 +241,6 @@ class Silent(http.server.BaseHTTPRequestHandler):
 
 @pytest.mark.real
 def test_a_node_that_says_no_time_and_one_that_is_gone_are_told_apart():
-    from kuka_control.ros.other_clock import NoAnswer, measure
-
     with http.server.HTTPServer(("127.0.0.1", 0), Silent) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         uri = f"http://127.0.0.1:{server.server_address[1]}/"

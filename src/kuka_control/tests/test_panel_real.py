@@ -9,6 +9,12 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from kuka_control.gui.panel import ControlPanel
+from kuka_control.ros.panel_link import PanelLink
+
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
@@ -17,9 +23,6 @@ FAKE = str(Path(__file__).with_name("fake_controller.py"))
 
 @pytest.fixture
 def link(ros, application):
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros.panel_link import PanelLink
-
     panel = ControlPanel()
     made = PanelLink(panel)
     made.panel = panel
@@ -57,11 +60,6 @@ def test_emergency_stop_ends_a_controller_that_hangs_and_no_other_process(link, 
 
 
 def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, see, monkeypatch, free_port):
-    import rospy
-
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros.panel_link import PanelLink
-
     uri = f"http://localhost:{free_port()}"
     panel = ControlPanel()
     with monkeypatch.context() as elsewhere:

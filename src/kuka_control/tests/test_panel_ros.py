@@ -15,6 +15,17 @@ from controller_rig import MOVE_S, PTP, REAL_TIME, quick_params, run_robot, set_
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import fake_controller
+import rosgraph
+import rospy
+
+import kuka_msgs.srv
+from kuka_control.gui.panel import ControlPanel
+from kuka_control.ros import emergency, panel_link, panel_process
+from kuka_control.ros.panel_link import PanelLink, linked_panels
+from rig_msgs.msg import KukaStatus, OperatorRow, OperatorView
+
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 pytestmark = pytest.mark.ros
 
@@ -24,11 +35,6 @@ PROGRAM_PERIOD_S = 0.1
 """Of the program's look whether it is to end."""
 LATE_S = 0.01
 """What connections and messages may take."""
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -44,8 +50,6 @@ def failures(monkeypatch):
 @pytest.fixture
 def timers(monkeypatch):
     """The timers of the links that run, in virtual time: all are due whenever somebody looks."""
-    from kuka_control.ros import panel_link
-
     running = []
 
     class Timer:
@@ -66,9 +70,6 @@ def timers(monkeypatch):
 
 @pytest.fixture
 def panel(ros, application, failures, timers):
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros.panel_link import PanelLink
-
     widget = ControlPanel()
     widget.link = PanelLink(widget)
     widget.show()
@@ -98,10 +99,6 @@ def see(ros, application, timers):
 @pytest.fixture
 def start(ros, monkeypatch):
     """Starts the fake controller; what the panel learns of processes and does to them is done to these."""
-    import fake_controller
-
-    from kuka_control.ros import emergency
-
     started = {}
     monkeypatch.setattr(emergency, "_is_controller", lambda pid: pid in started)
     monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if started[pid].poll() is None else None)
@@ -135,19 +132,11 @@ def click(button):
 
 
 def call(name, kind, *values):
-    import rospy
-
-    import kuka_msgs.srv
-
     rospy.wait_for_service(f"kuka/{name}", 5.0)
     return rospy.ServiceProxy(f"kuka/{name}", getattr(kuka_msgs.srv, kind))(*values)
 
 
 def now_scale():
-    import rospy
-
-    from rig_msgs.msg import KukaStatus
-
     return rospy.wait_for_message("kuka/status", KukaStatus, 5.0).scaling_factor
 
 
@@ -248,11 +237,6 @@ def test_a_controller_that_comes_goes_and_comes_again(panel, start, see):
 
 
 def test_without_a_master_it_says_so_until_one_answers(ros, application, timers, failures, see, start):
-    import rosgraph
-
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros.panel_link import PanelLink
-
     start()
     ros.master_answers, panel = False, ControlPanel()
     link = PanelLink(panel)
@@ -355,9 +339,6 @@ def test_qt_never_waits_for_a_service(panel, start, see, application):
 
 
 def test_a_panel_may_go_while_a_call_runs(ros, application, failures, timers, start, see):
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros.panel_link import PanelLink
-
     start("--delay", "1")
     panel = ControlPanel()
     link = PanelLink(panel)
@@ -375,10 +356,6 @@ def test_a_panel_may_go_while_a_call_runs(ros, application, failures, timers, st
 
 
 def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more(panel, see):
-    import rospy
-
-    from rig_msgs.msg import OperatorRow, OperatorView
-
     rows = OperatorView(rows=[OperatorRow("Hand", "waiting", "good", "ticks", ["flat"], [1.0])])
     publisher = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
     said = panel.operator.accessibleDescription
@@ -387,8 +364,6 @@ def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more
 
 
 def test_the_panel_of_the_real_controller(ros, panel, see, monkeypatch):
-    from kuka_control.ros import emergency
-
     def run():
         node = ros.run("kuka_control", REAL_TIME, "gui:=false")
         monkeypatch.setattr(emergency, "_is_controller", lambda pid: True)
@@ -423,8 +398,6 @@ def test_the_panel_of_the_real_controller(ros, panel, see, monkeypatch):
 @pytest.fixture
 def program(ros, application, failures, see, monkeypatch, capsys):
     """Runs the program; `during` is called while its window is there. Returns its exit code, and what it said."""
-    from kuka_control.gui.panel import ControlPanel
-    from kuka_control.ros import panel_link
 
     def run(*arguments, during=None):
         class Application:
@@ -460,8 +433,6 @@ def program(ros, application, failures, see, monkeypatch, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("master", ["there", "never there", "ended", "hanging"])
 def test_interrupted_it_ends_well(ros, program, see, monkeypatch, master, number):
-    import rospy
-
     def signal_shutdown(reason, shut_down=rospy.signal_shutdown):  # which asks the master
         while ros.master_hangs:
             clock.sleep(0.1)
@@ -489,8 +460,6 @@ def test_interrupted_it_ends_well(ros, program, see, monkeypatch, master, number
 
 
 def test_it_ends_with_its_node(ros, program):
-    import rospy
-
     assert program(during=lambda _: rospy.signal_shutdown("another panel")) == (0, "")
 
 
@@ -506,8 +475,6 @@ def test_a_screen_that_is_not_there_is_one_sentence_and_beside_a_controller_no_f
 
 
 def test_a_second_panel_is_not_opened_beside_the_first(ros, program, monkeypatch):
-    import rospy
-
     ros.start("first", lambda: (rospy.init_node("kuka_panel"), rospy.spin()))
     clock.sleep(0.1)
     code, text = program("--if-possible")
@@ -519,7 +486,6 @@ def beside(ros, monkeypatch):
     """Starts a controller that has neither parameters nor a robot, on a screen or without one; the commands that it
     starts, and what becomes of these, are in `commands` and `ends`.
     """
-    from kuka_control.ros import panel_process
 
     def start(program, *arguments, display=":0"):
         def popen(command, **_):
@@ -546,8 +512,6 @@ def test_the_panel_comes_and_goes_with_each_controller(beside, program):
 
 
 def test_the_panel_stays_after_a_fault_of_its_controller(beside):
-    import rospy
-
     controller = beside(REAL_TIME)
     set_params(REAL_TIME, robot="none")
     assert controller.wait(5.0) == 1 and beside.commands and not beside.ends
@@ -570,8 +534,6 @@ def test_a_request_for_the_control_panel_that_is_no_truth_value_is_refused(besid
 @pytest.fixture
 def window(ros, application, failures, timers):
     """The window of two arms, with its links."""
-    from kuka_control.ros.panel_link import linked_panels
-
     widget, links = linked_panels(["left", "right"])
     widget.show()
     yield widget

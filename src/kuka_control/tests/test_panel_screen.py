@@ -17,6 +17,11 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from ctypes import CDLL, Structure, Union, byref, c_char_p, c_int, c_long, c_ulong, c_void_p
+
+from kuka_control.gui.panel import ControlPanel
+
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 pytestmark = [
     pytest.mark.ros,
@@ -57,8 +62,6 @@ class Screen:
 
     def wait_for_panel(self):
         """Waits for the window and makes a hidden twin of the panel, which knows where the widgets are."""
-        from kuka_control.gui.panel import ControlPanel
-
         shown = ("search", "--onlyvisible", "--name", TITLE)
         self.window = self._wait_until(lambda: self.xdotool(*shown).split(), LONG_S, "the window", ASK_S)[0]
         self._twin = ControlPanel()
@@ -193,7 +196,6 @@ def test_the_panel_comes_and_goes_with_a_controller(ros, screen, processes, wait
 
 def ask_to_close(display, window):
     """Sends what a window manager sends when its close button is clicked (ICCCM 4.2.8.1)."""
-    from ctypes import CDLL, Structure, Union, byref, c_char_p, c_int, c_long, c_ulong, c_void_p
 
     class ClientMessage(Structure):
         _fields_ = (

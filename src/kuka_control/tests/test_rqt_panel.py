@@ -12,6 +12,11 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from rig_msgs.msg import KukaStatus
+
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 pytestmark = pytest.mark.ros
 
@@ -74,10 +79,6 @@ def test_the_package_does_not_need_rqt():
 
 
 def test_the_plugin_adds_the_panel_and_disconnects_it(virtual_graph, plugin_class):
-    import rospy
-
-    from rig_msgs.msg import KukaStatus
-
     publisher = rospy.Publisher("kuka/status", KukaStatus, queue_size=1, latch=True)
     publisher.publish(KukaStatus(host="far-away", mode="home", reason="The arm is at home."))
     context = Context(1)

@@ -19,11 +19,6 @@ SLOW, QUICK = ("--velocity", "0.1"), ("--velocity", "0.2")
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def robot(ros):
     robot = run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0")
     robot.here = ("--ip", "127.0.0.1", "--port", robot.port)

@@ -13,6 +13,20 @@ from hypothesis import strategies as st
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from common.poses import pose, translation
+from common.ros.conversions import pose_from_transform, stamped_transform
+from common.rotations import rotation_about
+from kuka_control.ros.desired_tool import DesiredTool
+from kuka_control.ros.other_clock import NodeClock
+from kuka_control.ros.tf_message import RawTfMessage
+
 pytestmark = pytest.mark.ros
 
 names = st.text(st.characters(codec="utf-8", exclude_characters="/"), min_size=1, max_size=12)
@@ -23,13 +37,6 @@ stamps = st.tuples(st.integers(0, 2**32 - 1), st.integers(0, 10**9 - 1))
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(names, names, stamps, numbers, st.booleans()), max_size=6))
 def test_the_bytes_are_read_as_rospy_reads_them(rows):
-    import rospy
-    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
-    from std_msgs.msg import Header
-    from tf2_msgs.msg import TFMessage
-
-    from kuka_control.ros.tf_message import RawTfMessage
-
     message, buffer = TFMessage(), io.BytesIO()
     for parent, child, stamp, row, slash in rows:
         transform = Transform(Vector3(*row[:3]), Quaternion(*row[3:]))
@@ -48,22 +55,12 @@ class Listener:
     """A DesiredTool without topics, and tf2's own listener with the same messages."""
 
     def __init__(self, monkeypatch):
-        import rospy
-        import tf2_ros
-
-        from kuka_control.ros.desired_tool import DesiredTool
-        from kuka_control.ros.other_clock import NodeClock
-
         monkeypatch.setattr(NodeClock, "doubt", lambda self, now: None)
         monkeypatch.setattr(rospy, "Subscriber", lambda *args, **kwargs: None)
         monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
         self.desired, self.reference = DesiredTool(), tf2_ros.Buffer(debug=False)
 
     def hear(self, transforms, static=False):
-        from tf2_msgs.msg import TFMessage
-
-        from kuka_control.ros.tf_message import RawTfMessage
-
         message, data = TFMessage(transforms), io.BytesIO()
         message.serialize(data)
         raw = message if static else RawTfMessage().deserialize(data.getvalue())
@@ -73,11 +70,6 @@ class Listener:
             (self.reference.set_transform_static if static else self.reference.set_transform)(transform, "/a")
 
     def expected(self):
-        import rospy
-        import tf2_ros
-
-        from common.ros.conversions import pose_from_transform
-
         try:
             found = self.reference.lookup_transform("kuka/base_frame", "kuka/tool_frame/desired", rospy.Time(0))
         except tf2_ros.TransformException:
@@ -89,12 +81,6 @@ class Listener:
 @given(st.integers(0, 2**32 - 1))
 def test_the_desired_tool_is_what_tf2_makes_of_all_frames(seed):
     """Frames change their parents, stand above or below the base, are static or not, and come at different times."""
-    import rospy
-
-    from common.poses import pose
-    from common.ros.conversions import stamped_transform
-    from common.rotations import rotation_about
-
     rng = np.random.default_rng(seed)
     with pytest.MonkeyPatch.context() as monkeypatch:
         listener = Listener(monkeypatch)
@@ -131,11 +117,6 @@ def listener(monkeypatch):
 
 
 def hear(listener, parent, x, stamp, child=DESIRED):
-    import rospy
-
-    from common.poses import translation
-    from common.ros.conversions import stamped_transform
-
     T = translation(x, 0.0, 0.4)
     listener.hear([stamped_transform(T, parent, child, rospy.Time.from_sec(stamp))])
     return listener.desired.wait(0.0)
@@ -168,8 +149,6 @@ def test_a_frame_of_the_chain_that_jumps_is_a_conflict_and_a_tool_that_jumps_is_
 
 
 def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_is_set_back_is_not(listener):
-    import rospy
-
     try:
         for simulated in (False, True):
             rospy.rostime.switch_to_wallclock() if not simulated else rospy.rostime.set_rostime_initialized(True)
@@ -196,10 +175,6 @@ def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_
 def test_bad_numbers_are_refused_with_the_reason_and_the_frame_before_them_does_not_count_again(
     listener, monkeypatch, numbers, said
 ):
-    import rospy
-    from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
-    from std_msgs.msg import Header
-
     now = clock.monotonic()
     monkeypatch.setattr(clock, "monotonic", lambda: now)
     good = hear(listener, BASE, 0.5, 100.0)
@@ -216,8 +191,6 @@ def test_bad_numbers_are_refused_with_the_reason_and_the_frame_before_them_does_
 
 def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(listener):
     """One that was on its way when the wall clock was set back."""
-    import rospy
-
     now = rospy.get_time()
     assert hear(listener, BASE, 0.5, now).refused is None
     assert re.search(r"its stamp is 2\.\d+ s ahead of", hear(listener, BASE, 0.5, now + 2.5).refused)
@@ -226,10 +199,6 @@ def test_a_frame_of_the_future_is_refused_and_does_not_hide_those_after_it(liste
 
 def clock_of_another_machine(listener, monkeypatch, ahead, rate=50.0):
     """Returns what hears the next frame of a node, at the rate [Hz]; its clock is `ahead` [s], and is asked at once."""
-    import rospy
-
-    from kuka_control.ros.other_clock import NodeClock
-
     says = [ahead]
     monkeypatch.setattr(NodeClock, "doubt", lambda self, now: setattr(self, "_result", says[0]))
     at = [clock.monotonic(), rospy.get_time()]
@@ -263,11 +232,6 @@ def test_a_clock_that_differs_is_measured_and_its_stamps_are_of_this_machine_the
 
 
 def test_a_static_desired_tool_is_refused_with_a_sentence(listener):
-    import rospy
-
-    from common.poses import translation
-    from common.ros.conversions import stamped_transform
-
     transform = stamped_transform(translation(0.5, 0.0, 0.4), BASE, DESIRED, rospy.Time.now())
     listener.hear([transform], static=True)
     frame = listener.desired.wait(0.0)
@@ -276,8 +240,6 @@ def test_a_static_desired_tool_is_refused_with_a_sentence(listener):
 
 
 def test_desired_tools_are_refused_while_simulated_time_stands_still(listener, monkeypatch):
-    import rospy
-
     now = clock.monotonic()
     monkeypatch.setattr(clock, "monotonic", lambda: now)
     try:
@@ -296,8 +258,6 @@ def test_desired_tools_are_refused_while_simulated_time_stands_still(listener, m
 
 
 def test_bytes_that_are_no_tf_message_are_left_out_and_the_next_message_counts(listener, caplog):
-    from kuka_control.ros.tf_message import RawTfMessage
-
     for data in (b"\x01", b"\xff\xff\xff\xff", b"\x01\0\0\0" + bytes(12) + b"\x02\0\0\0\xff\xfe"):
         damaged = RawTfMessage().deserialize(data)
         damaged._connection_header = {"callerid": "/hostile"}

@@ -221,10 +221,6 @@ def test_refused_frames_count_for_half_a_second_and_stalls_of_the_loop_for_as_lo
 class TestNodes:
     """In virtual time."""
 
-    @pytest.fixture
-    def ros(self, virtual_graph):
-        return virtual_graph
-
     def test_a_robot_hand_that_does_not_report_is_not_known_after_a_second(self, ros):
         import rospy
 

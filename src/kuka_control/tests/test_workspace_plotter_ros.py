@@ -9,6 +9,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from kuka_control.ros import plotter_program
+
 pytestmark = pytest.mark.ros
 pytest.importorskip("matplotlib")
 
@@ -19,10 +24,6 @@ QUICK = ("--samples", "60", "--attitudes", "2", "--constrained", "40")
 @pytest.fixture
 def plotter(monkeypatch, capsys):
     """Runs the program within this process, which spares the time to start one."""
-    import rospy
-
-    from kuka_control.ros import plotter_program
-
     monkeypatch.setattr(rospy, "signal_shutdown", lambda reason: None)  # this process is a node of other tests, too
     handler = signal.getsignal(signal.SIGTERM)
 
@@ -113,8 +114,6 @@ def test_text_that_is_no_yaml_is_refused(plotter, tmp_path):
 
 
 def test_takes_the_parameters_from_the_server(virtual_graph, plotter, tmp_path):
-    import rospy
-
     empty = plotter("--from-server", "--save", tmp_path / "w.png", *QUICK)
     assert empty.returncode == 1 and "no parameters under kuka/" in empty.stderr
     rospy.set_param("kuka", {**yaml.safe_load((CONFIG / "kuka_params_rt.yaml").read_text()), "opening_angle": 80.0})

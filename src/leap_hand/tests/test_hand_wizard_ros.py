@@ -7,12 +7,13 @@ from rig_simulation.operator.guided import GuidedOperator
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
 
+pytest.importorskip("rig_msgs.srv")
+from simulated.leap_wire import LeapWire
+
 pytestmark = pytest.mark.ros
 
 
 def test_the_wizard_measures_the_hand_that_the_simulated_leap_tracks(virtual_graph, tmp_path, monkeypatch):
-    from simulated.leap_wire import LeapWire
-
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     person = GuidedOperator(ScriptedOperator(Script()))

@@ -10,17 +10,25 @@ import yaml
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Vector3
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Bool
+from std_srvs.srv import Empty, EmptyResponse
+
+from leap_motion.msg import Human
+from reflex_msgs.msg import RadianServoCommands
+from rig_msgs.msg import KukaStatus
+from tools import launched
+
 pytestmark = pytest.mark.ros
 
 PACKAGE = Path(__file__).parents[1]
 SETTLING_S = 2.0
 LIMITS = yaml.safe_load((PACKAGE / "config" / "leap_hand.yaml").read_text())
 FIST = np.radians([115.0, 115.0, 100.0, 0.0])
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 class Driver:
@@ -30,9 +38,6 @@ class Driver:
     """
 
     def __init__(self):
-        import rospy
-        from std_srvs.srv import Empty
-
         from reflex_msgs.msg import Hand
 
         self.calls = []
@@ -63,8 +68,6 @@ class Driver:
             self._states.publish(hand)
 
     def _answer(self, name):
-        from std_srvs.srv import EmptyResponse
-
         def answer(_):
             self.calls.append(name)
             self.called_at = clock.monotonic()
@@ -84,9 +87,6 @@ class ArmReports:
     """Reports which hand steers the arm, again and again as leap_kuka does."""
 
     def __init__(self):
-        import rospy
-        from diagnostic_msgs.msg import DiagnosticStatus
-
         self.number = ""
         self._publisher = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
         self._stop = clock.Event()
@@ -99,8 +99,6 @@ class ArmReports:
         self._publisher.unregister()
 
     def _loop(self):
-        from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-
         while not self._stop.wait(0.1):
             number = self.number
             values = [KeyValue("hand_id", number), KeyValue("hand_side", "right" if number else "")]
@@ -111,10 +109,6 @@ class Tracker:
     """Publishes Human messages at 50 Hz with the hand that was shown last."""
 
     def __init__(self):
-        import rospy
-
-        from leap_motion.msg import Human
-
         self._publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=10)
         self._hand = None
         self._number = 0
@@ -137,10 +131,6 @@ class Tracker:
         self._publisher.unregister()
 
     def _loop(self):
-        import rospy
-
-        from leap_motion.msg import Human
-
         while not self._stop.wait(0.02):
             self._number += 1
             human = Human(lmc_frame_id=self._number)
@@ -152,8 +142,6 @@ class Tracker:
 
 def make_hand(angle, fingers=5):
     """A right hand 7 whose fingers stand at `angle` [deg] from the palm normal, with index and middle side by side."""
-    from geometry_msgs.msg import Point, Vector3
-
     from leap_motion.msg import Bone, Finger, Hand
 
     a = math.radians(angle)
@@ -169,8 +157,6 @@ def make_hand(angle, fingers=5):
 
 @pytest.fixture
 def driver(ros):
-    from reflex_msgs.msg import RadianServoCommands
-
     driver = Driver()
     driver.commands = ros.record("reflex_takktile/radian_hand_command", RadianServoCommands)
     yield driver
@@ -200,9 +186,6 @@ def is_near(driver, command):
 
 
 def test_the_hand_calibrates_then_follows_and_opens(ros, driver, tracker):
-    from diagnostic_msgs.msg import DiagnosticArray
-    from sensor_msgs.msg import TimeReference
-
     times = ros.record("rig/stage_times", TimeReference)
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     tracker.show(make_hand(20.0))
@@ -230,10 +213,6 @@ def test_the_hand_calibrates_then_follows_and_opens(ros, driver, tracker):
 
 
 def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from std_msgs.msg import Bool
-
     flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     tracker.show(make_hand(20.0))
@@ -249,9 +228,6 @@ def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker):
 
 
 def test_with_an_arm_that_no_hand_steers_one_in_view_moves_the_fingers(ros, driver, tracker, arm):
-    import rospy
-    from std_msgs.msg import Bool
-
     flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
     rospy.set_param("leap_hand", LIMITS)
     flag.publish(True)
@@ -263,10 +239,6 @@ def test_with_an_arm_that_no_hand_steers_one_in_view_moves_the_fingers(ros, driv
 
 
 def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept(ros, driver, tracker, arm):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from std_msgs.msg import Bool
-
     def status():
         found = diagnostics[-1].status[0] if diagnostics else None
         return found and (found.level, found.message, {v.key: v.value for v in found.values})
@@ -293,9 +265,6 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
 
 
 def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray
-
     def status():
         return {v.key: v.value for v in diagnostics[-1].status[0].values} if diagnostics else {}
 
@@ -321,8 +290,6 @@ def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker):
 
 
 def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, tracker):
-    import rospy
-
     rospy.set_param("leap_hand", LIMITS)
     tracker.show(make_hand(20.0))
     ros.run("leap_hand", "leap_hand_node.py")
@@ -335,8 +302,6 @@ def test_a_pressing_finger_stops_without_a_new_tracking_frame(ros, driver, track
 
 
 def test_a_silent_tracker_opens_the_hand_after_half_a_second(ros, driver, tracker):
-    import rospy
-
     rospy.set_param("leap_hand", LIMITS)
     tracker.show(make_hand(20.0))
     process = ros.run("leap_hand", "leap_hand_node.py")
@@ -349,9 +314,6 @@ def test_a_silent_tracker_opens_the_hand_after_half_a_second(ros, driver, tracke
 
 
 def test_without_the_hands_state_no_finger_closes(ros, driver, tracker):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray
-
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
     rospy.set_param("leap_hand", LIMITS)
     tracker.show(make_hand(62.5))
@@ -371,8 +333,6 @@ def test_without_the_hands_state_no_finger_closes(ros, driver, tracker):
 
 
 def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker):
-    import rospy
-
     rospy.set_param("leap_hand", LIMITS)
     driver.fall_silent()
     tracker.show(make_hand(20.0))
@@ -390,8 +350,6 @@ SOURCES = ("limits", "overrides", "operator")
 @pytest.mark.parametrize("real", [True, False])
 @pytest.mark.parametrize("simulated", SOURCES)
 def test_a_real_robot_hand_refuses_a_simulated_mapping_whichever_file_says_so(ros, driver, tmp_path, simulated, real):
-    import rospy
-
     files = {name: tmp_path / f"{name}.yaml" for name in SOURCES}
     for name, file in files.items():
         values = {**(LIMITS if name == "limits" else {}), "simulated": name == simulated}
@@ -408,8 +366,6 @@ def test_a_real_robot_hand_refuses_a_simulated_mapping_whichever_file_says_so(ro
 
 def launch_with(ros, files):
     """Launches the node with the files; an operator's is loaded as the launch file does, whose check is a process."""
-    import rospy
-
     loaded = {name: file for name, file in files.items() if name != "operator"}
     if "operator" not in files:
         return ros.launch("leap_hand", "leap_hand.launch", **loaded)
@@ -432,8 +388,6 @@ def test_an_operators_file_that_does_not_say_how_it_was_measured_is_doubted(ros,
 
 
 def test_nothing_of_an_earlier_launch_stays(ros, driver, tmp_path):
-    import rospy
-
     (tmp_path / "a.yaml").write_text("simulated: true\n")
     rospy.set_param("leap_hand_node/operator", "maybe")
     rospy.set_param("leap_hand/files/operator", {"simulated": True})
@@ -445,8 +399,6 @@ def test_nothing_of_an_earlier_launch_stays(ros, driver, tmp_path):
 
 @pytest.mark.real  # the launch file runs the wizard
 def test_the_launch_file_loads_the_stored_hand_of_an_operator(tmp_path, monkeypatch):
-    from tools import launched
-
     monkeypatch.setenv("HOME", str(tmp_path))
     stored = tmp_path / ".config" / "leap_rig" / "operators" / "anna.yaml"
     stored.parent.mkdir(parents=True)
@@ -464,10 +416,6 @@ def test_the_launch_file_loads_the_stored_hand_of_an_operator(tmp_path, monkeypa
 
 
 def test_the_wizard_stores_a_hand(ros, tracker, tmp_path, monkeypatch):
-    import rospy
-
-    from rig_msgs.msg import KukaStatus
-
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     process = ros.run("leap_hand", "hand_wizard.py", "anna", "--timeout", "300")
@@ -529,8 +477,6 @@ def test_the_launch_files_check_refuses_a_file_that_roslaunch_or_the_node_could_
     ],
 )
 def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, private, words):
-    import rospy
-
     rospy.set_param("leap_hand", {**LIMITS, **limits})
     for name, value in private.items():
         rospy.set_param(f"leap_hand_node/{name}", value)
@@ -542,8 +488,6 @@ def test_bad_parameters_end_the_node_with_a_sentence(ros, driver, limits, privat
 
 
 def test_with_the_simulated_robot_hand_a_simulated_operators_mapping_counts(ros, driver, tracker):
-    import rospy
-
     rospy.set_param("leap_hand", {**LIMITS, "simulated": True})
     rospy.set_param("reflex_takktile_driver/network_interface", "lo")
     tracker.show(make_hand(20.0))
@@ -552,8 +496,6 @@ def test_with_the_simulated_robot_hand_a_simulated_operators_mapping_counts(ros,
 
 
 def test_a_missing_limit_ends_the_node(ros, driver):
-    import rospy
-
     rospy.set_param("leap_hand", {k: v for k, v in LIMITS.items() if k != "thumb_robot"})
     process = ros.run("leap_hand", "leap_hand_node.py")
     ros.wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
@@ -561,8 +503,6 @@ def test_a_missing_limit_ends_the_node(ros, driver):
 
 
 def test_without_the_hands_driver_the_node_ends_with_a_sentence(ros):
-    import rospy
-
     rospy.set_param("leap_hand", LIMITS)
     process = ros.run("leap_hand", "leap_hand_node.py", "_service_timeout:=0.5")
     ros.wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
@@ -572,9 +512,6 @@ def test_without_the_hands_driver_the_node_ends_with_a_sentence(ros):
 
 
 def test_a_calibration_that_fails_ends_the_node_with_a_sentence(ros):
-    import rospy
-    from std_srvs.srv import Empty
-
     rospy.set_param("leap_hand", LIMITS)
     services = [
         rospy.Service(f"reflex_takktile/{name}", Empty, lambda _: None)
@@ -590,8 +527,6 @@ def test_a_calibration_that_fails_ends_the_node_with_a_sentence(ros):
 
 
 def test_a_node_that_is_interrupted_while_the_hand_calibrates_ends_at_once(ros, driver):
-    import rospy
-
     rospy.set_param("leap_hand", LIMITS)
     process = ros.run("leap_hand", "leap_hand_node.py")
     ros.wait_until(lambda: len(driver.calls) == 2, 20.0, "the calibrations")

@@ -14,6 +14,13 @@ from common.frames import BASE, FLANGE_MEASURED, TOOL_COMMANDED
 from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import stamped_transform
+from leap_kuka.ros import hand_to_arm
+
 pytestmark = pytest.mark.ros
 angles = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 points = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
@@ -21,11 +28,6 @@ points = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
 
 def message(*transforms, publisher="/controller"):
     """What rospy hands over of a message with (time, pose, parent, child) each."""
-    import rospy
-    from tf2_msgs.msg import TFMessage
-
-    from common.ros.conversions import stamped_transform
-
     found = [stamped_transform(T, parent, child, rospy.Time.from_sec(at)) for at, T, parent, child in transforms]
     buffer = io.BytesIO()
     TFMessage(found).serialize(buffer)
@@ -34,10 +36,6 @@ def message(*transforms, publisher="/controller"):
 
 def made(T_tool_flange, others=()):
     """The object, as rospy calls it beside the callbacks of `others`, and how long it rests."""
-    import rospy
-
-    from leap_kuka.ros import hand_to_arm
-
     rests, impl = [], SimpleNamespace(callbacks=[(other, None) for other in others])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rospy, "Subscriber", lambda *_, **__: SimpleNamespace(impl=impl))
@@ -62,8 +60,6 @@ def test_the_tool_comes_from_the_flange_wherever_it_stands_in_a_message(turn, p,
 
 
 def test_values_are_milliseconds_while_both_move_and_empty_otherwise(monkeypatch):
-    import rospy
-
     t = np.arange(0.0, 12.0, 0.01)
     for meter, _ in made(np.eye(4)):
         monkeypatch.setattr(rospy, "get_time", lambda: 1.7e9)

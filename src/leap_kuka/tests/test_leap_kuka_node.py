@@ -13,6 +13,24 @@ import yaml
 from common import clock
 from leap_kuka.operator_devices import EV_KEY, EVENT, KEYS
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, Vector3
+from sensor_msgs.msg import TimeReference
+from std_srvs.srv import SetBool
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from common.poses import inverse, pose
+from common.ros.conversions import pose_from_transform, stamped_pose, stamped_transform
+from common.ros.node import repeat
+from leap_kuka.ros import operator_input_node
+from leap_motion.msg import Hand, Human
+from rig_msgs.msg import KukaStatus, OperatorInput, TeleopState
+from rig_msgs.srv import HoldTool
+
 pytestmark = pytest.mark.ros
 
 SHIPPED = yaml.safe_load((Path(__file__).parents[1] / "config" / "leap_params.yaml").read_text())
@@ -33,19 +51,10 @@ PARENTS = {
 OF_A_HAND = {"hand/frame", "hand/frame/filtered"}
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 class Tracker:
     """Publishes Human messages at 50 Hz, with the hands that `show` was given last."""
 
     def __init__(self):
-        import rospy
-
-        from leap_motion.msg import Human
-
         self._publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=10)
         self._hands = ()
         self._number = 0
@@ -70,10 +79,6 @@ class Tracker:
             self._publish()
 
     def _publish(self):
-        import rospy
-
-        from leap_motion.msg import Human
-
         self._number += 1
         human = Human(lmc_frame_id=self._number, nr_of_hands=len(self._hands))
         human.header.frame_id = "leap_hands"
@@ -92,9 +97,6 @@ def tracker(ros):
 @pytest.fixture
 def hand(sample):
     """Makes a hand as `sample` does, as (message, is_left)."""
-    from geometry_msgs.msg import Point, Vector3
-
-    from leap_motion.msg import Hand
 
     def make(**changes):
         s = sample(**changes)
@@ -111,8 +113,6 @@ def hand(sample):
 
 def set_params(leap=None, arm=None):
     """Sets the shipped parameters with these changes; None leaves one out."""
-    import rospy
-
     values = {**SHIPPED, **(leap or {})}
     rospy.set_param("leap", {key: value for key, value in values.items() if value is not None})
     rospy.set_param("kuka", {"robot": "LBR7R800", **ARM, **(arm or {})})
@@ -121,10 +121,6 @@ def set_params(leap=None, arm=None):
 @pytest.fixture
 def node(ros):
     """The node with its topics recorded."""
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from sensor_msgs.msg import TimeReference
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
 
     class Node:
         tf = ros.record("/tf", TFMessage)
@@ -157,8 +153,6 @@ def node(ros):
 
         def desired(self):
             """The poses T_base_virtual and T_virtual_tool of the newest message with a desired tool, or None."""
-            from common.ros.conversions import pose_from_transform
-
             for message in reversed(self.tf):
                 found = {t.child_frame_id: pose_from_transform(t.transform) for t in message.transforms}
                 if "kuka/tool_frame/desired" in found:
@@ -176,9 +170,6 @@ def took(ros, condition, what, begun=None):
 
 
 def test_a_hand_is_followed_lost_and_followed_again(ros, node, tracker, hand):
-    import rospy
-    import tf2_ros
-
     set_params()
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
@@ -230,13 +221,6 @@ def test_a_hand_is_followed_lost_and_followed_again(ros, node, tracker, hand):
 
 
 def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, hand):
-    import rospy
-
-    from common.poses import pose
-    from common.ros.conversions import stamped_pose
-    from rig_msgs.msg import KukaStatus
-    from rig_msgs.srv import HoldTool
-
     def desired():
         T_base_virtual, T_virtual_tool = node.desired()
         return T_base_virtual @ T_virtual_tool
@@ -344,8 +328,6 @@ def test_the_box_is_shown_in_the_colour_of_the_state_with_the_reason(ros, node, 
 
 
 def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker):
-    import rospy
-
     set_params()
     rospy.delete_param("kuka/ws_center")
     process = node.start()
@@ -407,7 +389,6 @@ class Pedal:
 @pytest.fixture
 def pedal(ros, tmp_path, monkeypatch):
     """The pedal, with the node as its `process`, which waits for it in virtual time."""
-    from leap_kuka.ros import operator_input_node
 
     def waits(files, _outputs, _errors, timeout):
         end = clock.monotonic() + timeout
@@ -425,11 +406,6 @@ def pedal(ros, tmp_path, monkeypatch):
 
 
 def test_a_pedal_is_read_unplugged_and_plugged_in_again(ros, pedal):
-    import rospy
-    from std_srvs.srv import SetBool
-
-    from rig_msgs.msg import OperatorInput
-
     inputs = ros.record("leap_kuka/operator_input", OperatorInput)
 
     def newest():
@@ -471,15 +447,6 @@ def test_a_pedal_is_read_unplugged_and_plugged_in_again(ros, pedal):
 
 
 def test_the_tool_starts_where_it_is_and_stays_at_the_clutch(ros, node, pedal, tracker, hand):
-    import rospy
-    from std_srvs.srv import SetBool
-    from tf2_msgs.msg import TFMessage
-
-    from common.poses import inverse, pose
-    from common.ros.conversions import stamped_transform
-    from common.ros.node import repeat
-    from rig_msgs.msg import KukaStatus, TeleopState
-
     states = ros.record("leap_kuka/state", TeleopState)
     T_home = pose(np.diag([-1.0, 1.0, -1.0]), (0.52, 0.01, 0.39))
     flange = T_home @ inverse(pose(p=(0.0, 0.0, 0.106)))

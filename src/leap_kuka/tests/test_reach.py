@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rig_msgs.srv")
+import rospy
+
 from common import clock
 from common.poses import pose
 from common.rotations import rotation_about
 from leap_kuka.ros import reach
 from leap_kuka.scaling import Scaling
+from rig_msgs.srv import CheckToolPose
 
 pytestmark = pytest.mark.ros
 
 HERE = np.eye(4)
 FRAME_S = 0.02
 DELAY_S = 0.01  # of a call
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -32,9 +30,6 @@ def check(ros):
 @pytest.fixture
 def controller(ros):
     """Offers the service, which does what `answer` says at that time."""
-    import rospy
-
-    from rig_msgs.srv import CheckToolPose
 
     class Controller:
         answer = staticmethod(lambda: "")

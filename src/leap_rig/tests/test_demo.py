@@ -14,6 +14,13 @@ import pytest
 from common import clock
 from rig_simulation.control_port import ControlClient
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import ChooseArm
+from simulated.hand_wire import HandNetwork
+
 pytestmark = pytest.mark.ros
 
 END_S = 30.0
@@ -62,7 +69,6 @@ def report_of(demo, seconds, code=0):
 def demo(virtual_graph, monkeypatch, tmp_path):
     """Starts a demo; returns its node."""
     from leap_rig.ros import demo
-    from simulated.hand_wire import HandNetwork
 
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     monkeypatch.setenv("ROSCONSOLE_FORMAT", "")  # which it changes
@@ -123,8 +129,6 @@ def handbook_node():
 
 
 def test_the_handbooks_node_moves_the_arm_of_a_demo_without_teleoperation(demo, virtual_graph):
-    from rig_msgs.msg import KukaStatus
-
     running = demo("--tracker", "none", "--duration", "10", **WITHOUT_WORLD)
     states = virtual_graph.record("kuka/status", KukaStatus)
     virtual_graph.wait_until(lambda: "Ready" in running.log, 30.0, "the arm at home")
@@ -200,10 +204,6 @@ def held_by_left_alone(world):
 @pytest.mark.long
 def test_two_arms_hand_a_box_over_and_the_one_that_is_not_chosen_holds_its_tool(demo, virtual_graph):
     """With relative engagement, which the choice of an arm needs: neither the choice nor its end moves a tool."""
-    import rospy
-
-    from rig_msgs.srv import ChooseArm
-
     running = demo("--scenario", "hand_over", robots=2, arm_choice="service")
     choose = rospy.ServiceProxy("leap_kuka/choose_arm", ChooseArm)
     virtual_graph.wait_until(lambda: "Ready" in running.log, 30.0, "the arms at home")

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from common.config import parse
+from common.errors import ConfigError, RigError
+from leap_rig.ros import demo
+from leap_rig.ros.demo import OF_TWO_ARMS, SCENARIOS, Deaths, launch_arguments, parse_arguments
+from rig_simulation.node_parameters import OperatorConfig
+
 pytestmark = pytest.mark.ros
 
 
@@ -57,8 +64,6 @@ pytestmark = pytest.mark.ros
     ],
 )
 def test_bad_arguments_get_one_sentence(arguments, sentence, capsys, tmp_path, monkeypatch):
-    from leap_rig.ros.demo import parse_arguments
-
     (tmp_path / "folder.png").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
@@ -75,8 +80,6 @@ def test_bad_arguments_get_one_sentence(arguments, sentence, capsys, tmp_path, m
     ],
 )
 def test_without_a_screen_the_demo_says_so_and_starts_no_window(monkeypatch, capsys, display, said):
-    from leap_rig.ros import demo
-
     for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("DISPLAY", display)
@@ -86,9 +89,6 @@ def test_without_a_screen_the_demo_says_so_and_starts_no_window(monkeypatch, cap
 
 
 def test_without_a_place_for_the_logs_no_node_starts(tmp_path, monkeypatch):
-    from common.errors import RigError
-    from leap_rig.ros import demo
-
     (tmp_path / "file").touch()
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "new" / "log"))
     demo.refuse_without_logs()
@@ -101,8 +101,6 @@ def test_without_a_place_for_the_logs_no_node_starts(tmp_path, monkeypatch):
 
 
 def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, monkeypatch):
-    from leap_rig.ros.demo import launch_arguments, parse_arguments
-
     (tmp_path / "my scenes").mkdir()
     (tmp_path / "my scenes" / "mine.yaml").write_text("scatter: 0.0\n")
     monkeypatch.chdir(tmp_path)
@@ -112,11 +110,6 @@ def test_a_scene_of_ones_own_is_found_from_where_the_demo_is_started(tmp_path, m
 
 
 def test_the_scenarios_are_those_of_the_simulated_operator():
-    from common.config import parse
-    from common.errors import ConfigError
-    from leap_rig.ros.demo import OF_TWO_ARMS, SCENARIOS
-    from rig_simulation.node_parameters import OperatorConfig
-
     for name in SCENARIOS:
         arms = ["left", "right"] if name in OF_TWO_ARMS else []
         assert parse(OperatorConfig, {"scenario": name, "arms": arms}).scenario == name
@@ -129,8 +122,6 @@ def test_the_scenarios_are_those_of_the_simulated_operator():
 
 @pytest.mark.parametrize("namespace", ["", "/", "lab1", "/lab1/b/"])
 def test_the_rig_continues_without_a_film_a_camera_or_a_window_and_without_no_other_node(monkeypatch, namespace):
-    from leap_rig.ros.demo import Deaths
-
     monkeypatch.setenv("ROS_NAMESPACE", namespace)
     deaths, before = Deaths(), f"{namespace.strip('/')}/".lstrip("/")
     for name in ("viewer-3", "recorder-4", "camera/driver-6", "leap_driver-5"):

@@ -6,16 +6,17 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from kuka_msgs.srv import exitApp
+from leap_rig.ros import demo
+
 pytestmark = pytest.mark.ros
 
 
 @pytest.mark.parametrize(("hangs", "seconds"), [(True, 60.0), (False, 0.0)])
 def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(virtual_graph, hangs, seconds):
-    import rospy
-
-    from kuka_msgs.srv import exitApp
-    from leap_rig.ros import demo
-
     called, deaths = [], demo.Deaths()
     if hangs:
         rospy.Service("kuka/exit_app", exitApp, lambda _: called.append(True) or clock.sleep(1e3))
@@ -27,11 +28,6 @@ def test_a_controller_that_hangs_or_is_gone_holds_the_demo_for_a_limited_time(vi
 
 
 def test_a_controller_that_accepts_and_does_not_end_is_named(virtual_graph):
-    import rospy
-
-    from kuka_msgs.srv import exitApp
-    from leap_rig.ros import demo
-
     deaths = demo.Deaths()
     rospy.Service("kuka/exit_app", exitApp, lambda _: (True, "the arm goes"))
     begun = clock.monotonic()
@@ -43,11 +39,6 @@ def test_a_controller_that_accepts_and_does_not_end_is_named(virtual_graph):
 @pytest.mark.parametrize("namespace", ["", "lab1", "/lab1/b/"])
 def test_all_of_several_controllers_are_asked_to_exit(virtual_graph, monkeypatch, namespace):
     """Also where roslaunch names the processes in the demo's namespace (ROS_NAMESPACE)."""
-    import rospy
-
-    from kuka_msgs.srv import exitApp
-    from leap_rig.ros import demo
-
     monkeypatch.setenv("ROS_NAMESPACE", namespace)
     deaths = demo.Deaths()
 

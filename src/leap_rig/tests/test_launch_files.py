@@ -9,20 +9,28 @@ from pathlib import Path
 import pytest
 import yaml
 
+pytest.importorskip("rig_msgs.srv")
+from common.arms import arms_from
+from common.config import parse
+from kuka_control.model.arms import placement_faults
+from kuka_control.model.config import RealTimeConfig, neighbours
+from kuka_control.model.rig import workspace_of
+from leap_kuka.config import LeapConfig
+from leap_rig.ros.demo import OF_ONE_ARM
+from tools import launched
+from tools.reference.commands import AS_TYPED
+from tools.reference.launch_files import arguments
+
 pytestmark = pytest.mark.ros
 
 
 def parameters(*arguments: str) -> dict:
     """Returns the parameters that the demo would set."""
-    from tools import launched
-
     return launched.parameters("leap_rig", "demo.launch", *arguments)
 
 
 def nodes(*arguments: str) -> set[str]:
     """Returns the names of the nodes that the demo would start."""
-    from tools import launched
-
     return launched.nodes("leap_rig", "demo.launch", *arguments)
 
 
@@ -47,24 +55,18 @@ CHOOSING = [
 
 def simulators(path: Path, *arguments: str) -> list:
     """Returns the nodes that simulate, or that say that what follows is simulated, in the order of their start."""
-    from tools import launched
-
     started = launched.config(path.parents[1].name, path.name, arguments).nodes
     return [node for node in started if node.package == "rig_simulation" or "simulated.sh" in str(node.launch_prefix)]
 
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
 def test_no_launch_file_but_the_demo_and_the_simulated_devices_simulates_unasked(path):
-    from tools.reference.launch_files import arguments
-
     must_be_given = [name for name, arg in arguments(path).items() if arg.get("default") is None]
     assert bool(simulators(path, *(f"{name}:=left" for name in must_be_given))) is (path in SIMULATORS)
 
 
 @pytest.mark.parametrize("path", CHOOSING, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
 def test_what_is_asked_to_simulate_says_so_before_anything_else_does(path):
-    from tools import launched
-
     assert "/simulated.sh " in launched.prefixes(path.parents[1].name, path.name, "sim:=true")[0]
     assert any(node.package == "rig_simulation" for node in simulators(path, "sim:=true"))
     assert not simulators(path, "sim:=false") and launched.nodes(path.parents[1].name, path.name, "sim:=false")
@@ -72,15 +74,11 @@ def test_what_is_asked_to_simulate_says_so_before_anything_else_does(path):
 
 @pytest.mark.parametrize("package, file, parameter, simulated, real", BESIDE)
 def test_a_driver_alone_finds_the_simulated_device_with_sim_true(package, file, parameter, simulated, real):
-    from tools import launched
-
     assert launched.parameters(package, file, "sim:=true")[parameter] == simulated
     assert launched.parameters(package, file)[parameter] == real
 
 
 def test_the_lines_that_the_report_of_2019_has_are_those_of_the_page():
-    from tools.reference.commands import AS_TYPED
-
     lines = [line.typed.split() for line in AS_TYPED]
     typed = {(words[1], words[2]) for words in lines if words[0] == "roslaunch"}
     files = {("vision", name) for name in ("camera_oculus.launch", "camera_apriltag.launch", "register_rgbd.launch")}
@@ -102,8 +100,6 @@ def test_the_lines_that_the_report_of_2019_has_are_those_of_the_page():
     ],
 )
 def test_the_workspace_is_lifted_only_where_it_is_asked_for_and_never_on_a_real_robot(package, file, node, asked):
-    from tools import launched
-
     words = launched.command_line(package, file, node, *(["lift_workspace:=true"] if asked else []))
     assert ("--lift-workspace" in words) is asked and "--i-know" not in words
 
@@ -126,8 +122,6 @@ def test_the_first_line_says_what_to_pass_and_the_program_gets_its_arguments():
     ],
 )
 def test_the_control_panel_comes_with_each_controller_once(package, file):
-    from tools import launched
-
     assert PANEL in launched.nodes(package, file)
     assert PANEL not in launched.nodes(package, file, "gui:=false")
 
@@ -205,8 +199,6 @@ def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():
 
 
 def test_a_webcam_takes_the_place_of_the_simulated_leap_with_limits_of_its_own():
-    from tools import launched
-
     values = parameters("tracker:=webcam")
     assert values["/leap/min_confidence"] > parameters()["/leap/min_confidence"]
     assert parameters("tracker:=webcam", "sim:=false")["/leap/min_confidence"] < values["/leap/min_confidence"]
@@ -259,8 +251,6 @@ def test_what_is_for_one_arm_ends_the_launch_of_two_with_a_sentence(given):
 
 def test_the_launch_file_refuses_for_two_arms_the_same_arguments_as_make_demo():
     """A launch file cannot read the list in Python, so it has one of its own."""
-    from leap_rig.ros.demo import OF_ONE_ARM
-
     (text,) = re.findall(r'<arg name="for_one" value="\$\(eval (.*)\)"/>', DEMO.read_text())
     condition = compile(text, "for_one", "eval")
     allowed = {name: yaml.safe_load(value) if value else "" for name, value in OF_ONE_ARM.items()}
@@ -326,19 +316,10 @@ def test_each_of_two_arms_gets_its_own_robot_hand_and_operators_hand():
 
 
 def test_what_an_earlier_file_said_of_two_arms_does_not_stay():
-    from tools import launched
-
     assert "/arms/" in launched.config("leap_rig", "two_arms.launch", ()).clear_params
 
 
 def test_the_controllers_of_two_arms_accept_what_the_launch_files_set():
-    from common.arms import arms_from
-    from common.config import parse
-    from kuka_control.model.arms import placement_faults
-    from kuka_control.model.config import RealTimeConfig, neighbours
-    from kuka_control.model.rig import workspace_of
-    from leap_kuka.config import LeapConfig
-
     values = parameters("robots:=2")
 
     def under(name: str) -> dict:

@@ -7,6 +7,10 @@ from typing import Any
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from tools import launched
+from tools.reference.launch_files import arguments
+
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -18,8 +22,6 @@ ROSLAUNCHS_OWN = "required"  # an attribute of a node, of which roslaunch itself
 
 def started(path: Path, arguments: tuple[str, ...]) -> tuple[list[Any], dict[str, Any]]:
     """Returns the nodes that these arguments start, and the parameters that they set, with their types."""
-    from tools import launched
-
     loaded = launched.config(path.parents[1].name, path.name, arguments)
     nodes = [(node.namespace, node.name, node.args, node.launch_prefix) for node in loaded.nodes]
     return nodes, {name: (type(param.value), param.value) for name, param in loaded.params.items()}
@@ -27,8 +29,6 @@ def started(path: Path, arguments: tuple[str, ...]) -> tuple[list[Any], dict[str
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: f"{path.parents[1].name}-{path.stem}")
 def test_true_and_1_mean_the_same_wherever_an_argument_goes(path):
-    from tools.reference.launch_files import arguments
-
     defaults = {name: arg.get("default") for name, arg in arguments(path).items()}
     given = tuple(f"{name}:=left" for name, default in defaults.items() if default is None)
     flags = [name for name, default in defaults.items() if default in WORDS if name not in (ABSENT, ROSLAUNCHS_OWN)]

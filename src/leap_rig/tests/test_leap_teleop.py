@@ -15,6 +15,20 @@ from rig_simulation.operator.guided import GuidedOperator
 from rig_simulation.operator.sources import BothHands, Playback, ScriptedOperator
 from simulated.leap_wire import LeapWire
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import String
+from std_srvs.srv import Empty, EmptyResponse
+from tf2_msgs.msg import TFMessage
+
+from common.ros.node import repeat
+from leap_motion.msg import Human
+from reflex_msgs.msg import RadianServoCommands
+from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import ChooseArm
+
 pytestmark = pytest.mark.ros
 ARM = {
     "robot": "LBR7R800",
@@ -31,17 +45,10 @@ APART_M = 0.32
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def teleop(ros):
     """Sets the parameters of arms in these namespaces, offers their hands' services, starts a Leap service with these
     hands, and the node; returns it.
     """
-    import rospy
-    from std_srvs.srv import Empty, EmptyResponse
 
     def start(*arms: str, operator=None, leap=lambda arm: {}):
         for arm in arms or ("",):
@@ -69,12 +76,6 @@ def ends(node):
 
 
 def test_each_frame_reaches_arm_and_hand_and_the_topics_are_there(ros, teleop):
-    from sensor_msgs.msg import TimeReference
-    from tf2_msgs.msg import TFMessage
-
-    from leap_motion.msg import Human
-    from reflex_msgs.msg import RadianServoCommands
-
     tf, times = ros.record("/tf", TFMessage), ros.record("rig/stage_times", TimeReference)
     humans = ros.record("leap_motion/leap_device", Human)
     commands = ros.record("reflex_takktile/radian_hand_command", RadianServoCommands)
@@ -97,12 +98,6 @@ def test_each_frame_reaches_arm_and_hand_and_the_topics_are_there(ros, teleop):
 
 
 def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros, teleop):
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-    from tf2_msgs.msg import TFMessage
-
-    from leap_motion.msg import Human
-    from reflex_msgs.msg import RadianServoCommands
-
     tf, diagnostics = ros.record("/tf", TFMessage), ros.record("/diagnostics", DiagnosticArray)
     humans = ros.record("leap_motion/leap_device", Human)
     streams = {arm: ros.record(f"{arm}/leap_kuka/stream", DiagnosticStatus) for arm in ARMS}
@@ -133,14 +128,6 @@ def test_of_two_arms_each_follows_the_hand_of_its_side_with_names_of_its_own(ros
 
 
 def test_one_hand_steers_the_arm_that_the_service_names_and_the_other_one_waits(ros, teleop):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from std_msgs.msg import String
-
-    from common.ros.node import repeat
-    from rig_msgs.msg import KukaStatus
-    from rig_msgs.srv import ChooseArm
-
     homes = [rospy.Publisher(f"{arm}/kuka/status", KukaStatus, queue_size=10) for arm in ARMS]
     streams = {arm: ros.record(f"{arm}/leap_kuka/stream", DiagnosticStatus) for arm in ARMS}
     chosen = ros.record("leap_kuka/chosen_arm", String)

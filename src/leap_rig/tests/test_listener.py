@@ -10,12 +10,19 @@ from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_COMMAN
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Header, String
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import pose_from_transform, stamped_transform
+from leap_rig.recorder import Recorder
+from leap_rig.ros.listener import RigListener
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 def random_pose(rng):
@@ -23,33 +30,21 @@ def random_pose(rng):
 
 
 def any_message(message):
-    import rospy
-
     buffer = io.BytesIO()
     message.serialize(buffer)
     return rospy.AnyMsg().deserialize(buffer.getvalue())
 
 
 def raw(transforms):
-    from tf2_msgs.msg import TFMessage
-
     return any_message(TFMessage(transforms))
 
 
 @pytest.fixture
 def listener(ros):
-    from leap_rig.recorder import Recorder
-    from leap_rig.ros.listener import RigListener
-
     return RigListener(Recorder())
 
 
 def test_the_newest_poses_are_those_of_tf(listener):
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import pose_from_transform, stamped_transform
-
     rng, buffer = np.random.default_rng(3), tf2_ros.Buffer()
     begin = rospy.Time.now()
     for i in range(200):
@@ -83,10 +78,6 @@ def test_the_newest_poses_are_those_of_tf(listener):
 
 
 def test_old_and_incomplete_frames_are_missing(listener):
-    import rospy
-
-    from common.ros.conversions import stamped_transform
-
     def found(parent, age=0.0):
         stamp = rospy.Time.now() - rospy.Duration.from_sec(age)
         transform = stamped_transform(np.eye(4), BASE, TOOL_DESIRED, stamp)
@@ -103,13 +94,6 @@ def test_old_and_incomplete_frames_are_missing(listener):
 
 
 def test_a_listener_of_one_of_two_arms_takes_the_names_of_this_arm_alone(ros):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-    from common.ros.conversions import stamped_transform
-    from leap_rig.recorder import Recorder
-    from leap_rig.ros.listener import RigListener
-
     left, right = (RigListener(Recorder(), arm) for arm in ("left", "right"))
     names = ("left/kuka_control", "right/kuka_control", "simulated_world")
     statuses = [DiagnosticStatus(name=name, values=[KeyValue("goals_sent", name)]) for name in names]
@@ -126,10 +110,6 @@ def test_a_listener_of_one_of_two_arms_takes_the_names_of_this_arm_alone(ros):
 
 
 def test_a_stage_time_is_read_as_genpy_reads_it(listener):
-    import rospy
-    from sensor_msgs.msg import TimeReference
-    from std_msgs.msg import Header
-
     rng = np.random.default_rng(4)
     for i in range(200):
         stamp, done = (rospy.Time(*rng.integers(0, (2**32, 10**9)).tolist()) for _ in range(2))
@@ -141,8 +121,6 @@ def test_a_stage_time_is_read_as_genpy_reads_it(listener):
 
 
 def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listener):
-    from std_msgs.msg import String
-
     read = []
     take = listener._sampled(String, lambda _: read.append(clock.monotonic()), 0.1)
     begun = clock.monotonic()

@@ -2,6 +2,9 @@
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 SENTENCES = {"No Leap service answers", "The network interface 'none0'"}
 
@@ -9,8 +12,6 @@ SENTENCES = {"No Leap service answers", "The network interface 'none0'"}
 def test_what_does_not_answer_is_named_with_the_way_without_hardware_and_nothing_is_simulated(
     ros, free_port, wait_until
 ):
-    import rospy
-
     quiet = {"gui": "false", "operator_view": "false"}
     addresses = {"leap_port": free_port(), "robot_ip": "127.0.0.1", "hand_interface": "none0"}
     logs = {

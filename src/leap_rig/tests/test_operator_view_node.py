@@ -7,21 +7,27 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from visualization_msgs.msg import MarkerArray
+
+from common.ros.node import repeat
+from leap_motion.frames import LeapFinger, LeapFrame, LeapHand
+from leap_motion.msg import Human
+from leap_motion.ros.human import FrameMessage
+from leap_rig.ros import speaker
+from reflex_msgs.msg import Finger, Hand
+from rig_msgs.msg import KukaStatus, OperatorView, TeleopState
+
 pytestmark = pytest.mark.ros
 
 PERIOD_S, HEARTBEAT_S, DELAY_S = 0.1, 0.5, 0.005
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def no_card(monkeypatch):
     """A program `aplay` as on a machine without a sound card; its calls."""
-    from leap_rig.ros import speaker
-
     calls = []
 
     def run(command, **_):
@@ -33,8 +39,6 @@ def no_card(monkeypatch):
 
 
 def skeleton():
-    from leap_motion.frames import LeapFinger, LeapFrame, LeapHand
-
     joints = np.linspace((0.0, 0.2, 0.0), (0.0, 0.2, -0.1), 5)
     chains = [joints + np.array([0.02 * i, 0.0, 0.0]) for i in range(5)]
     turns = np.array([np.eye(3)] * 4)
@@ -49,15 +53,6 @@ def skeleton():
 @pytest.fixture
 def rig(ros):
     """Publishes what the node shows twenty times a second; `state` is that of the hand."""
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-    from common.ros.node import repeat
-    from leap_motion.msg import Human
-    from leap_motion.ros.human import FrameMessage
-    from reflex_msgs.msg import Finger, Hand
-    from rig_msgs.msg import KukaStatus, TeleopState
-
     publishers = [
         rospy.Publisher(name, kind, queue_size=1)
         for name, kind in (
@@ -87,11 +82,6 @@ def rig(ros):
 
 
 def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
-    import rospy
-    from visualization_msgs.msg import MarkerArray
-
-    from rig_msgs.msg import OperatorView
-
     ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
     clock.sleep(2.0)
     assert ros.names("/operator_view")["hears"] == set()
@@ -130,8 +120,6 @@ def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
 
 
 def test_it_says_once_that_there_is_no_sound(ros, rig, no_card):
-    import rospy
-
     rospy.set_param("operator_view/sounds", True)
     node = ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
     for rig.state in ("waiting", "running", "waiting"):
@@ -142,8 +130,6 @@ def test_it_says_once_that_there_is_no_sound(ros, rig, no_card):
 
 
 def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
-    import rospy
-
     rospy.set_param("operator_view/sounds", "loud")
     node = ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
     assert node.wait(1.0) == 1

@@ -10,6 +10,9 @@ import pytest
 from leap_motion.service.server import LeapService
 from leap_rig.recording import read
 
+pytest.importorskip("rig_msgs.srv")
+from leap_rig.recording.ros.record_program import _commit
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 EMPTY = '{{"currentFrameRate":110.5,"hands":[],"id":{i},"note":"é \\u0000  ","pointables":[],"timestamp":{t}}}'
@@ -59,7 +62,6 @@ def test_what_the_tracker_sent_is_on_the_disk_when_the_recorder_is_killed(ros, t
 
 def test_its_version_is_asked_for_without_a_lock(processes, tmp_path):
     """On a full disk a killed git would leave the index locked."""
-    from leap_rig.recording.ros.record_program import _commit
 
     def git(*words):
         who = ("-c", "user.name=a", "-c", "user.email=a@b")

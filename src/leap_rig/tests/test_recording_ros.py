@@ -9,6 +9,22 @@ import pytest
 from common import clock
 from leap_rig.recording import read
 
+pytest.importorskip("rig_msgs.srv")
+from xmlrpc.client import Binary, DateTime
+
+import rospy
+import yaml
+from tf2_msgs.msg import TFMessage
+
+from common.frames import BASE, TOOL_DESIRED, VIRTUAL_LEAP
+from common.poses import pose
+from common.ros.conversions import stamped_transform
+from leap_motion.msg import RawFrame
+from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages, verify
+from leap_rig.recording.ros import record_program
+from leap_rig.recording.ros.record_program import Inbox, _end, _files, _LiveLine, _parser, _store
+from rig_msgs.msg import SentGoals
+
 pytestmark = pytest.mark.ros
 
 GOALS = np.round(np.random.default_rng(1).uniform(-1.0, 1.0, (3, 7)), 6)
@@ -18,8 +34,6 @@ LATE_S = 0.01
 
 @pytest.fixture
 def ros(virtual_graph, monkeypatch):
-    from leap_rig.recording.ros import record_program
-
     git = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(stdout="abc"), TimeoutExpired=TimeoutError)
     monkeypatch.setattr(record_program, "subprocess", git)
     return virtual_graph
@@ -28,10 +42,6 @@ def ros(virtual_graph, monkeypatch):
 @pytest.fixture
 def texts(ros):
     """What a tracker sends at 100 Hz, each text another."""
-    import rospy
-
-    from leap_motion.msg import RawFrame
-
     publisher, sent = rospy.Publisher("leap_motion/raw_frames", RawFrame, queue_size=10), []
 
     def send():
@@ -48,14 +58,6 @@ def texts(ros):
 @pytest.fixture
 def publish(ros):
     """Publishes goals and a desired tool frame."""
-    import rospy
-    from tf2_msgs.msg import TFMessage
-
-    from common.frames import BASE, TOOL_DESIRED, VIRTUAL_LEAP
-    from common.poses import pose
-    from common.ros.conversions import stamped_transform
-    from rig_msgs.msg import SentGoals
-
     goals = rospy.Publisher("kuka/sent_goals", SentGoals, queue_size=10)
     tf = rospy.Publisher("/tf", TFMessage, queue_size=10)
     half = pose(np.eye(3), [0.1, 0.2, 0.3])
@@ -70,8 +72,6 @@ def publish(ros):
 
 
 def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_moment(ros, texts, publish, tmp_path):
-    import rospy
-
     rospy.set_param("leap_driver/code", "")
     rospy.set_param("secret/code", "123456")
     programs = [
@@ -103,9 +103,6 @@ def test_a_run_is_stored_and_a_killed_recorder_leaves_all_but_the_last_moment(ro
 
 
 def test_a_slow_disk_is_reported_with_the_next_chunk(tmp_path):
-    from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages, verify
-    from leap_rig.recording.ros.record_program import Inbox, _store
-
     writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(100), MessageKind("a/B", "")
     for rounds in (1, 2, 3):
         inbox.put("/a", kind, bytes(60))
@@ -116,9 +113,6 @@ def test_a_slow_disk_is_reported_with_the_next_chunk(tmp_path):
 
 
 def test_what_comes_after_the_last_chunk_is_not_called_recorded(tmp_path, capsys):
-    from leap_rig.recording.recording_files import MessageKind, RecordingWriter, messages
-    from leap_rig.recording.ros.record_program import Inbox, _end, _LiveLine, _store
-
     writer, inbox, kind = RecordingWriter(tmp_path / "run", {}, {}, 1, 4096), Inbox(), MessageKind("a/B", "")
     inbox.put("/a", kind, bytes(60))
     _store(inbox, writer)
@@ -129,9 +123,6 @@ def test_what_comes_after_the_last_chunk_is_not_called_recorded(tmp_path, capsys
 
 
 def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
-    from leap_rig.recording.recording_files import RecordingWriter
-    from leap_rig.recording.ros.record_program import _files
-
     source = tmp_path / "calibration.yaml"
     source.write_text("a: 1")
     names = ["../../victim", str(tmp_path / "victim"), "a/b", "manifest", "messages", "", "x" * 300, "ü"]
@@ -146,12 +137,6 @@ def test_a_parameter_chooses_no_place_on_the_disk(tmp_path, capsys):
 
 
 def test_secrets_and_bytes_among_the_parameters(tmp_path):
-    from xmlrpc.client import Binary, DateTime
-
-    import yaml
-
-    from leap_rig.recording.ros.record_program import _files
-
     parameters = {
         "leap_driver": {"code": "123456", "list": [{"code": "123456"}, [{"password": "123456"}]]},
         "picture": Binary(b"\x00\xff"), "when": DateTime(0), "fine": [1.5, "x"],
@@ -163,8 +148,6 @@ def test_secrets_and_bytes_among_the_parameters(tmp_path):
 
 @pytest.mark.parametrize("seconds", ["nan", "-1", "0", "x"])
 def test_an_impossible_duration_is_refused_before_anything_is_made(tmp_path, seconds, capsys):
-    from leap_rig.recording.ros.record_program import _parser
-
     with pytest.raises(SystemExit):
         _parser().parse_args([f"{tmp_path}/run", f"--seconds={seconds}"])
     assert "--seconds" in capsys.readouterr().err
@@ -172,8 +155,6 @@ def test_an_impossible_duration_is_refused_before_anything_is_made(tmp_path, sec
 
 @pytest.mark.parametrize("topic", ["", "/", "bad topic", "a//b", "/a/", "~private", "ü", "1st"])
 def test_what_can_be_no_topic_is_refused_before_anything_is_made(tmp_path, topic, capsys):
-    from leap_rig.recording.ros.record_program import _parser
-
     with pytest.raises(SystemExit):
         _parser().parse_args([f"{tmp_path}/run", "--topic", "/good", topic])
     assert f"{topic!r} is no topic" in capsys.readouterr().err
@@ -189,8 +170,6 @@ def test_a_further_topic_of_which_nothing_came_is_named(ros, tmp_path):
 
 @pytest.mark.parametrize("moment", ["_subscribe", "RecordingWriter"])
 def test_an_interruption_while_the_recorder_starts_leaves_a_completed_recording(ros, tmp_path, monkeypatch, moment):
-    from leap_rig.recording.ros import record_program
-
     real = getattr(record_program, moment)
     monkeypatch.setattr(
         record_program, moment, lambda *given: (ros.here.send_signal(signal.SIGINT), clock.sleep(0.01), real(*given))[2]

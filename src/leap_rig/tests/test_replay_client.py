@@ -9,15 +9,16 @@ from recordings import START, stored, write_recording
 from common import clock
 from leap_motion.client import LeapClient
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from leap_motion.msg import RawFrame
+
 pytestmark = pytest.mark.ros
 
 
 def test_a_client_hears_what_was_recorded(virtual_graph, tmp_path):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-    from leap_motion.msg import RawFrame
-
     texts = [f'{{"id":{i},  "timestamp":{9000 * i},"hands":[],"pointables":[],"x":"é"}}' for i in range(100)]
     status = DiagnosticStatus(name="leap_motion", values=[KeyValue("service_version", "2.3.1")])
     messages = [stored("/diagnostics", DiagnosticArray(status=[status]), 0.0)]

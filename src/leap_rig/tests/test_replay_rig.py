@@ -10,6 +10,11 @@ import pytest
 from leap_rig.recording import read
 from rig_simulation.control_port import ControlClient
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from leap_rig.recording.ros import record_program
+
 pytestmark = pytest.mark.ros
 
 DRIVER = "leap_driver"
@@ -28,10 +33,6 @@ def nearest(poses, others):
 
 
 def test_a_recording_of_a_running_rig_replays_through_the_whole_chain(rig, tmp_path, monkeypatch):
-    import rospy
-
-    from leap_rig.recording.ros import record_program
-
     monkeypatch.setattr(record_program, "_commit", lambda _: "")  # which starts git
     folder = tmp_path / "circles"
     rig.signal(DRIVER, signal.SIGINT)

@@ -12,28 +12,29 @@ import pytest
 from common import clock
 from leap_rig.recording import read
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from controller_rig import MOVE_S, Node, home_tool, run_robot, set_params, shifted
+from std_msgs.msg import String
+
+from common.ros.action_client import ActionClient
+from common.ros.conversions import stamped_pose
+from kuka_msgs.msg import MoveAction, MoveGoal
+from leap_rig.recording.ros import record_program
+from leap_rig.recording.ros.replay_program import _agrees
+
 pytestmark = pytest.mark.ros
 sys.path.append(str(Path(__file__).parents[2] / "kuka_control" / "tests"))
 
 
 @pytest.fixture
 def ros(virtual_graph, monkeypatch):
-    from leap_rig.recording.ros import record_program
-
     git = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(stdout="abc"), TimeoutExpired=TimeoutError)
     monkeypatch.setattr(record_program, "subprocess", git)
     return virtual_graph
 
 
 def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path):
-    import rospy
-    from controller_rig import MOVE_S, Node, home_tool, run_robot, set_params, shifted
-    from std_msgs.msg import String
-
-    from common.ros.action_client import ActionClient
-    from common.ros.conversions import stamped_pose
-    from kuka_msgs.msg import MoveAction, MoveGoal
-
     robot = run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0", "--tool-weight")
     set_params("real_time_controller.py", ip="127.0.0.1", port=robot.port, velocity_ptp_slow=0.9, velocity_ptp_fast=0.9)
     node = Node(None, ros.wait_until)
@@ -95,7 +96,5 @@ def test_the_arm_repeats_its_motion_only_when_the_operator_agrees(ros, tmp_path)
 
 @pytest.mark.parametrize(("typed", "agrees"), [("yes\n", True), ("no\n", False), ("\n", False), ("", False)])
 def test_only_yes_agrees_and_the_end_of_the_input_does_not(monkeypatch, typed, agrees):
-    from leap_rig.recording.ros.replay_program import _agrees
-
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     assert _agrees("?") is agrees

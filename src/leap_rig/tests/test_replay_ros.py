@@ -14,20 +14,41 @@ from leap_rig.recording.fingerprint import fingerprint
 from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.topics import DRIVING
 
+pytest.importorskip("rig_msgs.srv")
+from types import SimpleNamespace
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header, String
+from std_srvs.srv import Empty
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import Marker, MarkerArray
+
+from common.frames import BASE, VIRTUAL_LEAP
+from common.ros.conversions import stamped_transform
+from common.ros.files import file_hash
+from kuka_control.ros.parameter_server import read_yaml, shipped
+from kuka_msgs.msg import MoveActionGoal
+from leap_motion.msg import RawFrame
+from leap_rig.recording.recording_files import MessageKind, StoredMessage
+from leap_rig.recording.ros import replay_program
+from leap_rig.recording.ros.replay_program import (
+    _at_pace,
+    _describe,
+    _harmless,
+    _move_goals,
+    _Player,
+    _refuse_movers,
+    _service,
+    move,
+)
+from leap_rig.recording.waypoints import StreamedMotion
+from reflex_msgs.msg import RadianServoCommands
+
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 def transforms(seconds, *frames):
-    import rospy
-    from tf2_msgs.msg import TFMessage
-
-    from common.ros.conversions import stamped_transform
-
     stamp = rospy.Time(0, START + round(1e9 * seconds))
     return TFMessage([stamped_transform(np.eye(4), *pair, stamp) for pair in frames])
 
@@ -35,13 +56,6 @@ def transforms(seconds, *frames):
 @pytest.fixture
 def session(tmp_path):
     """A recording of 60 s with tf, a latched marker, a hand command, a goal and a desired tool."""
-    from std_msgs.msg import String
-    from visualization_msgs.msg import Marker, MarkerArray
-
-    from common.frames import BASE, VIRTUAL_LEAP
-    from kuka_msgs.msg import MoveActionGoal
-    from reflex_msgs.msg import RadianServoCommands
-
     desired = (BASE, VIRTUAL_LEAP), *((VIRTUAL_LEAP, frame) for frame in DRIVING)
     other = stored("/operator_view/markers", String(""), 0.0)
     messages = [
@@ -60,13 +74,6 @@ def session(tmp_path):
 
 
 def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session):
-    import rospy
-    from std_srvs.srv import Empty
-    from tf2_msgs.msg import TFMessage
-    from visualization_msgs.msg import MarkerArray
-
-    from common.frames import VIRTUAL_LEAP
-
     tf, static = ros.record("/tf", TFMessage), ros.record("/tf_static", TFMessage)
     markers = ros.record("/kuka/workspace", MarkerArray)
     begin = rospy.Time.now()
@@ -93,7 +100,6 @@ def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session):
 @pytest.fixture
 def service(monkeypatch):
     """Stands in place of the Leap service: what is offered, and when."""
-    from leap_rig.recording.ros import replay_program
 
     class Service:
         port, clients, sent, lost = 6437, 0, 0, 0
@@ -115,11 +121,6 @@ def service(monkeypatch):
 @pytest.fixture
 def frames(tmp_path):
     """The texts of 3 s, and the folder of their recording."""
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-
-    from leap_motion.msg import RawFrame
-
     texts = [f'{{"id":{i},  "timestamp":{9000 * i},"hands":[],"pointables":[],"x":"é"}}' for i in range(300)]
     known = [KeyValue("service_version", "2.3.1"), KeyValue("serial", "LP1")]
     status = DiagnosticArray(status=[DiagnosticStatus(name="leap_motion", values=known)])
@@ -163,10 +164,6 @@ def test_a_tracker_to_which_nobody_connects_ends_in_a_sentence(ros, service, fra
 
 
 def test_another_robot_is_refused_with_what_differs(ros, tmp_path):
-    import rospy
-
-    from kuka_control.ros.parameter_server import read_yaml, shipped
-
     values = dict(read_yaml(shipped("kuka_params_rt.yaml")))
     recorded = fingerprint({**values, "robot": "LBR14R820", "tool_length": 0.2}, str)
     folder = write_recording(tmp_path / "run", [], name="run", robot=recorded)
@@ -181,11 +178,6 @@ def test_another_robot_is_refused_with_what_differs(ros, tmp_path):
 
 
 def test_what_the_controller_started_with_counts_and_not_what_is_set_since(ros, tmp_path):
-    import rospy
-
-    from common.ros.files import file_hash
-    from kuka_control.ros.parameter_server import read_yaml, shipped
-
     values = read_yaml(shipped("kuka_params_rt.yaml"))
     obstacles = tmp_path / "obstacles.yaml"
     obstacles.write_text("[]")
@@ -212,12 +204,6 @@ def test_a_changed_recording_is_refused(ros, session):
 
 
 def test_a_name_in_a_recording_imports_nothing(ros, tmp_path, capsys, monkeypatch):
-    import rospy
-    from std_msgs.msg import String
-    from tf2_msgs.msg import TFMessage
-
-    from leap_rig.recording.ros.replay_program import _Player
-
     (tmp_path / "harmful.py").write_text("raise SystemExit('imported')")
     monkeypatch.syspath_prepend(str(tmp_path))
     good = stored("/kuka/workspace", String("x"), 0.0)
@@ -232,11 +218,6 @@ def test_a_name_in_a_recording_imports_nothing(ros, tmp_path, capsys, monkeypatc
 
 
 def test_a_stamp_from_another_age_ends_no_view(ros, capsys):
-    import rospy
-    from std_msgs.msg import Header
-
-    from leap_rig.recording.ros.replay_program import _Player
-
     for rate in (0.1, 10.0):
         player = _Player(rate)
         for seconds in (1_700_000_000, 1, 2**32 - 1):
@@ -247,24 +228,16 @@ def test_a_stamp_from_another_age_ends_no_view(ros, capsys):
 
 @pytest.mark.parametrize("frame", [*DRIVING, *(f"/{frame}" for frame in DRIVING), *(f"//{frame}" for frame in DRIVING)])
 def test_no_spelling_of_a_frame_that_steers_is_published(frame):
-    from leap_rig.recording.ros.replay_program import _harmless
-
     assert _harmless(frame).strip("/") not in DRIVING
 
 
 @pytest.mark.parametrize("time", ["1e999", "-1e999", "NaN", "9" * 400, "true", "null", '"1"', "[]"])
 def test_a_frame_whose_time_is_none_is_sent_as_it_is(time):
-    from leap_rig.recording.ros.replay_program import _at_pace
-
     text = f'{{"timestamp":{time}, "hands":[]}}'
     assert _at_pace(text, 0.5) == text
 
 
 def test_receive_times_that_jump_hold_no_replay_up(monkeypatch):
-    from types import SimpleNamespace
-
-    from leap_rig.recording.ros import replay_program
-
     fake = SimpleNamespace(now=0.0)
     sent = []
 
@@ -281,9 +254,6 @@ def test_receive_times_that_jump_hold_no_replay_up(monkeypatch):
 
 
 def test_the_first_pass_is_slow_also_to_where_a_stream_begins():
-    from leap_rig.recording.ros.replay_program import _move_goals
-    from leap_rig.recording.waypoints import StreamedMotion
-
     poses = np.array([np.eye(4)] * 2)
     poses[1, 0, 3] = 0.1
     motion = StreamedMotion(np.zeros(7), np.array([0.0, 1.0]), poses)
@@ -293,16 +263,12 @@ def test_the_first_pass_is_slow_also_to_where_a_stream_begins():
 
 
 def test_a_recording_without_all_its_goals_moves_no_robot(tmp_path):
-    from leap_rig.recording.ros.replay_program import move
-
     manifest = {"robot": {"model": {"robot": "x"}}, "dropped": {"/kuka/sent_goals": 7, "/tf": 1}}
     with pytest.raises(RecordingFault, match="7 messages"):
         move(tmp_path, manifest, None)
 
 
 def test_a_view_of_a_time_without_messages_says_so(ros, session, monkeypatch):
-    from leap_rig.recording.ros import replay_program
-
     monkeypatch.setattr(replay_program.rospy, "init_node", lambda *_, **__: None)
     options = replay_program._parser().parse_args([str(session), "--view", "--from", "100"])
     with pytest.raises(RecordingFault, match="nothing that RViz draws from 100"):
@@ -310,8 +276,6 @@ def test_a_view_of_a_time_without_messages_says_so(ros, session, monkeypatch):
 
 
 def test_a_view_whose_master_is_gone_ends_in_a_sentence():
-    from leap_rig.recording.ros.replay_program import _refuse_movers
-
     class Gone:
         def getSystemState(self):
             raise ConnectionRefusedError(111, "Connection refused")
@@ -322,8 +286,6 @@ def test_a_view_whose_master_is_gone_ends_in_a_sentence():
 
 @pytest.mark.parametrize("content", [None, b"\xff", b"a: [", b"{a: " * 999, b"!!python/object:os.x {}"])
 def test_parameters_that_cannot_be_read_end_a_view_in_a_sentence(ros, tmp_path, content):
-    from leap_rig.recording.ros.replay_program import _describe
-
     if content is not None:
         (tmp_path / "parameters.yaml").write_bytes(content)
     with pytest.raises(RigError, match="parameters.yaml"):
@@ -332,9 +294,6 @@ def test_parameters_that_cannot_be_read_end_a_view_in_a_sentence(ros, tmp_path, 
 
 @pytest.mark.parametrize("definition", ["bool x\n", "string[] status\n", "a/S[] status\n===\nMSG: a/S\nbool name\n"])
 def test_diagnostics_of_another_kind_end_no_replay(tmp_path, definition):
-    from leap_rig.recording.recording_files import MessageKind, StoredMessage
-    from leap_rig.recording.ros.replay_program import _service
-
     message = StoredMessage("/diagnostics", MessageKind("a/b", definition), START, b"\1\0\0\0\0\0\0\0"[:8])
     with pytest.raises(RigError):
         _service(write_recording(tmp_path / "run", [message]))

@@ -21,7 +21,8 @@ from common.poses import pose
 from common.ros.service_calls import ServiceClient
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.ros import emergency
-from kuka_msgs.srv import exitAppEmergency
+from kuka_msgs.srv import exitAppEmergency, setScalingFactor
+from rig_msgs.msg import KukaStatus
 from rig_simulation.control_port import ControlClient
 from tools import launched
 
@@ -149,7 +150,6 @@ def test_outliers_make_no_step_and_each_angle_is_clipped_by_itself(rig):
 @pytest.fixture
 def unlimited_controller(rig):
     """A controller that sends every target as it is, so that only the robot itself limits the speed of the tool."""
-    from kuka_msgs.srv import setScalingFactor
 
     def end_controller():
         rig.signal(CONTROLLER, signal.SIGINT)
@@ -300,8 +300,6 @@ def test_the_emergency_stop_ends_the_controller_and_the_arm_stands(rig, hangs, m
 def test_a_controller_that_hangs_is_killed_by_its_number_and_the_arm_stands(
     ros, free_port, suspend, wait_until, monkeypatch
 ):
-    from rig_msgs.msg import KukaStatus
-
     monkeypatch.setattr(emergency, "KILL_S", 60.0)
     port, control_port = free_port(), free_port()
     ros.run("rig_simulation", "sunrise_controller.py", "--port", str(port), "--control-port", str(control_port))

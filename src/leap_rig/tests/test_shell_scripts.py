@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+from tools import launched
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 SHELL = Path(__file__).resolve().parents[1] / "shell"
@@ -113,8 +116,6 @@ def test_run_leap_control_is_for_the_real_rig_unless_asked_otherwise(tmp_path, w
 
 
 def test_the_controller_that_is_launched_with_the_rig_ends_it():
-    from tools import launched
-
     for asked in ("true", "false"):
         nodes = launched.config("leap_rig", "leap_rig.launch", (f"controller:={asked}",)).nodes
         found = [

@@ -8,6 +8,15 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from std_msgs.msg import String
+
+from reflex.ros import driver
+from reflex_msgs.msg import Hand
+from simulated.hand_wire import HandWire
+from simulated.leap_wire import LeapWire
+
 pytestmark = pytest.mark.ros
 
 TOPIC = "/simulated_devices"
@@ -19,16 +28,8 @@ SENTENCE = (
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def announce(ros):
     """Announces a node of simulated devices, as itself."""
-    import rospy
-    from std_msgs.msg import String
-
     publisher = rospy.Publisher(TOPIC, String, queue_size=1, latch=True)
     yield lambda: publisher.publish("/operator")
     publisher.unregister()
@@ -52,10 +53,6 @@ def leap_driver(ros, wire):
 
 @pytest.mark.parametrize("start", [simulation, operator, leap_driver])
 def test_the_nodes_of_simulated_devices_announce_them(ros, start):
-    from std_msgs.msg import String
-
-    from simulated.leap_wire import LeapWire
-
     announced = ros.record(TOPIC, String)
     with LeapWire() as wire:
         start(ros, wire)
@@ -66,17 +63,12 @@ def test_the_nodes_of_simulated_devices_announce_them(ros, start):
 @pytest.fixture
 def real_hand(ros, monkeypatch, tmp_path):
     """Starts the hand's driver on an interface that is not loopback, for all it knows."""
-    from reflex.ros import driver
-    from simulated.hand_wire import HandWire
-
     monkeypatch.setattr(driver, "LOOPBACK", "none")
     with HandWire():
         yield lambda: ros.launch("reflex", "reflex_takktile.launch", eth="lo", calibration_folder=tmp_path)
 
 
 def test_the_driver_of_a_real_hand_refuses_simulated_devices_that_are_there(ros, announce, real_hand):
-    from reflex_msgs.msg import Hand
-
     states = ros.record("/reflex_takktile/hand_state", Hand)
     announce()
     driver = real_hand()
@@ -87,8 +79,6 @@ def test_the_driver_of_a_real_hand_refuses_simulated_devices_that_are_there(ros,
 
 
 def test_the_driver_of_a_real_hand_ends_when_simulated_devices_come(ros, announce, real_hand):
-    from reflex_msgs.msg import Hand
-
     states = ros.record("/reflex_takktile/hand_state", Hand)
     driver = real_hand()
     states.wait(1, 10.0)
@@ -98,10 +88,6 @@ def test_the_driver_of_a_real_hand_ends_when_simulated_devices_come(ros, announc
 
 
 def test_a_tracker_that_comes_in_place_of_a_simulated_one_is_announced_no_more(ros):
-    from std_msgs.msg import String
-
-    from simulated.leap_wire import LeapWire
-
     said = itertools.chain(['{"version":6,"simulated":true}'], itertools.repeat('{"version":6}'))
 
     def talk(service, connection):

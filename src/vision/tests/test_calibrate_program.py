@@ -17,6 +17,15 @@ from common.rotations import rotation_about, rotation_angle, unit
 from vision.calibration.acceptance import CalibrationConfig, judge
 from vision.calibration.record import by_views
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from rig_simulation.control_port import ControlClient
+from vision.ros.calibration import calibrate_program
+from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig, read
+
 pytestmark = pytest.mark.ros
 
 AHEAD = unit(np.array([0.42, -0.46, 0.10]) - np.array([1.02, -0.02, 0.70]))
@@ -31,8 +40,6 @@ class SimulatedArm:
     """The simulated controller, and where its flange is."""
 
     def __init__(self, program, wait_until):
-        from rig_simulation.control_port import ControlClient
-
         ready = r"127.0.0.1:(\d+), control port 127.0.0.1:(\d+)"
         line = wait_until(lambda: re.search(ready, program.log_path.read_text()), 30.0, "the simulated robot")
         self.port = line[1]
@@ -59,8 +66,6 @@ def arm(virtual_graph):
 
 
 def board_scene(folder, flange):
-    import rospy
-
     values = parameters(folder, count=9, tries=300)
     values["limits"].update(pictures=4, photometric=False)
     rospy.set_param("camera_calibration", values)
@@ -104,8 +109,6 @@ def stored(tmp_path):
 
 
 def test_from_a_wrong_guess_to_the_truth_and_again_from_the_file(calibrate, scene, arm, tmp_path):
-    from vision.ros.calibration.calibration_setup import read
-
     code, log = calibrate(*arm.options, "--yes")
     assert code == 0, log
     (file,) = stored(tmp_path)
@@ -142,8 +145,6 @@ def test_views_of_another_rig_are_refused(calibrate, still_scene, tmp_path):
 
 
 def test_views_of_simulated_devices_are_refused_beside_a_real_camera(calibrate, still_scene, tmp_path):
-    import rospy
-
     file = file_of_views(tmp_path, simulated=True)
     rospy.set_param("camera/driver/serial", "1234")
     code, log = calibrate("--again", str(file), "--yes")
@@ -152,9 +153,6 @@ def test_views_of_simulated_devices_are_refused_beside_a_real_camera(calibrate, 
 
 
 def test_a_refused_calibration_is_shown_before_the_program_ends(virtual_graph, calibrate, still_scene, tmp_path):
-    import rospy
-    from visualization_msgs.msg import MarkerArray
-
     rospy.set_param("camera_calibration/limits/max_point_sd_mm", 0.001)
     markers = virtual_graph.record("camera_calibration/markers", MarkerArray)
     code, log = calibrate("--again", str(file_of_views(tmp_path)), "--yes")
@@ -164,8 +162,6 @@ def test_a_refused_calibration_is_shown_before_the_program_ends(virtual_graph, c
 
 
 def test_a_viewer_that_does_not_connect_is_waited_for(virtual_graph, calibrate, still_scene, tmp_path):
-    from std_msgs.msg import String
-
     virtual_graph.record("camera_calibration/markers", String)
     code, _ = calibrate("--again", str(file_of_views(tmp_path)))
     assert code == 1 and calibrate.seconds == pytest.approx(5.0, abs=0.1)
@@ -173,8 +169,6 @@ def test_a_viewer_that_does_not_connect_is_waited_for(virtual_graph, calibrate, 
 
 def file_of_views(tmp_path, board=T_FLANGE_BOARD, **head):
     """A file with good views of this rig, or of one that `head` changes, with the board at T_flange_board."""
-    from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
-
     X, _, views = hand_eye_scene.scene(1, 12, hand_eye_scene.SD / 10.0)
     views = [replace(view, T_base_flange=view.T_base_flange @ X @ inverse(board)) for view in views]
     limits = parse(CalibrationConfig, parameters(tmp_path)["limits"])
@@ -196,8 +190,6 @@ def test_a_board_that_is_not_as_drawn_is_refused(calibrate, still_scene, tmp_pat
 
 
 def test_a_board_that_is_seen_nowhere(calibrate, scene, arm, tmp_path, monkeypatch):
-    from vision.ros.calibration import calibrate_program
-
     monkeypatch.setattr(calibrate_program, "FIRST_VIEWS", 2)
     scene.visible = False
     code, log = calibrate(*arm.options, "--yes")
@@ -237,8 +229,6 @@ def test_by_hand_an_arm_that_moves_gives_no_view(calibrate, still_scene):
 
 
 def test_poses_cannot_be_refined_without_the_images(calibrate, still_scene):
-    import rospy
-
     still_scene.measured = True
     rospy.set_param("camera_calibration/limits/photometric", True)
     code, log = calibrate("--by-hand", answers=("", "q"))
@@ -272,8 +262,6 @@ def test_by_hand_the_program_asks_the_arm_itself(calibrate, scene, arm):
     ],
 )
 def test_an_arm_on_a_ceiling_is_known_as_one(scene, arm, calibrate, mounting, sentences):
-    import rospy
-
     rospy.set_param("kuka/mounting", mounting)
     code, log = calibrate(*arm.options, "--yes")
     assert code == 1
@@ -288,8 +276,6 @@ def test_no_robot(calibrate, still_scene):
 
 
 def test_a_controller_that_has_the_robot_is_named(virtual_graph, scene, calibrate, arm):
-    import rospy
-
     virtual_graph.start("controller", lambda: (rospy.init_node("kuka_ptp_node"), rospy.spin()))
     code, log = calibrate(*arm.options, "--yes")
     assert code == 1
@@ -309,8 +295,6 @@ def test_a_controller_that_has_the_robot_is_named(virtual_graph, scene, calibrat
     ],
 )
 def test_it_refuses_wrong_options_and_parameters(calibrate, still_scene, options, change, sentence):
-    import rospy
-
     for key, value in change.items():
         rospy.set_param(f"camera_calibration/{key}", value)
     code, log = calibrate("--ip", "127.0.0.1", "--port", "1", *options)

@@ -8,16 +8,26 @@ import pytest
 from common.poses import inverse, pose
 from common.rotations import rotation_angle
 
+pytest.importorskip("rig_msgs.srv")
+from pathlib import Path
+
+import rospy
+import tf2_ros
+import yaml
+
+from apriltag_ros.msg import AprilTagDetectionArray
+from common.ros.conversions import pose_from_transform
+from rig_simulation.files import read_scene
+from rig_simulation.world.model import RGB_IN_LINK, camera_link_pose
+from rig_simulation.world.scene import scene_from
+from vision.camera.frames import R_CAMERA_OPTICAL
+from vision.ros.calibration.calibration_setup import read
+
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 
 
 def optical_frame_in_the_world():
     """T_base_camera of the scene `empty`, shape (4, 4)."""
-    from rig_simulation.files import read_scene
-    from rig_simulation.world.model import RGB_IN_LINK, camera_link_pose
-    from rig_simulation.world.scene import scene_from
-    from vision.camera.frames import R_CAMERA_OPTICAL
-
     return camera_link_pose(scene_from(read_scene("empty")).camera) @ pose(R_CAMERA_OPTICAL, RGB_IN_LINK)
 
 
@@ -39,11 +49,6 @@ def world(processes, wait_until):
 
 @pytest.mark.timeout(900)
 def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world, processes, wait_until, tmp_path):
-    import rospy
-
-    from apriltag_ros.msg import AprilTagDetectionArray
-    from vision.ros.calibration.calibration_setup import read
-
     robot_port, world_port = world
     arguments = {"sim": "true", "port": world_port, "control_port": "0", "folder": tmp_path}
     launch = ros.launch("vision", "camera_apriltag.launch", **arguments)
@@ -62,15 +67,11 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
     assert shift < 3.0 and turn < 0.3, (shift, turn)
     assert processes.end(launch) == 0
 
-    from common.ros.conversions import pose_from_transform
-
     again = ros.launch("vision", "camera_apriltag.launch", camera="false", **arguments)
     wait_for_frames = processes.start("rosrun", "vision", "camera_frames_node.py", *frames())
     text = f"The camera pose is that of {file}"
     wait_until(lambda: text in again.log_path.read_text(), 40.0, "the stored pose")
     assert wait_for_frames.poll() is None
-    import tf2_ros
-
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     found = buffer.lookup_transform(
@@ -82,9 +83,5 @@ def test_from_a_wrong_guess_to_3_mm_and_it_is_there_at_the_next_start(ros, world
 
 def frames():
     """Private parameters of the node that publishes the camera's frames."""
-    from pathlib import Path
-
-    import yaml
-
     values = yaml.safe_load((Path(__file__).parents[1] / "config" / "camera_frames.yaml").read_text())
     return [f"_{key}:={value}" for key, value in values.items()]

@@ -19,13 +19,15 @@ from common.stored_time import utc
 from vision.calibration.hand_eye import CalibrationView
 from vision.calibration.record import LIVE, CalibrationRecord
 
+pytest.importorskip("rig_msgs.srv")
+from common import clock
+from vision.ros.calibration.calibration_setup import CalibrationSetup, CalibrationStore, StoreConfig, read
+
 pytestmark = pytest.mark.ros
 
 
 @pytest.fixture
 def store(tmp_path):
-    from vision.ros.calibration.calibration_setup import CalibrationStore, StoreConfig
-
     config = StoreConfig(str(tmp_path / "new" / "folder"), "1234", "LBR7R800", "MF_elektrisch")
     return CalibrationStore(config, simulated=False)
 
@@ -66,9 +68,6 @@ def dated(store, record, *dates):
     ],
 )
 def test_the_newest_is_so_in_every_time_zone(store, record, monkeypatch, dates, newest):
-    from common import clock
-    from vision.ros.calibration.calibration_setup import CalibrationSetup
-
     monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
     time.tzset()
     try:
@@ -84,8 +83,6 @@ def test_the_newest_is_so_in_every_time_zone(store, record, monkeypatch, dates, 
 @pytest.mark.parametrize("made", [True, False, None])
 def test_a_simulated_calibration_is_refused_where_the_camera_is_not_known_to_be_simulated(store, record, made, rig):
     """The newest counts or nothing: an older one is no substitute that nobody asked for."""
-    from vision.ros.calibration.calibration_setup import CalibrationStore, read
-
     store.save(record)
     file = store.save(replace(record, date="2026-02-01T08:00:00", simulated=made))
     assert read(file).simulated is made and ("simulated" in yaml.safe_load(file.read_text())) is (made is not None)
@@ -98,8 +95,6 @@ def test_a_simulated_calibration_is_refused_where_the_camera_is_not_known_to_be_
 
 
 def test_a_file_from_before_the_key_is_known_by_the_simulated_cameras_serial_number(store, record):
-    from vision.ros.calibration.calibration_setup import read
-
     for camera, made in (("simulated", True), ("1234", None)):
         assert read(store.save(replace(record, simulated=None, camera=camera))).simulated is made
 
@@ -112,8 +107,6 @@ def test_a_file_from_before_the_key_is_known_by_the_simulated_cameras_serial_num
     ],
 )  # fmt: skip
 def test_camera_and_arm_are_both_real_or_the_calibration_is_not(camera, arm, made):
-    from vision.ros.calibration.calibration_setup import CalibrationSetup
-
     assert CalibrationSetup(*[None] * 5, camera).measured_by(arm) is made
 
 
@@ -126,8 +119,6 @@ def test_a_copy_under_another_name_counts_by_its_date(store, record):
 
 @pytest.mark.parametrize("damage", ["half", "empty", "binary", "other"])
 def test_a_torn_file_does_not_count(store, record, damage):
-    from vision.ros.calibration.calibration_setup import read
-
     good = store.save(record)
     torn = store.save(replace(record, date="2026-02-01T08:00:00"))
     content = torn.read_bytes()
@@ -154,8 +145,6 @@ def test_a_full_disk_leaves_no_file_and_the_old_one_whole(store, record, monkeyp
 
 def test_a_relative_folder_is_refused():
     """A node's working folder is not the user's."""
-    from vision.ros.calibration.calibration_setup import StoreConfig
-
     with pytest.raises(ConfigError, match="folder"):
         parse(StoreConfig, {"folder": "calibrations", "camera": "1", "robot": "LBR7R800", "flange": "MF_elektrisch"})
 

@@ -9,6 +9,17 @@ import yaml
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import CameraInfo, Image
+
+from common.config import parse
+from common.ros.images import image_message
+from vision.camera.stream_watch import WatchConfig
+from vision.ros.camera.watchdog_node import WatchedStream
+
 pytestmark = pytest.mark.ros
 
 FAKES = Path(__file__).parent / "fake_openni"
@@ -17,15 +28,8 @@ SIZE = {"image_width": 32, "image_height": 24}
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def xtion(ros, monkeypatch, tmp_path):
     """Starts the driver before the stand-in of its library; returns the node and the file that rules the camera."""
-    import rospy
-
     for name in ("openni", "openni.openni2"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(str(FAKES))
@@ -54,8 +58,6 @@ def xtion(ros, monkeypatch, tmp_path):
 
 def statuses(ros, name: str):
     """Returns a function that gives the level, the message and the values of a node's last status."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read() -> dict:
@@ -69,9 +71,6 @@ def statuses(ros, name: str):
 
 
 def test_the_xtions_images_have_the_drivers_names(xtion, ros):
-    import rospy
-    from sensor_msgs.msg import CameraInfo, Image
-
     topics = ("rgb/image_raw", "depth/image_raw", "depth/image")
     images = {topic: ros.record(f"camera/{topic}", Image) for topic in topics}
     info = ros.record("camera/depth/camera_info", CameraInfo)
@@ -88,8 +87,6 @@ def test_the_xtions_images_have_the_drivers_names(xtion, ros):
 
 @pytest.mark.parametrize("by_the_device", [False, True])
 def test_registered_depth_has_its_own_topic(xtion, ros, by_the_device):
-    from sensor_msgs.msg import Image
-
     registered = ros.record("camera/depth_registered/image_raw", Image)
     xtion("present", depth_registration=by_the_device)
     message = registered.wait(1, 0.1)[-1]
@@ -97,8 +94,6 @@ def test_registered_depth_has_its_own_topic(xtion, ros, by_the_device):
 
 
 def test_a_camera_pulled_out_or_silent_is_reported_and_comes_back(xtion, ros):
-    from sensor_msgs.msg import Image
-
     status = statuses(ros, "camera")
     images = ros.record("camera/rgb/image_raw", Image)
     process, state = xtion("present")
@@ -147,9 +142,6 @@ class Source:
     """Publishes the topics of a camera, new ones or always the same."""
 
     def __init__(self) -> None:
-        import rospy
-        from sensor_msgs.msg import CameraInfo, Image
-
         self._infos = [rospy.Publisher(f"watched/{n}/camera_info", CameraInfo, queue_size=1) for n in ("rgb", "depth")]
         self._images = [rospy.Publisher(f"watched/{n}/image_raw", Image, queue_size=1) for n in ("rgb", "depth")]
         self.sends = self.new_stamps = self.new_images = True
@@ -169,11 +161,6 @@ class Source:
             publisher.unregister()
 
     def _loop(self) -> None:
-        import rospy
-        from sensor_msgs.msg import CameraInfo
-
-        from common.ros.images import image_message
-
         number, stamp = 0, rospy.Time.now()
         while not self._stop.wait(0.05):
             if not self.sends:
@@ -201,16 +188,12 @@ def source(ros):
 
 
 def start_watchdog(ros, **changes):
-    import rospy
-
     values = yaml.safe_load((CONFIG / "camera_watchdog.yaml").read_text())
     rospy.set_param("watched/watchdog", {**values, **changes})
     return ros.run("vision", "camera_watchdog_node.py", "__ns:=watched", "__name:=watchdog")
 
 
 def test_the_watchdog_says_frozen_vanished_garbled_empty_and_well_again(ros, source):
-    from sensor_msgs.msg import Image
-
     for name in ("rgb", "depth"):
         ros.record(f"watched/{name}/image_raw", Image)
     status = statuses(ros, "camera_watchdog")
@@ -275,9 +258,6 @@ def test_the_watchdog_looks_ten_times_a_second(ros, source):
 
 def test_the_watchdog_takes_images_only_while_others_do_and_sees_that_they_stay_the_same(ros, source):
     """It looks for others once a second."""
-    import rospy
-    from sensor_msgs.msg import Image
-
     status = statuses(ros, "camera_watchdog")
     start_watchdog(ros)
     source.new_images = False
@@ -298,14 +278,6 @@ def test_the_watchdog_takes_images_only_while_others_do_and_sees_that_they_stay_
 
 def test_an_image_that_comes_after_the_last_listener_is_gone_does_not_count(ros):
     """Else a camera whose images nobody takes any more would freeze with the next two."""
-    import rospy
-    from sensor_msgs.msg import CameraInfo
-
-    from common.config import parse
-    from common.ros.images import image_message
-    from vision.camera.stream_watch import WatchConfig
-    from vision.ros.camera.watchdog_node import WatchedStream
-
     values = yaml.safe_load((CONFIG / "camera_watchdog.yaml").read_text())
     stream = WatchedStream("rgb", parse(WatchConfig, values, ""))
     late = stream._on_image
@@ -327,8 +299,6 @@ def test_the_watchdog_refuses_bad_limits(ros):
 
 
 def test_the_frames_name_wrong_parameters(ros):
-    import rospy
-
     rospy.set_param("frames", {"rgb": [0.0, 0.0, 0.0], "infrared": 1})
     process = ros.run("vision", "camera_frames_node.py", "__name:=frames")
     assert process.wait(1.0) == 1
@@ -337,9 +307,6 @@ def test_the_frames_name_wrong_parameters(ros):
 
 
 def test_the_launch_file_brings_frames_and_waits_for_the_world(ros):
-    import rospy
-    import tf2_ros
-
     driver, watchdog = statuses(ros, "camera"), statuses(ros, "camera_watchdog")
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)

@@ -11,6 +11,18 @@ from common import clock
 from common.poses import inverse, pose
 from common.rotations import rotation_about
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from common.ros.conversions import pose_from_transform
+from common.ros.images import image_message
+from vision.ros.calibration.calibration_setup import read_setup
+from vision.ros.marker_board.detections import BoardListener, ViewCapture
+
 pytestmark = pytest.mark.ros
 
 T_BASE_FLANGE = pose(rotation_about(1, 2.5), (0.5, -0.3, 0.4))
@@ -18,14 +30,7 @@ T_BASE_CAMERA = T_BASE_FLANGE @ T_FLANGE_BOARD @ inverse(pose(rotation_about(0, 
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def scene(ros, tmp_path):
-    import rospy
-
     rospy.set_param("camera_calibration", parameters(tmp_path / "store"))
     scene = BoardScene(T_BASE_CAMERA, T_FLANGE_BOARD, lambda: T_BASE_FLANGE)
     yield scene
@@ -34,8 +39,6 @@ def scene(ros, tmp_path):
 
 @pytest.fixture
 def buffer(ros):
-    import tf2_ros
-
     buffer = tf2_ros.Buffer()
     listener = tf2_ros.TransformListener(buffer)
     yield buffer
@@ -44,17 +47,10 @@ def buffer(ros):
 
 def camera_pose(buffer, parent="kuka/base_frame", child=OPTICAL):
     """Returns T_base_camera in tf, or the pose of another frame."""
-    import rospy
-
-    from common.ros.conversions import pose_from_transform
-
     return pose_from_transform(buffer.lookup_transform(parent, child, rospy.Time(0), rospy.Duration(2.0)).transform)
 
 
 def call(name):
-    import rospy
-    from std_srvs.srv import Trigger
-
     rospy.wait_for_service(name, 2.0)
     return rospy.ServiceProxy(name, Trigger)()
 
@@ -93,8 +89,6 @@ def test_live_then_stored_then_loaded_without_the_tag(ros, scene, buffer, tmp_pa
 
 def test_who_saw_the_live_pose_also_gets_the_stored_one_and_never_waits(ros, scene, buffer):
     """tf2 does not turn a frame that moved into a static one, so the stored pose is repeated, ahead of time."""
-    import rospy
-
     ros.run("vision", "camera_place_node.py")
     camera_pose(buffer)
     stored(ros)
@@ -139,8 +133,6 @@ def test_what_moves_or_is_uncertain_is_not_stored(ros, scene, tmp_path):
 
 @pytest.mark.parametrize(("seconds", "stores"), [(9.5, True), (10.5, False)])
 def test_the_serial_number_is_the_drivers_and_is_waited_for(ros, scene, tmp_path, seconds, stores):
-    import rospy
-
     rospy.set_param("camera_calibration/store/camera", "")
     rospy.set_param("kuka/ip", "172.31.1.147")
     rospy.delete_param("camera/driver/serial")
@@ -158,9 +150,6 @@ def test_the_serial_number_is_the_drivers_and_is_waited_for(ros, scene, tmp_path
 
 
 def test_diagnostics_say_when_the_board_is_gone(ros, scene):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
     ros.run("vision", "camera_place_node.py", "_mode:=live")
     heard = ros.record("/diagnostics", DiagnosticArray)
 
@@ -190,13 +179,6 @@ def test_diagnostics_say_when_the_board_is_gone(ros, scene):
 
 
 def test_a_view_says_that_the_detector_is_silent_and_why_images_were_of_no_use(ros, scene):
-    import rospy
-    from sensor_msgs.msg import Image
-
-    from common.ros.images import image_message
-    from vision.ros.calibration.calibration_setup import read_setup
-    from vision.ros.marker_board.detections import BoardListener, ViewCapture
-
     setup = read_setup("apriltag_ros_continuous_node")
     capture = ViewCapture(setup, BoardListener(setup.target), "apriltag_ros_continuous_node")
     images = rospy.Publisher("camera/rgb/image_raw", Image, queue_size=1)
@@ -243,8 +225,6 @@ def test_reload_after_the_only_calibration_was_moved_away(ros, scene, tmp_path):
     ],
 )
 def test_it_names_wrong_parameters(ros, scene, parameters, change, fault):
-    import rospy
-
     for key, value in change.items():
         rospy.set_param(key, value)
     node = ros.run("vision", "camera_place_node.py", *parameters)

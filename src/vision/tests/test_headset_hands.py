@@ -23,6 +23,16 @@ from leap_motion.headset.placement import FROM_XR
 from leap_motion.service.access import FIRST_WAIT_S
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from leap_motion.msg import Human
+from vision.ros.stereo import headset_hands
+from vision.stereo.view import WebConfig
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -83,8 +93,6 @@ offer();
 
 def start_rig(ros, port, wait_until):
     """Starts page, bridge, driver and teleoperation; returns the node of the page, and what it said after words."""
-    import rospy
-
     shipped = yaml.safe_load((HERE.parents[1] / "leap_kuka" / "config" / "leap_params.yaml").read_text())
     rospy.set_param("leap", {**shipped, "z_clearance": shipped["z_clearance"] + 0.05})  # higher than the page assumes
     rospy.set_param("kuka", {"robot": "LBR7R800", **ARM})
@@ -107,12 +115,6 @@ class Rig:
     """What the test sees of the rig."""
 
     def __init__(self, ros):
-        from diagnostic_msgs.msg import DiagnosticStatus
-        from tf2_msgs.msg import TFMessage
-        from visualization_msgs.msg import MarkerArray
-
-        from leap_motion.msg import Human
-
         self.boxes = ros.record("leap_kuka/interaction_box", MarkerArray)
         self.humans = ros.record("leap_motion/leap_device", Human)
         self.stream = ros.record("leap_kuka/stream", DiagnosticStatus)
@@ -125,8 +127,6 @@ class Rig:
 
     def silent(self):
         """Whether no frame of the tracker has come for a while."""
-        import rospy
-
         return (rospy.Time.now() - self.humans[-1].header.stamp).to_sec() > 0.5
 
     def runs(self):
@@ -263,9 +263,6 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
 
 def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monkeypatch, capsys):
     """The log goes to /rosout, and with it into every recording."""
-    from vision.ros.stereo import headset_hands
-    from vision.stereo.view import WebConfig
-
     logged = []
     monkeypatch.setattr(headset_hands, "RigScene", lambda: None)
     monkeypatch.setattr(headset_hands.rospy, "logwarn", lambda *text: logged.append(str(text)))

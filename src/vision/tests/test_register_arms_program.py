@@ -16,6 +16,9 @@ from common.rotations import rotation_from_zyx
 from vision.calibration.hand_eye import CalibrationView, solve
 from vision.calibration.record import LIVE, VIEWS, CalibrationRecord, mapping_from_record
 
+pytest.importorskip("rig_msgs.srv")
+from vision.ros.calibration.register_arms_program import main
+
 pytestmark = pytest.mark.ros
 T_LEFT_RIGHT = pose(rotation_from_zyx(0.02, 0.001, -0.002), (0.004, -0.902, 0.003))
 
@@ -43,7 +46,6 @@ def records():
 @pytest.fixture
 def run(tmp_path, capsys):
     """Runs the program; returns its exit code, what it printed, and the file."""
-    from vision.ros.calibration.register_arms_program import main
 
     def start(left, right, *more):
         for name, record in (("left", left), ("right", right)):

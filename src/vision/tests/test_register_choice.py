@@ -3,6 +3,7 @@
 import pytest
 
 from common import clock
+from vision.ros.camera.register_node import missing_packages
 
 rospkg = pytest.importorskip("rospkg")
 pytestmark = pytest.mark.ros
@@ -11,11 +12,6 @@ DEBIAN = {
     "depth_image_proc": "libdepth-image-proc-dev",
     "nodelet": "libnodeletlib-tools",
 }
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -31,8 +27,6 @@ def install(tmp_path):
 
 
 def missing(*folders):
-    from vision.ros.camera.register_node import missing_packages
-
     return missing_packages(rospkg.RosPack([str(folder) for folder in folders] or None))
 
 

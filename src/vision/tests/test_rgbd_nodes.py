@@ -12,12 +12,18 @@ from common.frames import RGB_OPTICAL
 from common.poses import pose
 from common.rotations import rotation_about
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from apriltag_ros.msg import AprilTagDetectionArray
+from common.frames import DEPTH_OPTICAL
+from common.ros.conversions import pose_from_message, pose_from_transform, stamped_transform
+from common.ros.images import array_from_image
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -30,7 +36,6 @@ def camera(ros):
 @pytest.fixture
 def start(ros):
     """Starts the node plane_pose with the package's parameters and changes to them."""
-    import rospy
 
     def run(**changes):
         values = {
@@ -50,8 +55,6 @@ def start(ros):
 
 def diagnostics(ros, name):
     """Returns a function that gives the message and the values of a node's last status."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read() -> dict:
@@ -73,12 +76,6 @@ def interrupted(node):
 
 
 def test_the_board_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, start):
-    import rospy
-    import tf2_ros
-
-    from apriltag_ros.msg import AprilTagDetectionArray
-    from common.ros.conversions import pose_from_message, pose_from_transform
-
     arrays = {n: ros.record(f"tag_detections_{n}", AprilTagDetectionArray) for n in ("fused", "plane")}
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
@@ -99,8 +96,6 @@ def test_the_board_comes_fused_and_by_its_plane_in_topics_and_tf(ros, camera, st
 
 
 def test_without_depth_there_is_no_pose_but_a_reason_and_it_comes_back(ros, camera, start):
-    from apriltag_ros.msg import AprilTagDetectionArray
-
     fused = ros.record("tag_detections_fused", AprilTagDetectionArray)
     status = diagnostics(ros, "plane_pose")
     camera.depth = np.zeros_like(camera.depth)
@@ -181,10 +176,6 @@ REFUSED = [
 
 def started(ros, start, node):
     """Starts register_rgbd or plane_pose; returns its process, its status, and what comes out of it."""
-    from sensor_msgs.msg import Image
-
-    from apriltag_ros.msg import AprilTagDetectionArray
-
     status = diagnostics(ros, node)
     if node == "plane_pose":
         return start(), status, ros.record("tag_detections_fused", AprilTagDetectionArray)
@@ -213,8 +204,6 @@ def test_what_image_geometry_takes_is_used(ros, camera, start, node):
 
 @pytest.mark.parametrize("node", FINE)
 def test_the_first_thing_that_is_wrong_is_said_and_logged_once(ros, camera, start, node):
-    import rospy
-
     process, status, out = started(ros, start, node)
     for edit, reason in REFUSED:
         camera.edit = edit
@@ -232,13 +221,6 @@ def test_the_first_thing_that_is_wrong_is_said_and_logged_once(ros, camera, star
 
 
 def test_depth_that_falls_nowhere_into_the_colour_image_is_no_output(ros, camera):
-    import rospy
-    import tf2_ros
-    from sensor_msgs.msg import Image
-
-    from common.frames import DEPTH_OPTICAL
-    from common.ros.conversions import stamped_transform
-
     status = diagnostics(ros, "register_rgbd")
     out = ros.record("camera/depth_registered/sw_registered/image_rect", Image)
     ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
@@ -287,11 +269,6 @@ def test_a_camera_that_is_absent_is_waited_for_and_an_interrupt_stops_the_node(r
 
 
 def test_registered_depth_and_cloud_come_only_while_somebody_listens(ros, camera):
-    import rospy
-    from sensor_msgs.msg import CameraInfo, Image, PointCloud2
-
-    from common.ros.images import array_from_image
-
     process = ros.run("vision", "register_rgbd_node.py", "__ns:=camera")
     status = diagnostics(ros, "register_rgbd")
     clock.sleep(0.6)
@@ -339,10 +316,6 @@ def test_register_rgbd_names_wrong_parameters(ros):
 
 
 def test_the_launch_files_start_what_they_name(ros, camera):
-    from sensor_msgs.msg import PointCloud2
-
-    from apriltag_ros.msg import AprilTagDetectionArray
-
     fused = ros.record("tag_detections_fused", AprilTagDetectionArray)
     clouds = ros.record("camera/depth_registered/points", PointCloud2)
     ros.launch("vision", "plane_pose.launch", camera="false")

@@ -5,6 +5,16 @@ import pytest
 from depth_scene import RGB
 from rgbd_scene import MODELS, TRUTH, Camera
 
+pytest.importorskip("rig_msgs.srv")
+import rospkg
+import rospy
+from sensor_msgs.msg import Image, PointCloud2
+
+from apriltag_ros.msg import AprilTagDetectionArray
+from common.ros.conversions import pose_from_message
+from common.ros.images import array_from_image
+from vision.ros.camera.register_node import missing_packages
+
 pytest.importorskip("rospy")
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 
@@ -18,11 +28,6 @@ def camera(ros):
 
 def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_path, wait_until):
     import rosbag
-    import rospy
-    from sensor_msgs.msg import PointCloud2
-
-    from apriltag_ros.msg import AprilTagDetectionArray
-    from common.ros.conversions import pose_from_message
 
     bag = tmp_path / "camera.bag"
     topics = [f"/camera/{name}/{topic}" for name in MODELS for topic in ("image_raw", "camera_info")]
@@ -53,12 +58,6 @@ def test_a_recording_goes_through_the_same_nodes(ros, camera, processes, tmp_pat
 
 
 def test_the_nodelets_have_the_same_topics(ros, camera, wait_until):
-    import rospkg
-    from sensor_msgs.msg import Image, PointCloud2
-
-    from common.ros.images import array_from_image
-    from vision.ros.camera.register_node import missing_packages
-
     missing = missing_packages(rospkg.RosPack())
     if missing:
         pytest.skip(f"{', '.join(missing)} not installed")

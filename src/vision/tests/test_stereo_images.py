@@ -6,12 +6,17 @@ from stereo_camera import REMAPS, Camera, middle, status
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from sensor_msgs.msg import Image
+
+from common.ros.diagnostics import Diagnostics
+from common.ros.params import private_config
+from vision.ros.stereo.eye_images import StereoImageSource
+from vision.ros.stereo.view_node import _draw
+from vision.stereo.view import StereoViewConfig
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -22,8 +27,6 @@ def camera(ros):
 @pytest.fixture
 def shown(ros):
     """What is published of the screen."""
-    from sensor_msgs.msg import Image
-
     return ros.record("stereo_view/image", Image)
 
 
@@ -44,15 +47,8 @@ class Held:
 @pytest.fixture
 def sentence(ros):
     """Starts the drawing as the node does; returns a function that gives the sentence of its last status."""
-    import rospy
 
     def main():
-        from common.ros.diagnostics import Diagnostics
-        from common.ros.params import private_config
-        from vision.ros.stereo.eye_images import StereoImageSource
-        from vision.ros.stereo.view_node import _draw
-        from vision.stereo.view import StereoViewConfig
-
         rospy.init_node("stereo_view")
         images = StereoImageSource(private_config(StereoViewConfig, "view"))
         images.subscribe(True)
@@ -151,8 +147,6 @@ def test_torn_images_are_not_shown_and_do_not_count_as_new(ros, camera, shown, s
 
 
 def test_wrong_parameters_end_the_node_with_a_sentence(ros):
-    import rospy
-
     rospy.set_param("stereo_view", {"view": {**load("stereo_view.yaml"), "colour": 1}, "output": ""})
     node = ros.run("vision", "stereo_view_node.py")
     assert node.wait(1.0) == 1
@@ -161,8 +155,6 @@ def test_wrong_parameters_end_the_node_with_a_sentence(ros):
 
 
 def test_without_a_screen_the_node_ends_with_a_sentence(ros, monkeypatch):
-    import rospy
-
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     rospy.set_param("stereo_view", {"view": load("stereo_view.yaml"), "output": ""})

@@ -30,6 +30,16 @@ from websockets.sync.client import connect
 from common import clock
 from common.errors import DeviceError
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from leap_motion.headset import transport
+from leap_motion.headset.hand_stream import HandStream
+from rig_msgs.msg import OperatorRow, OperatorView
+from vision.ros.stereo.view_node import find_screen
+from vision.ros.stereo.web_node import StereoWeb
+from vision.stereo.view import WebConfig
+
 pytest.importorskip("rospy")
 pytestmark = pytest.mark.ros
 
@@ -59,8 +69,6 @@ def camera(virtual_graph):
 
 @pytest.fixture
 def node(virtual_graph):
-    import rospy
-
     rospy.set_param("stereo_web", {"view": {**load("stereo_view.yaml"), "lens": "none"}, "web": WEB})
     node = virtual_graph.run("vision", "stereo_web_node.py", *REMAPS)
     clock.sleep(SOON_S)
@@ -112,10 +120,6 @@ def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(virtual
 
 
 def test_what_the_operator_sees_comes_with_the_images_while_it_is_fresh(node, camera):
-    import rospy
-
-    from rig_msgs.msg import OperatorRow, OperatorView
-
     view = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
     page = connect(URL)
     clock.sleep(REFRESH_S + SOON_S)
@@ -221,8 +225,6 @@ def test_other_paths_and_other_sites_get_nothing(virtual_graph, node):
 
 
 def test_an_address_that_is_not_ours_ends_it_with_a_sentence(virtual_graph):
-    import rospy
-
     web = {**WEB, "host": "192.0.2.1"}
     rospy.set_param("stereo_web", {"view": load("stereo_view.yaml"), "web": web})
     node = virtual_graph.run("vision", "stereo_web_node.py")
@@ -231,8 +233,6 @@ def test_an_address_that_is_not_ours_ends_it_with_a_sentence(virtual_graph):
 
 
 def test_an_unknown_output_for_the_window_is_refused(application):
-    from vision.ros.stereo.view_node import find_screen
-
     with pytest.raises(DeviceError, match="'HDMI-7'"):
         find_screen(application, "HDMI-7")
     assert find_screen(application, "") is None, "no display is a Rift"
@@ -240,8 +240,6 @@ def test_an_unknown_output_for_the_window_is_refused(application):
 
 def start_program(ros, wait_until, certificate="", key="", **view):
     """Starts the node as a process; returns it and the address of its page."""
-    import rospy
-
     web = {**WEB, "port": 0, "certificate": certificate, "key": key}
     rospy.set_param("stereo_web", {"view": {**load("stereo_view.yaml"), "lens": "none", **view}, "web": web})
     node = ros.run("vision", "stereo_web_node.py", *REMAPS)
@@ -291,11 +289,6 @@ def test_with_a_certificate_the_program_serves_by_https_until_ctrl_c(ros, proces
 @pytest.mark.real
 @pytest.mark.skipif(not shutil.which("openssl"), reason="openssl is not installed")
 def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
-    from leap_motion.headset import transport
-    from leap_motion.headset.hand_stream import HandStream
-    from vision.ros.stereo.web_node import StereoWeb
-    from vision.stereo.view import WebConfig
-
     monkeypatch.setenv("ROS_HOME", str(tmp_path))
     monkeypatch.setattr(transport, "SECRET_S", 600.0)
     served = SimpleNamespace(offer=lambda _: None, plug=lambda _: None)

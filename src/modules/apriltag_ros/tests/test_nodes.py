@@ -12,24 +12,29 @@ from common import clock
 from common.poses import pose
 from common.rotations import rotation_about
 
+pytest.importorskip("rig_msgs.srv")
+import roslib.packages
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import CameraInfo, Image
+from std_srvs.srv import Empty
+from tf2_msgs.msg import TFMessage
+
+from apriltag_ros.msg import AprilTagDetectionArray
+from apriltag_ros.srv import AnalyzeSingleImage
+from common.ros.conversions import pose_from_transform
+from common.ros.images import array_from_image, camera_info_message, image_message
+
 pytestmark = pytest.mark.ros
 
 NODE = "apriltag_ros_continuous_node"
 TRUTH = pose(rotation_about(0, np.radians(155.0)), (0.02, 0.01, 0.6))
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 class Camera:
     """Publishes one image again and again, with a new stamp each time."""
 
     def __init__(self, model, image, encoding="mono8"):
-        import rospy
-        from sensor_msgs.msg import CameraInfo, Image
-
         self.image, self.encoding, self._model = image, encoding, model
         self.edit = lambda message: True  # of each message; whether it is sent
         self.last = rospy.Time(0)  # stamp of the newest image
@@ -39,10 +44,6 @@ class Camera:
         clock.Thread(target=self._loop, daemon=True).start()
 
     def _loop(self):
-        import rospy
-
-        from common.ros.images import camera_info_message, image_message
-
         while not self._ended.wait(0.05):
             self.last = rospy.Time.now()
             info = camera_info_message(self._model, "camera_optical", self.last)
@@ -69,8 +70,6 @@ def tags(tmp_path):
 
 @pytest.fixture
 def arrays(ros):
-    from apriltag_ros.msg import AprilTagDetectionArray
-
     return ros.record("tag_detections", AprilTagDetectionArray)
 
 
@@ -83,8 +82,6 @@ def launch(ros, tags, **args):
 
 def status(ros):
     """Returns a function that gives the level, the message and the number of images of the node's last status."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read():
@@ -95,12 +92,6 @@ def status(ros):
 
 
 def test_detections_tf_and_drawing(ros, images, tags, arrays):
-    from sensor_msgs.msg import Image
-    from tf2_msgs.msg import TFMessage
-
-    from common.ros.conversions import pose_from_transform
-    from common.ros.images import array_from_image
-
     transforms = ros.record("tf", TFMessage)
     drawings = ros.record("tag_detections_image", Image)
     launch(ros, tags)
@@ -175,8 +166,6 @@ REFUSED = [
 
 @pytest.mark.parametrize(("edit", "reason"), REFUSED)
 def test_the_first_thing_that_is_wrong_is_said_from_the_start_and_later(ros, images, tags, arrays, edit, reason):
-    from diagnostic_msgs.msg import DiagnosticStatus
-
     last, good = status(ros), images.edit
     images.edit = edit
     node = launch(ros, tags)
@@ -203,9 +192,6 @@ def test_of_rectified_images_the_distortion_does_not_matter(ros, camera, tags, a
 
 
 def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, images, tags, arrays):
-    import rospy
-    from std_srvs.srv import Empty
-
     launch(ros, tags)
     refresh = rospy.ServiceProxy(f"{NODE}/refresh_tag_params", Empty)
     rospy.set_param(f"{NODE}/standalone_tags", [{"id": 0, "size": -1.0}])
@@ -220,8 +206,6 @@ def test_parameters_are_read_anew_on_demand_and_kept_when_wrong(ros, images, tag
 
 
 def test_it_waits_for_the_camera_says_when_that_falls_silent_and_an_interrupt_stops_it(ros, camera, tags):
-    from diagnostic_msgs.msg import DiagnosticStatus
-
     last = status(ros)
     node = launch(ros, tags)
     clock.sleep(0.5)
@@ -260,8 +244,6 @@ def test_bad_parameters_end_the_node(ros, node, parameters, keys):
 @pytest.mark.parametrize("name", [NODE, "apriltag_ros_single_image_server_node"])
 def test_launch_files_for_the_published_package_find_the_nodes(ros, name):
     """Its programs have no suffix."""
-    import roslib.packages
-
     assert roslib.packages.find_node("apriltag_ros", name)
     node = ros.run("apriltag_ros", name)
     assert node.wait(1.0) == 1
@@ -269,11 +251,6 @@ def test_launch_files_for_the_published_package_find_the_nodes(ros, name):
 
 
 def test_single_image(ros, camera, tmp_path):
-    import rospy
-
-    from apriltag_ros.srv import AnalyzeSingleImage
-    from common.ros.images import camera_info_message
-
     image, goal = tmp_path / "in.png", tmp_path / "out.png"
     cv2.imwrite(str(image), render(camera.rectified(), TRUTH, [(0, 0.1, 0.0, 0.0)], 0.13))
     node = ros.run("apriltag_ros", "apriltag_ros_single_image_server_node.py", "_standalone_tags:=[{id: 0, size: 0.1}]")

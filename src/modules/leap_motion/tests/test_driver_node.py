@@ -13,6 +13,14 @@ from leap_motion.frames import LeapFrame
 from leap_motion.registration import PointFit
 from leap_motion.ros.registrations import registration_file, store
 
+pytest.importorskip("rig_msgs.srv")
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from sensor_msgs.msg import TimeReference
+
+from leap_motion.msg import Human
+from leap_motion.ros.driver import LinkReport
+from simulated.leap_wire import LeapWire
+
 pytestmark = pytest.mark.ros
 
 RIGHT_HAND = {
@@ -60,14 +68,7 @@ class Talk:
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def wire(ros):
-    from simulated.leap_wire import LeapWire
-
     with LeapWire() as wire:
         yield wire
 
@@ -81,11 +82,6 @@ def values(status):
 
 
 def test_publishes_every_frame_and_says_what_it_counts(ros, wire):
-    from diagnostic_msgs.msg import DiagnosticArray
-    from sensor_msgs.msg import TimeReference
-
-    from leap_motion.msg import Human
-
     talk = Talk()
     humans = ros.record("leap_motion/leap_device", Human)
     stages = ros.record("rig/stage_times", TimeReference)
@@ -118,10 +114,6 @@ def test_publishes_every_frame_and_says_what_it_counts(ros, wire):
 
 
 def test_unusable_frames_are_a_warning_and_a_missing_service_is_an_error():
-    from diagnostic_msgs.msg import DiagnosticStatus
-
-    from leap_motion.ros.driver import LinkReport
-
     levels = {}
     for link in LeapLink:
         client = SimpleNamespace(status=LeapStatus(link, "A sentence."), counts=LeapCounts())
@@ -133,8 +125,6 @@ def test_unusable_frames_are_a_warning_and_a_missing_service_is_an_error():
 
 
 def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
-    from leap_motion.msg import Human
-
     port = 6437
     humans = ros.record("leap_motion/leap_device", Human)
     node = ros.run("leap_motion", "leap_driver.py", f"_port:={port}")
@@ -153,10 +143,6 @@ def test_waits_for_the_service_and_continues_when_it_appears(ros, wire):
 
 
 def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, monkeypatch):
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    from leap_motion.msg import Human
-
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
     T = np.array([[1.0, 0.0, 0.0, 0.1], [0.0, 0.8, -0.6, 0.02], [0.0, 0.6, 0.8, 0.3], [0.0, 0.0, 0.0, 1.0]])
@@ -180,8 +166,6 @@ def test_a_registration_counts_for_its_own_tracker_alone(ros, wire, tmp_path, mo
 
 def reported(registered, of_simulation, plugged, simulated):
     """Returns level and sentence for a tracker of the serial `plugged`, and whether its frame was used."""
-    from leap_motion.ros.driver import LinkReport
-
     status = LeapStatus(LeapLink.STREAMING, "It sends frames.", serial=plugged, simulated=simulated)
     client = SimpleNamespace(status=status, counts=LeapCounts())
     registration = SimpleNamespace(serial=registered, simulated=of_simulation, T_desk_leap=np.eye(4))

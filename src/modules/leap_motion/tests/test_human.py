@@ -11,6 +11,16 @@ from numpy.testing import assert_allclose
 from common.rotations import quaternion_from_rotation
 from leap_motion.codec import read_message
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from std_msgs.msg import Header
+
+from leap_motion.msg import Arm, Bone, Finger, Gesture, Hand, Human
+from leap_motion.ros import tracking
+from leap_motion.ros.human import FrameMessage
+from leap_motion.ros.tracking import FramesHere, ReceivedHuman, ReceivedPalms, ReceivedSkeletons
+
 pytestmark = pytest.mark.ros
 
 PITCHED = [[1, 0, 0], [0, 0.8660, 0.5], [0, -0.5, 0.8660]]
@@ -58,16 +68,12 @@ def wire_frame(basis, side="right"):
 
 
 def convert(got, orientation="compatible"):
-    from leap_motion.msg import Human
-
     return Human().deserialize(packed(got, orientation))
 
 
 def packed(got, orientation="compatible", seq=0):
     """The bytes of the message as rospy sends them as its message `seq`."""
     rospy = pytest.importorskip("rospy")
-    from leap_motion.ros.human import FrameMessage
-
     message, buffer = FrameMessage(got, rospy.Time(12, 34), orientation), io.BytesIO()
     rospy.msg.serialize_message(buffer, seq, message)
     return buffer.getvalue()[4:]
@@ -75,12 +81,6 @@ def packed(got, orientation="compatible", seq=0):
 
 def plain(got, orientation="compatible", seq=0):
     """The same message filled field by field with genpy's classes."""
-    import rospy
-    from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-    from std_msgs.msg import Header
-
-    from leap_motion.msg import Arm, Bone, Finger, Hand, Human
-
     compatible = orientation == "compatible"
     header = Header(seq, rospy.Time(12, 34), "leap_hands")
 
@@ -165,8 +165,6 @@ def test_fields():
 
 
 def test_an_absent_hand_is_the_default_message():
-    from leap_motion.msg import Hand
-
     assert serialised(convert(frame(PITCHED)).left_hand) == serialised(Hand())
 
 
@@ -215,8 +213,6 @@ def vary(wire, rng):
 
 @pytest.mark.parametrize("orientation", ["compatible", "correct"])
 def test_the_bytes_are_those_of_the_message_filled_field_by_field(shared_data, orientation):
-    from leap_motion.msg import Human
-
     rng = np.random.default_rng(5)
     texts = [json.dumps(wire_frame(PITCHED_AND_TURNED)), '{"id":1,"timestamp":2,"hands":[],"pointables":[]}']
     for name in ("three-claps", "confidence-74fps"):
@@ -249,10 +245,6 @@ def tracked(frame):
 
 def test_what_is_read_from_the_bytes_is_what_the_message_says(shared_data):
     """Also of messages that are laid out otherwise: fewer fingers or bones, texts, other frame ids, odd lists."""
-    import rospy
-
-    from leap_motion.msg import Gesture
-    from leap_motion.ros.tracking import ReceivedHuman, ReceivedPalms, ReceivedSkeletons
 
     def drop_bone(hand):
         del hand.finger_list[1].bone_list[2]
@@ -311,8 +303,6 @@ def genpy_error():
 
 
 def test_of_the_usual_message_nothing_else_is_read(shared_data, monkeypatch):
-    from leap_motion.ros.tracking import ReceivedHuman
-
     monkeypatch.setattr(ReceivedHuman, "_read_any", None)
     for orientation in ("compatible", "correct"):
         assert len(ReceivedHuman().deserialize(packed(frame(PITCHED), orientation, 9)).hands) == 1
@@ -323,9 +313,6 @@ def test_of_the_usual_message_nothing_else_is_read(shared_data, monkeypatch):
 def test_nodes_in_the_driver_s_process_get_what_a_subscriber_reads(side, orientation, monkeypatch):
     rospy = pytest.importorskip("rospy")
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
-    from leap_motion.ros.human import FrameMessage
-    from leap_motion.ros.tracking import FramesHere, ReceivedHuman
-
     frames, got = FramesHere(), []
     for _ in range(2):
         frames.subscribe(lambda frame, stamp: got.append((frame, stamp)), ReceivedHuman)
@@ -344,9 +331,6 @@ def test_nodes_in_the_driver_s_process_get_what_a_subscriber_reads(side, orienta
 
 def test_a_taker_of_frames_that_fails_starves_no_other(monkeypatch):
     rospy = pytest.importorskip("rospy")
-    from leap_motion.ros import tracking
-    from leap_motion.ros.human import FrameMessage
-
     order, errors, now = [], [], [100.0]
     monkeypatch.setattr(rospy.rostime, "_rostime_initialized", True)
     monkeypatch.setattr(rospy, "logerr", lambda text, *words: errors.append(text % words))

@@ -19,6 +19,12 @@ from rig_simulation.operator.hand_model import HandModel
 from rig_simulation.operator.motion import Script
 from rig_simulation.operator.sources import Playback, ScriptedOperator
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from leap_motion.msg import Human
+from simulated.leap_wire import LeapWire
+
 pytestmark = pytest.mark.ros
 
 STANDS = (30.0, 12.0, -20.0, 10.0, -15.0, 5.0)  # mm and deg about x, y, z
@@ -43,8 +49,6 @@ def ros(virtual_graph, tmp_path, monkeypatch):
 @pytest.fixture
 def leapd(ros):
     """A guided hand on the desk before a service whose tracker stands at STANDS."""
-    from simulated.leap_wire import LeapWire
-
     hand = GuidedOperator(ScriptedOperator(Script(), centre=(0.0, 0.0, 0.0), T_desk_leap=stands()))
     with LeapWire() as wire:
         wire.play(Playback(hand), PORT)
@@ -127,10 +131,6 @@ def test_points_that_do_not_fit_store_nothing(leapd, capsys, tmp_path, monkeypat
 
 
 def test_a_running_rig_is_not_steered_by_the_hand_that_is_shown(ros, capsys):
-    import rospy
-
-    from leap_motion.msg import Human
-
     rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
     assert register_program.main(["desk"], str) == 1
     assert "stop it, then register" in capsys.readouterr().err

@@ -14,16 +14,21 @@ from leap_motion.codec import read_message
 from leap_motion.service import wire
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM, hand_from_joints
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from visualization_msgs.msg import Marker, MarkerArray
+
+from leap_motion.msg import Human
+from leap_motion.ros.hand_markers import hand_markers
+from leap_motion.ros.human import FrameMessage
+from leap_motion.ros.tracking import ReceivedSkeletons
+from tools import launched
+
 pytestmark = pytest.mark.ros
 
 
 SILENT_S, REMIND_S, POLL_S, PERIOD_S = 3.0, 10.0, 0.1, 1.0 / 30.0
 """Of the visualizer."""
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 def hands(fingers=5):
@@ -44,21 +49,12 @@ def hands(fingers=5):
 
 def received(got):
     """The bytes of a frame's message as the visualizer reads them."""
-    import rospy
-
-    from leap_motion.ros.human import FrameMessage
-    from leap_motion.ros.tracking import ReceivedSkeletons
-
     buffer = io.BytesIO()
     rospy.msg.serialize_message(buffer, 0, FrameMessage(got, rospy.Time(12, 34)))
     return ReceivedSkeletons().deserialize(buffer.getvalue()[4:])
 
 
 def drawn(tracked, details=True):
-    import rospy
-
-    from leap_motion.ros.hand_markers import hand_markers
-
     return hand_markers(tracked, "leap_hands", rospy.Duration(1), details)
 
 
@@ -67,8 +63,6 @@ def points(marker):
 
 
 def test_all_bones_and_joints_of_both_hands_lie_where_the_tracker_sees_them():
-    from visualization_msgs.msg import Marker
-
     got = hands()
     markers = drawn(received(got).hands)
     for hand in got.hands:
@@ -97,12 +91,6 @@ def test_a_hand_with_four_fingers_shows_its_palm_alone():
 
 
 def test_the_node_draws_what_the_driver_sends_while_somebody_looks(ros):
-    import rospy
-    from visualization_msgs.msg import MarkerArray
-
-    from leap_motion.msg import Human
-    from leap_motion.ros.human import FrameMessage
-
     publisher = rospy.Publisher("leap_motion/leap_device", Human, queue_size=1)
     node = ros.run("leap_motion", "visualizer", "_frame:=/somewhere")
     arrays = []
@@ -143,7 +131,5 @@ def test_a_wrong_parameter_ends_it_with_a_sentence(ros):
     ],
 )
 def test_launch_files_open_it_with_rviz(package, file, arguments, where):
-    from tools import launched
-
     assert "/leap_motion_visualizer" in launched.nodes(package, file, *arguments)
     assert launched.parameters(package, file, *arguments).get("/leap_motion_visualizer/frame") == where

@@ -9,6 +9,17 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Empty
+
+from reflex_msgs.msg import FingerPressure, Hand, RadianServoCommands, RawServoCommands
+from reflex_msgs.srv import SetSpeed, SetTactileThreshold
+from simulated.hand_wire import HandWire
+
 pytestmark = pytest.mark.ros
 
 PREFIX = "/reflex_takktile/"
@@ -17,14 +28,7 @@ PACKET_S, SILENCE_S, LOOP_S = 0.025, 0.5, 0.01
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def wire(ros):
-    from simulated.hand_wire import HandWire
-
     with HandWire() as wire:
         yield wire
 
@@ -39,8 +43,6 @@ class Diagnosis:
     """What the driver reports on /diagnostics."""
 
     def __init__(self, ros):
-        from diagnostic_msgs.msg import DiagnosticArray
-
         self._arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def __call__(self):
@@ -59,34 +61,21 @@ def diagnosis(ros):
 
 @pytest.fixture
 def states(ros):
-    from reflex_msgs.msg import Hand
-
     return ros.record(PREFIX + "hand_state", Hand)
 
 
 def call(name, service_type, *args):
-    import rospy
-
     rospy.wait_for_service(PREFIX + name, 5.0)
     return rospy.ServiceProxy(PREFIX + name, service_type)(*args)
 
 
 def publisher(ros, name, kind):
-    import rospy
-
     made = rospy.Publisher(PREFIX + name, kind, queue_size=1)
     ros.wait_until(made.get_num_connections, 1.0, "the driver's subscription")
     return made
 
 
 def test_state_commands_services_and_exit(ros, wire, driver, states, diagnosis, tmp_path):
-    import rospy
-    from sensor_msgs.msg import JointState
-    from std_srvs.srv import Empty
-
-    from reflex_msgs.msg import FingerPressure, RadianServoCommands, RawServoCommands
-    from reflex_msgs.srv import SetSpeed, SetTactileThreshold
-
     joints = ros.record("joint_states", JointState)
     states.wait(1, 1.0)
     clock.sleep(1.0)
@@ -164,8 +153,6 @@ def test_a_silent_hand_is_said_once_and_comes_back(ros, wire, driver, states, di
 
 
 def test_a_failed_calibration_is_a_sentence(ros, wire, driver, states, diagnosis, tmp_path):
-    from std_srvs.srv import Empty
-
     states.wait(5, 1.0)
     wire.hand.stick_encoder(finger=0, on=True)
     call("calibrate_fingers", Empty)
@@ -175,10 +162,6 @@ def test_a_failed_calibration_is_a_sentence(ros, wire, driver, states, diagnosis
 
 
 def test_a_calibration_that_cannot_be_written_still_holds(ros, wire, states, tmp_path):
-    from std_srvs.srv import Empty
-
-    from reflex_msgs.msg import RadianServoCommands
-
     (tmp_path / "file").write_text("no folder")
     folder = tmp_path / "file" / "deeper"
     launch = ros.launch("reflex", "reflex_takktile.launch", eth="lo", calibration_folder=folder)
@@ -193,9 +176,6 @@ def test_a_calibration_that_cannot_be_written_still_holds(ros, wire, states, tmp
 @pytest.fixture
 def end_of(ros, wire, tmp_path):
     """Loads the shipped parameters; the function sets and removes some, and lets the driver run to its end."""
-    import rospy
-    import yaml
-
     values = yaml.safe_load((Path(__file__).parents[1] / "config" / "reflex_takktile.yaml").read_text())
     values.update(network_interface="lo", port=11333, calibration_folder=str(tmp_path))
 

@@ -8,6 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+
 pytestmark = [pytest.mark.ros, pytest.mark.real]
 
 URDF = Path(__file__).parents[1] / "urdf"
@@ -21,10 +27,6 @@ URDF = Path(__file__).parents[1] / "urdf"
     ],
 )
 def test_tf_is_the_forward_kinematics_of_the_published_joints(ros, wait_until, robot, flange):
-    import rospy
-    import tf2_ros
-    from sensor_msgs.msg import JointState
-
     ros.launch("rig_description", "description.launch", robot=robot, flange=flange, mounting="20 30 -40")
     model = pin.buildModelFromUrdf(str(URDF / f"{robot.lower()}_{flange}.urdf"))
     data, q = model.createData(), np.linspace(-0.5, 0.9, model.nq)
@@ -52,7 +54,4 @@ def test_tf_is_the_forward_kinematics_of_the_published_joints(ros, wait_until, r
 
 
 def _now():
-    import rospy
-    from std_msgs.msg import Header
-
     return Header(stamp=rospy.Time.now())

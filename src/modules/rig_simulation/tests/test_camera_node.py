@@ -6,11 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rospy
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
 
 from common import clock
 from common.errors import RigError
+from common.ros.images import array_from_image
 from rig_simulation.control_port import ControlClient, ControlPort
+from rig_simulation.files import read_scene
+from rig_simulation.ros.camera import main
+from rig_simulation.world.model import WorldDescription
+from rig_simulation.world.physics import World
 
 pytest.importorskip("mujoco.egl")
 pytestmark = pytest.mark.ros
@@ -33,10 +42,6 @@ class SmallWorld:
     """The control port of a world in which nothing moves by itself."""
 
     def __init__(self, scene: str = "cup") -> None:
-        from rig_simulation.files import read_scene
-        from rig_simulation.world.model import WorldDescription
-        from rig_simulation.world.physics import World
-
         self.world = World(WorldDescription("LBR7R800", "MF_elektrisch", (0.0, 0.0, 0.0), read_scene(scene)))
         self.snapshots = 0
 
@@ -60,11 +65,6 @@ def parameters(**changes) -> dict:
     return values
 
 
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
 @pytest.fixture(scope="module")
 def small_world():
     return SmallWorld()
@@ -73,8 +73,6 @@ def small_world():
 @pytest.fixture
 def world(small_world):
     """The world of all tests of this module, in its first scene."""
-    from rig_simulation.files import read_scene
-
     if small_world.world.loads > 1:
         small_world.world.set_scene(read_scene("cup"))
     return small_world
@@ -83,7 +81,6 @@ def world(small_world):
 @pytest.fixture
 def start(ros):
     """Starts the node `driver` with the package's parameters and changes to them; returns it."""
-    import rospy
 
     def start_node(**changes):
         rospy.set_param("camera/driver", parameters(**changes))
@@ -100,8 +97,6 @@ def switch(name: str, on: bool = True) -> None:
 
 def diagnostics(ros):
     """Returns a function that gives the node's last status: its level, message and values."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
     arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def read() -> dict:
@@ -112,9 +107,6 @@ def diagnostics(ros):
 
 
 def test_it_publishes_what_an_xtion_does(world, start, ros):
-    from sensor_msgs.msg import CameraInfo, Image
-    from std_msgs.msg import String
-
     images = {
         topic: ros.record(f"camera/{topic}", Image)
         for topic in ("rgb/image_raw", "depth/image_raw", "depth/image", "depth_registered/image_raw")
@@ -147,8 +139,6 @@ def test_it_publishes_what_an_xtion_does(world, start, ros):
 
 
 def test_without_listeners_nothing_is_rendered_and_the_world_is_looked_at_once_a_second(world, start, ros):
-    from sensor_msgs.msg import CameraInfo, Image
-
     infos, status = ros.record("camera/rgb/camera_info", CameraInfo), diagnostics(ros)
     with world.open():
         start()
@@ -165,8 +155,6 @@ def test_without_listeners_nothing_is_rendered_and_the_world_is_looked_at_once_a
 
 
 def test_it_waits_for_the_world_and_continues_when_it_comes_back(world, start, ros):
-    from sensor_msgs.msg import Image
-
     status = diagnostics(ros)
     process = start()
     images = ros.record("camera/rgb/image_raw", Image)
@@ -187,10 +175,6 @@ def test_it_waits_for_the_world_and_continues_when_it_comes_back(world, start, r
 
 
 def test_a_change_of_scene_is_seen(world, start, ros):
-    from sensor_msgs.msg import Image
-
-    from rig_simulation.files import read_scene
-
     images = ros.record("camera/rgb/image_raw", Image)
     with world.open():
         start(colour={"noise": 0.0})
@@ -203,8 +187,6 @@ def test_a_change_of_scene_is_seen(world, start, ros):
 
 
 def test_faults_are_switched_at_its_control_port(world, start, ros):
-    from sensor_msgs.msg import Image
-
     depth = ros.record("camera/depth/image_raw", Image)
     status = diagnostics(ros)
     with world.open():
@@ -221,10 +203,6 @@ def test_faults_are_switched_at_its_control_port(world, start, ros):
 
 
 def test_garbled_images_are_refused_by_their_readers(world, start, ros):
-    from sensor_msgs.msg import Image
-
-    from common.ros.images import array_from_image
-
     def is_whole(message) -> bool:
         try:
             return array_from_image(message).shape[:2] == (120, 160)
@@ -244,8 +222,6 @@ def test_garbled_images_are_refused_by_their_readers(world, start, ros):
 
 
 def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros):
-    from sensor_msgs.msg import Image
-
     def published() -> set:
         return {topic for topic in ros.names("/camera/driver")["publishes"] if topic.startswith("/camera")}
 
@@ -275,10 +251,6 @@ def test_a_driver_that_restarts_takes_its_topics_back(world, start, ros):
     ],
 )
 def test_bad_parameters_are_refused(ros, changes, key):
-    import rospy
-
-    from rig_simulation.ros.camera import main
-
     rospy.set_param("~", parameters(**changes))
     with pytest.raises(RigError, match=key):
         main()
@@ -294,8 +266,6 @@ def test_a_control_port_that_is_taken_ends_it_with_a_sentence(world, start):
 
 
 def test_it_stops_quietly_when_it_is_interrupted(world, start, ros):
-    from sensor_msgs.msg import Image
-
     with world.open():
         process = start()
         ros.record("camera/depth_registered/image_raw", Image).wait(1, 1.0)

@@ -13,16 +13,18 @@ from rig_simulation.files import read_scene
 from rig_simulation.world.model import camera_link_pose
 from rig_simulation.world.scene import scene_from
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+import tf2_ros
+from tf2_msgs.msg import TFMessage
+
+from common.ros.conversions import pose_from_transform
+
 pytestmark = pytest.mark.ros
 SCENES = [
     {"mounting": mounting, "scene": read_scene("grasping"), "arms": arms}
     for mounting, arms in (([0, 0, 0], None), ([180, 0, 0], None), ([0, 0, 0], ["left", "right"]))
 ]
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 class World:
@@ -44,11 +46,6 @@ def truth(fields) -> np.ndarray:
 @pytest.mark.parametrize("fields", SCENES, ids=["upright", "from a ceiling", "two arms"])
 def test_the_pose_is_that_of_the_scene_and_follows_it(ros, fields):
     """It looks once a second."""
-    import rospy
-    import tf2_ros
-
-    from common.ros.conversions import pose_from_transform
-
     parent = "world" if fields["arms"] else "kuka/base_frame"
     buffer = tf2_ros.Buffer()
     tf2_ros.TransformListener(buffer)
@@ -71,9 +68,6 @@ def test_the_pose_is_that_of_the_scene_and_follows_it(ros, fields):
 
 
 def test_a_world_that_does_not_come_is_complained_of_after_five_seconds_and_asked_twice_a_second(ros):
-    import rospy
-    from tf2_msgs.msg import TFMessage
-
     heard = []
     rospy.Subscriber("/tf_static", TFMessage, heard.append)
     node = ros.run("rig_simulation", "camera_truth_node.py", "_port:=30021")

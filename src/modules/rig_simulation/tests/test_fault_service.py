@@ -6,6 +6,14 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from rig_msgs.srv import SimulationFault
+from rig_simulation.control_port import ControlPort
+from rig_simulation.faults.injection import Faults
+from rig_simulation.faults.leap import LEAP_FAULTS
+
 pytestmark = pytest.mark.ros
 
 
@@ -16,10 +24,6 @@ LEAP, ARM, TIMEOUT_S = 16438, 30011, 2.0
 @pytest.fixture
 def leap(virtual_graph):
     """The faults of a Leap service with a control port."""
-    from rig_simulation.control_port import ControlPort
-    from rig_simulation.faults.injection import Faults
-    from rig_simulation.faults.leap import LEAP_FAULTS
-
     faults = Faults(LEAP_FAULTS)
     with ControlPort(faults.requests, port=LEAP):
         yield faults
@@ -27,10 +31,6 @@ def leap(virtual_graph):
 
 @pytest.fixture
 def service(virtual_graph, leap):
-    import rospy
-
-    from rig_msgs.srv import SimulationFault
-
     ports = f"_leap_port:={LEAP}", f"_arm_port:={ARM}", "_world_port:=0"
     virtual_graph.run("rig_simulation", "simulation_node.py", *ports)
     rospy.wait_for_service("simulation/fault", 1.0)

@@ -6,6 +6,14 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from std_srvs.srv import Trigger
+
+from rig_simulation.control_port import ControlClient, ControlPort
+
 pytestmark = pytest.mark.ros
 
 SEEN_S = 0.02  # from the node's question to the message in the test
@@ -13,15 +21,8 @@ STATUS_PERIOD_S, RETRY_PERIOD_S, START_S, REMIND_S = 0.1, 0.5, 5.0, 10.0
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def controller(ros):
     """A running simulated controller; yields a client of its control port, and that port."""
-    from rig_simulation.control_port import ControlClient
-
     ros.run("rig_simulation", "sunrise_controller.py", "--port", "0", "--control-port", "16433")
     clock.sleep(0.1)
     with ControlClient("127.0.0.1", 16433, 1.0) as client:
@@ -29,11 +30,6 @@ def controller(ros):
 
 
 def test_the_flange_the_status_and_the_key(ros, controller):
-    import rospy
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from geometry_msgs.msg import PoseStamped
-    from std_srvs.srv import Trigger
-
     arm, port = controller
     poses = ros.record("simulation/flange", PoseStamped)
     status = ros.record("simulation/status", DiagnosticStatus)
@@ -64,11 +60,6 @@ def test_the_flange_the_status_and_the_key(ros, controller):
 
 
 def test_the_stamp_tells_when_the_arm_stood_there_by_the_arms_own_clock(ros, controller):
-    import rospy
-    from geometry_msgs.msg import PoseStamped
-
-    from rig_simulation.control_port import ControlPort
-
     arm, _ = controller
     state = {**arm.ask("state"), "time": -1e6, "age": 1000.0}
     poses = ros.record("simulation/flange", PoseStamped)
@@ -79,8 +70,6 @@ def test_the_stamp_tells_when_the_arm_stood_there_by_the_arms_own_clock(ros, con
 
 
 def test_without_a_controller_it_says_so_and_waits(ros):
-    from diagnostic_msgs.msg import DiagnosticStatus
-
     status = ros.record("simulation/status", DiagnosticStatus)
     node = ros.run("rig_simulation", "simulation_node.py", "_arm_port:=30001", "_world_port:=0")
     said = lambda: node.log_path.read_text().count("does not answer")  # noqa: E731

@@ -8,6 +8,13 @@ import pytest
 from common import clock
 from rig_simulation.control_port import ControlPort
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+
+from kuka_msgs.msg import jointPositions
+from kuka_msgs.srv import setGripperControl, setKukaControl
+from rig_msgs.msg import KukaStatus
+
 pytestmark = pytest.mark.ros
 
 HOME = [0.1, -0.5, 0.0, 1.4, 0.0, -1.2, 0.3]
@@ -23,12 +30,6 @@ class Controller:
     status_s = 0.0
 
     def __init__(self, of=""):
-        import rospy
-
-        from kuka_msgs.msg import jointPositions
-        from kuka_msgs.srv import setGripperControl, setKukaControl
-        from rig_msgs.msg import KukaStatus
-
         self.calls = []
         self.joints = [0.0] * 7
         self.refusals = 0
@@ -71,11 +72,6 @@ class Controller:
             service.shutdown()
         self._publisher.unregister()
         self._status.unregister()
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 @pytest.fixture
@@ -171,8 +167,6 @@ def test_ends_with_an_interrupt(ros):
 
 
 def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(ros, leapd):
-    import rospy
-
     arms = {name: Controller(f"{name}/") for name in ("left", "right")}
     rospy.set_param("/operator_node/arms", list(arms))
     arms["left"].joints = HOME
@@ -188,8 +182,6 @@ def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(r
 
 
 def test_a_scenario_of_one_arm_is_refused_for_several(ros):
-    import rospy
-
     rospy.set_param("/operator_node/arms", ["left", "right"])
     node = ros.run("rig_simulation", "operator_node.py", "__name:=operator_node", "_scenario:=pick_cup")
     assert node.wait(1.0) == 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 pytest.importorskip("rig_msgs.msg")
+import rospy
+
 from common import clock
 from common.errors import DeviceError
 from rig_simulation.ros.monitors import poll
@@ -32,7 +34,6 @@ class Device:
 @pytest.fixture
 def polled(virtual_graph):
     """Lets a node poll a device; returns what the node says after some seconds."""
-    import rospy
 
     def polled(device, seconds):
         def main():

@@ -6,6 +6,16 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
+
+from rig_msgs.msg import ObjectStates
+from rig_msgs.srv import SetScene
+from rig_simulation.control_port import ControlClient, ControlPort
+from simulated.hand_wire import HandNetwork
+
 pytestmark = pytest.mark.ros
 
 PORT, SEEN_S = 16434, 0.02
@@ -14,16 +24,8 @@ STATE_PERIOD_S, WINDOW_S, RETRY_PERIOD_S, START_S = 0.5, 5.0, 0.5, 5.0
 
 
 @pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
-
-
-@pytest.fixture
 def world(ros):
     """A running world whose time is stepped; yields a client of its control port."""
-    from rig_simulation.control_port import ControlClient
-    from simulated.hand_wire import HandNetwork
-
     ports = [text for name in ("", "control-", "hand-", "hand-control-") for text in (f"--{name}port", "0")]
     with HandNetwork():
         ros.run("rig_simulation", "world.py", "--stepped", "--scene", "cup", *ports, "--world-port", str(PORT))
@@ -33,12 +35,6 @@ def world(ros):
 
 
 def test_objects_reset_and_change_of_scene(ros, world):
-    import rospy
-    from std_srvs.srv import Trigger
-
-    from rig_msgs.msg import ObjectStates
-    from rig_msgs.srv import SetScene
-
     states = ros.record("simulation/object_states", ObjectStates)
     ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={PORT}", "_world_rate:=20")
     states.wait(1, 1.0)
@@ -71,8 +67,6 @@ class Reports:
     """What stands on /diagnostics about the world."""
 
     def __init__(self, ros):
-        from diagnostic_msgs.msg import DiagnosticArray
-
         self._arrays = ros.record("/diagnostics", DiagnosticArray)
 
     def __call__(self):
@@ -94,8 +88,6 @@ def test_the_pace_of_the_world_is_reported(ros, world):
 
 
 def test_a_world_that_is_behind_is_called_slow(ros):
-    from rig_simulation.control_port import ControlPort
-
     passed, speed = [0.0, clock.monotonic()], 0.5
 
     def time():
@@ -124,9 +116,6 @@ def test_a_world_that_is_behind_is_called_slow(ros):
 
 
 def test_without_a_world_it_says_so_and_waits(ros):
-    import rospy
-    from std_srvs.srv import Trigger
-
     node = ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={PORT}")
     clock.sleep(START_S)
     assert "does not answer" not in node.log_path.read_text()

@@ -6,21 +6,21 @@ import pytest
 
 from common import clock
 
+pytest.importorskip("rig_msgs.srv")
+from visualization_msgs.msg import Marker, MarkerArray
+
+from rig_simulation.control_port import ControlClient
+from rig_simulation.devices.reflex import program
+from rig_simulation.faults.hand import HAND_FAULTS, HandWire
+from rig_simulation.faults.injection import Faults
+
 pytestmark = pytest.mark.ros
-
-
-@pytest.fixture
-def ros(virtual_graph):
-    return virtual_graph
 
 
 class NoLink:
     """The link of a hand that nobody moves."""
 
     def __init__(self, interface, port):
-        from rig_simulation.faults.hand import HAND_FAULTS, HandWire
-        from rig_simulation.faults.injection import Faults
-
         self.interface, self.port, self.faults = interface, port, Faults(HAND_FAULTS)
         self.wire = HandWire(self.faults)
         self.send, self.collect, self.close = lambda _: None, list, lambda: None
@@ -29,8 +29,6 @@ class NoLink:
 @pytest.fixture
 def world_port(ros, monkeypatch):
     """Control port of a running world with a cup in it."""
-    from rig_simulation.devices.reflex import program
-
     monkeypatch.setattr(program, "HandLink", NoLink)
     ports = ("--port", "0", "--control-port", "0", "--hand-port", "0", "--hand-control-port", "0", "--world-port", "0")
     process = ros.run("rig_simulation", "world.py", "--scene", "cup", *ports)
@@ -43,10 +41,6 @@ def of(array, kind, namespace=""):
 
 
 def test_objects_and_forces_are_shown(ros, world_port):
-    from visualization_msgs.msg import Marker, MarkerArray
-
-    from rig_simulation.control_port import ControlClient
-
     objects = ros.record("simulation/objects", MarkerArray)
     contacts = ros.record("simulation/contacts", MarkerArray)
     ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={world_port}")
