@@ -14,6 +14,9 @@ from tools.reference import nodes, parameters, sources
 from tools.reference.pages import PAGES
 from tools.reference.syntax import dotted
 
+WORDS = 69_000
+"""At most so many words in all hand-written pages together."""
+
 
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.ros] * (name == "parameters.md")) for name in PAGES]
@@ -143,6 +146,14 @@ class TestPages:
         unmarked = [block for block in self.BLOCKS if pages.REAL_HARDWARE not in block.marks]
         assert not [block.where for block in unmarked if commands.for_a_real_rig(block.text)]
 
+    def test_hand_written_pages_stay_short(self):
+        """A page that one reads is short. The limit only ever goes down."""
+        count = {
+            str(p.relative_to(pages.ROOT)): pages.words(p.read_text()) for p in self.PAGES if not pages.generated(p)
+        }
+        total = sum(count.values())
+        assert total <= WORDS, f"{total} words; longest: {sorted(count.items(), key=lambda item: -item[1])[:5]}"
+
 
 @functools.lru_cache(maxsize=None)
 def anchors(page) -> set[str]:
@@ -150,6 +161,9 @@ def anchors(page) -> set[str]:
 
 
 class TestChecker:
+    def test_words_are_what_a_reader_reads(self):
+        assert pages.words("# A [link](x y.md), 2 | `c`\n<!-- no -->\n```bash\nnone\n```\nend — .\n") == 5
+
     @pytest.mark.parametrize(
         "command",
         [

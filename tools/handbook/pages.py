@@ -93,6 +93,19 @@ def anchors(text: str) -> set[str]:
     return set(found)
 
 
+def generated(page: Path) -> bool:
+    """Whether a program writes the page, all of it."""
+    return page.parent.name == "reference" or page.name in ("campaign.md", "bad-networks.md")
+
+
+def words(text: str) -> int:
+    """Returns how many words a page has: what has a letter or digit, without fenced blocks, comments, link targets."""
+    text = re.sub(r"^ *```.*?^ *```", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    return sum(bool(re.search(r"[A-Za-z0-9]", word)) for word in text.split())
+
+
 def blocks(page: Path, languages: tuple[str, ...] = ("bash", "python")) -> Iterator[Block]:
     """Yields the fenced blocks of commands and programs of a page, in order."""
     section, comment, fence = 0, "", None
