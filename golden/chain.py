@@ -36,18 +36,7 @@ from leap_kuka.config import OPERATOR_INPUT, ArmPlacement, LeapConfig
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import TeleopResult
 from leap_motion.codec import LeapProtocolError, read_message
-from leap_motion.frames import (
-    DISTAL,
-    INDEX,
-    INTERMEDIATE,
-    MIDDLE,
-    THUMB,
-    FingerPoints,
-    LeapFrame,
-    LeapHand,
-    TrackedHand,
-    TrackingFrame,
-)
+from leap_motion.frames import LeapFrame, TrackingFrame, tracked_hands
 from leap_motion.plausibility import HandBounds, PlausibleHands
 
 SRC = Path(__file__).resolve().parents[1] / "src"
@@ -322,7 +311,7 @@ class PureChain:
         self._last = frame.id, frame.timestamp_us
         frame = self._plausible.step(frame, now)
         say(now, "codec", f"left out: {without_numbers(str(frame.left_out))}" if frame.left_out else "fine")
-        tracking = tracked(frame)
+        tracking = TrackingFrame(frame.id, 0.0, tracked_hands(frame))
         result = self._arm.step(tracking, now)
         self._tell(result, now)
         tool = None
@@ -360,22 +349,6 @@ class PureChain:
             return None
         self._world.trace.say(now, "leap_hand", f"{result.state.value}: {without_numbers(result.reason)}")
         return None if result.command is None else self._force_limit.clip(result.command, now).command
-
-
-def tracked(frame: LeapFrame) -> TrackingFrame:
-    """Returns what teleoperation uses of a frame, as the message leap_motion/Human carries it."""
-    hands = [hand for side in ("right", "left") if (hand := frame.hand(side)) is not None]
-    return TrackingFrame(frame.id, 0.0, tuple(map(_tracked_hand, hands)))
-
-
-def _tracked_hand(hand: LeapHand) -> TrackedHand:
-    points = None
-    if [finger.type for finger in hand.fingers] == list(range(5)):
-        bones = {finger.type: finger.bones for finger in hand.fingers}
-        tips = [bones[finger][DISTAL].end for finger in (INDEX, MIDDLE, THUMB)]
-        points = FingerPoints(*tips, *(bones[finger][INTERMEDIATE].center for finger in (INDEX, MIDDLE)))
-    pose = hand.palm, hand.direction, hand.normal
-    return TrackedHand(hand.id, hand.side == "left", *pose, hand.confidence, points, hand.grab, hand.pinch)
 
 
 def without_numbers(text: str) -> str:

@@ -324,9 +324,12 @@ def test_nodes_in_the_driver_s_process_get_what_a_subscriber_reads(side, orienta
         assert (frame_here.id, stamp) == (read.frame_id, read.stamp)
         assert 0.0 <= frame_here.age < 30.0
         for here, there in zip(frame_here.hands, read.hands):
-            assert (here.id, here.is_left, here.confidence) == (there.id, there.is_left, there.confidence)
-            assert_allclose(here.palm, there.palm)
-            assert_allclose(here.fingers.index_tip, there.fingers.index_tip)
+            assert (here.id, here.is_left) == (there.id, there.is_left)
+            assert_allclose(here.confidence, there.confidence)
+            for name in ("palm", "direction", "normal"):
+                assert_allclose(getattr(here, name), getattr(there, name))
+            for name, point in vars(there.fingers).items():
+                assert_allclose(vars(here.fingers)[name], point, atol=1e-7)
 
 
 def test_a_taker_of_frames_that_fails_starves_no_other(monkeypatch):

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 
 from common.hand_tracking import MAX_STEP_M
 from common.rotations import rotation_angle, rotation_from_zyx
-from golden.chain import parsed, tracked
+from golden.chain import parsed
 from golden.runs import RUNS, Missing
 from leap_hand.teleop import HandTeleop
 from leap_kuka.config import OPERATOR_INPUT
 from leap_kuka.hand_average import HandAverage
 from leap_motion.codec import read_message
-from leap_motion.frames import LeapFrame
+from leap_motion.frames import LeapFrame, TrackingFrame, tracked_hands
 from leap_motion.plausibility import NOISE_M, HandBounds, PlausibleHands
 from leap_motion.service import wire
 from rig_simulation.devices.leap.sensing import at_rest
@@ -325,7 +325,7 @@ def commands(frames):
     hand, average = HandTeleop(HAND_CONFIG, True), HandAverage(LEAP.buffer_size, LEAP.filter)
     sent, fingers, palms = None, [], []
     for each in seen(frames):
-        told, now = tracked(each), 1e-6 * each.timestamp_us
+        told, now = TrackingFrame(each.id, 0.0, tracked_hands(each)), 1e-6 * each.timestamp_us
         result = hand.step(told, now)
         sent = sent if result is None or result.command is None else result.command
         fingers.append(sent)

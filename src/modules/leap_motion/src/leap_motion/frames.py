@@ -161,6 +161,26 @@ class TrackingFrame:
     hands: tuple[TrackedHand, ...]  # in view
 
 
+def int32(number: int) -> int:
+    """Returns the low 32 bits as a signed number: what the messages hold of a longer id."""
+    return (number + 2**31) % 2**32 - 2**31
+
+
+def tracked_hands(frame: LeapFrame) -> tuple[TrackedHand, ...]:
+    """Returns the hands that teleoperation uses: of each side the one tracked longest."""
+    return tuple(_tracked(hand) for side in ("right", "left") if (hand := frame.hand(side)) is not None)
+
+
+def _tracked(hand: LeapHand) -> TrackedHand:
+    points = None
+    if [finger.type for finger in hand.fingers] == list(range(5)):
+        joints = np.array([finger.joints for finger in hand.fingers])
+        centers = 0.5 * (joints[:, INTERMEDIATE] + joints[:, INTERMEDIATE + 1])
+        points = FingerPoints(*joints[[INDEX, MIDDLE, THUMB], -1], *centers[[INDEX, MIDDLE]])
+    axes = hand.palm, hand.direction, hand.normal
+    return TrackedHand(int32(hand.id), hand.side == "left", *axes, hand.confidence, points, hand.grab, hand.pinch)
+
+
 def _freeze(record: object, *names: str) -> None:
     for name in names:
         array = getattr(record, name)

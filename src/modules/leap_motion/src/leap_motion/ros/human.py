@@ -22,7 +22,7 @@ import rospy
 from std_msgs.msg import Header
 
 from common.rotations import quaternions_from_rotations
-from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand
+from leap_motion.frames import LeapBone, LeapFinger, LeapFrame, LeapHand, int32
 from leap_motion.msg import Human
 from leap_motion.ros.parameters import COMPATIBLE
 
@@ -56,7 +56,8 @@ class FrameMessage(Human):
 
     def __init__(self, frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> None:
         self.header = Header(0, stamp, FRAME_ID.decode())
-        self._frame, self._compatible = frame, orientation == COMPATIBLE
+        self.frame = frame
+        self._compatible = orientation == COMPATIBLE
 
     def serialize(self, buff: BytesIO) -> None:
         """Writes the bytes of the message."""
@@ -65,10 +66,10 @@ class FrameMessage(Human):
     @cached_property
     def data(self) -> bytes:
         """The bytes, with the header as it is when they are first asked for."""
-        frame, header = self._frame, (self.header.seq, self.header.stamp.secs, self.header.stamp.nsecs)
+        frame, header = self.frame, (self.header.seq, self.header.stamp.secs, self.header.stamp.nsecs)
         counts = len(frame.hands), frame.finger_count, frame.gestures
         text = f"frame {frame.id}, device time {frame.timestamp_us} us".encode()
-        data = TOP.pack(*header, len(FRAME_ID), FRAME_ID, _int32(frame.id), *counts, frame.rate, len(text)) + text
+        data = TOP.pack(*header, len(FRAME_ID), FRAME_ID, int32(frame.id), *counts, frame.rate, len(text)) + text
         for hand in map(frame.hand, ("right", "left")):
             data += NO_HAND if hand is None else _hand_bytes(hand, header, self._compatible)
         return data
@@ -81,7 +82,7 @@ def _hand_bytes(hand: LeapHand, header: tuple[int, int, int], compatible: bool) 
     if compatible:
         quaternions[:, :3] *= -1.0
     head = HAND.pack(
-        *header, len(FRAME_ID), FRAME_ID, _int32(hand.id), True, False,
+        *header, len(FRAME_ID), FRAME_ID, int32(hand.id), True, False,
         hand.time_visible, hand.confidence, hand.roll, hand.pitch, hand.yaw,
         *hand.direction.tolist(), *hand.normal.tolist(), hand.grab, hand.pinch,
         CENTER, *hand.velocity.tolist(), *hand.palm.tolist(), hand.palm_width, hand.sphere_radius,
@@ -99,7 +100,7 @@ def _finger_bytes(fingers: tuple[LeapFinger, ...], header: tuple[int, int, int],
     start, end = joints[:, :-1], joints[:, 1:]
     widths = [finger.width for finger in fingers]
     records["header"]["numbers"] = bones["header"]["numbers"] = header
-    records["id"] = [_int32(finger.id) for finger in fingers]
+    records["id"] = [int32(finger.id) for finger in fingers]
     records["type"] = [finger.type for finger in fingers]
     records["length"] = [finger.length for finger in fingers]
     records["width"] = widths
@@ -132,8 +133,3 @@ def empty_fingers(n: int, mask: bool = False) -> np.ndarray:
         part["header"]["frame_id"] = b"\xff" * len(FRAME_ID) if mask else FRAME_ID
     records.setflags(write=False)
     return records
-
-
-def _int32(number: int) -> int:
-    """Returns the low 32 bits as a signed number, the part of a longer id that the field can hold."""
-    return (number + 2**31) % 2**32 - 2**31

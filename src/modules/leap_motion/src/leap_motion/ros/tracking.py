@@ -19,7 +19,18 @@ from common import clock
 from common.poses import read_only
 from common.ros.conversions import array
 from common.ros.node import while_running
-from leap_motion.frames import DISTAL, INDEX, INTERMEDIATE, MIDDLE, THUMB, FingerPoints, TrackedHand, TrackingFrame
+from leap_motion.frames import (
+    DISTAL,
+    INDEX,
+    INTERMEDIATE,
+    MIDDLE,
+    THUMB,
+    FingerPoints,
+    TrackedHand,
+    TrackingFrame,
+    int32,
+    tracked_hands,
+)
 from leap_motion.msg import Human
 from leap_motion.ros.human import ARM, CENTER, FINGER, FRAME_ID, HAND, NO_HAND, TOP, FrameMessage, empty_fingers
 
@@ -127,7 +138,7 @@ Subscribe = typing.Callable[..., object]
 
 
 class FramesHere:
-    """Passes a driver's messages on to the nodes of its process: each is read once and wakes no other process."""
+    """Passes a driver's frames on to the nodes of its process: no message is read, and no other process wakes."""
 
     def __init__(self) -> None:
         self._takers: list[Callable[[TrackingFrame, rospy.Time], None]] = []
@@ -141,11 +152,12 @@ class FramesHere:
 
     def pass_on(self, message: FrameMessage) -> None:
         """Gives the frame of a message to all; the exception of one is logged, once a second, and the others get it."""
-        human = ReceivedHuman().deserialize(message.data)
+        frame, hands, stamp = message.frame, tracked_hands(message.frame), message.header.stamp
         for on_frame in tuple(self._takers):
             try:
                 with while_running():
-                    on_frame(human.frame(rospy.Time.now()), human.stamp)
+                    age = (rospy.Time.now() - stamp).to_sec()
+                    on_frame(TrackingFrame(int32(frame.id), age, hands), stamp)
             except Exception:
                 if clock.monotonic() - self._logged_at.get(on_frame, -math.inf) >= LOG_PERIOD_S:
                     self._logged_at[on_frame] = clock.monotonic()
