@@ -26,7 +26,7 @@ from campaign.growth import growth
 from campaign.soak import Rig, until_home
 from common.errors import RigError
 from fuzz.mutations import NASTY
-from fuzz.run import INTERRUPTED, LEAK_MIB_H, LEAK_RUN_S, MINUTES, ROOT
+from fuzz.run import INTERRUPTED, MINUTES, ROOT
 from tools.options import new_folder
 
 FRAMES = (
@@ -44,6 +44,10 @@ NOT_OURS = ("/rosout", "/rosout_agg", "/clock", "/diagnostics", "/tf_static")
 STILL = 1e-3
 """Largest change of the flange's pose, of an arm that stands [m, 1]."""
 
+LEAK_MIB_H = 300.0
+"""A process that grows faster leaks: a kilobyte a message would be far more."""
+
+LEAK_RUN_S = 120.0
 SHARE = 0.1  # of the minutes of `make fuzz`
 PAUSE_S, SAMPLE_S, TIMEOUT_S, FOLLOW_S = 0.02, 5.0, 15.0, 120.0
 

@@ -24,9 +24,11 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import hypothesis
 import numpy as np
 import yaml
 from hypothesis import strategies as st
+from hypothesis.database import DirectoryBasedExampleDatabase
 
 from common.config import parse
 from common.errors import RigError
@@ -64,6 +66,26 @@ def target(
         return take
 
     return register
+
+
+def law(target: Target, examples: int, search: bool = True) -> Callable[[], None]:
+    """Returns the function that tries examples of a target and raises what the smallest input of a finding raises.
+
+    `search`: it begins with what was found before, makes a finding smaller and keeps it.
+    """
+
+    def test(given: Any) -> None:
+        with contextlib.suppress(*target.declared):
+            target.take(given)
+
+    test.__name__ = test.__qualname__ = target.name
+    phases = [phase for phase in hypothesis.Phase if phase is not hypothesis.Phase.explain]
+    settings = hypothesis.settings(
+        max_examples=examples, deadline=None, suppress_health_check=list(hypothesis.HealthCheck),
+        database=DirectoryBasedExampleDatabase(ROOT / ".hypothesis" / "fuzz") if search else None,
+        phases=phases if search else [hypothesis.Phase.generate],
+    )  # fmt: skip
+    return settings(hypothesis.given(target.inputs())(test))
 
 
 def finite(value: Any, where: str = "") -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import math
@@ -9,17 +10,16 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
+from hypothesis.errors import HypothesisException
 from mcap.stream_reader import StreamReader
 
 from common import config
 from fuzz import run as fuzz_run
-from fuzz.run import checked, fuzz, run_batch
-from fuzz.targets import TARGETS
+from fuzz.targets import TARGETS, law
 from grasping.lab.dataset import store
 from grasping.network import weights
 from kst.client import KstClient
@@ -61,8 +61,17 @@ FOUND = [
 @pytest.mark.parametrize("name", NAMES)
 def test_nothing_is_found(name):
     target = TARGETS[name]
-    found = run_batch(target, checked(target, {}), max(10, int(EXAMPLES / target.cost)), None, target.inputs())
-    assert found is None, f"{found[1]}: {found[0]!r}; caused by {found[1].__cause__!r}"
+    try_examples = law(target, max(10, int(EXAMPLES / target.cost)))
+    ends = time.process_time() + float(os.environ.get("FUZZ_SECONDS", "0"))
+    try_examples()
+    while time.process_time() < ends:
+        try_examples()
+
+
+def take(name, given):
+    """Gives a target one input; its declared errors are none."""
+    with contextlib.suppress(*TARGETS[name].declared):
+        TARGETS[name].take(given)
 
 
 @pytest.mark.parametrize(
@@ -70,19 +79,19 @@ def test_nothing_is_found(name):
     [pytest.param(*each, id=f"{each[0]}-{number}", marks=marks_of(each[0])) for number, each in enumerate(FOUND)],
 )
 def test_what_was_found_once_stays_mended(name, given):
-    checked(TARGETS[name], {})(given)
+    take(name, given)
 
 
 def test_files_that_were_findings_once(monkeypatch):
     packed = bytearray(gzip.compress(b"{}" * 500))
     packed[15] ^= 0xFF
-    checked(TARGETS["recordings"], {})(bytes(packed))
+    take("recordings", bytes(packed))
     empty = '{{"currentFrameRate": 115.3, "devices": [], "hands": [], "id": 0, "pointables": [], "timestamp": {}}}'
     for line in (
         *("[" * 2000, '{"hands": ["x"], "pointables": [], "timestamp": 1}', '{"hands": [], "timestamp": 1}'),
         "\n".join(empty.format(stamp) for stamp in (1, 10**400)),
     ):
-        checked(TARGETS["recordings"], {})(line.encode())
+        take("recordings", line.encode())
     stream = io.BytesIO()
     np.save(stream, np.zeros(3))
     for wrong in ((b"(3,)", b"(3,("), (b"(3,), }" + b" " * 16, b"(300000000000000,), }  ")):
@@ -125,29 +134,14 @@ PLANTED = {
 @pytest.mark.parametrize("fault", [pytest.param(fault, marks=marks_of(name)) for fault, (name, *_) in PLANTED.items()])
 def test_a_planted_fault_is_found(monkeypatch, fault):
     name, place, attribute, wrong = PLANTED[fault]
-    target = TARGETS[name]
-    inputs = target.inputs()
+    try_examples = law(TARGETS[name], 3000, search=False)
     if isinstance(place, str):  # of a module that needs ROS
         monkeypatch.setattr(f"{place}.{attribute}", wrong)
     else:
         monkeypatch.setattr(place, attribute, wrong)
-    assert run_batch(target, checked(target, {}), 3000, None, inputs, store=False, smallest=False) is not None
-
-
-@pytest.mark.long
-def test_a_worker_that_dies_is_a_finding_and_one_that_ends_is_none(tmp_path):
-    results: dict[str, dict] = {}
-    fuzz(["kst_answers", "no such target"], 2.0, 0, tmp_path, results)
-    assert results["kst_answers"]["examples"] > 0 and not results["kst_answers"]["findings"]
-    assert results["no such target"]["findings"] == [f"the process died, see {tmp_path / 'no such target-died.txt'}"]
-    assert "KeyError" in (tmp_path / "no such target-died.txt").read_text()
-
-
-def test_the_folder_of_the_findings_is_made(tmp_path, monkeypatch):
-    monkeypatch.setattr(fuzz_run, "ROOT", tmp_path)
-    monkeypatch.setattr(fuzz_run, "fuzz", lambda *arguments: None)
-    assert fuzz_run.main([]) == 0
-    assert (tmp_path / "build" / "fuzz" / "fuzz.json").is_file()
+    with pytest.raises(Exception) as found:
+        try_examples()
+    assert not isinstance(found.value, (HypothesisException, *TARGETS[name].declared))
 
 
 @pytest.mark.ros
@@ -176,26 +170,20 @@ def test_an_exception_in_a_node_is_a_finding(tmp_path):
     assert not _tracebacks(log)
 
 
-@pytest.mark.long
-def test_a_target_that_hangs_ends_and_is_a_finding(monkeypatch):
-    monkeypatch.setattr(fuzz_run, "HANGS_S", 1.0)
-    says = 'import json, time; print(json.dumps({"examples": 3, "rss": 1.0}), flush=True); time.sleep(60.0)'
-    result = {"examples": 0, "rss": 0.0, "findings": [], "seconds": 0.0}
-    with subprocess.Popen([sys.executable, "-c", says], stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert not fuzz_run._follow(process, "target", result, {"target": result}, time.monotonic())
-            assert process.wait(10.0) == -signal.SIGKILL and result["examples"] == 3
-        finally:
-            process.kill()
+def test_each_target_has_its_share_of_the_minutes(monkeypatch):
+    asked = []
 
+    def run(command, cwd, env, check):
+        asked.append((command, env))
+        return subprocess.CompletedProcess(command, 1)
 
-def test_a_full_disk_ends_the_run_in_a_sentence(tmp_path, monkeypatch, capsys):
-    def full(*_):
-        raise OSError(28, "No space left on device", "x.log")
-
-    monkeypatch.setattr(fuzz_run, "fuzz", full)
-    assert fuzz_run.main(["--out", str(tmp_path)]) == 2
-    assert "fuzz: [Errno 28] No space left on device: 'x.log'" in capsys.readouterr().err
+    monkeypatch.setattr(fuzz_run.subprocess, "run", run)
+    assert fuzz_run.main(["--minutes", "2", "--only", "kst_answers", "leap_text"]) == 1
+    ((command, env),) = asked
+    assert command[-2:] == [
+        f"tests/test_fuzz.py::test_nothing_is_found[{name}]" for name in ("kst_answers", "leap_text")
+    ]
+    assert float(env["FUZZ_SECONDS"]) == 60.0 and env["HYPOTHESIS_SEARCH"] == "1"
 
 
 @pytest.mark.ros

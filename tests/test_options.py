@@ -75,7 +75,7 @@ def test_hours_and_minutes_are_numbers(monkeypatch, capsys, value):
     from fuzz import run as fuzz
 
     monkeypatch.setattr(soak, "Soak", lambda *_: pytest.fail("a rig was started"))
-    monkeypatch.setattr(fuzz, "fuzz", lambda *_: pytest.fail("it runs"))
+    monkeypatch.setattr(fuzz.subprocess, "run", lambda *_: pytest.fail("it runs"))
     for main, name in ((soak.main, "--hours"), (fuzz.main, "--minutes")):
         with pytest.raises(SystemExit) as refused:
             main([f"{name}={value}"])
