@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -15,8 +14,6 @@ from rig_simulation.faults.camera import CAMERA_FAULTS
 from rig_simulation.faults.hand import HAND_FAULTS
 from rig_simulation.faults.injection import Fault, Faults, FaultValue, add_option, fraction_of, switch_all
 from rig_simulation.faults.leap import LEAP_FAULTS
-
-HANDBOOK = Path(__file__).parents[4] / "docs" / "faults.md"
 
 KNOWN = (
     Fault("cut", "the cable is cut"),
@@ -169,23 +166,8 @@ FAULTS = {"arm": ARM_FAULTS, "leap": LEAP_FAULTS, "hand": HAND_FAULTS, "camera":
 """The faults by device, as the service simulation/fault names them."""
 
 
-def table():
-    """The faults as the handbook shows them."""
-    rows = ["| device | fault | what happens | value (default; range) |", "| --- | --- | --- | --- |"]
-    for device, faults in FAULTS.items():
-        for fault in faults:
-            v = fault.value
-            value = f"{v.doc} ({v.default:g}; {v.low:g} to {v.high:g})" if v else ""
-            rows.append(f"| {device} | `{fault.name}` | {fault.doc} | {value} |")
-    return "\n".join(rows) + "\n"
-
-
 @pytest.mark.parametrize("device", FAULTS)
 def test_every_default_is_in_its_range_and_every_name_is_one_of_its_own(device):
     for fault in FAULTS[device]:
         assert fault.value is None or fault.value.low <= fault.value.default <= fault.value.high
     assert len({fault.name for fault in FAULTS[device]}) == len(FAULTS[device])
-
-
-def test_the_handbook_shows_the_faults_that_there_are():
-    assert table() in HANDBOOK.read_text(), f"put this into {HANDBOOK}:\n{table()}"
