@@ -1,6 +1,5 @@
 """Codec: text of the Leap service to records, by hand-made frames, by recordings, and by what must be refused."""
 
-import contextlib
 import copy
 import dataclasses
 import gzip
@@ -12,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from leap_motion import codec
 from leap_motion.codec import DeviceEvent, LeapProtocolError, is_simulated, read_header, read_message
 from leap_motion.frames import DISTAL, INDEX, METACARPAL
 
@@ -342,31 +340,6 @@ def test_whatever_stands_in_a_frame_it_is_read_or_refused(path, value):
         return
     for hand in got.hands:
         assert np.isfinite([*hand.palm, *hand.normal, *hand.velocity, hand.confidence, hand.time_visible]).all()
-
-
-@given(st.lists(st.tuples(st.sampled_from(list(places(frame()))), json_values), max_size=2))
-def test_all_fields_at_once_are_read_as_one_by_one(changes):
-    """Records, refusals and their reasons are the same."""
-    message = copy.deepcopy(frame())
-    for path, value in changes:
-        with contextlib.suppress(LookupError, TypeError, AttributeError):  # the other change took the place away
-            target = message
-            for key in path[:-1]:
-                target = target[key]
-            target[path[-1]] = value
-    text = json.dumps(message)
-    at_once = outcome(text)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(codec, "PLAIN", set())
-        assert outcome(text) == at_once
-
-
-def outcome(text):
-    """The numbers of the frame, or why it is refused."""
-    try:
-        return flat(read_message(text))
-    except LeapProtocolError as error:
-        return str(error)
 
 
 def flat(value):

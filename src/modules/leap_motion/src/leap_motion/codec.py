@@ -24,8 +24,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain
-from typing import Any, NoReturn, Tuple, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -47,7 +46,6 @@ KNUCKLES_M = (0.03, 0.13)  # from the index finger's knuckle to the little finge
 LEAST_ACROSS = 0.3  # cosine between that line and the axis across the palm; the service's hands have 0.99
 ZERO = (0, 0, 0)
 IDENTITY = np.eye(3)
-PLAIN = {int, float}
 Read = TypeVar("Read")
 
 
@@ -179,26 +177,18 @@ def _hand(hand: dict, fingers_of: dict[int | None, list[dict]]) -> LeapHand:
     if _field(hand, "type") not in ("right", "left"):
         raise LeapProtocolError(f"A hand has the type {str(hand['type'])[:40]!r}.")
     n, has_arm, has_bases = len(pointables), "armBasis" in hand, all("bases" in p for p in pointables)
-    lengths, numbers = _arrays(
-        [
-            ("palmPosition", _field(hand, "palmPosition"), (3,)),
-            ("palmVelocity", hand.get("palmVelocity", ZERO), (3,)),
-            ("sphereCenter", hand.get("sphereCenter", ZERO), (3,)),
-            ("tipPosition", [_field(p, "tipPosition") for p in pointables], (n, 3)),
-            ("the joints of a finger", [_joints(p) for p in pointables], (n, 5, 3)),
-            ("the arm", [_field(hand, "elbow"), _field(hand, "wrist")] if has_arm else [], (2 * has_arm, 3)),
-        ],
-        [
-            ("palmNormal", _field(hand, "palmNormal"), (3,)),
-            ("direction", _field(hand, "direction"), (3,)),
-            ("bases", [p["bases"] for p in pointables] if has_bases else [], (n * has_bases, 4, 3, 3)),
-            ("armBasis", hand["armBasis"] if has_arm else [], (3 * has_arm, 3)),
-        ],
-    )
-    palm, velocity, sphere_center, tips, joints, arm = lengths
-    bases = np.concatenate([array.reshape(-1, 3, 3) for array in numbers[2:]])
+    palm = _vectors("palmPosition", _field(hand, "palmPosition"), (3,), MM)
+    velocity = _vectors("palmVelocity", hand.get("palmVelocity", ZERO), (3,), MM)
+    sphere_center = _vectors("sphereCenter", hand.get("sphereCenter", ZERO), (3,), MM)
+    tips = _vectors("tipPosition", [_field(p, "tipPosition") for p in pointables], (n, 3), MM)
+    joints = _vectors("the joints of a finger", [_joints(p) for p in pointables], (n, 5, 3), MM)
+    arm = _vectors("the arm", [_field(hand, "elbow"), _field(hand, "wrist")] if has_arm else [], (2 * has_arm, 3), MM)
+    normal = _unit(_vectors("palmNormal", _field(hand, "palmNormal"), (3,)), "palmNormal")
+    direction = _unit(_vectors("direction", _field(hand, "direction"), (3,)), "direction")
+    bases = _vectors("bases", [p["bases"] for p in pointables] if has_bases else [], (n * has_bases, 4, 3, 3))
+    arm_basis = _vectors("armBasis", hand["armBasis"] if has_arm else [], (3 * has_arm, 3))
+    bases = np.concatenate([bases.reshape(-1, 3, 3), arm_basis.reshape(-1, 3, 3)])
     wrong, rotations = _not_orthonormal(bases), _proper(bases.swapaxes(-1, -2))
-    normal, direction = _unit(numbers[0], "palmNormal"), _unit(numbers[1], "direction")
     if abs(normal @ direction) > UNIT_TOLERANCE:
         raise LeapProtocolError("palmNormal and direction of a hand are not orthogonal.")
     _check_knuckles(hand["type"], {p["type"]: joint[1] for p, joint in zip(pointables, joints)}, direction, normal)
@@ -340,39 +330,6 @@ def _number(message: dict, key: str, missing: float | None = None) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < LIMIT:
         raise LeapProtocolError(f"The field {key} is {str(value)[:40]!r}, not a number below 1e9.")
     return float(value)
-
-
-Field = Tuple[str, Any, Tuple[int, ...]]
-
-
-def _arrays(lengths: list[Field], numbers: list[Field]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Returns the values of fields, (name, value, shape) each, as read-only arrays of their shapes: the `lengths` in
-    metres, the `numbers` as they are.
-
-    All of them are converted and checked at once; where that fails, one by one, so that the refusal names the field.
-    """
-    flat: list = []
-    try:
-        for _, value, shape in (*lengths, *numbers):
-            items = [value]
-            for n in shape:
-                if not {n}.issuperset(map(len, items)):
-                    raise ValueError(value)
-                items = list(chain.from_iterable(items))
-            flat += items
-        array = np.array(flat, dtype=float) if PLAIN.issuperset(map(type, flat)) else None
-    except (TypeError, ValueError, OverflowError):
-        array = None
-    if array is None or not (np.abs(array) < LIMIT).all():
-        return [_vectors(*field, scale=MM) for field in lengths], [_vectors(*field) for field in numbers]
-    array[: sum(math.prod(shape) for _, _, shape in lengths)] *= MM
-    _read_only(array)
-    parts, begin = [], 0
-    for _, _, shape in (*lengths, *numbers):
-        size = math.prod(shape)
-        parts.append(array[begin : begin + size].reshape(shape))
-        begin += size
-    return parts[: len(lengths)], parts[len(lengths) :]
 
 
 def _vectors(name: str, value: Any, shape: tuple[int, ...], scale: float = 1.0) -> np.ndarray:
