@@ -11,15 +11,12 @@ from tools.mutate.places import Place
 FACTORS = (2, 4)
 TIMES = {
     "common/src/common/hand_tracking.py": "MAX_SKEW_S LONG_GAP_S REMEMBERED_S",
-    "leap_kuka/src/leap_kuka/teleop.py": "MAX_SILENCE_S TURN_S REACH_PERIOD_S PAUSE_S MAX_STATUS_AGE_S",
-    "leap_kuka/src/leap_kuka/operator_switches.py": "SILENCE_S LEFT_S DEBOUNCE_S GAP_S",
-    "leap_kuka/src/leap_kuka/operator_devices.py": "JOY_SILENCE_S",
-    "leap_kuka/src/leap_kuka/ros/measured_tool.py": "FRESH_S",
+    "common/src/common/operator_rows.py": "OLD_ROWS_S",
+    "leap_kuka/src/leap_kuka/numbers.py": "MAX_SILENCE_S TURN_S HEARTBEAT_S PAUSE_S MEASURED_AGE_S REACH_LOOK_S "
+    "REACH_START_S REACH_TIMEOUT_S REACH_FRESH_S DEVICE_SILENCE_S LEFT_S JOY_SILENCE_S DEBOUNCE_S GAP_S",
     "leap_kuka/src/leap_kuka/ros/operator_input_node.py": "PERIOD_S",
-    "leap_kuka/src/leap_kuka/ros/reach.py": "TIMEOUT_S PERIOD_S RUNNING_PERIOD_S FRESH_S",
-    "leap_kuka/src/leap_kuka/ros/stream_status.py": "HEARTBEAT_S",
     "leap_kuka/src/leap_kuka/ros/teleop_node.py": "WATCH_PERIOD_S",
-    "leap_hand/src/leap_hand/teleop.py": "MAX_SILENCE_S MAX_UNREPORTED_S MAX_MISSING_S",
+    "leap_hand/src/leap_hand/teleop.py": "MAX_SILENCE_S MAX_MISSING_S",
     "leap_hand/src/leap_hand/ros/teleop_node.py": "WATCH_PERIOD_S FIRST_STATE_S ANSWER_TIMEOUT_S SETTLING_S",
     "leap_hand/config/leap_hand.yaml": "grip_hold force_limit_silence",
     "kuka_control/config/kuka_params_rt.yaml": "time_out",

@@ -12,9 +12,10 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from test_leap_hand import CONFIG, Player, flexion_of, hand_with, moved
 
 from common.hand_tracking import ANY
+from common.operator_rows import OLD_ROWS_S
 from leap_hand.config import STEERING
 from leap_hand.flexion import map_angles
-from leap_hand.teleop import MAX_MISSING_S, MAX_UNREPORTED_S, NEAR, GripperState
+from leap_hand.teleop import MAX_MISSING_S, NEAR, GripperState
 
 CLOSED, HALF, OPEN = 40.0, 65.0, 85.0  # angles of the operator's fingers [deg]
 HANDS, AFTER = st.integers(0, 2), st.sampled_from([0, 1, 4, 25, 130])  # frames
@@ -120,7 +121,7 @@ class AnyOrder(RuleBasedStateMachine):
             if now - self.seen[i] > self.gap - 1e-6:
                 self.since[i] = now
             self.seen[i] = now
-        fresh = now - self.reported <= MAX_UNREPORTED_S
+        fresh = now - self.reported <= OLD_ROWS_S
         steers = [i for i in hands if fresh and (self.ids[i], i == 0) == self.owner]
         alone = self.follow == ANY and (self.reported == -np.inf or (fresh and not self.owner and not self.keep_grip))
         if not alone or self.by_steering:

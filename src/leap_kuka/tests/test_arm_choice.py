@@ -12,7 +12,8 @@ from relative_rig import Rig
 
 from common.errors import ConfigError
 from common.poses import pose
-from leap_kuka.arm_choice import BOTH, CLEARLY_M, NOBODY, ArmChoice, elsewhere, meaning
+from leap_kuka.arm_choice import BOTH, NOBODY, ArmChoice, elsewhere, meaning
+from leap_kuka.numbers import CLEARLY_M
 from leap_kuka.start_gate import CHOSEN
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState

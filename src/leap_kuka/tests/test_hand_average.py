@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.rotations import check_rotation, rotation_about
-from leap_kuka.hand_average import MAX_LEFT_OUT, NOMINAL_RATE_HZ, HandAverage, hand_fault, hand_rotation
+from leap_kuka.hand_average import HandAverage, hand_fault, hand_rotation
+from leap_kuka.numbers import MAX_LEFT_OUT, NOMINAL_RATE_HZ
 
 angles = st.floats(-180.0, 180.0)
 small = st.floats(-60.0, 60.0)

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from common.hand_tracking import LONG_GAP_S
 from common.rotations import rotation_from_zyx
 from leap_kuka import hand_filter
-from leap_kuka.hand_average import FILTER_SIZE, NOMINAL_RATE_HZ, HandAverage
+from leap_kuka.hand_average import FILTER_SIZE, HandAverage
 from leap_kuka.hand_filter import FILTERS, ORIENTATION_MOTION, PALM_MOTION, Kalman, MotionKalman
+from leap_kuka.numbers import NOMINAL_RATE_HZ
 
 RATES = [30.0, 50.0, 74.0, 110.0, 200.0]
 LEVEL = [0.0, 0.0, -1.0, 0.0, -1.0, 0.0]

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from common.config import parse
 from common.errors import ConfigError
-from leap_kuka.operator_devices import CLUTCH, ENABLE, EVENT, JOY_SILENCE_S, KEYS, OperatorInput, OperatorInputConfig
+from leap_kuka.numbers import JOY_SILENCE_S
+from leap_kuka.operator_devices import CLUTCH, ENABLE, EVENT, KEYS, OperatorInput, OperatorInputConfig
 
 DEBOUNCE_S = 0.02
 PEDAL = {"device": "/dev/input/by-id/pedal", "enable_key": "KEY_F13", "clutch_key": "KEY_B", "debounce": DEBOUNCE_S}

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.errors import ConfigError
 from leap_kuka.config import LeapConfig
-from leap_kuka.operator_switches import CLOSED, DEBOUNCE_S, LEFT_S, OPENED, SILENCE_S, DeviceSwitches, SecondHandSwitch
+from leap_kuka.numbers import CLOSED, DEBOUNCE_S, DEVICE_SILENCE_S, LEFT_S, OPENED
+from leap_kuka.operator_switches import DeviceSwitches, SecondHandSwitch
 
 strength = st.one_of(st.floats(0.0, 1.0), st.sampled_from([0.0, OPENED, CLOSED, 1.0, math.nan]))
 view = st.one_of(st.none(), st.tuples(strength, st.sampled_from([1.0, 1.0, 0.0])))
@@ -90,14 +91,14 @@ def test_a_device_enables_only_by_a_press_after_a_release(messages):
         refused = device.take(enabled, clutched, "pedal", age, now)
         assert (refused is None) == (age == 0.0)
         if refused is None:
-            released = not enabled or (released and now - last <= SILENCE_S)
+            released = not enabled or (released and now - last <= DEVICE_SILENCE_S)
             last = now
             assert device.clutch(now) is clutched
             assert device.enabled(now) == (enabled and released)
         else:
             assert not clutched or device.clutch(now)
             assert enabled or not device.enabled(now)
-        assert not device.enabled(last + SILENCE_S + 0.01)
+        assert not device.enabled(last + DEVICE_SILENCE_S + 0.01)
 
 
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.booleans(), st.booleans(), st.floats(0.01, 0.4)), max_size=60))
@@ -108,8 +109,8 @@ def test_of_several_programs_all_must_enable_and_any_clutches(messages):
         assert device.take(enabled, clutched, program, 0.0, now, program) is None
         newest[program] = now, enabled, clutched
         there = [message for message in newest.values() if now - message[0] <= LEFT_S]
-        assert not device.enabled(now) or all(on and now - at <= SILENCE_S for at, on, _ in there)
-        assert device.clutch(now) or not any(off or now - at > SILENCE_S for at, _, off in there)
+        assert not device.enabled(now) or all(on and now - at <= DEVICE_SILENCE_S for at, on, _ in there)
+        assert device.clutch(now) or not any(off or now - at > DEVICE_SILENCE_S for at, _, off in there)
     for enabled in (False, True):
         now += 0.01
         for program in "ab":
@@ -133,13 +134,13 @@ def test_when_one_of_two_programs_has_left_what_the_other_enables_counts_after_a
     assert device.enabled(4.0)
 
 
-@given(st.floats(0.0, SILENCE_S), st.floats(0.0, 0.3))
+@given(st.floats(0.0, DEVICE_SILENCE_S), st.floats(0.0, 0.3))
 def test_a_device_is_silent_from_its_newest_stamp_on(age, later):
     device = DeviceSwitches()
     device.take(False, False, "pedal", age, 1.0)
     device.take(True, False, "pedal", age, 1.0)
-    if abs(age + later - SILENCE_S) > 1e-9:
-        assert device.enabled(1.0 + later) == (age + later < SILENCE_S) == (not device.clutch(1.0 + later))
+    if abs(age + later - DEVICE_SILENCE_S) > 1e-9:
+        assert device.enabled(1.0 + later) == (age + later < DEVICE_SILENCE_S) == (not device.clutch(1.0 + later))
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ def fails():
 
 def test_only_an_absent_service_is_no_condition(check, controller):
     """One that hangs or fails is: the arm may be out of reach."""
-    soon = reach.PERIOD_S + FRAME_S + DELAY_S
+    soon = reach.REACH_START_S + FRAME_S + DELAY_S
     assert check(HERE, True) == reach.ASKING
     assert becomes(check, None, soon)
     controller.answer = lambda: "joint 4 would pass its limit"

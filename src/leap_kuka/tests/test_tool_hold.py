@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from common.mounting import mounting_frame
 from common.poses import inverse, pose
 from common.rotations import rotation_about, rotation_angle
-from leap_kuka.origin import FADE_S
+from leap_kuka.numbers import FADE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState

@@ -24,6 +24,7 @@ import numpy as np
 
 from common.hand_reasons import FOLLOWED, IN_VIEW, NO_HAND, NOT_SEEN
 from common.hand_tracking import ANY, FrameWatch, HandLock, of_side, succeeds
+from common.operator_rows import OLD_ROWS_S
 from common.poses import read_only
 from leap_hand.config import FINGERS, STEERING, HandConfig
 from leap_hand.flexion import flexion, map_angles
@@ -32,7 +33,6 @@ from leap_motion.frames import TrackedHand, TrackingFrame
 GRIPPER_OFF = "the control of the gripper is off"
 
 MAX_SILENCE_S = 0.5
-MAX_UNREPORTED_S = 1.5  # leap_kuka reports twice a second; after so long without it nobody is the owner
 NEAR = 0.15  # of a finger's range: so near to the kept command the operator's finger takes over
 MAX_MISSING_S = 0.2  # longest time without the owner of a lock that is made here
 
@@ -173,7 +173,7 @@ class HandTeleop:
         """Returns why no hand may move the fingers without steering the arm, or an empty string."""
         if self._hand_only:
             return ""
-        if now - self._reported_at > MAX_UNREPORTED_S:
+        if now - self._reported_at > OLD_ROWS_S:
             silent = self._arm_reports or self._steering_only
             return "leap_kuka does not report which hand steers the arm" if silent else ""
         if self._owner is not None:
@@ -182,7 +182,7 @@ class HandTeleop:
         return "no hand steers the arm; bring one into the interaction box" if refused else ""
 
     def _steers(self, hand: TrackedHand, now: float) -> bool:
-        return (hand.id, hand.is_left) == self._owner and now - self._reported_at <= MAX_UNREPORTED_S
+        return (hand.id, hand.is_left) == self._owner and now - self._reported_at <= OLD_ROWS_S
 
     def _continues(self, hand: TrackedHand, frame: TrackingFrame, stamp: float) -> bool:
         """Returns whether it is the hand that was followed last, perhaps with a new id."""
@@ -197,7 +197,7 @@ class HandTeleop:
         """Keeps the grip for `grip_hold` after the hand was followed, or as leap_kuka says, then opens the hand."""
         if not self._state.grips:
             return self._open(reason)
-        kept = self._keep_grip and now - self._reported_at <= MAX_UNREPORTED_S
+        kept = self._keep_grip and now - self._reported_at <= OLD_ROWS_S
         if not kept and now - self._followed_at >= self._grip_hold:
             self.counts.grips_opened += 1
             return self._open(reason)

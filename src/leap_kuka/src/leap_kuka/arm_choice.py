@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 from common.errors import ConfigError
 from leap_kuka.config import REGION, SERVICE
+from leap_kuka.numbers import CLEARLY_M
 from leap_motion.frames import TrackedHand
 
 BOTH = "both"
 NOBODY = ""  # no hand has chosen yet
-CLEARLY_M = 0.03  # a hand must be so far beyond the border between two regions
 
 
 class ChoiceAnswer(NamedTuple):

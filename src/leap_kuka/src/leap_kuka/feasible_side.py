@@ -9,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from leap_kuka.config import ArmPlacement
+from leap_kuka.numbers import ABOVE_M, AHEAD_M
 from leap_kuka.scaling import Scaling
-
-AHEAD_M = 0.1  # least distance in front of the base, nearer than the workspace comes; at most half of its centre's
-ABOVE_M = 1e-3  # least height over the foot; the workspace may end at the foot
 
 
 class FeasibleSide:

@@ -27,23 +27,16 @@ from common.hand_tracking import LONG_GAP_S, plausible_step
 from common.poses import pose, read_only
 from common.rotations import UNIT_TOLERANCE
 from leap_kuka.hand_filter import FILTERS
+from leap_kuka.numbers import MAX_HAND_DISTANCE_M, MAX_LEFT_OUT, NOMINAL_RATE_HZ, STILL_SAMPLES, STILL_WINDOW_S
 from leap_motion.frames import TrackedHand
 
-MAX_LEFT_OUT = 5
-
-NOMINAL_RATE_HZ = 110.0  # of the tracker
-FILTER_SIZE = (
-    10  # samples; each one more delays the result of a filter by half the time between two frames, as a mean's
-)
-SPEED_WINDOW_S = 10.0 / NOMINAL_RATE_HZ  # time over which the speed of the palm is computed, whatever the mean's size
-SPEED_SAMPLES = 4  # fewest samples that have a speed
+FILTER_SIZE = 10  # samples; each one more delays a filter's result by half the time between two frames, as a mean's
 MIN_MEAN_LENGTH = 0.8
 MAX_COSINE = 0.7
 """Shortest mean of unit vectors that counts as a direction, and largest cosine between direction and normal. The
 samples are orthogonal, so the cosine between two means of length l is at most (1 - l^2) / l^2 = 0.56."""
 
 ORTHOGONAL_TOLERANCE = 0.01  # largest cosine between direction and normal; the tracker prints them to six digits
-MAX_DISTANCE_M = 2.0  # largest distance of a palm from the Leap; the tracker's documented range is 0.6 m
 
 
 @dataclass(frozen=True)
@@ -52,7 +45,7 @@ class MeanHand:
 
     T_leap_hand: np.ndarray  # pose of the hand frame in the Leap frame, shape (4, 4) [m]
     confidence: float  # 0 to 1
-    speed: float  # of the palm over SPEED_WINDOW_S [m/s]; infinite while it is unknown
+    speed: float  # of the palm over STILL_WINDOW_S [m/s]; infinite while it is unknown
 
     @property
     def palm(self) -> np.ndarray:
@@ -117,7 +110,7 @@ class HandAverage:
         self._first = now if self._first is None else self._first
         self._newest.append((now, numbers[:3]))
         self._samples.append((now, numbers))
-        _forget(self._newest, now - SPEED_WINDOW_S, SPEED_SAMPLES)
+        _forget(self._newest, now - STILL_WINDOW_S, STILL_SAMPLES)
         _forget(self._samples, now - self.window, 2)
         return None
 
@@ -158,7 +151,7 @@ class HandAverage:
         The length of the path would grow with the noise of every sample; one line alone would call a hand slow that
         turns back within the window.
         """
-        if len(self._newest) < SPEED_SAMPLES:
+        if len(self._newest) < STILL_SAMPLES:
             return math.inf
         samples = list(self._newest)
         half = (len(samples) + 1) // 2
@@ -193,7 +186,7 @@ def _fault(numbers: list[float]) -> str | None:
     if not all(map(math.isfinite, numbers)):
         return f"not all numbers of the hand are finite: {numbers}"
     palm, direction, normal, confidence = numbers[:3], numbers[3:6], numbers[6:9], numbers[9]
-    if math.hypot(*palm) > MAX_DISTANCE_M:
+    if math.hypot(*palm) > MAX_HAND_DISTANCE_M:
         return f"the palm is {math.hypot(*palm):.1f} m away from the Leap"
     for name, vector in (("direction", direction), ("normal", normal)):
         norm = math.hypot(*vector)

@@ -14,13 +14,7 @@ from typing import Callable
 import numpy as np
 
 from common.poses import check_pose, pose
-
-PERIOD_S = 0.05  # time between two looks while a stream runs
-STOP_M = 0.05  # an arm at full speed stops within this
-BEHIND_M = 0.15  # an arm that follows is no farther behind the desired tool
-GLIDE_M_S = 0.3  # so fast the kept tool comes nearer to the arm: the controller sees no jump
-JUST_S, MOVED_M = 0.5, 0.1  # an arm that brakes, since the hand jumped, was near so short a time ago, and came so far
-AT_HOME_M = 0.03
+from leap_kuka.numbers import AT_HOME_M, BEHIND_M, GLIDE_M_S, JUST_S, LOOK_PERIOD_S, MOVED_M, STOP_M
 
 Measured = Callable[[], np.ndarray]
 """Returns the measured T_base_tool, shape (4, 4) [m]; raises ValueError with what is wrong with it."""
@@ -62,7 +56,7 @@ class ToolBehind:
 
     def look(self, measured: Measured, T_sent: np.ndarray, now: float) -> None:
         """Looks where the arm is, at `now` [s], while the tool is sent to a pose."""
-        if now - self._looked_at < PERIOD_S:
+        if now - self._looked_at < LOOK_PERIOD_S:
             return
         self._looked_at, T_measured = now, _pose(measured)
         if T_measured is not None and _apart(T_measured, T_sent) <= BEHIND_M:

@@ -17,11 +17,11 @@ import struct
 from dataclasses import dataclass
 
 from common.config import integer, number, path, text
+from leap_kuka.numbers import JOY_SILENCE_S
 
 EVENT = struct.Struct("@llHHi")  # input_event of a 64-bit machine: seconds, microseconds, type, code, value
 EV_SYN, EV_KEY, SYN_DROPPED = 0, 1, 3
 RELEASED, PRESSED = 0, 1  # values of a key event; 2 is an automatic repetition
-JOY_SILENCE_S = 0.5  # a gamepad that does not report for this long is lost [s]
 ENABLE, CLUTCH = "enable", "clutch"
 
 KEYS = {

@@ -21,13 +21,8 @@ import math
 from collections.abc import Sequence
 
 from leap_kuka.config import DEVICE, NONE, LeapConfig
+from leap_kuka.numbers import CLOSED, DEBOUNCE_S, DEVICE_SILENCE_S, GAP_S, LEFT_S, OPENED
 from leap_motion.frames import TrackedHand
-
-SILENCE_S = 0.25  # without a message for this long a device has fallen silent; it reports every 0.1 s [s]
-LEFT_S = 2.0  # one of several programs that has been silent for so long has left [s]
-CLOSED, OPENED = 0.8, 0.5  # grab or pinch strength from which, and up to which, the second hand is closed or open
-DEBOUNCE_S = 0.1  # time for which it must be so before the tool may move [s]
-GAP_S = 0.1  # a second hand out of view for longer has left [s]
 
 
 class DeviceSwitch:
@@ -42,12 +37,11 @@ class DeviceSwitch:
     def take(self, enabled: bool, clutched: bool, source: str, age: float, now: float) -> str | None:
         """Takes a message that is `age` [s] old; returns why it is refused, or None."""
         self._was_clutched |= clutched
-        if not abs(age) <= SILENCE_S:
+        if not abs(age) <= DEVICE_SILENCE_S:
             self._enabled &= enabled
             self.clutched |= clutched
-            return (
-                f"the stamp of {source or 'the operator input'} is {age:.2f} s old, and must be within {SILENCE_S:g} s"
-            )
+            whose = source or "the operator input"
+            return f"the stamp of {whose} is {age:.2f} s old, and must be within {DEVICE_SILENCE_S:g} s"
         self.released = not enabled or (self.released and not self.silent(now))
         self._at, self._enabled, self.clutched, self.source = now - max(age, 0.0), enabled, clutched, source
         return None
@@ -57,7 +51,7 @@ class DeviceSwitch:
         pressed, self._was_clutched = self.clutched or self._was_clutched or self.silent(now), False
         return pressed
 
-    def silent(self, now: float, time: float = SILENCE_S) -> bool:
+    def silent(self, now: float, time: float = DEVICE_SILENCE_S) -> bool:
         """Returns whether the device has been silent for longer than a time [s]."""
         return now - self._at > time
 

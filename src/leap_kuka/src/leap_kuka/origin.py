@@ -17,9 +17,9 @@ import numpy as np
 
 from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx, scaled_rotation
+from leap_kuka.numbers import FADE_S
 from leap_kuka.virtual_leap import R_LEAP_REFERENCE, TURNED, Attitude
 
-FADE_S = 1.0  # time in which the tilt of the hand at its start takes full effect [s]
 I3 = read_only(np.eye(3))
 
 

@@ -16,16 +16,16 @@ from common.errors import ConfigError
 from common.poses import read_only
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.hand_average import MeanHand
+from leap_kuka.numbers import STILL_SPEED_M_S
 from leap_kuka.virtual_leap import attitude, heading
 
-START_SPEED_M_S = 0.3  # a faster palm passes through the box and starts no stream
-BOX, PITCH, ROLL, SLOW, CONFIDENCE = "in the box", "pitch level", "roll level", "slow", "confidence"
+BOX, PITCH, ROLL, STILL, CONFIDENCE = "in the box", "pitch level", "roll level", "slow", "confidence"
 CAME_IN, RELEASED, ENABLED, READY, RATE, REACH, CHOSEN = (
     *("came in", "clutch released", "enabled", "arm ready", "tracker fast enough", "within reach", "arm chosen"),
 )
-CONDITIONS = (BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, READY, REACH, ENABLED, RELEASED, CHOSEN, RATE)
+CONDITIONS = (BOX, PITCH, ROLL, STILL, CONFIDENCE, CAME_IN, READY, REACH, ENABLED, RELEASED, CHOSEN, RATE)
 """The conditions of a start, as the operator reads them."""
-OF_A_HAND = frozenset((BOX, PITCH, ROLL, SLOW, CONFIDENCE, CAME_IN, REACH))  # unmet without one
+OF_A_HAND = frozenset((BOX, PITCH, ROLL, STILL, CONFIDENCE, CAME_IN, REACH))  # unmet without one
 
 SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
 """Position of a palm relative to the box, by axis and sign, as the user sees it: -z points away from the user."""
@@ -58,6 +58,13 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
     return InteractionBox(read_only([leap.box_offset, height, 0.0]), leap.box_dimensions)
 
 
+def held_still(hand: MeanHand | None) -> bool:
+    """Returns whether a hand is held still: so long in view that it has a mean, of one that does not turn too fast for
+    that, and for STILL_WINDOW_S slower than STILL_SPEED_M_S.
+    """
+    return hand is not None and hand.speed < STILL_SPEED_M_S
+
+
 class StartGate:
     """The conditions of a start that are the hand's own; a running stream needs only its confidence."""
 
@@ -72,9 +79,9 @@ class StartGate:
         """
         faults = {} if resumes else {**self._outside(hand), **self._tilted(hand)}
         faults.update([*obstacles.items()][:1])
-        if not hand.speed < START_SPEED_M_S:
+        if not held_still(hand):
             too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
-            faults[SLOW] = f"{too_fast}, and must be below {START_SPEED_M_S:g} m/s"
+            faults[STILL] = f"{too_fast}, and must be below {STILL_SPEED_M_S:g} m/s"
         return {**faults, **self.confidence_fault(hand)}
 
     def confidence_fault(self, hand: MeanHand) -> dict[str, str]:

@@ -29,8 +29,20 @@ from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.engagement import EngagementState, EngagementTrigger, next_state
 from leap_kuka.feasible_side import FeasibleSide
-from leap_kuka.hand_average import NOMINAL_RATE_HZ, HandAverage, MeanHand, hand_frame
+from leap_kuka.hand_average import HandAverage, MeanHand, hand_frame
 from leap_kuka.kept_tool import Leaving, Measured, ToolBehind, kept, no_measured_tool, tool_at_home
+from leap_kuka.numbers import (
+    ENOUGH_RATE_HZ,
+    MAX_HELD_TURN,
+    MAX_SILENCE_S,
+    MAX_STATUS_AGE_S,
+    MIN_RATE_HZ,
+    NOMINAL_RATE_HZ,
+    PAUSE_MARGIN_S,
+    PAUSE_S,
+    REACH_LOOK_S,
+    TURN_S,
+)
 from leap_kuka.operator_switches import OperatorSwitches
 from leap_kuka.origin import StreamOrigin, absolute, relative, taken_over
 from leap_kuka.scaling import NO_OFFSET, Scaling
@@ -55,17 +67,6 @@ from leap_kuka.tool_hold import Held, HoldAnswer, HoldState, hold_fault
 from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
-MAX_SILENCE_S = 0.2  # longest time between two tracking frames of one stream, or two frames with its hand
-TURN_S = 0.5  # how long a hand whose mean is full may start, before another hand in the box has its turn
-MIN_RATE_HZ, ENOUGH_RATE_HZ = 20.0, 24.0  # below the first frame rate the tool stays, until the second is reached
-REACH_PERIOD_S = 0.2  # time between two questions whether the arm reaches the desired tool
-PAUSE_S, PAUSE_MARGIN_S = 0.2, 0.1
-"""The controller sees a new stream after a pause of 0.2 s. Another engagement waits for that, and for the delay on the
-way, so that it never continues the stream of the one before: the arm then goes home, or, with a longer `time_out`, to
-the new hand by a pick-up motion."""
-MAX_HELD_TURN = np.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves at once when the rate is back
-
-MAX_STATUS_AGE_S = 1.5  # of the controller's, for a relative start
 AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
 HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues has fulfilled
 FOLLOWS = (AT_HOME, "pick_up", SERVO)  # modes in which it follows the desired tool, or is about to
@@ -78,7 +79,7 @@ class ArmTeleop:
 
     `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
     (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
-    frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_PERIOD_S while it runs.
+    frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_LOOK_S while it runs.
     `measured_tool` returns the measured T_base_tool, shape (4, 4) [m], or raises ValueError with what is wrong with it;
     a relative stream needs it.
 
@@ -486,7 +487,7 @@ class ArmTeleop:
                 unmet=self._unmet,
                 **more,
             )
-        if self._newest is not None and now - self._asked >= REACH_PERIOD_S:
+        if self._newest is not None and now - self._asked >= REACH_LOOK_S:
             self._asked = now
             self._out_of_reach = self._can_reach(T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:

@@ -10,10 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from common.poses import check_pose
+from leap_kuka.numbers import MAX_HOLD_S, MAX_TILT_DEG, MAX_TOOL_DISTANCE_M
 
-MAX_DURATION_S = 120.0
-MAX_DISTANCE_M = 5.0  # a larger distance from the base is probably not in metres [m]
-MAX_TILT_DEG = 10.0  # a stream starts with the tool as at home, pointing down, so a held tool does within this [deg]
 TOOL_AXIS = (0.0, 0.0, 1.0)  # of the tool, which points down
 
 
@@ -47,14 +45,14 @@ def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray, axis: A
 
     `up` is the vertical in the base frame, and `axis` the one of the tool that points down at home, shape (3,) each.
     """
-    if not 0.0 < duration <= MAX_DURATION_S:
-        return f"the duration is {duration:g} s and must be above 0 and at most {MAX_DURATION_S:g} s"
+    if not 0.0 < duration <= MAX_HOLD_S:
+        return f"the duration is {duration:g} s and must be above 0 and at most {MAX_HOLD_S:g} s"
     try:
         check_pose(T_base_tool)
     except ValueError as error:
         return str(error)
     distance = np.linalg.norm(T_base_tool[:3, 3])
-    if distance > MAX_DISTANCE_M:
+    if distance > MAX_TOOL_DISTANCE_M:
         return f"the tool is {distance:.4g} m from the base; is it in metres?"
     tilt = math.degrees(math.acos(np.clip(-up @ T_base_tool[:3, :3] @ axis, -1.0, 1.0)))
     if tilt > MAX_TILT_DEG:

@@ -10,9 +10,8 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames, frame_name
 from common.ros.conversions import pose_from_transform
+from leap_kuka.numbers import MEASURED_AGE_S
 from rig_msgs.msg import KukaStatus
-
-FRESH_S = 0.5  # an older measurement, or one with a stamp that is farther off, does not count
 
 
 class MeasuredTool:
@@ -36,7 +35,7 @@ class MeasuredTool:
         data, at, received = self._newest.get(self._controller, (b"", 0.0, rospy.Time()))
         if not data:
             raise ValueError(f"the controller of the arm publishes no {self._flange}")
-        if clock.monotonic() - at > FRESH_S:
+        if clock.monotonic() - at > MEASURED_AGE_S:
             raise ValueError(f"the newest {self._flange} is {clock.monotonic() - at:.1f} s old")
         try:
             transforms = TFMessage().deserialize(data).transforms
@@ -46,7 +45,7 @@ class MeasuredTool:
         if flange is None or frame_name(flange.header.frame_id) != self._base:
             raise ValueError(f"{self._flange} is not in {self._base}")
         age = (received - flange.header.stamp).to_sec()
-        if abs(age) > FRESH_S:
+        if abs(age) > MEASURED_AGE_S:
             raise ValueError(f"the stamp of {self._flange} is {age:.1f} s old")
         return pose_from_transform(flange.transform) @ self._T_flange_tool
 

@@ -11,14 +11,17 @@ from common.poses import pose
 from common.ros.conversions import stamped_pose
 from common.ros.service_calls import ServiceAbsent, ServiceClient, ServiceFailed
 from common.rotations import rotation_angle
+from leap_kuka.numbers import (
+    REACH_FRESH_S,
+    REACH_NEAR_M,
+    REACH_NEAR_RAD,
+    REACH_RUNNING_S,
+    REACH_START_S,
+    REACH_TIMEOUT_S,
+)
 from leap_kuka.scaling import Scaling
 from rig_msgs.srv import CheckToolPose
 
-TIMEOUT_S = 0.5
-PERIOD_S = 0.1  # shortest time between two questions before a stream starts
-RUNNING_PERIOD_S = 0.6  # the same while one runs
-FRESH_S = 2.0  # older answers are ignored; longer than a question that times out, and two periods
-NEAR_M, NEAR_RAD = 0.03, float(np.radians(10.0))  # at a start, answers for a tool farther away are ignored
 ASKING = "the controller has not answered yet whether the arm can come"
 SILENT = "the controller does not answer whether the arm can come"
 
@@ -34,8 +37,8 @@ class ReachCheck:
         self.scaling = scaling
         self._client = ServiceClient(f"{of}kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
-        self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -FRESH_S
-        self._asked, self._period = clock.Event(), PERIOD_S
+        self._answer: tuple[str | None, np.ndarray, float] = ASKING, self._question, -REACH_FRESH_S
+        self._asked, self._period = clock.Event(), REACH_START_S
         clock.Thread(target=self._run, name="reach check", daemon=True).start()
 
     def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:
@@ -45,17 +48,18 @@ class ReachCheck:
         """
         p = self.scaling.scaled(T_base_desired[:3, 3])
         self._question = pose(T_base_desired[:3, :3], p)
-        self._period = PERIOD_S if starts else RUNNING_PERIOD_S
+        self._period = REACH_START_S if starts else REACH_RUNNING_S
         self._asked.set()
         answer, T, at = self._answer
         near = (
-            np.linalg.norm(T[:3, 3] - p) <= NEAR_M and rotation_angle(T[:3, :3].T @ T_base_desired[:3, :3]) <= NEAR_RAD
+            np.linalg.norm(T[:3, 3] - p) <= REACH_NEAR_M
+            and rotation_angle(T[:3, :3].T @ T_base_desired[:3, :3]) <= REACH_NEAR_RAD
         )
-        return answer if clock.monotonic() - at < FRESH_S and (near or not starts or answer == SILENT) else ASKING
+        return answer if clock.monotonic() - at < REACH_FRESH_S and (near or not starts or answer == SILENT) else ASKING
 
     def _run(self) -> None:
         while not rospy.is_shutdown():
-            if not self._asked.wait(PERIOD_S):
+            if not self._asked.wait(REACH_START_S):
                 continue
             self._asked.clear()
             question = self._question
@@ -65,7 +69,7 @@ class ReachCheck:
     def _ask(self, T_base_tool: np.ndarray) -> str | None:
         try:
             tool = stamped_pose(T_base_tool, self._base, rospy.Time.now())
-            return self._client(tool, timeout=TIMEOUT_S).obstacle or None
+            return self._client(tool, timeout=REACH_TIMEOUT_S).obstacle or None
         except ServiceAbsent:
             return None
         except ServiceFailed:

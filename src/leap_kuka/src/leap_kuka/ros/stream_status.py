@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.hand_tracking import LEFT, RIGHT
+from leap_kuka.numbers import HEARTBEAT_S
 from leap_kuka.start_gate import InteractionBox
 from leap_kuka.teleop_result import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
@@ -22,7 +23,6 @@ GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
 EDGE_WIDTH_M = 0.004
 TEXT_HEIGHT_M = 0.025
-HEARTBEAT_S = 0.5  # longest time without a message: leap_hand follows nobody when leap_kuka falls silent
 
 
 class NewestResult(abc.ABC):

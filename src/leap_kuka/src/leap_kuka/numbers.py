@@ -1,0 +1,68 @@
+"""Numbers of the arm's teleoperation that a user or a reviewer must know; what a user may set is in config.py.
+
+Times in seconds of a monotonic clock. The tuning of the filters is in hand_filter.py.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from common.hand_tracking import LONG_GAP_SPEED_M_S
+from common.operator_rows import OLD_ROWS_S
+
+# A hand is held still: start_gate.held_still.
+STILL_SPEED_M_S: Final = LONG_GAP_SPEED_M_S  # a faster palm passes through the box and starts nothing
+NOMINAL_RATE_HZ: Final = 110.0  # of the tracker
+STILL_WINDOW_S: Final = 10.0 / NOMINAL_RATE_HZ  # time over which the speed is measured, whatever leap/buffer_size
+STILL_SAMPLES: Final = 4  # fewest samples that have a speed
+
+# A stream, and the hand that steers it.
+MAX_SILENCE_S: Final = 0.2  # longest time between two frames of one stream, or two frames with its hand
+MAX_LEFT_OUT: Final = 5  # outliers in a row after which the hand counts as lost
+MAX_HAND_DISTANCE_M: Final = 2.0  # of a palm from the Leap, whose documented range is 0.6 m
+TURN_S: Final = 0.5  # how long a hand whose mean is full may start, before another hand in the box has its turn
+MIN_RATE_HZ: Final = 20.0  # below this frame rate the tool stays,
+ENOUGH_RATE_HZ: Final = 24.0  # until this one is reached
+MAX_HELD_TURN: Final = math.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves when the rate is back
+FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over takes full effect
+HEARTBEAT_S: Final = 0.5  # longest time without a report: leap_hand follows nobody when leap_kuka falls silent
+
+# The controller.
+PAUSE_S: Final = 0.2  # after such a pause it sees a new stream, never the one of the engagement before,
+PAUSE_MARGIN_S: Final = 0.1  # and the delay on the way: else the arm would go on to the new hand without a pick-up
+MAX_STATUS_AGE_S: Final = OLD_ROWS_S  # of its status, for a relative start
+MEASURED_AGE_S: Final = 0.5  # of the measured tool, and how far its stamp may be off
+
+# Whether the arm comes to a desired tool: asked before a start and while a stream runs.
+REACH_LOOK_S: Final = 0.2  # while a stream runs: between two looks at the newest answer;
+REACH_RUNNING_S: Final = 3.0 * REACH_LOOK_S  # between two questions to the controller
+REACH_START_S: Final = 0.1  # between two questions before a start
+REACH_TIMEOUT_S: Final = 0.5
+REACH_FRESH_S: Final = 2.0  # older answers are ignored; longer than a question that times out, and two periods
+REACH_NEAR_M: Final = 0.03  # at a start an answer about a tool farther away is ignored,
+REACH_NEAR_RAD: Final = math.radians(10.0)  # or one turned by more
+
+# A tool that an engagement leaves, or a program holds.
+LOOK_PERIOD_S: Final = 0.05  # between two looks where the arm is while a stream runs
+STOP_M: Final = 0.05  # an arm at full speed stops within this
+BEHIND_M: Final = 0.15  # an arm that follows is no farther behind the desired tool
+GLIDE_M_S: Final = 0.3  # so fast the kept tool comes nearer to the arm: the controller sees no jump
+JUST_S: Final = 0.5  # an arm that brakes, since the hand jumped, was near so short a time ago,
+MOVED_M: Final = 0.1  # and came so far
+AT_HOME_M: Final = 0.03
+MAX_HOLD_S: Final = 120.0
+MAX_TOOL_DISTANCE_M: Final = 5.0  # a larger distance from the base is probably not in metres
+MAX_TILT_DEG: Final = 10.0  # of a held tool: a stream starts with the tool as at home, pointing down
+AHEAD_M: Final = 0.1  # least distance in front of the base, nearer than the workspace; at most half of its centre's
+ABOVE_M: Final = 1e-3  # least height over the foot; the workspace may end at the foot
+
+# Hold-to-enable and clutch.
+DEVICE_SILENCE_S: Final = 0.25  # a device has fallen silent; it reports every 0.1 s
+LEFT_S: Final = 2.0  # one of several programs that has been silent for so long has left
+JOY_SILENCE_S: Final = 0.5  # a gamepad that does not report for this long is lost
+CLOSED: Final = 0.8  # grab or pinch strength from which the second hand is closed,
+OPENED: Final = 0.5  # and up to which it is open
+DEBOUNCE_S: Final = 0.1  # time for which it must be so before the tool may move
+GAP_S: Final = 0.1  # a second hand out of view for longer has left
+CLEARLY_M: Final = 0.03  # a hand that chooses an arm must be so far beyond the border between two regions
