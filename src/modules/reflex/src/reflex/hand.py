@@ -20,7 +20,6 @@ from reflex.motion import HandNote, MotorGoals
 from reflex.reading import UNLOADED, HandReading, measure
 from reflex.settings import HandSettings, setting_fault
 
-TORQUE_OFF = "Torque is off; set_speed switches it on again."
 CALIBRATING = "The fingers are being calibrated."
 _COMPLAINT_PERIOD_S = 10.0
 
@@ -34,6 +33,54 @@ class HandStatus(Enum):
     CALIBRATING = "calibrating"
     CHANGING_SPEED = "changing speed"
     READY = "ready"
+
+
+class HandRequest(Enum):
+    """What a program asks for."""
+
+    COMMAND = "command"
+    RAW_COMMAND = "command_raw"
+    SPEED = "set_speed"
+    CALIBRATE_FINGERS = "calibrate_fingers"
+    CALIBRATE_TACTILE = "calibrate_tactile"
+    ZERO_POSE = "zero_pose"
+
+
+_R = HandRequest
+REFUSALS: tuple[tuple[HandStatus, tuple[HandRequest, ...], str], ...] = (
+    (HandStatus.SILENT, (_R.COMMAND, _R.RAW_COMMAND, _R.SPEED), ""),  # the link says more
+    (
+        HandStatus.TORQUE_OFF,
+        (_R.COMMAND, _R.RAW_COMMAND, _R.CALIBRATE_FINGERS),
+        "Torque is off; set_speed switches it on again.",
+    ),
+    (HandStatus.CALIBRATING, (_R.RAW_COMMAND, _R.ZERO_POSE), CALIBRATING),
+    (HandStatus.CALIBRATING, (_R.SPEED,), "The fingers are being calibrated; set the speed afterwards."),
+)
+"""In which state a request is refused, and why; of several rows the first. All else is followed: a command during a
+calibration after its end, and what needs a packet with the next one."""
+
+
+class HandRecovery(Enum):
+    """After what the hand is there again: level and sentence of the note, and whether its servos may have lost torque,
+    speed and turn. Each ends a calibration.
+    """
+
+    CONNECTED = "info", "The hand is connected.", True
+    RESUMED = "info", "The hand is heard again.", False
+    RESTARTED = "warning", "The hand was switched off and on: calibrate its fingers before they are used.", True
+    SERVOS_ANSWER = "warning", "All servos answer again: calibrate the fingers before they are used.", True
+
+    def __init__(self, level: str, sentence: str, servos_started: bool) -> None:
+        self.level, self.sentence = level, sentence
+        self.servos_started = servos_started
+
+
+RECOVERIES = {
+    PacketArrival.FIRST: HandRecovery.CONNECTED,
+    PacketArrival.RESUMED: HandRecovery.RESUMED,
+    PacketArrival.RESTARTED: HandRecovery.RESTARTED,
+}
 
 
 @dataclass(frozen=True)
@@ -62,7 +109,7 @@ class HandLogic:
         self._torque = True
         self._speeds: tuple[float, ...] = tuple(settings.default_speed)
         self._calibration: FingerCalibration | None = None
-        self._requests: dict[str, float] = {}
+        self._requests: dict[HandRequest, float] = {}
         self._tactile: list[StatePacket] | None = None
         self._waiting_command: tuple[float, ...] | None = None
         self.reading: HandReading | None = None
@@ -89,7 +136,7 @@ class HandLogic:
     @property
     def calibrating(self) -> bool:
         """Whether a calibration of the fingers is requested or under way."""
-        return self._calibration is not None or "calibrate_fingers" in self._requests
+        return self._calibration is not None or HandRequest.CALIBRATE_FINGERS in self._requests
 
     def start(self) -> HandUpdate:
         """Returns the first packet of a driver: torque on, targets are positions."""
@@ -114,12 +161,11 @@ class HandLogic:
                 self._note("warning", why)
             return self._result()
         previous = self.reading.packet if self.reading else None
-        if arrival is not PacketArrival.NEXT:
-            self._appeared(arrival, packet, now)
-            previous = None
-        elif previous and servo_fault(previous.positions) and not servo_fault(packet.positions):
-            self._note("warning", "All servos answer again: calibrate the fingers before they are used.")
-            self._start_servos(packet, now)
+        recovery = RECOVERIES.get(arrival)
+        if recovery is None and previous and servo_fault(previous.positions) and not servo_fault(packet.positions):
+            recovery = HandRecovery.SERVOS_ANSWER
+        if recovery is not None:
+            self._recover(recovery, packet, now)
             previous = None
         loads = self.reading.loads if self.reading and arrival is PacketArrival.NEXT else UNLOADED
         reading = measure(packet, self._zeros, self._offsets, self._thresholds, loads)
@@ -141,10 +187,12 @@ class HandLogic:
             self._tactile = None
             if self._calibration:
                 self._fail("The hand fell silent.")
-        for name, since in list(self._requests.items()):
+        for request, since in list(self._requests.items()):
             if now - since > self._settings.request_time:
-                del self._requests[name]
-                self._note("error", f"{name} was given up: no packet came for {self._settings.request_time:g} s.")
+                del self._requests[request]
+                self._note(
+                    "error", f"{request.value} was given up: no packet came for {self._settings.request_time:g} s."
+                )
         return self._result()
 
     def command(self, angles: Sequence[float], now: float) -> HandUpdate:
@@ -152,7 +200,7 @@ class HandLogic:
         angles = tuple(float(a) for a in angles)
         if len(angles) != 4 or not all(math.isfinite(a) for a in angles):
             return self._result(f"The command {list(angles)} is not four finite angles; the last goal stays.")
-        refusal = self._not_ready(now)
+        refusal = self._refused(HandRequest.COMMAND, now)
         if not refusal and self._calibration:
             self._waiting_command = angles
         elif not refusal:
@@ -161,7 +209,7 @@ class HandLogic:
 
     def command_raw(self, positions: Sequence[int], now: float) -> HandUpdate:
         """Sends the servos to positions [ticks] as they are; for tests of the hand. Refused during a calibration."""
-        refusal = self._not_ready(now) or (CALIBRATING if self._calibration else "")
+        refusal = self._refused(HandRequest.RAW_COMMAND, now)
         if not refusal:
             try:
                 self._aim(tuple(int(p) for p in positions))
@@ -175,26 +223,25 @@ class HandLogic:
         wrong = "they are four" if len(speeds) != 4 else setting_fault("default_speed", speeds)
         if wrong:
             return self._result(f"The speeds {list(speeds)} were refused: {wrong}.")
-        reading = self.reading
-        if reading is None or not self.link.alive(now):
-            return self._result(self.silence(now))
-        if self._calibration:
-            return self._result("The fingers are being calibrated; set the speed afterwards.")
-        fault = servo_fault(reading.packet.positions)
+        refusal = self._refused(HandRequest.SPEED, now)
+        if refusal or self.reading is None:
+            return self._result(refusal)
+        positions = self.reading.packet.positions
+        fault = servo_fault(positions)
         if fault and not self._torque:
             return self._result(f"{fault} Torque stays off.")
         self._send.extend(self.motion.change_speed(speeds, now))
         self._speeds = tuple(speeds)
         if not self._torque:
             self._torque = True
-            self._aim(reading.packet.positions)
+            self._aim(positions)
         return self._result()
 
     def disable_torque(self) -> HandUpdate:
         """Lets all motors go; torque returns with `set_speed`."""
         self._torque = False
         self._waiting_command = None
-        self._requests.pop("calibrate_fingers", None)
+        self._requests.pop(HandRequest.CALIBRATE_FINGERS, None)
         if self._calibration:
             self._fail("Torque was switched off.")
         self.motion.reset()
@@ -203,23 +250,15 @@ class HandLogic:
 
     def calibrate_fingers(self, now: float) -> HandUpdate:
         """Requests the finger calibration, which begins with the next packet; no effect during one."""
-        if not self._torque:
-            return self._result(TORQUE_OFF)
-        if not self._calibration:
-            self._requests["calibrate_fingers"] = now
-        return self._result()
+        return self._result("") if self._calibration else self._ask(HandRequest.CALIBRATE_FINGERS, now)
 
     def calibrate_tactile(self, now: float) -> HandUpdate:
         """Requests that the next packets zero the tactile sensors."""
-        self._requests["calibrate_tactile"] = now
-        return self._result()
+        return self._ask(HandRequest.CALIBRATE_TACTILE, now)
 
     def zero_pose(self, now: float) -> HandUpdate:
         """Requests that the pose of the next packet becomes zero, with the fingers let out by the slack."""
-        if self._calibration:
-            return self._result(CALIBRATING)
-        self._requests["zero_pose"] = now
-        return self._result()
+        return self._ask(HandRequest.ZERO_POSE, now)
 
     def set_thresholds(self, thresholds: Sequence[Sequence[int]]) -> HandUpdate:
         """Sets the contact thresholds, three times nine counts."""
@@ -246,25 +285,31 @@ class HandLogic:
     def _note(self, level: str, text: str) -> None:
         self._notes.append(HandNote(level, text))
 
-    def _not_ready(self, now: float) -> str:
-        if not self.link.alive(now):
-            return self.silence(now)
-        return "" if self._torque else TORQUE_OFF
+    def _refused(self, request: HandRequest, now: float) -> str:
+        """Returns why the hand refuses a request now, a sentence, or an empty text."""
+        holds = {
+            HandStatus.SILENT: not self.link.alive(now),
+            HandStatus.TORQUE_OFF: not self._torque,
+            HandStatus.CALIBRATING: self._calibration is not None,
+        }
+        found = [sentence for state, requests, sentence in REFUSALS if holds[state] and request in requests]
+        return (found[0] or self.silence(now)) if found else ""
 
-    def _appeared(self, arrival: PacketArrival, packet: StatePacket, now: float) -> None:
-        """Handles the first packet ever, after a silence, or after a restart of the hand."""
+    def _ask(self, request: HandRequest, now: float) -> HandUpdate:
+        """Keeps a request for the next packet."""
+        refusal = self._refused(request, now)
+        if not refusal:
+            self._requests[request] = now
+        return self._result(refusal)
+
+    def _recover(self, recovery: HandRecovery, packet: StatePacket, now: float) -> None:
         if self._calibration:
             self._fail("The hand was interrupted.")
-        if arrival is PacketArrival.RESUMED:
-            self._note("info", "The hand is heard again.")
-            if not self.motion.changing_speed:
-                self._send.append(encode_mode(POSITION if self._torque else IDLE))
-            return
-        if arrival is PacketArrival.FIRST:
-            self._note("info", "The hand is connected.")
-        else:
-            self._note("warning", "The hand was switched off and on: calibrate its fingers before they are used.")
-        self._start_servos(packet, now)
+        self._note(recovery.level, recovery.sentence)
+        if recovery.servos_started:
+            self._start_servos(packet, now)
+        elif not self.motion.changing_speed:
+            self._send.append(encode_mode(POSITION if self._torque else IDLE))
 
     def _start_servos(self, packet: StatePacket, now: float) -> None:
         """Servos may have lost torque, speed and turn: restores the first two and holds them where they are."""
@@ -277,7 +322,7 @@ class HandLogic:
             self._aim(packet.positions)
 
     def _serve_requests(self, packet: StatePacket, now: float) -> None:
-        if self._requests.pop("calibrate_tactile", None) is not None:
+        if self._requests.pop(HandRequest.CALIBRATE_TACTILE, None) is not None:
             self._tactile = []
         if self._tactile is not None:
             self._tactile.append(packet)
@@ -287,9 +332,9 @@ class HandLogic:
                 self._note("info", "The tactile sensors are zeroed.")
         if self.motion.changing_speed:
             return
-        if self._requests.pop("zero_pose", None) is not None:
+        if self._requests.pop(HandRequest.ZERO_POSE, None) is not None:
             self._take_zero_pose(packet)
-        if self._torque and self._requests.pop("calibrate_fingers", None) is not None:
+        if self._torque and self._requests.pop(HandRequest.CALIBRATE_FINGERS, None) is not None:
             self._note("info", CALIBRATING)
             self.calibration_outcome = "under way"
             self._calibration = FingerCalibration(self._settings)
