@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
@@ -129,62 +129,12 @@ def tracker_sheet() -> None:
     )
 
 
-def webcam_setups() -> None:
-    """The two set-ups of the webcam tracker, from the side; drawn at 0.5 px to a millimetre."""
-    ink, view, box = "#1f2933", "#5b8def", "#d08a1e"
-
-    def person(x: float, y: float, hand: tuple[float, float, float, float]) -> str:
-        """A head at (x, y), a body, and an arm to the hand: x, y, and the end of its fingers."""
-        shoulder, (hx, hy, fx, fy) = (x - 6, y + 55), hand
-        elbow = 0.5 * (shoulder[0] + hx) + 6, max(shoulder[1], hy) + 32
-        arm = f"{shoulder[0]},{shoulder[1]} {elbow[0]},{elbow[1]} {hx},{hy}"
-        return (
-            f'<circle cx="{x}" cy="{y}" r="26"/><path d="M{x} {y + 26} V{y + 190}"/><polyline points="{arm}"/>'
-            f'<path d="M{hx} {hy} L{fx} {fy}" stroke-width="9" stroke-linecap="round"/>'
-        )
-
-    def text(x: float, y: float, words: str, colour: str = ink, size: int = 14) -> str:
-        return f'<text x="{x}" y="{y}" fill="{colour}" stroke="none" font-size="{size}">{words}</text>'
-
-    desk = '<path d="M20 330 H360" stroke-width="4"/>'
-    front = (
-        f'{desk}<path d="M60 328 H170 M60 328 L30 190" stroke-width="5"/><circle cx="31" cy="196" r="6" fill="{view}"/>'
-        f'<path d="M31 196 L400 92 M31 196 L400 300" stroke="{view}" stroke-dasharray="6 5"/>'
-        f'<rect x="230" y="146" width="100" height="100" stroke="{box}" stroke-dasharray="4 4"/>'
-        + person(450, 130, (282, 226, 276, 168))
-        + text(20, 40, "--setup front", size=18)
-        + text(20, 62, "camera on the lid; hold the hand as feels natural")
-        + text(100, 130, "500 mm", view)
-        + text(190, 314, "box, 200 mm wide", box)
-    )
-    above = (
-        f'{desk}<path d="M60 328 V110 H200 V120" stroke-width="4"/>'
-        f'<rect x="190" y="120" width="20" height="12" fill="{view}"/>'
-        f'<path d="M200 132 L85 328 M200 132 L315 328" stroke="{view}" stroke-dasharray="6 5"/>'
-        f'<rect x="150" y="226" width="100" height="100" stroke="{box}" stroke-dasharray="4 4"/>'
-        + person(440, 130, (228, 276, 172, 276))
-        + text(20, 40, "--setup above", size=18)
-        + text(20, 62, "camera looks down, its image's top away from you; hold the hand level")
-        + text(245, 165, "400 mm", view)
-    )
-    (PICTURES / "webcam-setups.svg").write_text(
-        '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1060 350" font-family="sans-serif">\n'
-        '<rect width="1060" height="350" fill="#ffffff"/>\n'
-        f'<g fill="none" stroke="{ink}" stroke-width="3">{front}</g>\n'
-        f'<g fill="none" stroke="{ink}" stroke-width="3" transform="translate(530 0)">{above}</g>\n</svg>\n'
-    )
-
-
 def rig() -> None:
     """The demo in RViz while the arm follows a hand."""
-    with _screen() as display:
-        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
-        with _started("rosrun", "leap_rig", "demo.py", "--", "gui:=false", *_ports(), **environment):
-            time.sleep(FOLLOWING_S)
-            file = PICTURES / "rig.png"
-            _run(sys.executable, "-m", "tools.pictures", "--shoot", str(file), DISPLAY=display)
-            picture = Image.open(file)
-        picture.crop(VIEW).save(file)
+    with _stage() as (start, environment):
+        start("rosrun", "leap_rig", "demo.py", "--", "gui:=false", *_ports())
+        time.sleep(FOLLOWING_S)
+        _take(PICTURES / "rig.png", environment, VIEW)
 
 
 def film() -> None:
@@ -231,9 +181,34 @@ def parts() -> None:
         shutil.copy(ROOT / "cad" / "assembly" / name, PICTURES / copy)
 
 
-def vision() -> None:
-    """Calibration and the view for the headset."""
-    _run(sys.executable, "-m", "tools.vision_pictures", str(PICTURES))
+def calibration() -> None:
+    """RViz after a calibration: the cloud of the calibrated camera lies on the arm's model."""
+    with tempfile.TemporaryDirectory() as folder, _stage() as (start, environment):
+        robot, world = _world(start, "--scene", "cup", "--panel", "bundle")
+        camera = ("sim:=true", f"port:={world}", "control_port:=0", f"folder:={folder}", "rviz:=true")
+        start("roslaunch", "vision", "camera_apriltag.launch", *camera)
+        joints = ("preshape_1", "preshape_2", *(f"{k}_joint_{i}" for k in ("proximal", "distal") for i in (1, 2, 3)))
+        names = ", ".join(f"reflex/{joint}" for joint in joints)
+        hand = f"{{header: auto, name: [{names}], position: {[0.0] * len(joints)}}}"
+        start("rostopic", "pub", "-s", "-r", "10", "joint_states", "sensor_msgs/JointState", hand)
+        time.sleep(RVIZ_S)
+        _run("rosparam", "set", "camera_calibration/views/count", "10", **environment)
+        options = ("--ip", "127.0.0.1", "--port", robot, "--velocity", "0.5", "--yes")
+        _run("rosrun", "vision", "calibrate_camera.py", *options, **environment)
+        start("roslaunch", "vision", "register_rgbd.launch", "camera:=false", "rviz:=false")
+        time.sleep(2.0 * RVIZ_S)  # RViz draws a cloud less than once a second without a graphics card
+        _take(PICTURES / "calibration-rviz.png", environment)
+
+
+def headset() -> None:
+    """The view for the headset: as in 2019, and each eye its own with the lenses undone."""
+    for name, options in (("headset-2019.png", ("depth:=false", "lens:=none")), ("headset-stereo.png", ())):
+        with _stage((1920, 1080)) as (start, environment):
+            _, world = _world(start, "--scene", "objects")
+            camera = ("sim:=true", f"port:={world}", "control_port:=0", "output:=screen")
+            start("roslaunch", "vision", "camera_oculus.launch", *camera, *options)
+            time.sleep(RVIZ_S)
+            _take(PICTURES / name, environment)
 
 
 def plots() -> None:
@@ -246,20 +221,17 @@ def plots() -> None:
 
 def visualizer() -> None:
     """Both hands as the tracker sees them, in RViz."""
-    port, control, file = free_port(), free_port(), PICTURES / "visualizer.png"
-    leapd = ("rosrun", "rig_simulation", "leapd.py", "--port", str(port), "--control-port", str(control), "--guided")
-    with _screen() as display:
-        environment = {"DISPLAY": display, "LIBGL_ALWAYS_SOFTWARE": "1", "QT_X11_NO_MITSHM": "1"}
-        launch = ("roslaunch", "leap_motion", "visualization.launch", f"port:={port}")
-        with _started(*leapd), _started(*launch, **environment):
-            time.sleep(RVIZ_S)
-            with ControlClient("127.0.0.1", control) as service:
-                service.ask("show", right=0.1, up=-0.08)
-                service.ask("second", curl=1.0)
-            time.sleep(SETTLED_S)
-            _run(sys.executable, "-m", "tools.pictures", "--shoot", str(file), DISPLAY=display)
-    picture = Image.open(file)
-    picture.crop(HANDS).save(file)
+    port, control = free_port(), free_port()
+    with _stage() as (start, environment):
+        leapd = ("--port", str(port), "--control-port", str(control), "--guided")
+        start("rosrun", "rig_simulation", "leapd.py", *leapd)
+        start("roslaunch", "leap_motion", "visualization.launch", f"port:={port}")
+        time.sleep(RVIZ_S)
+        with ControlClient("127.0.0.1", control) as service:
+            service.ask("show", right=0.1, up=-0.08)
+            service.ask("second", curl=1.0)
+        time.sleep(SETTLED_S)
+        _take(PICTURES / "visualizer.png", environment, HANDS)
 
 
 def curves() -> None:
@@ -282,7 +254,6 @@ MAKERS = {
     for maker in (
         workspace,
         tracker_sheet,
-        webcam_setups,
         panel,
         rig,
         film,
@@ -292,7 +263,8 @@ MAKERS = {
         grasping,
         tag_pose,
         parts,
-        vision,
+        calibration,
+        headset,
         plots,
         visualizer,
         curves,
@@ -304,13 +276,9 @@ MAKERS = {
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.pictures", description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help=f"names of pictures: {', '.join(MAKERS)}; default: all")
-    parser.add_argument("--shoot", metavar="FILE", help=argparse.SUPPRESS)
     options = parser.parse_args()
     for name in (name for name in options.names if name not in MAKERS):
         parser.error(f"there is no picture {name}; there are {', '.join(MAKERS)}")
-    if options.shoot:
-        _shoot(options.shoot)
-        return
     before = {file: file.stat().st_mtime for file in PICTURES.glob("*.png")}
     for name in options.names or MAKERS:
         print(f"pictures: {name}", flush=True)
@@ -320,12 +288,14 @@ def main() -> None:
             _shrink(file)
 
 
-def _shoot(file: str) -> None:
-    """Takes a screenshot."""
-    from python_qt_binding.QtWidgets import QApplication
-
-    application = QApplication([])
-    application.primaryScreen().grabWindow(0).save(file)
+def _take(file: Path, environment: dict[str, str], area: tuple[int, int, int, int] | None = None) -> None:
+    """Writes what is on a screen, or in an area of it: left, top, right, bottom."""
+    shoot = "import sys; from python_qt_binding.QtWidgets import QApplication as A; a = A([]); "
+    shoot += "a.primaryScreen().grabWindow(0).save(sys.argv[1])"
+    _run(sys.executable, "-c", shoot, str(file), **environment)
+    if area:
+        picture = Image.open(file)
+        picture.crop(area).save(file)
 
 
 def _shrink(file: Path) -> None:
@@ -413,12 +383,42 @@ def _grasps(scene: str) -> Iterator[str]:
         yield master
 
 
+Start = Callable[..., None]
+"""Starts a program that ends with the stage."""
+
+
 @contextlib.contextmanager
-def _screen() -> Iterator[str]:
+def _stage(size: tuple[int, int] = SCREEN) -> Iterator[tuple[Start, dict[str, str]]]:
+    """Runs a ROS master and a virtual display; yields what starts a program there, and the environment of it."""
+    port = free_port()
+    with contextlib.ExitStack() as running:
+        display = running.enter_context(_screen(size))
+        environment = {"ROS_MASTER_URI": f"http://localhost:{port}", "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
+        environment.update(LIBGL_ALWAYS_SOFTWARE="1", QT_X11_NO_MITSHM="1")
+
+        def start(*command: str) -> None:
+            running.enter_context(_started(*command, **environment))
+
+        start("roscore", "-p", str(port))
+        _run("bash", "-c", "until rosparam get /rosdistro; do sleep 0.5; done", **environment)
+        yield start, environment
+
+
+def _world(start: Start, *options: str) -> tuple[str, str]:
+    """Starts the simulated world; returns the ports of its arm and of its pictures."""
+    names = ("--port", "--control-port", "--hand-port", "--hand-control-port", "--world-port")
+    ports = [str(free_port()) for _ in names]
+    start("rosrun", "rig_simulation", "world.py", *options, *(word for pair in zip(names, ports) for word in pair))
+    return ports[0], ports[-1]
+
+
+@contextlib.contextmanager
+def _screen(size: tuple[int, int] = SCREEN) -> Iterator[str]:
     """Yields the name of a virtual display."""
     reader, writer = os.pipe()
-    size = f"{SCREEN[0]}x{SCREEN[1]}x24"
-    server = subprocess.Popen(["Xvfb", "-displayfd", str(writer), "-screen", "0", size], pass_fds=[writer])
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(writer), "-screen", "0", f"{size[0]}x{size[1]}x24"], pass_fds=[writer]
+    )
     os.close(writer)
     with os.fdopen(reader) as pipe:
         number = pipe.readline().strip()
