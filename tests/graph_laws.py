@@ -5,6 +5,11 @@ from __future__ import annotations
 import copy
 
 import pytest
+import rospy
+import tf2_ros
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Float64, String
+from std_srvs.srv import SetBool, Trigger, TriggerResponse
 
 from common import clock
 
@@ -21,8 +26,6 @@ class Topics:
     @pytest.fixture
     def pair(self, ros, wait):
         """Returns a publisher, and the messages of a subscriber that is connected to it."""
-        import rospy
-        from std_msgs.msg import Float64
 
         def make(callback=None, **options):
             came = []
@@ -34,8 +37,6 @@ class Topics:
         return make
 
     def test_messages_come_in_order_with_who_sent_them(self, pair, wait):
-        import rospy
-
         came = []
         publisher, _ = pair(lambda message, more: came.append((message, more)), callback_args="more")
         for i in range(50):
@@ -49,9 +50,6 @@ class Topics:
         assert len(header["md5sum"]) == 32 and header["message_definition"].startswith("float64 data")
 
     def test_the_last_of_a_latched_topic_comes_to_late_subscribers(self, ros, wait):
-        import rospy
-        from std_msgs.msg import String
-
         publisher = rospy.Publisher("words", String, queue_size=1, latch=True)
         for word in ("one", "two"):
             publisher.publish(word)
@@ -94,8 +92,6 @@ class Topics:
         assert "bad callback: <function" in log() and "ZeroDivisionError: float division by zero" in log()
 
     def test_what_cannot_be_published_is_refused(self, pair, wait):
-        from std_msgs.msg import Float64, String
-
         publisher, came = pair()
         publisher.publish(Float64(3.0))
         wait(lambda: came == [3.0], 10.0, "what can be")  # before: rospy sends what it wrote of a bad message, too
@@ -111,9 +107,6 @@ class Topics:
         publisher.unregister()
 
     def test_who_unregisters_hears_no_more(self, pair, ros, wait):
-        import rospy
-        from std_msgs.msg import Float64
-
         publisher, came = pair()
         other = []
         listener = rospy.Subscriber("numbers", Float64, other.append)
@@ -127,26 +120,16 @@ class Topics:
         assert len(other) == 1
 
     def test_who_takes_any_type_gets_bytes(self, ros, wait):
-        import rospy
-        from std_msgs.msg import Float64
-
         rospy.Publisher("numbers", Float64, queue_size=1, latch=True).publish(1.0)
         came = ros.record("numbers", rospy.AnyMsg)
         wait(lambda: came, 10.0, "the message")
         assert came[0]._buff == b"\0\0\0\0\0\0\xf0?" and came[0]._connection_header["type"] == "std_msgs/Float64"
 
     def test_nobody_sends_what_is_waited_for(self, ros):
-        import rospy
-        from std_msgs.msg import String
-
         text = "timeout exceeded while waiting for message on topic words"
         assert texts_of(lambda: rospy.wait_for_message("words", String, timeout=0.2)) == ("ROSException", text)
 
     def test_frames_are_broadcast(self, ros, wait):
-        import rospy
-        import tf2_ros
-        from geometry_msgs.msg import TransformStamped
-
         buffer = tf2_ros.Buffer()
         listener = tf2_ros.TransformListener(buffer)
         static, moving = tf2_ros.StaticTransformBroadcaster(), tf2_ros.TransformBroadcaster()
@@ -174,9 +157,6 @@ class Topics:
 
 class Services:
     def test_it_answers_the_caller(self, ros):
-        import rospy
-        from std_srvs.srv import SetBool
-
         callers = []
 
         def answer(request):
@@ -198,9 +178,6 @@ class Services:
         assert texts_of(lambda: proxy(True)) == ("ServiceException", "service [/work] unavailable")
 
     def test_what_goes_wrong_is_told_to_the_caller(self, ros, log):
-        import rospy
-        from std_srvs.srv import Trigger, TriggerResponse
-
         def outcome(answer):
             service = rospy.Service("work", Trigger, answer)
             try:
@@ -224,8 +201,6 @@ class Services:
         assert outcome(lambda _: TriggerResponse(success="perhaps", message=1))[0] == "ServiceException"
 
     def test_nobody_offers_what_is_waited_for(self, ros):
-        import rospy
-
         text = "timeout exceeded while waiting for service /work"
         assert texts_of(lambda: rospy.wait_for_service("work", 0.2)) == ("ROSException", text)
         assert texts_of(lambda: rospy.wait_for_service("work", 0.0)) == ("ValueError", "timeout must be non-zero")
@@ -233,8 +208,6 @@ class Services:
 
 class Parameters:
     def test_values_and_namespaces(self, ros):
-        import rospy
-
         assert texts_of(lambda: rospy.get_param("gain")) == ("KeyError", "'gain'")
         assert rospy.get_param("gain", 7) == 7 and not rospy.has_param("gain")
         rospy.set_param("arm", {"gain": 1, "limits": {"low": (1.5, True), "name": "a"}})
@@ -257,14 +230,10 @@ class Parameters:
 
     @pytest.mark.parametrize("value", [None, 2**31, {1: 2}, {"a": object()}], ids=["None", "int", "key", "object"])
     def test_what_is_no_parameter_is_refused(self, ros, value):
-        import rospy
-
         assert texts_of(lambda: rospy.set_param("bad", value))[0] in ("TypeError", "OverflowError")
         assert not rospy.has_param("bad")
 
     def test_they_are_searched_upwards(self, ros):
-        import rospy
-
         rospy.set_param("/a", {"b": 1})
         rospy.set_param("~c", 2)
         own = rospy.get_name()
@@ -276,8 +245,6 @@ class Parameters:
         rospy.delete_param(own)
 
     def test_names_are_resolved(self, ros):
-        import rospy
-
         own = rospy.get_name()
         assert [rospy.resolve_name(name) for name in ("a", "a/b", "/a", "~a", "~", "", "/", "a/", "~a/b/", "a//b")] == [
             "/a", "/a/b", "/a", f"{own}/a", f"{own}/", "/", "/", "/a", f"{own}/a/b", "/a/b"

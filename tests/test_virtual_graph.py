@@ -10,7 +10,6 @@ import threading
 import pytest
 
 from common import clock
-from tests import graph_laws
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
@@ -22,6 +21,7 @@ from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import ServiceFailed, call
 from simulated import scheduler
 from simulated.graph import Graph
+from tests import graph_laws
 
 pytestmark = pytest.mark.ros
 
