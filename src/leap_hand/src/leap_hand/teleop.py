@@ -22,10 +22,10 @@ from enum import Enum
 
 import numpy as np
 
-from common.hand_reasons import FOLLOWED, IN_VIEW, NO_HAND, NOT_SEEN
 from common.hand_tracking import ANY, FrameWatch, HandLock, of_side, succeeds
 from common.operator_rows import OLD_ROWS_S
 from common.poses import read_only
+from common.reasons import FOLLOWED, IN_VIEW, NO_HAND, NOT_SEEN
 from leap_hand.config import FINGERS, STEERING, HandConfig
 from leap_hand.flexion import flexion, map_angles
 from leap_motion.frames import TrackedHand, TrackingFrame

@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from common import hand_reasons
+from common import reasons
+from common.reasons import ReasonCode
 
 
 class Tool(Enum):
@@ -55,32 +56,46 @@ class EngagementState(Enum):
 class EngagementTrigger(Enum):
     """What happens, and how the operator reads it, with the hand's name and a detail."""
 
-    HAND_READY = "a hand meets all conditions", hand_reasons.FOLLOWED
-    NOT_SEEN = "the hand is not in the frame", hand_reasons.NOT_SEEN + "; the tool stays"
-    SLOW = "fewer than 20 frames per second come", "{detail}"
-    SEEN = "it is seen, and enough frames come", hand_reasons.FOLLOWED
-    ARM_BUSY = "the arm is not in servo mode", hand_reasons.FOLLOWED + " once the arm is ready; it is in {detail}"
-    ARM_READY = "the arm is in servo mode", hand_reasons.FOLLOWED
-    STOPPED = "not enabled, clutched, or not chosen", "{detail}"
-    HAND_LOST = "the hand is lost for 0.2 s, or jumps", "{hand} was lost{detail}"
-    MOVED = "it moved while the tracker was slow", "{hand} moved while the tracker was slow"
-    UNSURE = "its confidence is too low", "{hand}: {detail}"
-    CLUTCH_LOST = "the clutch device is silent", "the clutch device is silent"
-    TRACKER_LOST = "no frame for 0.2 s, or inconsistent ones", "{detail}"
-    CONTROL_ON = "control goes on", "control of the arm went on; take the hand out of the box and back in"
+    HAND_READY = "a hand meets all conditions", reasons.FOLLOWED, ReasonCode.FOLLOWED
+    NOT_SEEN = "the hand is not in the frame", reasons.NOT_SEEN + "; the tool stays", ReasonCode.NOT_SEEN
+    SLOW = "fewer than 20 frames per second come", "{detail}", ReasonCode.TRACKER_SLOW
+    SEEN = "it is seen, and enough frames come", reasons.FOLLOWED, ReasonCode.FOLLOWED
+    ARM_BUSY = (
+        "the arm is not in servo mode",
+        reasons.FOLLOWED + " once the arm is ready; it is in {detail}",
+        ReasonCode.ARM_NOT_READY,
+    )
+    ARM_READY = "the arm is in servo mode", reasons.FOLLOWED, ReasonCode.FOLLOWED
+    STOPPED = "not enabled, clutched, or not chosen", "{detail}", ReasonCode.CLUTCHED
+    HAND_LOST = "the hand is lost for 0.2 s, or jumps", "{hand} was lost{detail}", ReasonCode.HAND_GONE
+    MOVED = "it moved while the tracker was slow", "{hand} moved while the tracker was slow", ReasonCode.HAND_JUMPED
+    UNSURE = "its confidence is too low", "{hand}: {detail}", ReasonCode.UNSURE
+    CLUTCH_LOST = "the clutch device is silent", "the clutch device is silent", ReasonCode.CLUTCHED
+    TRACKER_LOST = "no frame for 0.2 s, or inconsistent ones", "{detail}", ReasonCode.TRACKER_SILENT
+    CONTROL_ON = (
+        "control goes on",
+        "control of the arm went on; take the hand out of the box and back in",
+        ReasonCode.CONTROL_ON,
+    )
     CONTROL_FOUND_ON = (
         "control is on when it is first heard of",
         "control of the arm was on at the start; take the hand out of the box and back in",
+        ReasonCode.CONTROL_ON,
     )
-    CONTROL_OFF = "control goes off", "control of the arm is off"
-    ARM_LEFT = "the arm no longer follows", "the arm does not follow, its controller is in the mode {detail}"
-    EXPIRED = "the time is over", "no hand took it over in time"
-    HOLD = "a program holds the tool", "the tool is held"
-    HOLD_ENDED = "the program ends that", "it was ended"
+    CONTROL_OFF = "control goes off", "control of the arm is off", ReasonCode.CONTROL_OFF
+    ARM_LEFT = (
+        "the arm no longer follows",
+        "the arm does not follow, its controller is in the mode {detail}",
+        ReasonCode.ARM_LEFT,
+    )
+    EXPIRED = "the time is over", "no hand took it over in time", ReasonCode.EXPIRED
+    HOLD = "a program holds the tool", "the tool is held", ReasonCode.HOLD
+    HOLD_ENDED = "the program ends that", "it was ended", ReasonCode.HOLD
 
-    def __init__(self, happens: str, sentence: str) -> None:
+    def __init__(self, happens: str, sentence: str, code: ReasonCode) -> None:
         self.happens = happens
         self.sentence = sentence
+        self.code = code
 
 
 class When(Enum):

@@ -14,6 +14,7 @@ import numpy as np
 
 from common.errors import ConfigError
 from common.poses import read_only
+from common.reasons import Reason, ReasonCode
 from leap_kuka.config import ArmPlacement, LeapConfig
 from leap_kuka.hand_average import MeanHand
 from leap_kuka.numbers import STILL_SPEED_M_S
@@ -27,7 +28,11 @@ CONDITIONS = (BOX, PITCH, ROLL, STILL, CONFIDENCE, CAME_IN, READY, REACH, ENABLE
 """The conditions of a start, as the operator reads them."""
 OF_A_HAND = frozenset((BOX, PITCH, ROLL, STILL, CONFIDENCE, CAME_IN, REACH))  # unmet without one
 
-SIDES = (("left of", "right of"), ("below", "above"), ("behind", "in front of"))
+SIDES = (
+    (("left of", ReasonCode.LEFT_OF_BOX), ("right of", ReasonCode.RIGHT_OF_BOX)),
+    (("below", ReasonCode.BELOW_BOX), ("above", ReasonCode.ABOVE_BOX)),
+    (("behind", ReasonCode.BEHIND_BOX), ("in front of", ReasonCode.IN_FRONT_OF_BOX)),
+)
 """Position of a palm relative to the box, by axis and sign, as the user sees it: -z points away from the user."""
 
 
@@ -71,8 +76,8 @@ class StartGate:
     def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
         self._leap, self._box = leap, box
 
-    def faults(self, hand: MeanHand, obstacles: Mapping[str, str], resumes: bool) -> dict[str, str]:
-        """Returns the conditions that the averaged hand does not meet, with a sentence each.
+    def faults(self, hand: MeanHand, obstacles: Mapping[str, Reason], resumes: bool) -> dict[str, Reason]:
+        """Returns the conditions that the averaged hand does not meet, with a reason each.
 
         `obstacles` are further conditions that are not met, the first of them is named. A hand that `resumes` need not
         be in the box and level.
@@ -81,31 +86,39 @@ class StartGate:
         faults.update([*obstacles.items()][:1])
         if not held_still(hand):
             too_fast = f"the hand moves too fast for a start, at {hand.speed:.2f} m/s"
-            faults[STILL] = f"{too_fast}, and must be below {STILL_SPEED_M_S:g} m/s"
+            text = f"{too_fast}, and must be below {STILL_SPEED_M_S:g} m/s"
+            faults[STILL] = Reason(text, (ReasonCode.TOO_FAST,))
         return {**faults, **self.confidence_fault(hand)}
 
-    def confidence_fault(self, hand: MeanHand) -> dict[str, str]:
+    def confidence_fault(self, hand: MeanHand) -> dict[str, Reason]:
         """Returns the same of its confidence alone."""
         least = self._leap.min_confidence
         if hand.confidence > least:
             return {}
-        return {CONFIDENCE: f"the confidence is {hand.confidence:.2f} and must be above {least:g}"}
+        text = f"the confidence is {hand.confidence:.2f} and must be above {least:g}"
+        return {CONFIDENCE: Reason(text, (ReasonCode.UNSURE,))}
 
-    def _outside(self, hand: MeanHand) -> dict[str, str]:
+    def _outside(self, hand: MeanHand) -> dict[str, Reason]:
         offset = hand.palm - self._box.center
         parts = [
-            f"{max(1.0, 1e3 * distance):.0f} mm {sides[int(positive)]}"
-            for distance, positive, sides in zip(np.abs(offset) - self._box.size / 2.0, offset > 0.0, SIDES)
+            (f"{max(1.0, 1e3 * distance):.0f} mm {sides[positive][0]}", sides[positive][1])
+            for distance, positive, sides in zip(np.abs(offset) - self._box.size / 2.0, (offset > 0.0).tolist(), SIDES)
             if not distance <= 0.0  # NaN is outside
         ]
-        return {BOX: f"the palm is {' and '.join(parts)} the box"} if parts else {}
+        if not parts:
+            return {}
+        texts, codes = zip(*parts)
+        return {BOX: Reason(f"the palm is {' and '.join(texts)} the box", codes)}
 
-    def _tilted(self, hand: MeanHand) -> dict[str, str]:
+    def _tilted(self, hand: MeanHand) -> dict[str, Reason]:
         R_leap_hand = hand.T_leap_hand[:3, :3]
         angles = attitude(R_leap_hand, heading(R_leap_hand[:, 0]))
         limits = {PITCH: ("pitch", self._leap.start_tol_pitch), ROLL: ("roll", self._leap.start_tol_roll)}
         return {
-            condition: f"the {name} is {math.degrees(getattr(angles, name)):.1f} deg and must be within {limit:g} deg"
+            condition: Reason(
+                f"the {name} is {math.degrees(getattr(angles, name)):.1f} deg and must be within {limit:g} deg",
+                (ReasonCode.NOT_LEVEL,),
+            )
             for condition, (name, limit) in limits.items()
             if abs(getattr(angles, name)) >= math.radians(limit)
         }

@@ -22,9 +22,10 @@ from typing import Any, Callable
 
 import numpy as np
 
-from common.hand_reasons import NO_HAND
 from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock, of_side
+from common.modes import FOLLOWS_TOOL, Mode
 from common.poses import inverse, pose, read_only
+from common.reasons import FOLLOWED, NO_HAND, Reason, ReasonCode, joined
 from common.rotations import rotation_angle
 from leap_kuka.config import RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.engagement import EngagementState, EngagementTrigger, next_state
@@ -67,9 +68,7 @@ from leap_kuka.tool_hold import Held, HoldAnswer, HoldState, hold_fault
 from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
-AT_HOME, SERVO = "home", "servo"  # modes of the controller: the first relative stream starts at home
 HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues has fulfilled
-FOLLOWS = (AT_HOME, "pick_up", SERVO)  # modes in which it follows the desired tool, or is about to
 
 CanReach = Callable[[np.ndarray, bool], "str | None"]
 
@@ -113,7 +112,7 @@ class ArmTeleop:
         self._keeps = self._relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
         self._state, self._taken = EngagementState.WAITING, False  # and whether the stream took a held tool over
         self._held: Held | None = None
-        self._hold_ended: str | None = None  # why, a sentence that is said once
+        self._hold_ended: Reason | None = None  # why, which is said once
         self._measured_tool, self._behind = measured_tool, ToolBehind()
         self._left: Leaving | None = None  # how an engagement left the tool that is kept
         self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
@@ -126,8 +125,8 @@ class ArmTeleop:
         self._newest: np.ndarray | None = None  # T_virtual_tool of the newest frame of the stream
         self._stays: np.ndarray | None = None  # the same while the tool stays because the tracker is slow
         self._obstacle: str | None = None
-        self._ended = ""  # why an engagement has ended, which is not said yet
-        self._reason = "no tracking frames come in"
+        self._ended: Reason | None = None  # why an engagement has ended, which is not said yet
+        self._reason = Reason("no tracking frames come in", (ReasonCode.TRACKER_SILENT,))
         self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
         self._mode, self._scaling, self._status_at = "", Scaling(arm.ws_center), -math.inf  # of the controller
         self._control_on: bool | None = None
@@ -148,7 +147,7 @@ class ArmTeleop:
             fault = "it is held already" + ("" if self._state.kept else "; end that hold first with a duration of 0")
         if fault is None and not self._control_on:
             fault = "control of the arm is off"
-        elif fault is None and self._mode not in FOLLOWS:
+        elif fault is None and self._mode not in FOLLOWS_TOOL:
             fault = f"the arm does not follow, its controller is in the mode {self._mode}"
         if fault:
             return HoldAnswer(False, f"The tool is not held: {fault}.")
@@ -164,7 +163,12 @@ class ArmTeleop:
         return HoldAnswer(True, "The hold has ended." if held else "The tool is not held.")
 
     def control(
-        self, on: bool, mode: str = AT_HOME, scale: float = 1.0, now: float = 0.0, offset: np.ndarray = NO_OFFSET
+        self,
+        on: bool,
+        mode: str = Mode.HOME.value,
+        scale: float = 1.0,
+        now: float = 0.0,
+        offset: np.ndarray = NO_OFFSET,
     ) -> None:
         """Sets whether control of the arm is on, the controller's mode, and its scaling, as it says `now` [s].
 
@@ -177,7 +181,7 @@ class ArmTeleop:
         elif not before:
             self._lock.end()
             self._fire(EngagementTrigger.CONTROL_FOUND_ON if before is None else EngagementTrigger.CONTROL_ON, now)
-        elif mode not in FOLLOWS:
+        elif mode not in FOLLOWS_TOOL:
             self._fire(EngagementTrigger.ARM_LEFT, now, mode)
 
     def choose(self, elsewhere: str | None, any_hand: bool) -> None:
@@ -219,11 +223,11 @@ class ArmTeleop:
             self._follow(hand, arrival.stamp, now)
         elif self._state.running:
             self.counts.frames_without_owner += 1
-            self._reason = self._obstacle = self._fire(EngagementTrigger.NOT_SEEN, now)
+            self._keep_tool(self._fire(EngagementTrigger.NOT_SEEN, now))
         else:
-            self._reason = NO_HAND[self._side]
-        if self._ended:
-            self._reason, self._ended = self._ended, ""
+            self._reason = Reason(NO_HAND[self._side], (ReasonCode.NO_HAND,))
+        if self._ended is not None:
+            self._reason, self._ended = self._ended, None
         if self._state.running:
             if self._keeps and self._newest is not None:
                 self._behind.look(self._measured_tool, self._T_base_scaled(self._newest), now)
@@ -248,27 +252,29 @@ class ArmTeleop:
     def _lose_tracker(self, why: str, now: float) -> None:
         self._fire(EngagementTrigger.TRACKER_LOST, now, why)
         self._forget_hand()
-        self._reason = why
+        self._reason = Reason(why, (ReasonCode.TRACKER_SILENT,))
 
-    def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "") -> str:
-        """Goes to the state that the table says, and does what that means; returns the sentence of the trigger."""
-        sentence = trigger.sentence.format(hand=self._name, detail=detail)
+    def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "") -> Reason:
+        """Goes to the state that the table says, and does what that means; returns the reason."""
+        jumped = trigger is EngagementTrigger.HAND_LOST and bool(detail)
+        code = ReasonCode.HAND_JUMPED if jumped else trigger.code
+        reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code,))
         before = self._state
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
-            return sentence
+            return reason
         if after is EngagementState.WAITING and before.held:
-            self._hold_ended = f"the tool is no longer held: {sentence}"
+            self._hold_ended = replace(reason, text=f"the tool is no longer held: {reason.text}")
         if after.kept and before.running:
             self._keep(now)
         elif not after.held:
             self._held = self._left = None
         if before.owned and not after.owned:
             self._lock.end()
-            self._reason = self._ended = sentence
+            self._reason = self._ended = reason
             if trigger is not EngagementTrigger.UNSURE:  # its mean still tells why
                 self._forget_hand()
-        return sentence
+        return reason
 
     def _forget_hand(self) -> None:
         self._average.reset()
@@ -294,7 +300,7 @@ class ArmTeleop:
         self.counts.kept += 1
         self._held = Held(read_only(self._origin.T_base_virtual @ self._newest), now + self._hold_time)
         self._hold_ended = self._left = None
-        if self._mode == SERVO:
+        if self._mode == Mode.SERVO:
             self._left = self._behind.leave(self._measured_tool, self._T_base_scaled(self._newest), now)
 
     def _move_kept(self, now: float) -> None:
@@ -320,11 +326,12 @@ class ArmTeleop:
         self._mean = mean = self._average.mean()
         if left_out:
             self.counts.samples_left_out += 1
-            self._reason = f"{hand.name}: {left_out}"
+            self._reason = Reason(f"{hand.name}: {left_out}", (ReasonCode.HAND_JUMPED,))
         elif mean is None and not self._average.full:
-            self._reason = f"{hand.name}: {self._average.count} of {self._average.size} samples are in"
+            samples = f"{self._average.count} of {self._average.size} samples are in"
+            self._reason = Reason(f"{hand.name}: {samples}", (ReasonCode.FILLING,))
         elif mean is None:
-            self._reason = f"{hand.name} turns too fast"
+            self._reason = Reason(f"{hand.name} turns too fast", (ReasonCode.TOO_FAST,))
         elif self._state.running:
             self._steer(mean, now)
         else:
@@ -341,23 +348,23 @@ class ArmTeleop:
         unasked = {REACH} if faults and not self._relative else set()  # a relative stream starts where the arm is
         faults = faults or self._start_fault(mean)
         self._unmet = frozenset({*faults, *obstacles, *unasked})
-        self._reason = f"{self._name}: {'; '.join(faults.values())}" if faults else self._start(mean, now)
+        self._reason = joined(f"{self._name}: ", faults.values()) if faults else self._start(mean, now)
 
     def _steer(self, mean: MeanHand, now: float) -> None:
         """Lets the tool follow the hand of the stream, or stay while the arm or the tracker is not ready."""
         unsure = self._gate.confidence_fault(mean)
         if unsure:
             self._unmet = frozenset(unsure)
-            self._fire(EngagementTrigger.UNSURE, now, unsure[CONFIDENCE])
+            self._fire(EngagementTrigger.UNSURE, now, unsure[CONFIDENCE].text)
             return
-        self._reason = EngagementTrigger.HAND_READY.sentence.format(hand=self._name)
-        waits = self._relative and self._mode != SERVO
+        self._reason = Reason(FOLLOWED.format(hand=self._name), (ReasonCode.FOLLOWED,))
+        waits = self._relative and self._mode != Mode.SERVO
         if waits or (self._relative and self._begins > 0 and not self._slow and self._stays is None):
             assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
             self._stays, T_base_tool = None, self._origin.T_base_virtual @ self._newest
             self._begin(relative(T_base_tool, self._origin.T_base_virtual[:3, :3], mean.T_leap_hand), mean)
             if waits:
-                self._reason = self._obstacle = self._fire(EngagementTrigger.ARM_BUSY, now, self._mode)
+                self._keep_tool(self._fire(EngagementTrigger.ARM_BUSY, now, self._mode))
             return
         self._fire(EngagementTrigger.ARM_READY, now)
         self._attitude.follow(self._origin.turn(mean.T_leap_hand[:3, :3]))
@@ -365,7 +372,7 @@ class ArmTeleop:
             self.counts.slow_frames += 1
             self._stays = self._newest if self._stays is None else self._stays
             slow = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
-            self._reason = self._obstacle = self._fire(EngagementTrigger.SLOW, now, slow)
+            self._keep_tool(self._fire(EngagementTrigger.SLOW, now, slow))
             return
         if self._stays is not None:
             step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
@@ -374,35 +381,44 @@ class ArmTeleop:
                 return
         self._fire(EngagementTrigger.SEEN, now)
 
-    def _obstacles(self, resumes: bool, now: float) -> dict[str, str]:
-        """Returns the conditions of a start, apart from the hand's own, that are not met, with a sentence each."""
+    def _keep_tool(self, reason: Reason) -> None:
+        """Says why the tool does not follow the hand in this frame."""
+        self._reason, self._obstacle = reason, reason.text
+
+    def _obstacles(self, resumes: bool, now: float) -> dict[str, Reason]:
+        """Returns the conditions of a start, apart from the hand's own, that are not met, with a reason each."""
         found, held, switches = {}, self._state.held, self.switches
         if not self._lock.came_in and not resumes:
-            found[CAME_IN] = "it was in the box already, or was found there; take it out of the box and back in"
+            text = "it was in the box already, or was found there; take it out of the box and back in"
+            found[CAME_IN] = Reason(text, (ReasonCode.IN_BOX_ALREADY,))
         if switches.clutched or switches.lost:
-            found[RELEASED] = switches.lost or switches.stop or ""
+            found[RELEASED] = Reason(switches.lost or switches.stop or "", (ReasonCode.CLUTCHED,))
         if switches.elsewhere:
-            found[CHOSEN] = switches.elsewhere
+            found[CHOSEN] = Reason(switches.elsewhere, (ReasonCode.ELSEWHERE,))
         if not switches.enabled:
-            found[ENABLED] = "the enabling device is not pressed"
+            found[ENABLED] = Reason("the enabling device is not pressed", (ReasonCode.NOT_ENABLED,))
         pause = PAUSE_S + PAUSE_MARGIN_S
+        not_ready = ""
         if not held and now - self._tool_at <= pause:
-            found[READY] = f"the arm still waits for the hand before, {pause:g} s after its last frame"
-        elif not held and self._relative and self._mode != AT_HOME:
-            found[READY] = f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}"
+            not_ready = f"the arm still waits for the hand before, {pause:g} s after its last frame"
+        elif not held and self._relative and self._mode != Mode.HOME:
+            not_ready = f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}"
         elif self._relative and not self._control_on:
-            found[READY] = "control of the arm is off"
+            not_ready = "control of the arm is off"
         elif self._relative and not now - self._status_at <= MAX_STATUS_AGE_S:
-            found[READY] = "the arm's controller is silent"
+            not_ready = "the arm's controller is silent"
+        if not_ready:
+            found[READY] = Reason(not_ready, (ReasonCode.ARM_NOT_READY,))
         if self._slow:
-            found[RATE] = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
+            text = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
+            found[RATE] = Reason(text, (ReasonCode.TRACKER_SLOW,))
         return found
 
     @property
     def _slowness(self) -> str:
         return f"the tracker delivers only {self._watch.rate or 0.0:.0f} frames per second"
 
-    def _start_fault(self, mean: MeanHand) -> dict[str, str]:
+    def _start_fault(self, mean: MeanHand) -> dict[str, Reason]:
         """Returns the condition and the sentence of what inhibits a start that is allowed otherwise, if anything: the
         arm cannot come to where the hand would start, or it is unknown where the tool is. A held tool is there already.
         """
@@ -414,17 +430,17 @@ class ArmTeleop:
                 T_measured = tool_at_home(self._measured_tool, self._ws_center)
                 self._start_tool = self._scaling.unscaled(T_measured)
             except ValueError as error:
-                return {READY: f"where the tool is cannot be said: {error}"}
+                return {READY: Reason(f"where the tool is cannot be said: {error}", (ReasonCode.ARM_NOT_READY,))}
             return {}
         R_leap_hand = mean.T_leap_hand[:3, :3]
         origin = self._absolute(heading(R_leap_hand[:, 0]))
         clipped = SteadyAttitude(origin.turn(R_leap_hand), 0.0, self._limits).clipped
         reason = self._can_reach(origin.T_base_virtual @ pose(origin.rotation(clipped, 0.0), mean.palm), True)
-        return {REACH: reason} if reason else {}
+        return {REACH: Reason(reason, (ReasonCode.OUT_OF_REACH,))} if reason else {}
 
-    def _start(self, mean: MeanHand, now: float) -> str:
+    def _start(self, mean: MeanHand, now: float) -> Reason:
         """Starts the stream of the hand, where the tool is held or is, if it is held or the engagement relative, and
-        returns the sentence. A hand that continues keeps its directions.
+        returns the reason. A hand that continues keeps its directions.
         """
         R_leap_hand, held = mean.T_leap_hand[:3, :3], self._held
         if self._state is not EngagementState.PAUSED:
@@ -472,10 +488,10 @@ class ArmTeleop:
                 T_virtual_tool = read_only(inverse(T_base_virtual) @ self._held.T_base_tool)
                 left = max(self._held.until - now, 0.0)
             if state.kept:
-                reason += f"; the tool stays for {math.ceil(left)} s"
+                reason = replace(reason, text=f"{reason.text}; the tool stays for {math.ceil(left)} s")
             return TeleopResult(
                 StreamState.WAITING,
-                hold_ended or reason,
+                (hold_ended or reason).text,
                 usable,
                 T_base_virtual,
                 self._measured,
@@ -485,25 +501,29 @@ class ArmTeleop:
                 keep_grip=state.kept,
                 hold_left=left,
                 unmet=self._unmet,
+                codes=(hold_ended or reason).codes,
                 **more,
             )
         if self._newest is not None and now - self._asked >= REACH_LOOK_S:
             self._asked = now
             self._out_of_reach = self._can_reach(T_base_virtual @ self._newest, False) or ""
         if self._out_of_reach and self._obstacle is None:
-            self._reason = self._obstacle = f"{self._name} is followed, but {self._out_of_reach}"
+            text = f"{FOLLOWED.format(hand=self._name)}, but {self._out_of_reach}"
+            self._keep_tool(Reason(text, (ReasonCode.OUT_OF_REACH,)))
         reason, T_virtual_tool, measured, clipped = self._reason, None, None, None
         if mean is not None:
             T_virtual_tool = read_only(self._tool(mean, now)) if self._stays is None else self._stays
             self._newest, measured, clipped = T_virtual_tool, self._attitude.measured, self._attitude.clipped
             limited = self._attitude.limited + ["position"] * self._stopped_by
             more["limits"] = tuple(limited)
-            reason += f"; {' and '.join(limited)} at the limit" if limited else ""
+            if limited:
+                reason = replace(reason, text=f"{reason.text}; {' and '.join(limited)} at the limit")
         elif self._keeps:  # the arm must not go home before the hold begins
             T_virtual_tool = self._newest
         return TeleopResult(
             state=StreamState.RUNNING,
-            reason=reason,
+            reason=reason.text,
+            codes=reason.codes,
             usable=usable,
             T_base_virtual=T_base_virtual,
             T_virtual_hand=self._measured,

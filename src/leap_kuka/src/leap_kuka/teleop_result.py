@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from common.reasons import ReasonCode
 from leap_kuka.tool_hold import HoldState
 from leap_kuka.virtual_leap import Attitude
 
@@ -40,6 +41,7 @@ class TeleopResult:
     enabled: bool = True
     clutched: bool = False
     source: str = ""  # what enables or clutches
+    codes: tuple[ReasonCode, ...] = ()  # of the reason
     limits: tuple[str, ...] = ()  # angles of the hand that are at their limit; "position": see feasible_side
 
     @property

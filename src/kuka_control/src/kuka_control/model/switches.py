@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
+from common.modes import Mode
+
 SCALING_MIN = 0.1
 SCALING_MAX = 1.5
 SCALING_DEFAULT = 1.0
@@ -21,21 +23,6 @@ def check_scaling_factor(factor: float) -> float:
     if not SCALING_MIN <= factor <= SCALING_MAX:
         raise ValueError(f"the scaling factor {factor:g} is outside {SCALING_MIN:g} to {SCALING_MAX:g}")
     return float(factor)
-
-
-class Mode(str, Enum):
-    """The mode on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
-
-    STARTING = "starting"
-    HOMING = "homing"
-    HOME = "home"
-    PICK_UP = "pick_up"
-    SERVO = "servo"
-    RETURNING = "returning"
-    ZERO = "zero"
-    MOVING = "moving"
-    HOLDING = "holding"
-    STOPPED = "stopped"
 
 
 class Stays(Enum):

@@ -27,7 +27,7 @@ class TeleopStatePublisher(NewestResult):
 
     def _key(self, result: TeleopResult) -> tuple:
         switches = result.follows, result.enabled, result.clutched
-        return _state(result), result.owner, switches, result.unmet, result.limits
+        return _state(result), result.hold, result.keep_grip, result.owner, switches, result.unmet, result.limits
 
     def _publish(self, result: TeleopResult) -> None:
         message = TeleopState(engagement=self._engagement, state=_state(result), reason=result.reason)
@@ -39,6 +39,9 @@ class TeleopStatePublisher(NewestResult):
         message.conditions = list(CONDITIONS)
         message.fulfilled = [condition not in result.unmet for condition in CONDITIONS]
         message.limits = list(result.limits)
+        message.reason_codes = [code.value for code in result.codes]
+        message.hand_id = 0 if result.owner is None else result.owner[0]
+        message.hold, message.keep_grip = result.hold.value, result.keep_grip
         self._publisher.publish(message)
 
 

@@ -1,0 +1,24 @@
+"""The modes of an arm's controller on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Mode(str, Enum):
+    """A mode; it compares equal to its text in a message."""
+
+    STARTING = "starting"
+    HOMING = "homing"
+    HOME = "home"
+    PICK_UP = "pick_up"
+    SERVO = "servo"
+    RETURNING = "returning"
+    ZERO = "zero"
+    MOVING = "moving"
+    HOLDING = "holding"
+    STOPPED = "stopped"
+
+
+TO_DESIRED_TOOL = (Mode.PICK_UP.value, Mode.SERVO.value)  # the arm goes to the desired tool frame, or follows it
+FOLLOWS_TOOL = (Mode.HOME.value, *TO_DESIRED_TOOL)  # the same, or it would as soon as the frame comes
