@@ -564,3 +564,17 @@ def test_a_hand_that_cannot_start_blocks_no_other(play, sample, blocks, seed):
     for _ in range(50):
         play.step(beside())
     assert any(play.step(beside(), sample()).owner == (12, False) for _ in range(90))
+
+
+@pytest.mark.parametrize(
+    ("axis", "far", "code"),
+    [
+        (0, -0.2, "left_of_box"), (0, 0.2, "right_of_box"), (1, -0.2, "below_box"), (1, 0.2, "above_box"),
+        (2, -0.2, "behind_box"), (2, 0.2, "in_front_of_box"),
+    ],
+)  # fmt: skip
+def test_a_reason_names_its_side_of_the_box_and_all_that_is_missing(play, sample, axis, far, code):
+    position = [0.0, 0.35, 0.0]
+    position[axis] += far
+    result = play.steps(10, sample(position=position, roll=30.0, confidence=0.0))[-1]
+    assert [c.value for c in result.codes if c.value != "in_box_already"] == [code, "not_level", "unsure"], result.reason

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.operator_rows import BARS, OLD_ROWS_S, Row, RowTone, plain_text
+from common.teleop_record import TeleopRecord
 from leap_rig.cues import Cue
 from leap_rig.operator_view import (
     DELAY_SILENCE_S,
@@ -14,13 +15,19 @@ from leap_rig.operator_view import (
     DelayView,
     GripView,
     GuardedPair,
-    HandView,
     OperatorView,
     jitter,
 )
 
 NAMES = ["Hand", "Start", "Arm", "Limits", "Guard", "Fingers", "Grip", "Link", "Delay"]
-KIND_OF = dict(zip(NAMES, (HandView, HandView, ArmView, ArmView, GuardedPair, GripView, GripView, ArmView, DelayView)))
+KINDS = (TeleopRecord, TeleopRecord, ArmView, ArmView, GuardedPair, GripView, GripView, ArmView, DelayView)
+KIND_OF = dict(zip(NAMES, KINDS))
+
+
+def hand_record(state, follows, reason, conditions, fulfilled, limits):
+    return TeleopRecord(state, reason, follows, conditions=conditions, fulfilled=fulfilled, limits=limits)
+
+
 numbers = st.floats(allow_nan=True, allow_infinity=True)
 words = st.text("ab c", max_size=30)
 states = st.sampled_from(["waiting", "running", "?"])
@@ -28,7 +35,7 @@ lists = st.lists(words, max_size=5)
 three = st.tuples(numbers, numbers, numbers)
 taxels = st.lists(numbers, min_size=1, max_size=3)
 records = st.one_of(
-    st.builds(HandView, states, st.booleans(), words, lists, st.lists(st.booleans()), lists),
+    st.builds(hand_record, states, st.booleans(), words, lists, st.lists(st.booleans()), lists),
     st.builds(ArmView, st.sampled_from(["home", "servo", "stopped"]), words, lists, numbers),
     st.builds(GuardedPair, st.booleans(), numbers, numbers, numbers, st.tuples(words, words)),
     st.builds(GripView, three, st.tuples(*[taxels] * 3), st.tuples(*[st.booleans()] * 3)),
@@ -55,7 +62,7 @@ def test_the_rows_are_always_the_same_and_show_old_records_as_old(arrivals, sile
         assert all(0.0 <= value <= 1.0 for value in row.values)
     assert all(0.0 <= value <= 1.0 for taxels in view.taxels(now) for value in taxels)
     cue = view.cue(now)
-    hand = view._fresh(HandView, now)
+    hand = view._fresh(TeleopRecord, now)
     assert (rows[0].tone is RowTone.GOOD) == (hand is not None and hand.follows)
     arm_known, limits = rows[2].tone is not RowTone.STALE, rows[3].text
     assert not arm_known or limits.endswith("hand unknown") == (hand is None)
@@ -95,9 +102,9 @@ def test_a_grip_needs_the_thumb_and_a_finger(touches, text):
 
 
 def test_what_acts_is_named():
-    waiting = rows_after(HandView("waiting", False, "", ["in the box", "flat"], [True], []))["Start"]
+    waiting = rows_after(hand_record("waiting", False, "", ["in the box", "flat"], [True], []))["Start"]
     assert (waiting.values, waiting.text) == ((1.0, 0.0), "1 of 2 conditions")
-    hand = HandView("running", True, "right hand 3 is followed", ["in the box", "flat"], [True], ["yaw"])
+    hand = hand_record("running", True, "right hand 3 is followed", ["in the box", "flat"], [True], ["yaw"])
     arm = ArmView("servo", "follows", ["z lower limit"], 0.002)
     rows = rows_after(hand, arm, GuardedPair(True, 0.05, 0.02, 0.4, ("distal_1", "table")))
     assert rows["Start"].labels == ()
@@ -120,11 +127,11 @@ def test_what_can_be_heard():
             view.take(record, 1.0)
         return view.cue(at)
 
-    hand, arm = HandView("running", True, "", [], [], []), ArmView("servo", "", [], 0.0)
+    hand, arm = hand_record("running", True, "", [], [], []), ArmView("servo", "", [], 0.0)
     assert cue() == Cue(False, False, False)
     assert cue(hand, arm, GuardedPair(True, 0.1, 0.02, 1.0, ("", ""))) == Cue(True, False, False)
     for limited in (
-        HandView("running", True, "", [], [], ["yaw"]),
+        hand_record("running", True, "", [], [], ["yaw"]),
         ArmView("servo", "", ["z lower limit"], 0.0),
         GuardedPair(True, 0.05, 0.02, 0.4, ("palm", "table")),
     ):

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.poses import pose
+from common.reasons import ReasonCode
 from common.rotations import rotation_about
+from common.teleop_record import TeleopRecord
 from leap_kuka.start_gate import BOX, CONDITIONS, PITCH, ROLL
 from leap_rig.tutorial import (
     DONE,
     FRESH_S,
     HINT_S,
-    HINTS_BY_REASON,
+    HINTS,
     STEPS,
     ArmRecord,
     FingersRecord,
     FlangeRecord,
-    TeleopRecord,
     Tutorial,
 )
 from leap_rig.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
 
 WITHOUT_CLUTCH = tuple(step for step in STEPS if step != "clutch")
 NONE_MET, ALL_MET = frozenset(), frozenset(CONDITIONS)
-NO_HAND, IN_BOX = "no hand is seen", "right hand 3: 5 of 10 samples are in"
+NO_HAND, IN_BOX = (ReasonCode.NO_HAND,), (ReasonCode.FILLING,)
+NO_HINT = {
+    ReasonCode.FILLING, ReasonCode.FOLLOWED, ReasonCode.TRACKER_SLOW, ReasonCode.ARM_NOT_READY, ReasonCode.OUT_OF_REACH,
+    ReasonCode.NOT_ENABLED, ReasonCode.CLUTCHED, ReasonCode.ELSEWHERE, ReasonCode.CONTROL_OFF, ReasonCode.ARM_LEFT,
+    ReasonCode.HOLD, ReasonCode.EXPIRED,
+}  # fmt: skip
+"""The visitor cannot do anything about these, or the step's own hint says what to do."""
 
 
 class Visitor:
@@ -34,14 +40,8 @@ class Visitor:
 
     def __init__(self, clutch=False):
         self.tutorial, self.now = Tutorial(clutch), 0.0
-        self.state, self.fulfilled, self.running, self.reason, self.mode, self.control_on = (
-            "waiting",
-            NONE_MET,
-            False,
-            NO_HAND,
-            "home",
-            True,
-        )
+        self.state, self.fulfilled, self.running, self.codes = "waiting", NONE_MET, False, NO_HAND
+        self.mode, self.control_on = "home", True
         self.x, self.angle, self.closed, self.limited_by = 0.0, 0.0, 0.0, ()
         self.clutched = False
         self.silent = set()
@@ -50,7 +50,11 @@ class Visitor:
     def records(self):
         fulfilled = ALL_MET if self.running else self.fulfilled
         state = "running" if self.running else self.state
-        yield TeleopRecord(state, self.running, self.reason, fulfilled, self.clutched)
+        conditions = tuple(fulfilled)
+        yield TeleopRecord(
+            state, "", self.running, clutched=self.clutched, codes=self.codes,
+            conditions=conditions, fulfilled=(True,) * len(conditions),
+        )  # fmt: skip
         yield ArmRecord(self.mode, self.control_on, True, self.limited_by)
         yield FlangeRecord(pose(rotation_about(1, self.angle), [self.x, 0.0, 0.5]))
         yield FingersRecord(self.closed)
@@ -67,12 +71,12 @@ class Visitor:
         return self.view
 
     def engage(self):
-        return self.wait(1.5, running=True, reason="right hand 3 is followed", mode="servo")
+        return self.wait(1.5, running=True, codes=(ReasonCode.FOLLOWED,), mode="servo")
 
     def do(self, step):
         """Does what the step asks for."""
         if step == "flat":
-            self.wait(0.6, reason=IN_BOX, fulfilled=ALL_MET)
+            self.wait(0.6, codes=IN_BOX, fulfilled=ALL_MET)
         elif step == "green":
             self.engage()
         elif step == "move":
@@ -88,7 +92,7 @@ class Visitor:
             self.wait(clutched=True)
             self.wait(clutched=False)
         else:
-            self.wait(1.0, running=False, fulfilled=NONE_MET, reason=NO_HAND, mode="returning")
+            self.wait(1.0, running=False, fulfilled=NONE_MET, codes=NO_HAND, mode="returning")
 
 
 @pytest.mark.parametrize(("clutch", "steps"), [(False, WITHOUT_CLUTCH), (True, STEPS)])
@@ -122,7 +126,7 @@ def test_no_other_deed_ticks_a_step(data):
     st.lists(
         st.tuples(
             st.sampled_from(
-                ["running", "reason", "mode", "x", "angle", "closed", "clutched", "control_on", "state", "fulfilled"]
+                ["running", "codes", "mode", "x", "angle", "closed", "clutched", "control_on", "state", "fulfilled"]
             ),
             st.integers(0, 3),
             st.floats(0.1, 3.0),
@@ -134,7 +138,7 @@ def test_no_other_deed_ticks_a_step(data):
 @settings(max_examples=60)
 def test_whatever_happens_steps_never_go_back_and_never_jump(events, clutch):
     values = {
-        "running": [True, True, True, False], "reason": [NO_HAND, IN_BOX, "right hand 3 was lost", ""],
+        "running": [True, True, True, False], "codes": [NO_HAND, IN_BOX, (ReasonCode.HAND_GONE,), ()],
         "mode": ["servo", "servo", "returning", ""], "x": [0.0, 0.05, 0.2, float("nan")],
         "angle": [0.0, 0.05, 0.3, float("nan")], "closed": [0.0, 0.5, 1.0, float("nan")],
         "clutched": [False, True, False, True], "control_on": [True, False, True, True],
@@ -175,26 +179,28 @@ def test_a_silent_topic_ticks_nothing(step, kind):
     assert visitor.view.ticked == STEPS.index(step) + 1
 
 
-@given(st.sets(st.sampled_from(CONDITIONS)), st.sampled_from(["waiting", "holding", "clutched"]), st.text(max_size=9))
-def test_only_a_hand_in_the_box_and_level_is_flat(met, state, words):
+CODES = st.lists(st.sampled_from(ReasonCode), max_size=3)
+
+
+@given(st.sets(st.sampled_from(CONDITIONS)), st.sampled_from(["waiting", "holding", "clutched"]), CODES)
+def test_only_a_hand_in_the_box_and_level_is_flat(met, state, codes):
     visitor = Visitor()
-    for reason in (IN_BOX, f"right hand 12: {words}", NO_HAND):
-        visitor.wait(1.0, reason=reason, fulfilled=frozenset(met), state=state)
+    for reason in (IN_BOX, tuple(codes), NO_HAND):
+        visitor.wait(1.0, codes=reason, fulfilled=frozenset(met), state=state)
     assert visitor.view.ticked == (met >= {BOX, PITCH, ROLL} and state == "waiting")
 
 
-@given(st.booleans(), st.integers(1, 40), st.sampled_from(["no hand is seen", "right hand 12 was lost"]))
+@given(st.booleans(), st.integers(1, 40), st.sampled_from([ReasonCode.NO_HAND, ReasonCode.HAND_GONE]))
 def test_with_a_relative_engagement_the_hand_is_away_when_the_hold_has_ended(clutch, held, gone):
     visitor = Visitor(clutch)
     for step in visitor.view.steps[:-1]:
         visitor.do(step)
-    visitor.wait(HINT_S + 1.0, running=False, state="holding", reason="right hand 12: x; the tool stays for 9 s")
+    visitor.wait(HINT_S + 1.0, running=False, state="holding", codes=(ReasonCode.UNSURE,))
     assert visitor.view.hint == "away"
     for state in ("holding", "clutched"):
-        for left in range(held, 0, -1):
-            visitor.wait(1.0, state=state, reason=f"{gone}; the tool stays for {left} s")
-            assert (visitor.view.step, visitor.view.hint) == ("away", "held")
-    visitor.wait(1.0, state="waiting", reason="no hand is seen", mode="returning")
+        visitor.wait(held, state=state, codes=(gone,))
+        assert (visitor.view.step, visitor.view.hint) == ("away", "held")
+    visitor.wait(1.0, state="waiting", codes=NO_HAND, mode="returning")
     assert visitor.view.step == DONE
 
 
@@ -202,13 +208,13 @@ def test_a_leap_that_falls_silent_is_no_hand_taken_away():
     visitor = Visitor()
     for step in visitor.view.steps[:-1]:
         visitor.do(step)
-    visitor.wait(9.0, running=False, reason="no tracking frames come in", mode="returning")
+    visitor.wait(9.0, running=False, codes=(ReasonCode.TRACKER_SILENT,), mode="returning")
     assert visitor.view.step == "away"
 
 
 def test_a_pause_between_two_views_is_no_waiting():
     visitor = Visitor()
-    visitor.wait(0.1, reason=IN_BOX, fulfilled=ALL_MET)
+    visitor.wait(0.1, codes=IN_BOX, fulfilled=ALL_MET)
     visitor.now += 10.0
     visitor.wait(0.1)
     assert visitor.view.step == "flat"
@@ -218,17 +224,16 @@ def test_the_way_of_the_arm_without_a_hand_is_no_move():
     visitor = Visitor()
     for step in ("flat", "green"):
         visitor.do(step)
-    visitor.wait(1.0, running=False, reason=NO_HAND, mode="returning")
+    visitor.wait(1.0, running=False, codes=NO_HAND, mode="returning")
     visitor.wait(1.0, x=0.5, angle=1.0)
     visitor.engage()
     assert visitor.view.step == "move" and visitor.view.progress == 0.0
 
 
 def test_a_hint_comes_after_some_seconds_and_names_what_hinders():
-    visitor = Visitor()
-    reason = "right hand 3: the palm is 12 mm left of and 40 mm above the box"
-    assert visitor.wait(HINT_S - 0.5, reason=reason).hint == ""
-    assert visitor.wait(1.0).hint in ("too_left", "too_high")
+    visitor, codes = Visitor(), (ReasonCode.ARM_NOT_READY, ReasonCode.LEFT_OF_BOX, ReasonCode.ABOVE_BOX)
+    assert visitor.wait(HINT_S - 0.5, codes=codes).hint == ""
+    assert visitor.wait(1.0).hint == "too_left"
     assert visitor.wait(0.2, control_on=False).hint == "control_off"
     visitor.silent = {TeleopRecord}
     assert visitor.wait(2.0).hint == "no_leap"
@@ -240,31 +245,17 @@ def test_a_hint_comes_after_some_seconds_and_names_what_hinders():
     assert visitor.wait(0.2, limited_by=()).hint == "move"
 
 
-@pytest.mark.parametrize(
-    ("palm", "hint"),
-    [
-        ([0.0, 0.2, 0.0], "too_high"), ([0.0, -0.2, 0.0], "too_low"), ([-0.2, 0.0, 0.0], "too_left"),
-        ([0.2, 0.0, 0.0], "too_right"), ([0.0, 0.0, -0.2], "too_far"), ([0.0, 0.0, 0.2], "too_near"),
-    ],
-)  # fmt: skip
-def test_the_hints_fit_the_reasons_of_the_start_gate(palm, hint):
-    from types import SimpleNamespace
-
-    from leap_kuka.start_gate import InteractionBox, StartGate
-
-    box = InteractionBox(np.zeros(3), np.full(3, 0.2))
-    gate = StartGate(SimpleNamespace(min_confidence=0.05, start_tol_pitch=20.0, start_tol_roll=20.0), box)
-    hand = SimpleNamespace(palm=np.array(palm), T_leap_hand=np.eye(4), speed=0.0, confidence=1.0)
-    (reason,) = gate._outside(hand).values()
+@pytest.mark.parametrize("code", ReasonCode)
+def test_every_reason_has_a_hint_or_is_listed_as_needing_none(code):
+    assert (code in HINTS) is not (code in NO_HINT)
     visitor = Visitor()
-    assert visitor.wait(HINT_S + 0.5, reason=f"right hand 3: {reason}").hint == hint
-    assert visitor.view.ticked == 0
+    assert visitor.wait(HINT_S + 0.5, codes=(code,)).hint == HINTS.get(code, "flat")
 
 
 def test_every_text_is_there_in_every_language():
     assert TEXTS[ENGLISH].keys() == TEXTS[GERMAN].keys()
     needed = {f"{kind}_{step}" for kind in ("name", "do", "hint") for step in STEPS} | {"title", f"do_{DONE}"}
-    needed |= {f"hint_{key}" for key in HINTS_BY_REASON.values()}
+    needed |= {f"hint_{key}" for key in HINTS.values()}
     assert needed <= TEXTS[ENGLISH].keys() and all(text.strip() for texts in TEXTS.values() for text in texts.values())
 
 

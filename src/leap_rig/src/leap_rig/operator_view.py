@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from typing import Any, Callable, TypeVar
 
 from common.config import flag, number
+from common.modes import Mode
 from common.operator_rows import BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
+from common.teleop_record import WAITING, TeleopRecord
 from leap_rig.cues import Cue
 
 FINGERS = ("index", "middle", "thumb")
@@ -37,18 +39,6 @@ class TouchConfig:
     """The force limit of the fingers, which fills a tactile bar."""
 
     force_limit_pressure: float = number("counts", above=0.0, absent=60.0)
-
-
-@dataclass(frozen=True)
-class HandView:
-    """Of rig_msgs/TeleopState: whether the operator's hand steers, and what it still lacks."""
-
-    state: str
-    follows: bool  # the tool follows the hand
-    reason: str
-    conditions: Sequence[str]  # of a start
-    fulfilled: Sequence[bool]
-    limits: Sequence[str]  # angles at their limit
 
 
 @dataclass(frozen=True)
@@ -89,7 +79,7 @@ class DelayView:
 
 
 Draw = Callable[[Any], "tuple[Any, ...]"]  # from a record to text and tone, and labels and values of ticks or bars
-Record = TypeVar("Record", HandView, ArmView, GuardedPair, GripView, DelayView)
+Record = TypeVar("Record", TeleopRecord, ArmView, GuardedPair, GripView, DelayView)
 
 
 class OperatorView:
@@ -100,7 +90,7 @@ class OperatorView:
         self._newest: dict[type, tuple[object, float]] = {}
         self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
 
-    def take(self, record: HandView | ArmView | GuardedPair | GripView | DelayView, now: float) -> None:
+    def take(self, record: TeleopRecord | ArmView | GuardedPair | GripView | DelayView, now: float) -> None:
         """Takes a record that arrived at `now` [s]."""
         self._newest[type(record)] = record, now
         if isinstance(record, ArmView) and 0.0 < record.round_trip < MAX_ROUND_TRIP_S:
@@ -108,7 +98,7 @@ class OperatorView:
 
     def rows(self, now: float) -> tuple[Row, ...]:
         """Returns what is shown at `now` [s]."""
-        arm, hand = ArmView, HandView
+        arm, hand = ArmView, TeleopRecord
         return (
             self._row("Hand", hand, now, _hand),
             self._row("Start", hand, now, _start, TICKS),
@@ -123,10 +113,10 @@ class OperatorView:
 
     def cue(self, now: float) -> Cue:
         """Returns what can be heard at `now` [s]; a controller that falls silent counts as a stop."""
-        hand, arm, guard = self._fresh(HandView, now), self._fresh(ArmView, now), self._fresh(GuardedPair, now)
+        hand, arm, guard = self._fresh(TeleopRecord, now), self._fresh(ArmView, now), self._fresh(GuardedPair, now)
         limited = bool((hand and hand.limits) or (arm and arm.limited_by) or (guard and guard.on and guard.scale < 1.0))
-        stopped = ArmView in self._newest and (arm is None or arm.mode == "stopped")
-        return Cue(hand is not None and hand.state == "running", limited, stopped)
+        stopped = ArmView in self._newest and (arm is None or arm.mode == Mode.STOPPED)
+        return Cue(hand is not None and hand.running, limited, stopped)
 
     def taxels(self, now: float) -> tuple[tuple[float, ...], ...]:
         """Returns the bars of the taxels of index, middle and thumb, 0 to 1; nothing while they are unknown."""
@@ -171,13 +161,13 @@ def jitter(round_trips: Sequence[float]) -> float:
     return sum(changes) / len(changes) if changes else 0.0
 
 
-def _hand(hand: HandView) -> tuple[str, RowTone]:
-    tone = RowTone.GOOD if hand.follows else RowTone.NORMAL if hand.state == "waiting" else RowTone.WARNING
+def _hand(hand: TeleopRecord) -> tuple[str, RowTone]:
+    tone = RowTone.GOOD if hand.follows else RowTone.NORMAL if hand.state == WAITING else RowTone.WARNING
     return f"{hand.state}: {hand.reason}", tone
 
 
-def _start(hand: HandView) -> tuple:
-    if hand.state == "running":
+def _start(hand: TeleopRecord) -> tuple:
+    if hand.running:
         return "done", RowTone.NORMAL, (), ()
     ticks = tuple(float(met) for met in hand.fulfilled[: len(hand.conditions)])
     ticks += (0.0,) * (len(hand.conditions) - len(ticks))
@@ -187,11 +177,11 @@ def _start(hand: HandView) -> tuple:
 
 
 def _arm(arm: ArmView) -> tuple[str, RowTone]:
-    tones = {"stopped": RowTone.FAULT, "servo": RowTone.GOOD}
+    tones = {Mode.STOPPED.value: RowTone.FAULT, Mode.SERVO.value: RowTone.GOOD}
     return f"{arm.mode}: {arm.reason}", tones.get(arm.mode, RowTone.NORMAL)
 
 
-def _limits(arm: ArmView, hand: HandView | None) -> tuple[str, RowTone]:
+def _limits(arm: ArmView, hand: TeleopRecord | None) -> tuple[str, RowTone]:
     limits = [*arm.limited_by, *(f"hand's {angle}" for angle in (hand.limits if hand else ()))]
     unknown = [] if hand else ["hand unknown"]
     return ", ".join(limits + unknown) or "none", RowTone.WARNING if limits else RowTone.NORMAL

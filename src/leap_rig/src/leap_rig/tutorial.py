@@ -8,14 +8,17 @@ silent, nothing is ticked. Texts are keys of tutorial_texts.py.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Union
 
 import numpy as np
 
+from common.modes import Mode
+from common.operator_rows import OLD_ROWS_S
+from common.reasons import ReasonCode
 from common.rotations import rotation_angle
+from common.teleop_record import RUNNING, WAITING, TeleopRecord
 from leap_kuka.start_gate import BOX, PITCH, ROLL
 
 HINT_S = 4.0  # a step that takes longer gets a hint
@@ -24,39 +27,27 @@ FLAT_S, FOLLOWS_S, AWAY_S = 0.3, 0.5, 0.5  # how long it must last
 DISTANCE_M = 0.06  # of the flange from where the step began
 TURN_RAD = math.radians(7.0)  # of the flange from its orientation when the step began
 OPENED, CLOSED = 0.3, 0.6  # fractions of a closed robot hand
-SERVO = "servo"
-WAITING, RUNNING = "waiting", "running"  # states of TeleopRecord; in all others the tool is held
 FLAT = {BOX, PITCH, ROLL}
-GONE = ("no hand is seen", "was lost")  # ends of the reason's first part when the hand has left the view
-HINTS_BY_REASON = {
-    "above the box": "too_high",
-    "below the box": "too_low",
-    "left of the box": "too_left",
-    "right of the box": "too_right",
-    "behind the box": "too_far",
-    "in front of the box": "too_near",
-    "the pitch": "not_level",
-    "the roll": "not_level",
-    "too fast": "too_fast",
-    "confidence": "unsure",
-    "in view already": "come_again",
-    "no tracking frames": "no_leap",
-    "no hand is seen": "no_hand",
-    "is not seen": "no_hand",
-    "was lost": "no_hand",
+GONE = {ReasonCode.NO_HAND, ReasonCode.HAND_GONE}  # the hand has left the view
+HINTS = {
+    ReasonCode.ABOVE_BOX: "too_high",
+    ReasonCode.BELOW_BOX: "too_low",
+    ReasonCode.LEFT_OF_BOX: "too_left",
+    ReasonCode.RIGHT_OF_BOX: "too_right",
+    ReasonCode.BEHIND_BOX: "too_far",
+    ReasonCode.IN_FRONT_OF_BOX: "too_near",
+    ReasonCode.NOT_LEVEL: "not_level",
+    ReasonCode.TOO_FAST: "too_fast",
+    ReasonCode.UNSURE: "unsure",
+    ReasonCode.HAND_JUMPED: "unsure",
+    ReasonCode.IN_BOX_ALREADY: "come_again",
+    ReasonCode.CONTROL_ON: "come_again",
+    ReasonCode.TRACKER_SILENT: "no_leap",
+    ReasonCode.NO_HAND: "no_hand",
+    ReasonCode.NOT_SEEN: "no_hand",
+    ReasonCode.HAND_GONE: "no_hand",
 }
-"""Hints by what stands in the reason of TeleopRecord; the sides are written as in "left of and above the box"."""
-
-
-@dataclass(frozen=True)
-class TeleopRecord:
-    """Of leap_kuka/state."""
-
-    state: str
-    follows: bool  # the tool follows the hand
-    reason: str
-    fulfilled: frozenset[str] = frozenset()  # conditions of a start
-    clutched: bool = False
+"""The hint for a reason; a reason without one leaves that of the step."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +75,7 @@ class FingersRecord:
 
 
 Record = Union[TeleopRecord, ArmRecord, FlangeRecord, FingersRecord]
-FRESH_S = {TeleopRecord: 1.5, ArmRecord: 1.0, FlangeRecord: 0.5, FingersRecord: 0.5}
+FRESH_S = {TeleopRecord: OLD_ROWS_S, ArmRecord: 1.0, FlangeRecord: 0.5, FingersRecord: 0.5}
 STEPS = ("flat", "green", "move", "fingers", "tilt", "clutch", "away")
 DONE = "done"
 
@@ -155,11 +146,11 @@ class Tutorial:
 
     def _follows(self, now: float) -> bool:
         teleop, arm = self._fresh(TeleopRecord, now), self._fresh(ArmRecord, now)
-        return teleop is not None and arm is not None and teleop.follows and arm.mode == SERVO
+        return teleop is not None and arm is not None and teleop.follows and arm.mode == Mode.SERVO
 
     def _flat(self, now: float) -> float:
         teleop = self._fresh(TeleopRecord, now)  # a hand that continues where the tool is held need not be level
-        flat = teleop is not None and teleop.state in (WAITING, RUNNING) and teleop.fulfilled >= FLAT
+        flat = teleop is not None and teleop.state in (WAITING, RUNNING) and teleop.met >= FLAT
         return self._lasts(flat, FLAT_S, now)
 
     def _green(self, now: float) -> float:
@@ -200,7 +191,7 @@ class Tutorial:
 
     def _away(self, now: float) -> float:
         teleop, arm = self._fresh(TeleopRecord, now), self._fresh(ArmRecord, now)
-        home = teleop is not None and teleop.state == WAITING and arm is not None and arm.mode != SERVO
+        home = teleop is not None and teleop.state == WAITING and arm is not None and arm.mode != Mode.SERVO
         return self._lasts(home and _gone(teleop), AWAY_S, now)
 
     def _hint(self, step: str, now: float) -> str:
@@ -215,7 +206,7 @@ class Tutorial:
         if not arm.control_on:
             return "control_off"
         if not teleop.follows:
-            return _hint_for(teleop.reason) or step
+            return next((HINTS[code] for code in teleop.codes if code in HINTS), step)
         if step == "fingers" and not arm.gripper_on:
             return "gripper_off"
         if step == "fingers" and self._fresh(FingersRecord, now) is None:
@@ -228,12 +219,5 @@ class Tutorial:
 
 
 def _gone(teleop: TeleopRecord) -> bool:
-    """Whether the hand has left the view; while the tool is held, the reason adds for how long."""
-    return teleop.reason.split(";")[0].endswith(GONE)
-
-
-def _hint_for(reason: str) -> str:
-    """Returns the key of the hint about what a reason of TeleopRecord names first, or an empty text."""
-    spread = re.sub(r"(left of|right of|below|above|behind) and", r"\1 the box and", reason)
-    found = {spread.find(words): key for words, key in HINTS_BY_REASON.items() if words in spread}
-    return found[min(found)] if found else ""
+    """Whether the hand has left the view."""
+    return not GONE.isdisjoint(teleop.codes)

@@ -22,6 +22,7 @@ from common.hand_tracking import ANY, LEFT, RIGHT
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
 from common.ros.params import arm_frames, private_config
+from common.teleop_record import teleop_record
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
@@ -31,7 +32,6 @@ from leap_rig.operator_view import (
     DelayView,
     GripView,
     GuardedPair,
-    HandView,
     OperatorView,
     OperatorViewConfig,
     Record,
@@ -87,7 +87,7 @@ class OperatorViewNode:
 
     def _input_subscribers(self) -> list[rospy.Subscriber]:
         return [
-            self._subscribe("leap_kuka/state", TeleopState, self._record(HandView)),
+            self._subscribe("leap_kuka/state", TeleopState, lambda message: self._take(teleop_record(message))),
             self._subscribe("kuka/status", KukaStatus, self._record(ArmView)),
             self._subscribe("kuka/guard", GuardState, self._record(GuardedPair)),
             self._subscribe("reflex_takktile/hand_state", Hand, self._grip),

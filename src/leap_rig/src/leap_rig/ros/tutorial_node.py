@@ -21,6 +21,7 @@ from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform
 from common.ros.params import private_config
 from common.screen import no_screen
+from common.teleop_record import teleop_record
 from leap_kuka.config import NONE
 from leap_rig.tutorial import (
     DONE,
@@ -28,7 +29,6 @@ from leap_rig.tutorial import (
     FingersRecord,
     FlangeRecord,
     Record,
-    TeleopRecord,
     Tutorial,
     TutorialView,
 )
@@ -93,8 +93,7 @@ class TutorialNode:
             self._tutorial.take(record, clock.monotonic())
 
     def _on_state(self, message: TeleopState) -> None:
-        fulfilled = frozenset(name for name, met in zip(message.conditions, message.fulfilled) if met)
-        self._take(TeleopRecord(message.state, message.follows, message.reason, fulfilled, message.clutched))
+        self._take(teleop_record(message))
 
     def _on_status(self, message: KukaStatus) -> None:
         self._take(ArmRecord(message.mode, message.control_on, message.gripper_on, tuple(message.limited_by)))
