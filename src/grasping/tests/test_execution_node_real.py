@@ -6,12 +6,12 @@ import signal
 import xmlrpc.client
 
 import pytest
-from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
 
 pytest.importorskip("rig_msgs.srv")
 import rosgraph
 import rospy
 from std_srvs.srv import Trigger
+from test_execution_node import ARM, CONFIG, TOOL_POSE, Rig
 
 from grasp_msgs.msg import GraspOutcome
 

@@ -3,9 +3,12 @@
 import pytest
 
 from common import clock
+
+pytest.importorskip("rig_msgs.srv")
+import rospkg
+
 from vision.ros.camera.register_node import missing_packages
 
-rospkg = pytest.importorskip("rospkg")
 pytestmark = pytest.mark.ros
 DEBIAN = {
     "image_proc": "libimage-proc-dev",

@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rospy
 import yaml
+
+pytest.importorskip("mujoco.egl")
+pytest.importorskip("rig_msgs.srv")
+import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import String
@@ -21,7 +24,6 @@ from rig_simulation.ros.camera import main
 from rig_simulation.world.model import WorldDescription
 from rig_simulation.world.physics import World
 
-pytest.importorskip("mujoco.egl")
 pytestmark = pytest.mark.ros
 
 RATE, PORT, CONTROL_PORT = 15.0, 30021, 30031
