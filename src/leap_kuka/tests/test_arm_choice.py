@@ -165,20 +165,6 @@ def test_an_arm_that_is_not_chosen_holds_longer_than_hold_time_and_continues_whe
     assert play.tools()["right"][2] - held[2] == pytest.approx(0.03, abs=5e-3)
 
 
-def test_by_region_the_hand_takes_the_arm_of_the_side_that_it_comes_to(two, sample):
-    play = two("region")
-    play.steps(15, sample(position=(0.16, 0.35, 0.0)))
-    assert play.choice.chosen == "right" and play.rigs["right"].mode == "servo" and play.rigs["left"].mode == "home"
-    for x in np.linspace(0.16, -0.16, 120):
-        play.steps(1, sample(position=(x, 0.35, 0.0)))
-    results = play.steps(20, sample(position=(-0.16, 0.35, 0.0)))
-    assert play.choice.chosen == "left" and results["left"].state is StreamState.RUNNING
-    assert results["right"].hold is HoldState.KEPT
-    held = play.tools()["right"]
-    play.steps(40, sample(position=(-0.16, 0.30, 0.0)))
-    np.testing.assert_allclose(play.tools()["right"], held, atol=1e-9)
-
-
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(["left", "right"]), st.floats(-0.3, 0.3), st.floats(0.3, 0.4)), max_size=6))
 def test_whatever_is_chosen_at_most_that_arm_moves_and_no_tool_jumps(leap, arm, sample, plan):

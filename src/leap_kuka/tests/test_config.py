@@ -29,20 +29,6 @@ def test_the_shipped_parameters_are_those_of_the_reference(leap):
 @pytest.mark.parametrize(
     "change, word",
     [
-        ({"buffer_size": 0}, "leap/buffer_size"),
-        ({"box_dimensions": [0.2, 0.0, 0.2]}, "leap/box_dimensions"),
-        ({"run_tol_yaw": -1.0}, "leap/run_tol_yaw"),
-        ({"min_confidence": 1.0}, "leap/min_confidence"),
-    ],
-)
-def test_bad_parameters_are_named(change, word):
-    with pytest.raises(ConfigError, match=word):
-        parse(LeapConfig, {**SHIPPED, **change}, "leap/")
-
-
-@pytest.mark.parametrize(
-    "change, word",
-    [
         ({"center_line": [1, 0, 0.1]}, "z must be zero"),
         ({"center_line": [0, 0, 0]}, "zero vector"),
         ({"ws_center": [0.5, 0.0, 0.1]}, "above z_lower_limit"),

@@ -205,20 +205,6 @@ def test_a_hand_is_followed_lost_and_followed_again(ros, node, tracker, hand):
     assert (node.stream[-1].level, node.stream[-1].message) == (1, "right hand 12 was lost")
     assert node.owner() == ("", "") and node.children() == {"leap_motion/virtual_frame"}
 
-    tracker.show(hand(id=13))
-    clock.sleep(1.0)
-    assert "out of the box and back in" in node.stream[-1].message and node.states()[-1] == "waiting"
-    tracker.show(hand(id=13, position=(0.0, 0.35, 0.3)))
-    clock.sleep(0.5)
-    assert "in front of the box" in node.stream[-1].message
-    tracker.show(hand(id=13))
-    ros.wait_until(lambda: node.owner() == ("13", "right"), 2.0, "the hand that came in")
-    node.stream.clear()
-    tracker.show(hand(id=14, position=(0.005, 0.35, 0.0)))
-    assert took(ros, lambda: node.stream, "the hand's new number") <= PERIOD_S + DELAY_S
-    clock.sleep(1.0)
-    assert set(node.states()) == {"running"} and node.owner() == ("14", "right")
-
 
 def test_the_tool_is_held_for_a_hand_while_control_is_on(ros, node, tracker, hand):
     def desired():
@@ -337,24 +323,12 @@ def test_the_node_waits_for_the_controller_and_says_so(ros, node, tracker):
     ros.wait_until(lambda: node.tf, 5.0, "the frames")
 
 
-@pytest.mark.parametrize(
-    "leap, arm, words",
-    [
-        (
-            {"min_confidence": "high", "run_tol_yav": 3},
-            {},
-            ["leap/min_confidence is 'high'", "leap/run_tol_yav is not"],
-        ),
-        ({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]}, ["leap/z_clearance"]),
-    ],
-)
-def test_bad_parameters_end_the_node_with_a_sentence(ros, node, leap, arm, words):
-    set_params(leap, arm)
+def test_bad_parameters_end_the_node_with_a_sentence(ros, node):
+    set_params({"z_clearance": 0.0}, {"ws_center": [0.5, 0, 0.21]})
     process = node.start()
     assert process.wait(5.0) == 1
     log = process.log_path.read_text()
-    assert "Traceback" not in log and all(word in log for word in words)
-    assert not node.tf
+    assert "Traceback" not in log and "leap/z_clearance" in log and not node.tf
 
 
 def test_the_debug_launch_file_runs_without_a_controller(ros, node, tracker, hand):

@@ -102,17 +102,6 @@ def test_a_hand_works_its_way_by_the_clutch(rig, sample, stop):
     assert play.teleop.counts.kept == 4 and play.teleop.counts.clutched == 4 * ("clutched" in stop)
 
 
-@pytest.mark.parametrize("stop", [{"clutched": True}, {"enabled": False}])
-def test_it_stops_in_the_same_frame(rig, sample, stop):
-    play = rig().engaged(sample())
-    for x in np.linspace(0.0, 0.15, 15):
-        play.step(sample(position=(x, BOX_HEIGHT, 0.0)))
-    before = play.T_arm
-    play.device(**stop)
-    play.step(sample(position=(0.16, BOX_HEIGHT, 0.0)))
-    np.testing.assert_allclose(play.T_arm, before, atol=1e-12)
-
-
 def test_a_fast_hand_does_not_go_on_until_it_is_slow(rig, sample):
     play = rig(hold_time=60.0).engaged(sample())
     play.device(clutched=True)
@@ -346,15 +335,6 @@ def test_a_fault_and_control_off_end_hold_and_stream_at_once(rig, sample, mode):
         assert (result.hold, result.T_virtual_tool) == (HoldState.NONE, None)
 
 
-def test_silent_frames_end_the_hold(rig, sample):
-    play = rig(hold_time=60.0).engaged(sample())
-    play.device(clutched=True)
-    assert play.steps(5, sample()).hold is HoldState.KEPT
-    silent = play.teleop.silence(play.now + 0.3)
-    assert (silent.hold, silent.T_virtual_tool) == (HoldState.NONE, None)
-    assert play.step(sample()).hold is HoldState.NONE
-
-
 @pytest.mark.parametrize("device", ["enabling", "clutch"])
 def test_a_device_that_falls_silent_stops_the_tool(rig, sample, device):
     changes = {"enabling": "none", "clutch": "none", device: "device"}
@@ -441,15 +421,6 @@ def test_a_clutch_hand_that_leaves_with_the_hand_that_steered_keeps_the_next_one
     result = play.steps(30, sample(id=13))
     assert result.hold is HoldState.KEPT and result.unmet == {RELEASED}
     assert play.steps(30, sample(id=13), opened).state is StreamState.RUNNING
-
-
-@pytest.mark.parametrize("mode", ["stopped", "returning"])
-def test_a_kept_tool_of_a_hand_that_is_gone_is_not_kept_for_an_arm_that_does_not_follow(rig, sample, mode):
-    play = rig(hold_time=60.0).engaged(sample())
-    assert play.steps(40).hold is HoldState.KEPT
-    play.mode, play.silent = mode, -10.0
-    result = play.step()
-    assert (result.hold, result.T_virtual_tool) == (HoldState.NONE, None)
 
 
 def test_the_conditions_have_ticks(rig, sample):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from common.mounting import mounting_frame
 from common.poses import check_pose, pose
-from common.rotations import check_rotation, rotation_about, rotation_angle, rotation_from_zyx
+from common.rotations import rotation_angle, rotation_from_zyx
 from leap_kuka.origin import absolute
 from leap_kuka.virtual_leap import (
     R_LEAP_REFERENCE,
@@ -56,45 +56,6 @@ def test_each_clipped_angle_is_within_its_limit_and_the_others_stay(yaw, pitch, 
         angle, limit, result = getattr(measured, name), getattr(LIMITS, name), getattr(clipped, name)
         assert abs(result) <= limit
         assert result == angle if abs(angle) <= limit else result == math.copysign(limit, angle)
-
-
-@given(small, small, small, anywhere, anywhere)
-def test_turning_hand_and_heading_together_turns_the_tool_alike(yaw, pitch, roll, psi, turn):
-    """In the base frame nothing changes then, because the virtual Leap turns back by the same angle."""
-
-    def tool_in_base(psi):
-        measured = attitude(hand(psi + yaw, pitch, roll), psi)
-        T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.4, -0.4, 0.4), (0.0, 0.35, 0.0), psi)
-        return T[:3, :3] @ tool_of(measured.clipped(LIMITS), psi, True)
-
-    np.testing.assert_allclose(tool_in_base(psi), tool_in_base(psi + turn), atol=1e-9)
-
-
-@given(small, small, small)
-def test_a_mirrored_hand_gives_the_mirrored_angles(yaw, pitch, roll):
-    mirror = np.diag([-1.0, 1.0, 1.0])
-    mirrored = mirror @ hand(yaw, pitch, roll) @ np.diag([1.0, -1.0, 1.0])
-    got = attitude(mirrored, 0.0)
-    np.testing.assert_allclose([got.yaw, got.pitch, got.roll], [-yaw, pitch, -roll], atol=1e-9)
-
-
-@given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.integers(0, 2), st.floats(-1e-3, 1e-3))
-def test_the_clipped_tool_moves_little_when_the_hand_moves_little(yaw, pitch, roll, axis, step):
-    before = hand(yaw, pitch, roll)
-    after = before @ rotation_about(axis, step)
-    tools = [tool_of(attitude(R, 0.0).clipped(LIMITS), 0.0, True) for R in (before, after)]
-    assert rotation_angle(tools[0].T @ tools[1]) < 2.0 * 1e-3 / math.cos(1.2) + 1e-7
-
-
-def test_a_hand_that_pitches_over_the_vertical_stays_at_the_pitch_limit():
-    """Yaw and roll of the principal triple flip by 180 deg there, from one limit to the other."""
-    for pitch in np.radians(np.arange(-150.0, 151.0, 1.0)):
-        clipped = attitude(hand(0.0, pitch, 0.0), 0.0).clipped(LIMITS)
-        np.testing.assert_allclose(
-            [clipped.yaw, clipped.pitch, clipped.roll],
-            [0.0, np.clip(pitch, -LIMITS.pitch, LIMITS.pitch), 0.0],
-            atol=1e-6,
-        )
 
 
 def wandering(rng, seconds, rate):
@@ -207,22 +168,3 @@ def test_heading_is_the_trackers_yaw():
     assert heading((0.0, 0.3, -1.0)) == 0.0
     assert heading((1.0, 0.0, 0.0)) == pytest.approx(math.pi / 2)
     assert heading((-0.1, 0.0, -0.1)) == pytest.approx(-math.pi / 4)
-
-
-@pytest.mark.parametrize("center_line", [(1, -1, 0), (0, 1, 0), (0, -1, 0), (2, 0.5, 0), (-1, 0.2, 0), (-1, -1, 0)])
-@pytest.mark.parametrize("psi", [0.0, 0.6, -2.5])
-def test_a_level_hand_asks_for_the_rotation_of_the_home_tool_frame(center_line, psi):
-    """z down; x back to the base, or along the centre line where that points backwards (docs/decisions/mounting.md)."""
-    T = virtual_leap_pose(mounting_frame(center_line), (0.5, 0.0, 0.5), (0.0, 0.45, 0.0), psi)
-    R = T[:3, :3] @ tool_of(attitude(hand(psi, 0.0, 0.0), psi), psi, center_line[0] >= 0.0)
-    check_rotation(R)
-    ahead = np.array(center_line) / np.linalg.norm(center_line)
-    np.testing.assert_allclose(R[:, 2], [0, 0, -1], atol=1e-9)
-    np.testing.assert_allclose(R[:, 0], -ahead if center_line[0] >= 0.0 else ahead, atol=1e-9)
-
-
-def test_moving_the_hand_away_from_the_user_moves_the_tool_along_the_centre_line():
-    T = virtual_leap_pose(mounting_frame((1, -1, 0)), (0.42, -0.42, 0.4), (0.0, 0.35, 0.0), 0.0)
-    near, far = (T @ pose(p=(0.0, 0.35, z)) for z in (0.0, -0.1))
-    np.testing.assert_allclose(far[:3, 3] - near[:3, 3], 0.1 * np.array([1, -1, 0]) / math.sqrt(2), atol=1e-12)
-    np.testing.assert_allclose(near[:3, 3], [0.42, -0.42, 0.4], atol=1e-12)
