@@ -169,15 +169,6 @@ def test_the_hand_alone_follows_whatever_the_parameter_says():
     assert Player(hand_only=True, fingers_follow=STEERING).step(shown()).state is GripperState.FOLLOWING
 
 
-def test_the_hand_that_moved_the_fingers_alone_goes_on_as_it_steers_the_arm():
-    play = Player(hand_only=False)
-    play.teleop.switch(True)
-    play.teleop.steered_by(None, play.now)
-    play.steps(10, shown())
-    play.teleop.steered_by((7, False), play.now)
-    np.testing.assert_allclose(play.step(shown(angle=OPEN)).command, wanted(shown(angle=OPEN)), atol=1e-9)
-
-
 @pytest.mark.parametrize("left, place, both", [(True, 0.3, True), (True, 0.3, False), (False, 0.015, True)])
 def test_another_hand_that_steers_takes_the_fingers_over_where_they_are(left, place, both):
     play = Player(hand_only=False)
@@ -205,19 +196,3 @@ def test_after_an_engagement_the_hand_opens_and_only_one_that_comes_in_then_move
     assert "was in view already; take it away and bring it back" in play.step(shown(), other).reason
     play.steps(30, shown())
     assert play.step(shown(), other).reason == "left hand 9 is followed"
-
-
-@pytest.mark.parametrize("steers", [True, False])
-def test_after_a_restart_of_the_tracker_the_same_number_is_another_hand(steers):
-    play = Player(hand_only=False)
-    play.teleop.switch(True)
-    play.teleop.steered_by(None, play.now)
-    play.steps(10, shown())
-    play.number -= 1000
-    if steers:
-        play.teleop.steered_by((7, False), play.now)
-        result = play.step(shown(angle=OPEN, place=0.3))
-        np.testing.assert_allclose(result.command, wanted(shown()), atol=1e-9)
-    else:
-        results = play.steps(30, shown(angle=OPEN, place=0.3))
-        assert results[0].state is GripperState.KEEPING and results[-1].state is GripperState.OPEN

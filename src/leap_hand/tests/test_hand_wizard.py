@@ -10,7 +10,6 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from leap_recordings import recorded_hands
 
 from common.config import parse
 from leap_hand.config import FINGERS, HandConfig
@@ -240,26 +239,3 @@ def test_repetitions_that_differ_come_again_and_at_last_are_refused():
     for most in (0.2, 0.7, 0.2, 0.7):
         person.obey(lambda curl, most=most: synthetic_hand(most * curl), repetitions=1)
     assert not person.wizard.done and "closed hands differ" in person.wizard.failed
-
-
-def test_both_repetitions_reach_both_ends():
-    person, ways = Person(), ((0.1, 0.45), (0.0, 0.5))
-    for least, most in ways:
-        person.obey(lambda curl, a=least, b=most: synthetic_hand(a + (b - a) * curl), repetitions=1)
-    assert person.wizard.done
-    for least, most in ways:
-        assert (mapped(person.wizard.result(), synthetic_hand(least)) <= 0.0).all()
-        assert (mapped(person.wizard.result(), synthetic_hand(most))[:3] >= 1.0).all()
-
-
-def test_a_recorded_grab_gives_the_range_of_a_real_hand(shared_data):
-    """Its open and its closed hand, each held still."""
-    hands = [hands[0] for hands in recorded_hands(shared_data / "leap" / "grab.jsonl.gz")]
-    angles = np.degrees([flexion(hand.palm, hand.normal, hand.fingers) for hand in hands])
-    order = np.argsort(angles[:, :3].sum(axis=1))
-    person = Person()
-    assert person.obey(lambda curl: hands[order[5 if curl > 0.5 else -5]]).done
-    values = person.wizard.result().values
-    for finger in ("index", "middle", "thumb"):
-        opened, closed = values[f"{finger}_human"]
-        assert 60.0 < opened < 100.0 and 20.0 < closed < 45.0

@@ -9,10 +9,8 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
-from leap_recordings import recorded_hands
 
 from common.config import parse
-from common.errors import ConfigError
 from common.rotations import rotation_from_zyx
 from leap_hand.config import HandConfig
 from leap_hand.flexion import angle_between, flexion, map_angles
@@ -112,18 +110,6 @@ def test_the_shipped_limits_are_those_of_the_reference():
     np.testing.assert_allclose(np.degrees(CONFIG.robot), [[0, 115], [0, 115], [0, 100], [0, 40]])
 
 
-@pytest.mark.parametrize(
-    "change, word",
-    [
-        ({"index_human": [85.0, 85.5]}, "index_human is .* must differ"),
-        ({"thumb_robot": [0.0, 200.0]}, "thumb_robot"),
-    ],
-)
-def test_bad_limits_are_named(change, word):
-    with pytest.raises(ConfigError, match=word):
-        parse(HandConfig, {**SHIPPED, **change}, "leap_hand/")
-
-
 @given(st.lists(angle, min_size=4, max_size=4))
 def test_commands_stay_within_the_limits(angles):
     command = map_angles(np.array(angles), CONFIG.human, CONFIG.robot)
@@ -138,12 +124,6 @@ def test_commands_are_linear_between_the_limits_and_meet_them(share):
         CONFIG.robot[:, 0] + share * (CONFIG.robot[:, 1] - CONFIG.robot[:, 0]),
         atol=1e-12,
     )
-
-
-@given(st.lists(angle, min_size=4, max_size=4), st.floats(0.0, 0.01))
-def test_small_steps_of_the_hand_are_small_steps_of_the_command(angles, step):
-    before, after = (map_angles(np.array(angles) + s, CONFIG.human, CONFIG.robot) for s in (0.0, step))
-    assert np.all(np.abs(after - before) <= 40.0 / 15.0 * step + 1e-12)
 
 
 def test_open_and_closed_hands():
@@ -177,62 +157,6 @@ def test_without_a_grip_hold_the_hand_opens_at_once():
     assert play.step().state == GripperState.OPEN
 
 
-def test_another_open_hand_in_view_does_not_open_the_robot_hand():
-    """The operator's fist is not seen in single frames while an open left hand lies beside it."""
-    play = Player()
-    fist, lies = (
-        hand_with(20.0, 20.0, 20.0),
-        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
-    )
-    results = play.steps(5, fist, lies)
-    for missing in (1, 3, 15):
-        results += play.steps(missing, lies) + play.steps(5, fist, lies)
-    commands = [r.command for r in results if r.command is not None]
-    np.testing.assert_allclose(commands, [np.radians([115, 115, 100, 0])] * len(commands), atol=1e-12)
-    opened = play.steps(200, lies)[-1]
-    assert opened.state == GripperState.OPEN and "was in view already" in opened.reason
-    play.steps(30)
-    assert play.step(lies).state == GripperState.FOLLOWING
-
-
-def test_in_the_rig_the_robot_hand_follows_the_hand_that_steers_the_arm_alone():
-    play = Player(hand_only=False, fingers_follow="steering")
-    play.teleop.switch(True)
-    fist, lies = (
-        hand_with(20.0, 20.0, 20.0),
-        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
-    )
-    play.teleop.steered_by(None, play.now)
-    waits = play.steps(30, fist, lies)[-1]
-    assert waits.state == GripperState.OPEN and "interaction box" in waits.reason
-    play.teleop.steered_by((7, False), play.now)
-    assert play.step(lies, fist).reason == "right hand 7 is followed"
-    renamed = dataclasses.replace(fist, id=8)
-    assert play.step(lies, renamed).state == GripperState.KEEPING, "until leap_kuka reports the new id"
-    play.teleop.steered_by((8, False), play.now)
-    assert play.step(lies, renamed).reason == "right hand 8 is followed"
-    play.teleop.steered_by(None, play.now)
-    states = [r.state for r in play.steps(30, renamed, lies)]
-    assert states[18] == GripperState.KEEPING and states[21:] == [GripperState.OPEN] * 9
-
-
-def test_while_the_tool_is_kept_the_grip_is_too():
-    play = Player(hand_only=False)
-    play.teleop.switch(True)
-    fist, opened = hand_with(20.0, 20.0, 20.0), hand_with()
-    play.teleop.steered_by((7, False), play.now, keep_grip=True)
-    play.step(fist)
-    assert all(r.command is None for r in play.steps(50)), "the hand that steers is missing"
-    play.step(fist)
-    for _ in range(5):
-        play.teleop.steered_by(None, play.now, keep_grip=True)
-        assert all((r.state, r.command) == (GripperState.KEEPING, None) for r in play.steps(100, opened))
-    play.teleop.steered_by(None, play.now, keep_grip=False)
-    assert play.step(opened).state == GripperState.OPEN
-    play.teleop.steered_by(None, play.now, keep_grip=True)
-    assert play.step(opened).state == GripperState.OPEN, "what is open is not a grip"
-
-
 @given(*[st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)] * 2, st.booleans(), st.booleans())
 def test_each_finger_keeps_its_grip_after_the_clutch_until_the_operators_comes_near(held, after, clutched, off):
     """From any grip to any other: within 15 % of its range it follows, and then for good."""
@@ -257,15 +181,6 @@ def test_each_finger_keeps_its_grip_after_the_clutch_until_the_operators_comes_n
                 assert c == pytest.approx(h if clutched and not off and abs(h - a) > 0.15 else a, abs=1e-6)
     play.step(bent(*held))
     np.testing.assert_allclose(play.step(bent(*after)).command[:3] / scale, after, atol=1e-6)
-
-
-def test_a_silent_leap_kuka_keeps_no_grip():
-    play = Player(hand_only=False)
-    play.teleop.switch(True)
-    play.teleop.steered_by((7, False), play.now, keep_grip=True)
-    play.step(hand_with(20.0, 20.0, 20.0))
-    assert play.steps(140)[-1].state == GripperState.KEEPING
-    assert play.steps(20)[-1].state == GripperState.OPEN
 
 
 def test_the_hand_alone_ignores_what_the_arm_does():
@@ -301,15 +216,6 @@ def test_switching_the_gripper_off_opens_at_once_and_keeps_open(hand_only):
     assert play.step(hand_with(20.0)).state == GripperState.FOLLOWING
 
 
-def test_the_hand_that_was_first_counts():
-    play = Player()
-    play.step(dataclasses.replace(hand_with(20.0), id=9))
-    result = play.step(
-        dataclasses.replace(hand_with(90.0), id=3, is_left=True), dataclasses.replace(hand_with(20.0), id=9)
-    )
-    assert result.reason == "right hand 9 is followed"
-
-
 def test_torn_frames_do_not_let_go_as_long_as_the_grip_is_kept():
     play = Player()
     play.step(hand_with(20.0))
@@ -340,24 +246,6 @@ def test_a_silent_tracker_does_not_cut_a_longer_grip_short():
     assert play.teleop.silence(play.now + 1.9).state == GripperState.KEEPING
     assert play.teleop.silence(play.now + 2.1).state == GripperState.OPEN
     assert play.teleop.silence(play.now + 2.2) is None
-
-
-def test_repeated_and_stale_frames_are_no_frames():
-    play = Player()
-    play.step(hand_with(20.0))
-    assert play.teleop.step(TrackingFrame(play.number, 0.0, ()), play.now + 0.1) is None
-    assert play.teleop.step(TrackingFrame(play.number + 1, 30.0, ()), play.now + 0.1) is None
-    assert play.teleop.silence(play.now + 0.6).state == GripperState.OPEN
-
-
-def test_a_recorded_grab_closes_the_fingers_and_opens_them_again(shared_data):
-    play = Player()
-    commands = np.array([play.step(*hands).command for hands in recorded_hands(shared_data / "leap" / "grab.jsonl.gz")])
-    for finger in (0, 1):
-        closed = int(np.argmax(commands[:, finger]))
-        assert commands[closed, finger] > math.radians(90.0)
-        assert commands[:closed, finger].min() < math.radians(30.0)
-        assert commands[closed:, finger].min() < math.radians(30.0)
 
 
 def test_when_leap_kuka_falls_silent_the_grip_is_kept_for_a_while_then_nobody_is_followed():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from reflex.calibration import FingerZeros, TactileOffsets, calibration_text, parse_calibration, zeros_here
+from reflex.calibration import FingerZeros, TactileOffsets, calibration_text, parse_calibration
 from reflex.errors import CalibrationFileError
 
 GOLDEN = """\
@@ -55,11 +55,3 @@ def test_a_torn_file_is_refused_by_name(text, key):
         parse_calibration(FingerZeros, text, "/somewhere/finger_calibrate.yaml")
     (fault,) = error.value.faults
     assert "/somewhere/finger_calibrate.yaml" in fault and key in fault
-
-
-def test_zeros_are_let_out_towards_open():
-    from reflex.conversions import joint_angle
-
-    zeros = zeros_here((0, 100, 200), (13500, 13500, 13500, 13500), 50)
-    angles = [joint_angle(i, 13500, zeros.motor_zero_reference[i]) for i in range(4)]
-    np.testing.assert_allclose(angles, [0.216, 0.216, 0.216, 0], atol=1e-3)

@@ -148,18 +148,6 @@ def test_garbage_and_a_second_host_are_counted_and_do_no_harm(wire, hand_of):
         assert counts.packets == pytest.approx(41, abs=1) and hand.state is not None
 
 
-def test_a_hand_that_was_switched_off_and_on_gets_its_torque_again(wire, hand_of):
-    notes = []
-    with hand_of(on_note=notes.append) as hand:
-        wire.faults.switch("restarted")
-        clock.sleep(SILENCE_S + PACKET_S + LOOP_S)
-        assert hand.status is HandStatus.SILENT
-        wire.faults.switch("restarted", on=False)
-        clock.sleep(0.2)  # in which the speeds are set
-        assert wire.hand.state()["power_cycles"] == 1 and wire.hand.state()["torque"] == [True] * 4
-        assert any("switched off and on" in note.text for note in notes)
-
-
 def test_a_hand_that_hears_no_commands_is_not_moved(wire, hand_of):
     with hand_of() as hand:
         hand.calibrate_fingers()

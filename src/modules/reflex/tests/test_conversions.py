@@ -60,11 +60,6 @@ def test_ticks_turn_the_joint(motor, raw, turn):
     assert joint_angle(motor, raw + ticks(motor, turn), zero) == pytest.approx(turn, abs=1e-9)
 
 
-@pytest.mark.parametrize(("motor", "closing"), [(0, 1), (1, -1), (2, 1), (3, -1)])
-def test_closing_raises_the_position_of_f1_and_f3_and_lowers_the_others(motor, closing):
-    assert (ticks(motor, 1.0) > 0) == (closing > 0)
-
-
 @pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf, 40.0, -70.0])
 def test_what_cannot_be_sent_is_refused(angle):
     with pytest.raises(ValueError, match="f1"):

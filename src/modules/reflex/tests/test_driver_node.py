@@ -132,35 +132,6 @@ def test_state_commands_services_and_exit(ros, wire, driver, states, diagnosis, 
     assert "Traceback" not in driver.log_path.read_text()
 
 
-def test_a_silent_hand_is_said_once_and_comes_back(ros, wire, driver, states, diagnosis):
-    states.wait(5, 1.0)
-    said = lambda: driver.log_path.read_text().count("The hand is silent")  # noqa: E731
-    wire.hand.set_silent(True)
-    clock.sleep(SILENCE_S - PACKET_S - 0.001)
-    assert said() == 0
-    count = len(states)
-    clock.sleep(PACKET_S + LOOP_S)
-    assert said() == 1
-    clock.sleep(3.0)  # the sockets are opened anew meanwhile
-    report = diagnosis()
-    assert (report.level, report.message, said(), len(states)) == (2, "The hand is silent.", 1, count)
-    modes = wire.hand.modes_received
-    wire.hand.set_silent(False)
-    clock.sleep(2 * PACKET_S + LOOP_S)
-    assert len(states) > count and wire.hand.modes_received == modes + 1, "position mode"
-    clock.sleep(0.5)
-    assert diagnosis().level == 0
-
-
-def test_a_failed_calibration_is_a_sentence(ros, wire, driver, states, diagnosis, tmp_path):
-    states.wait(5, 1.0)
-    wire.hand.stick_encoder(finger=0, on=True)
-    call("calibrate_fingers", Empty)
-    ros.wait_until(lambda: diagnosis.value("calibration").startswith("failed: Finger f1"), 9.0, "the failure")
-    assert diagnosis().level == 1
-    assert not (tmp_path / "calibration").exists()
-
-
 def test_a_calibration_that_cannot_be_written_still_holds(ros, wire, states, tmp_path):
     (tmp_path / "file").write_text("no folder")
     folder = tmp_path / "file" / "deeper"
@@ -201,9 +172,3 @@ def end_of(ros, wire, tmp_path):
 def test_ends_with_a_sentence(end_of, changes, sentence):
     code, output = end_of(**changes)
     assert code == 1 and sentence in output and "Traceback" not in output
-
-
-def test_a_torn_calibration_file_ends_it_with_its_name(end_of, tmp_path):
-    (tmp_path / "finger_calibrate.yaml").write_text("encoder_zero_reference: [1, 2")
-    code, output = end_of()
-    assert code == 1 and f"{tmp_path}/finger_calibrate.yaml is not yaml" in output and "Traceback" not in output

@@ -89,13 +89,6 @@ def test_is_bounded(make_settings, slack, most, step_ticks):
         assert step.failure
 
 
-def test_stuck_encoders_fail_with_a_sentence_and_the_fingers_go_back(make_settings):
-    hand = Hand((None, None, None))
-    step = hand.calibrate(FingerCalibration(make_settings()))
-    assert "knuckle encoder did not turn" in step.failure
-    assert hand.targets[-1] == START.positions
-
-
 def test_motors_that_do_not_move_end_by_time(make_settings):
     hand = Hand()
     hand.move = lambda target: None
@@ -115,12 +108,6 @@ def test_a_servo_without_position_ends_it_and_nothing_is_sent(make_settings, mot
     step = hand.calibrate(FingerCalibration(make_settings()), change=unplug)
     assert "cannot be right" in step.failure
     assert step.target is None
-
-
-def test_zero_positions_from_the_start_move_nothing(make_settings):
-    hand = Hand(start=replace(START, positions=(0, 0, 0, 0)))
-    assert "cannot be right" in hand.calibrate(FingerCalibration(make_settings())).failure
-    assert hand.targets == []
 
 
 def test_a_load_ends_it(make_settings):

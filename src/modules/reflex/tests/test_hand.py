@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from reflex.codec import IDLE, POSITION, VELOCITY, decode_state, encode_mode, encode_target
 from reflex.hand import HandStatus
-from reflex.reading import joint_positions, measure
+from reflex.reading import measure
 from reflex.status import status
 from rig_simulation.devices.reflex.hand import SimulatedHand
 
@@ -93,16 +93,6 @@ def test_a_goal_that_is_not_finite_is_refused_and_the_last_one_stays(bench, bad)
     np.testing.assert_allclose(angles(b), (1, 1, 1, 0.5), atol=0.01)
 
 
-def test_a_command_of_another_length_is_refused_and_the_goals_stay(bench):
-    b = bench().calibrated()
-    before = list(b.sent)
-    assert b.take(b.driver.command((1, 1, 1), b.now)).refusal
-    assert b.take(b.driver.command_raw((14000,) * 3, b.now)).refusal
-    assert b.take(b.driver.command_raw((70000,) * 4, b.now)).refusal
-    b.run(0.5)
-    assert b.sent == before
-
-
 def test_nothing_moves_before_the_hand_is_heard(bench):
     b = bench()
     assert "not been heard" in b.command(1, 1, 1, 0).refusal
@@ -137,24 +127,6 @@ def test_commands_wait_for_the_end_of_a_calibration(bench):
     assert max(b.device.state()["angles"]) < 0.2
     b.run(4.0)
     np.testing.assert_allclose(angles(b), (1, 1, 1, 0.2), atol=0.01)
-
-
-def test_a_calibration_of_stuck_encoders_fails_and_drops_the_waiting_command(bench):
-    b = bench()
-    b.run(0.3)
-    before = b.device.state()["angles"]
-    b.device.stick_encoder(1, True)
-    b.take(b.driver.calibrate_fingers(b.now))
-    b.run(0.1)
-    b.command(2, 2, 2, 0)
-    b.run(10.0)
-    assert b.driver.calibration_outcome.startswith("failed: Finger f2")
-    assert b.zeros is None
-    np.testing.assert_allclose(b.device.state()["angles"], before, atol=0.01)
-    b.device.stick_encoder(1, False)
-    b.calibrated()
-    b.run(1.0)
-    np.testing.assert_allclose(angles(b), 0, atol=0.01)
 
 
 def test_an_unplugged_servo_ends_the_calibration(bench):
@@ -268,31 +240,6 @@ def test_after_an_overload_a_finger_closes_again_only_once_its_command_has_turne
     b.command(2.5, 1.0, 1.0, 0)
     b.run(2.0)
     np.testing.assert_allclose(angles(b), (2.5, 1, 1, 0), atol=0.01)
-
-
-def test_a_finger_loosened_to_its_end_can_be_used_again(bench):
-    b = bench().calibrated()
-    b.command(1, 1, 1, 0)
-    b.device.set_load(0, 600)
-    b.run(4.0)
-    b.device.set_load(0, None)
-    b.run(1.0)
-    assert angles(b)[0] == pytest.approx(0, abs=0.01)
-    b.command(0, 1, 1, 0)
-    b.command(1, 1, 1, 0)
-    b.run(1.0)
-    assert angles(b)[0] == pytest.approx(1, abs=0.01)
-
-
-def test_an_overload_before_the_first_command_moves_nothing_else(bench):
-    b = bench().calibrated()
-    b.take(b.driver.disable_torque())
-    b.take(b.driver.set_speed((3, 3, 3, 2), b.now))
-    b.run(0.3)
-    before = np.array(b.device.state()["angles"])
-    b.device.set_load(3, 900)
-    b.run(1.0)
-    np.testing.assert_allclose(np.array(b.device.state()["angles"])[:3], before[:3], atol=0.01)
 
 
 @once
@@ -429,16 +376,6 @@ def test_position_mode_is_sent_again_after_a_pause(bench):
     np.testing.assert_allclose(angles(b)[:3], 1, atol=0.01)
 
 
-def test_idle_is_sent_again_after_a_pause_without_torque(bench):
-    b = bench().calibrated()
-    b.take(b.driver.disable_torque())
-    b.device.set_silent(True)
-    b.run(1.0)
-    b.device.set_silent(False)
-    b.run(0.5)
-    assert b.sent[-2:] == [encode_mode(IDLE)] * 2
-
-
 def test_a_hand_that_was_switched_off_does_not_move_by_itself_and_asks_for_calibration(bench):
     b = bench(3).calibrated()
     b.command(3.0, 3.0, 3.0, 0)
@@ -512,33 +449,6 @@ def test_torque_stays_off_while_a_servo_is_missing(bench):
     b.device.unplug_servo(1, False)
     b.run(0.1)
     assert not b.take(b.driver.set_speed((3, 3, 3, 2), b.now)).refusal
-
-
-def test_zero_pose_without_torque_only_counts_anew(bench):
-    b = bench()
-    b.run(0.3)
-    b.take(b.driver.disable_torque())
-    before = len(b.sent)
-    b.take(b.driver.zero_pose(b.now))
-    b.run(0.5)
-    assert b.zeros is not None and len(b.sent) == before
-
-
-def test_raw_commands_go_out_unchanged(bench):
-    b = bench()
-    b.run(0.3)
-    b.take(b.driver.command_raw((13000, 258, 65535, 1), b.now))
-    assert b.sent[-1] == bytes.fromhex("02 32c8 0102 ffff 0001")
-
-
-def test_joint_positions_of_the_model(bench):
-    b = bench().calibrated()
-    b.command(1.0, 1.2, 1.4, 0.6)
-    b.run(2.0)
-    joints = joint_positions(b.reading)
-    assert joints[0] == pytest.approx(0.6, abs=0.01) and joints[1] == -joints[0]
-    np.testing.assert_allclose(joints[2:5], b.device.state()["proximal"], atol=0.01)
-    assert joints[5:] == b.reading.distal
 
 
 def test_status_names_the_servo_that_reports_an_error(bench):
