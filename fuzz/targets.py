@@ -849,7 +849,7 @@ def tf_bytes(data: Any) -> None:
     """Bytes on /tf to the controller, which reads them itself."""
     import struct
 
-    from kuka_control.ros.tf_message import RawTfMessage
+    from common.ros.raw_tf import RawTfMessage
 
     with contextlib.suppress(struct.error, UnicodeDecodeError):
         assert len(list(RawTfMessage().deserialize(data).raw_transforms())) <= len(data)

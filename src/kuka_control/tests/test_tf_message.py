@@ -22,10 +22,10 @@ from tf2_msgs.msg import TFMessage
 
 from common.poses import pose, translation
 from common.ros.conversions import pose_from_transform, stamped_transform
+from common.ros.raw_tf import RawTfMessage
 from common.rotations import rotation_about
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.other_clock import NodeClock
-from kuka_control.ros.tf_message import RawTfMessage
 
 pytestmark = pytest.mark.ros
 

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.poses import inverse
+from common.reasons import ReasonCode
 from common.rotations import rotation_about, rotation_angle
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
@@ -456,4 +457,5 @@ def test_a_reason_names_its_side_of_the_box_and_all_that_is_missing(play, sample
     position = [0.0, 0.35, 0.0]
     position[axis] += far
     result = play.steps(10, sample(position=position, roll=30.0, confidence=0.0))[-1]
-    assert [c.value for c in result.codes if c.value != "in_box_already"] == [code, "not_level", "unsure"], result.reason
+    told = [c.value for c in result.codes if c is not ReasonCode.IN_BOX_ALREADY]
+    assert told == [code, "not_level", "unsure"], result.reason

@@ -13,9 +13,10 @@ from apriltag_ros.settings import targets
 from apriltag_ros.tag_pose import tag_pose
 from common.config import parse
 from common.errors import ConfigError
+from common.plane_fit import fit_plane
 from common.poses import inverse, pose
 from common.rotations import rotation_angle, rotation_from_zyx
-from vision.marker_board.plane_fit import PlanePoseConfig, fit_board, fit_plane, plane_seen_from
+from vision.marker_board.plane_fit import PlanePoseConfig, fit_board, plane_seen_from
 from vision.marker_board.plane_pose import _change, _plane_of, rgbd_pose
 from vision.marker_board.pose_evaluation import errors_of
 

@@ -32,6 +32,7 @@ from common.frames import (
     frame_name,
 )
 from common.ros.conversions import pose_from_transform
+from common.ros.raw_tf import RawTfMessage, RawTransform
 from kuka_control.model.desired_frame import (
     ABSENT_S,
     MAX_OFFSET_S,
@@ -45,7 +46,6 @@ from kuka_control.model.desired_frame import (
     transform_fault,
 )
 from kuka_control.ros.other_clock import NodeClock
-from kuka_control.ros.tf_message import RawTfMessage, RawTransform
 
 REMIND_S = 5.0
 STATIC = (

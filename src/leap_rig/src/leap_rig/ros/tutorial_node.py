@@ -7,19 +7,18 @@ scenario, step, ticked and failure, as those of simulation/scenario. It commands
 from __future__ import annotations
 
 import os
-import struct
 from dataclasses import dataclass
 
 import numpy as np
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from tf2_msgs.msg import TFMessage
 
 from common import clock
 from common.config import choice, flag
 from common.frames import BASE, FLANGE_MEASURED
 from common.ros.conversions import pose_from_transform
 from common.ros.params import private_config
+from common.ros.raw_tf import TransformSearch
 from common.screen import no_screen
 from common.teleop_record import teleop_record
 from leap_kuka.config import NONE
@@ -39,7 +38,6 @@ from rig_msgs.msg import KukaStatus, TeleopState
 PERIOD_S = 0.1
 FINGERS = 3
 CLOSED_RAD = np.radians(100.0)  # of a finger of the closed robot hand: the least of leap_hand.yaml
-ENCODED = struct.pack("<I", len(FLANGE_MEASURED)) + FLANGE_MEASURED.encode()
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class TutorialNode:
     def __init__(self, config: TutorialConfig, clutch: bool) -> None:
         self.texts = TEXTS[language_of(config.language, os.environ.get("LANG", ""))]
         self._tutorial, self._lock = Tutorial(clutch), clock.Lock()
-        self._flange_at = 0.0
+        self._find_flange, self._flange_at = TransformSearch(BASE, FLANGE_MEASURED), 0.0
         self._shown: TutorialView | None = None
         self._publisher = rospy.Publisher("leap_rig/tutorial", DiagnosticStatus, queue_size=10, latch=True)
         for topic, kind, callback in (
@@ -105,12 +103,10 @@ class TutorialNode:
     def _on_transforms(self, message: rospy.AnyMsg) -> None:
         """Reads ten poses of the flange a second, of the many transforms."""
         now = clock.monotonic()
-        if now - self._flange_at < PERIOD_S or ENCODED not in message._buff:
-            return
-        for transform in TFMessage().deserialize(message._buff).transforms:
-            if transform.child_frame_id == FLANGE_MEASURED and transform.header.frame_id == BASE:
-                self._flange_at = now
-                self._take(FlangeRecord(pose_from_transform(transform.transform)))
+        flange = self._find_flange(message) if now - self._flange_at >= PERIOD_S else None
+        if flange is not None:
+            self._flange_at = now
+            self._take(FlangeRecord(pose_from_transform(flange.message.transform)))
 
 
 def main() -> None:

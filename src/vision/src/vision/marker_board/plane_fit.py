@@ -14,14 +14,10 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.config import integer, number
+from common.plane_fit import fit_plane
 
-HYPOTHESES = 120  # number of pixel triples: with half of the pixels outliers, one triple without any is among them
 MAX_PIXELS = 2500  # maximum number of pixels: more add no information, as neighbours share their noise
-GATE_SD = 3.0
 RANGE_GATE = 0.15  # depth that differs more, relatively, from the range by colour is background or an arm in front
-TUKEY_SD = 4.685  # larger errors, in standard deviations, have no weight (biweight, 95 % efficient for normal errors)
-ROUNDS = 5
-MAD_TO_SD = 1.4826
 
 
 @dataclass(frozen=True)
@@ -92,28 +88,6 @@ def fit_board(
     middle = T_depth_board[:3, 3] / expected
     rms = sd / (a @ middle) ** 2
     return PlaneFit(a, noise + unit_covariance(a, middle, config), count, cover, inliers, float(rms))
-
-
-def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Returns the plane through most pixels, shape (3,) [1/m], the weights of the pixels, shape (n,), and the standard
-    deviation of the inliers' errors [1/m]. The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,)
-    [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
-    (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
-    triples are the same in every call.
-    """
-    triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
-    corners = rays[triples]
-    sound = np.abs(np.linalg.det(corners)) > 1e-12
-    planes = np.linalg.solve(corners[sound], w[triples[sound]][..., None])[..., 0]
-    squares = np.minimum(np.square(planes @ rays.T - w), (GATE_SD * noise) ** 2)
-    weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
-    for _ in range(ROUNDS):
-        a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
-        error = np.subtract(w, rays @ a)
-        sd = np.clip(MAD_TO_SD * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
-        weights = np.clip(1.0 - (error / (TUKEY_SD * sd)) ** 2, 0.0, None) ** 2
-    inside = weights > 0.0
-    return a, weights, float(np.sqrt(np.mean(error[inside] ** 2)))
 
 
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import struct
-
 import rospy
-from diagnostic_msgs.msg import DiagnosticStatus
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.errors import DeviceError
 from common.frames import TOOL_DESIRED, VIRTUAL_LEAP
 from common.ros.on_demand import OnDemand
+from common.ros.raw_tf import TransformSearch
+from common.teleop_record import teleop_record
 from leap_motion.headset.hand_stream import HandFrame, HandStream
 from leap_motion.headset.transport import HandsEndpoint, Scene
 from leap_motion.service import wire
 from leap_motion.service.server import LeapService, LeapServiceError
+from rig_msgs.msg import TeleopState
 from vision.stereo.view import WebConfig
 
 HEIGHT_M = 0.35  # of the box above the Leap, until leap_kuka publishes it
 FRESH_S = 0.3  # an older desired tool is not drawn
-DESIRED = b"".join(struct.pack("<I", len(name)) + name.encode() for name in (VIRTUAL_LEAP, TOOL_DESIRED))
-"""The frames of the desired tool as they stand in a tf message, before its seven numbers."""
-NUMBERS = struct.Struct("<7d")
 BUFFER_BYTES = 2**20
 CLOSE_S = 2.0
 
@@ -33,11 +30,11 @@ class RigScene:
     def __init__(self) -> None:
         self._height, self._box = HEIGHT_M, {}
         self._tool: tuple[list[float], float] = [], -FRESH_S
-        self._steers = False
+        self._steers, self._find = False, TransformSearch(VIRTUAL_LEAP, TOOL_DESIRED)
         options = {"buff_size": BUFFER_BYTES, "tcp_nodelay": True}
         self.watch = OnDemand(lambda: [rospy.Subscriber("/tf", rospy.AnyMsg, self._take_tool, **options)])
         rospy.Subscriber("leap_kuka/interaction_box", MarkerArray, self._take_box, queue_size=1)
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=1)
+        rospy.Subscriber("leap_kuka/state", TeleopState, self._take_state, queue_size=1)
 
     def __call__(self) -> Scene:
         tool, at = self._tool
@@ -52,14 +49,13 @@ class RigScene:
                 self._box = {"box": [centre.x, centre.y, centre.z, *size], "colour": [colour.r, colour.g, colour.b]}
                 self._height = centre.y
 
-    def _take_stream(self, message: DiagnosticStatus) -> None:
-        self._steers = any(pair.key == "state" and pair.value == "running" for pair in message.values)
+    def _take_state(self, message: TeleopState) -> None:
+        self._steers = teleop_record(message).running
 
     def _take_tool(self, message: rospy.AnyMsg) -> None:
-        """Takes a message of tf, as bytes: to read all of them costs more than all else here."""
-        at = message._buff.find(DESIRED)
-        if at >= 0:
-            self._tool = list(NUMBERS.unpack_from(message._buff, at + len(DESIRED))), clock.monotonic()
+        tool = self._find(message)
+        if tool is not None:
+            self._tool = list(tool.numbers), clock.monotonic()
 
 
 class HeadsetHands:

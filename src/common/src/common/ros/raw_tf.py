@@ -1,4 +1,7 @@
-"""Reads tf messages as bytes: a controller needs two of the many on /tf, and rospy would build all."""
+"""Messages as bytes: a node needs few of the many on /tf, and rospy would build all of them.
+
+The one place that knows what rospy keeps of a message beside its fields.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import genpy
 import rospy
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from std_msgs.msg import Header
@@ -13,7 +17,25 @@ from tf2_msgs.msg import TFMessage
 
 from common.frames import frame_name
 
-_HEADER, _LENGTH, _NUMBERS = struct.Struct("<4I"), struct.Struct("<I"), struct.Struct("<7d")
+_HEADER = struct.Struct("<4I")
+_LENGTH = struct.Struct("<I")
+_STAMP = struct.Struct("<2I")
+_NUMBERS = struct.Struct("<7d")
+
+
+def data_of(message: rospy.AnyMsg) -> bytes:
+    """Returns the bytes of a message."""
+    return message._buff
+
+
+def publisher_of(message: genpy.Message) -> str:
+    """Returns the name of the node that published a message."""
+    return message._connection_header["callerid"]
+
+
+def encoded(*names: str) -> bytes:
+    """Returns names as they stand in a message, one after the other: parent and child of a transform, for instance."""
+    return b"".join(_LENGTH.pack(len(name.encode())) + name.encode() for name in names)
 
 
 class RawTransform(NamedTuple):
@@ -41,6 +63,22 @@ class RawTransform(NamedTuple):
         """The transform as a message."""
         transform = Transform(Vector3(*self.numbers[:3]), Quaternion(*self.numbers[3:]))
         return TransformStamped(Header(0, rospy.Time(*self.stamp), self.parent), self.child, transform)
+
+
+class TransformSearch:
+    """Finds the transform of `child` in `parent` in the bytes of tf messages, without reading the others."""
+
+    def __init__(self, parent: str, child: str) -> None:
+        self._parent, self._child, self._names = parent, child, encoded(parent, child)
+
+    def __call__(self, message: rospy.AnyMsg) -> RawTransform | None:
+        """Returns the first one in a message, or None. Names with the leading slash of old nodes are not found."""
+        data = data_of(message)
+        at = data.find(self._names)
+        if at < _STAMP.size or at + len(self._names) + _NUMBERS.size > len(data):
+            return None
+        numbers = _NUMBERS.unpack_from(data, at + len(self._names))
+        return RawTransform(self._child, self._parent, _STAMP.unpack_from(data, at - _STAMP.size), numbers)
 
 
 class RawTfMessage(TFMessage):

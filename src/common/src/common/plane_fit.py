@@ -1,0 +1,37 @@
+"""A plane through most pixels of a depth image, in inverse depth.
+
+A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it equals n / D with the unit normal n and the
+distance D. Along a pixel's ray (x, y, 1) the inverse depth is a . ray, which is linear in a.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+HYPOTHESES = 120  # number of pixel triples: with half of the pixels outliers, one triple without any is among them
+GATE_SD = 3.0
+TUKEY_SD = 4.685  # larger errors, in standard deviations, have no weight (biweight, 95 % efficient for normal errors)
+ROUNDS = 5
+MAD_TO_SD = 1.4826
+
+
+def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Returns the plane through most pixels, shape (3,) [1/m], the weights of the pixels, shape (n,), and the standard
+    deviation of the inliers' errors [1/m]. The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,)
+    [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
+    (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
+    triples are the same in every call.
+    """
+    triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
+    corners = rays[triples]
+    sound = np.abs(np.linalg.det(corners)) > 1e-12
+    planes = np.linalg.solve(corners[sound], w[triples[sound]][..., None])[..., 0]
+    squares = np.minimum(np.square(planes @ rays.T - w), (GATE_SD * noise) ** 2)
+    weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
+    for _ in range(ROUNDS):
+        a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
+        error = np.subtract(w, rays @ a)
+        sd = np.clip(MAD_TO_SD * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
+        weights = np.clip(1.0 - (error / (TUKEY_SD * sd)) ** 2, 0.0, None) ** 2
+    inside = weights > 0.0
+    return a, weights, float(np.sqrt(np.mean(error[inside] ** 2)))
