@@ -202,14 +202,13 @@ def calibration() -> None:
 
 
 def headset() -> None:
-    """The view for the headset: as in 2019, and each eye its own with the lenses undone."""
-    for name, options in (("headset-2019.png", ("depth:=false", "lens:=none")), ("headset-stereo.png", ())):
-        with _stage((1920, 1080)) as (start, environment):
-            _, world = _world(start, "--scene", "objects")
-            camera = ("sim:=true", f"port:={world}", "control_port:=0", "output:=screen")
-            start("roslaunch", "vision", "camera_oculus.launch", *camera, *options)
-            time.sleep(RVIZ_S)
-            _take(PICTURES / name, environment)
+    """The view for the headset: each eye its own, with the lenses undone."""
+    with _stage((1920, 1080)) as (start, environment):
+        _, world = _world(start, "--scene", "objects")
+        camera = ("sim:=true", f"port:={world}", "control_port:=0", "output:=screen")
+        start("roslaunch", "vision", "camera_oculus.launch", *camera)
+        time.sleep(RVIZ_S)
+        _take(PICTURES / "headset-stereo.png", environment)
 
 
 def plots() -> None:
