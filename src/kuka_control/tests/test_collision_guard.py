@@ -17,7 +17,8 @@ from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx
 from iiwa_kinematics import Kinematics
 from kuka_control.limits.collision import NOISE_M, SOFT_M, CollisionGuard, _Posture
-from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
+from kuka_control.limits.moving_arm import GuardError
+from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop import algorithms
 from kuka_control.loop.control_loop import CHECKED_AT_ONCE
 from kuka_control.loop.moves import MoveState

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("rig_msgs.srv")
 import rospy
 
-from kuka_control.limits.speed_change import GuardError
+from kuka_control.limits.moving_arm import GuardError
 from kuka_control.ros import guard_view
 
 pytestmark = pytest.mark.ros

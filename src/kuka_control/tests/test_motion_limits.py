@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from common.config import parse
 from kuka_control.limits.motion_limits import ARM_S, GAP_S, LEAD_RAD, MotionLimits, Unlimited
-from kuka_control.limits.speed_change import GuardedRoom, ShapeLimits
+from kuka_control.limits.moving_arm import ShapeLimits
+from kuka_control.limits.speed_change import GuardedRoom
 from kuka_control.loop.algorithms import motion_limits
 from kuka_control.loop.goal_stream import LOST_S, TOLERANCE_RAD, is_jump
 from kuka_control.model.config import RealTimeConfig

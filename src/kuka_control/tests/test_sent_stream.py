@@ -13,7 +13,7 @@ from loop_world import rig
 from point_speeds import point_speeds
 
 from kuka_control.limits.motion_limits import GAP_S, MotionLimits
-from kuka_control.limits.speed_change import ShapeLimits
+from kuka_control.limits.moving_arm import ShapeLimits
 from kuka_control.loop import algorithms
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.robot_shape import Opening

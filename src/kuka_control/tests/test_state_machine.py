@@ -16,7 +16,7 @@ from kst import ReplyTimeout
 from kuka_control.limits.collision import PathCheck
 from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.limits.motion_limits import LimitedGoal
-from kuka_control.limits.speed_change import GuardError
+from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.commands import End, Servo, StartPtp, StartServo, StopServo, Wait
 from kuka_control.loop.control_loop import BRAKES, BY_PROGRAM
 from kuka_control.loop.moves import MoveState

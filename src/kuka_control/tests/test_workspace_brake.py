@@ -14,15 +14,8 @@ from common.poses import translation
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import ROBOTS, robot_model
 from kuka_control.limits.motion_limits import MotionLimits
-from kuka_control.limits.moving_points import MovingPoints
-from kuka_control.limits.speed_change import (
-    SLACK_M,
-    GuardedRoom,
-    JointState,
-    ShapeLimits,
-    SpeedChange,
-    StoppingGuard,
-)
+from kuka_control.limits.moving_arm import JointState, MovingPoints, ShapeLimits
+from kuka_control.limits.speed_change import SLACK_M, GuardedRoom, SpeedChange, StoppingGuard
 from kuka_control.model.workspace import Workspace
 from rig_description.hand import finger_balls
 

@@ -27,7 +27,7 @@ from ruckig import Trajectory
 
 from iiwa_kinematics import Kinematics
 from iiwa_kinematics.chain import Vector, cross, joint_frames, pose_of_axes
-from kuka_control.limits.speed_change import STOPPING, GuardError, approach_speed
+from kuka_control.limits.moving_arm import STOPPING, GuardError, approach_speed
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table
 

@@ -17,8 +17,7 @@ from common.errors import RigError
 from common.poses import pose, read_only
 from common.rotations import rotation_angle, scaled_rotation
 from iiwa_kinematics import Kinematics
-from kuka_control.limits.moving_points import MovingPoints
-from kuka_control.limits.speed_change import ShapeLimits
+from kuka_control.limits.moving_arm import MovingPoints, ShapeLimits
 from kuka_control.model.workspace import Infeasible, Workspace
 
 STEP_M = 0.004  # distance between two poses with joints of their own [m]

@@ -22,16 +22,8 @@ import numpy as np
 
 from common.poses import read_only
 from iiwa_kinematics import Ball
-from kuka_control.limits.speed_change import (
-    ARM_SPEED,
-    COLLISION_GUARD,
-    GuardedRoom,
-    JointState,
-    ShapeLimits,
-    SpeedChange,
-    StoppingGuard,
-    approach_speed,
-)
+from kuka_control.limits.moving_arm import JointState, ShapeLimits, approach_speed
+from kuka_control.limits.speed_change import ARM_SPEED, COLLISION_GUARD, GuardedRoom, SpeedChange, StoppingGuard
 
 LATE_GOAL = "gap between goals"  # what limits the first goal after a longer gap than GAP_S
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]

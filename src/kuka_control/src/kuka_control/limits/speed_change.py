@@ -15,15 +15,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
-from common.errors import RigError
-from kuka_control.limits.moving_points import MovingPoints
+from kuka_control.limits.moving_arm import STOPPING, JointState, MovingPoints, ShapeLimits
 from kuka_control.model.workspace import Workspace
 
 if TYPE_CHECKING:  # without a collision guard its library is not loaded
     from kuka_control.limits.collision import CollisionGuard
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
-STOPPING = (0.0, 0.1, 0.3, 0.6, 1.0)  # fractions of the stopping time at which the position of the tool is checked
 FASTEST = 3  # at so many of them, the first ones, the arm's speed is checked too: later it mostly falls
 NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
 MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
@@ -37,44 +35,6 @@ DAMPING = 0.05  # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad
 LEAST = 1e-6  # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
 COLLISION_GUARD = "collision guard"  # what held a velocity back
 ARM_SPEED = "arm speed"  # likewise
-
-
-class GuardError(RigError):
-    """The collision guard cannot say what the arm may do; the arm has to stop."""
-
-
-@dataclass(frozen=True)
-class ShapeLimits:
-    """How quickly each joint may change its speed, shape (7,): acceleration [rad/s^2] and jerk [rad/s^3]."""
-
-    acceleration: np.ndarray
-    jerk: np.ndarray
-
-
-@dataclass(frozen=True)
-class JointState:
-    """Joint angles [rad], velocities [rad/s] and accelerations [rad/s^2], 7 each."""
-
-    q: list[float]
-    v: list[float]
-    a: list[float]
-    duration: float = 0.0  # of the whole velocity change [s]
-
-    @classmethod
-    def rest(cls, q: list[float]) -> JointState:
-        """Returns the state at rest at joints q."""
-        return cls(q, [0.0] * 7, [0.0] * 7)
-
-
-def approach_speed(distance: float, deceleration: float, gain: float) -> float:
-    """Returns the greatest speed at a distance from a bound, so that the deceleration ends there.
-
-    The last part is exponential, with `gain` [1/s], so that the deceleration does not end at once. Any unit of length.
-    """
-    linear = deceleration / gain**2
-    if distance <= linear:
-        return gain * max(distance, 0.0)
-    return math.sqrt(2.0 * deceleration * (distance - 0.5 * linear))
 
 
 class SpeedChange:

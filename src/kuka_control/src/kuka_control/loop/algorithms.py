@@ -12,8 +12,8 @@ import numpy as np
 from iiwa_kinematics import Ball
 from kuka_control.limits.line_plan import LineLimits
 from kuka_control.limits.motion_limits import LATE_GOAL, LimitedGoal, MotionLimits, Unlimited
-from kuka_control.limits.moving_points import MovingPoints
-from kuka_control.limits.speed_change import GuardedRoom, GuardError, ShapeLimits
+from kuka_control.limits.moving_arm import GuardError, MovingPoints, ShapeLimits
+from kuka_control.limits.speed_change import GuardedRoom
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
 from kuka_control.loop.goal_stream import (

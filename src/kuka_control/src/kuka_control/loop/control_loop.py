@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.limits.speed_change import COLLISION_GUARD, GuardError
+from kuka_control.limits.moving_arm import GuardError
+from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
 from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, too_far

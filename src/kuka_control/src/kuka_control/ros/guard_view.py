@@ -19,7 +19,7 @@ from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import translation
 from common.ros.conversions import message_from_pose
 from common.ros.node import repeat, while_running
-from kuka_control.limits.speed_change import GuardError
+from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.algorithms import collision_guard
 from kuka_control.model.arms import SIDE
 from kuka_control.model.config import ControllerConfig
