@@ -5,8 +5,10 @@ from __future__ import annotations
 from kuka_control.loop.transitions import (
     PTP_STATES,
     REAL_TIME_STATES,
+    TRANSITIONS,
     Action,
     State,
+    Trait,
     transitions_among,
 )
 from tools.reference import markdown
@@ -25,12 +27,25 @@ def page() -> str:
         [
             markdown.generated("States of the control loops", "kuka_control/loop/transitions.py", INTRO),
             f"States with the mode of another one: {', '.join(unlike)}.\n",
+            states(),
             diagram(REAL_TIME_STATES),
             f"Only the PTP controller has {_only(PTP_STATES, REAL_TIME_STATES)}; "
             f"only the real-time controller has {_only(REAL_TIME_STATES, PTP_STATES)}. "
             "A motion or servo mode that the robot refuses leads to `stopped`; after `zero` to `ended`.\n",
         ]
     )
+
+
+def states() -> str:
+    """Returns the table of the states and their traits, and of what follows once the arm has braked."""
+    rows = [[f"`{_name(s)}`", *("x" if trait in s.traits else "" for trait in Trait)] for s in State if s.traits]
+    after: dict[str, list[str]] = {}
+    for row in TRANSITIONS:
+        if row.target is State.BRAKING:
+            after.setdefault(row.at_rest.value, []).append(row.trigger.value)
+    braked = "".join(f"* {rest}: after {'; '.join(triggers)}\n" for rest, triggers in after.items())
+    head = ["state", *(trait.value for trait in Trait)]
+    return f"{markdown.table(head, rows)}\nWhat ends `braking`:\n\n{braked}"
 
 
 def diagram(states: frozenset[State]) -> str:

@@ -18,7 +18,6 @@ from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.limits.motion_limits import LimitedGoal
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.commands import End, Servo, StartPtp, StartServo, StopServo, Wait
-from kuka_control.loop.control_loop import BRAKES, BY_PROGRAM
 from kuka_control.loop.moves import MoveState
 from kuka_control.loop.transitions import (
     PTP_STATES,
@@ -26,6 +25,7 @@ from kuka_control.loop.transitions import (
     TRANSITIONS,
     Action,
     State,
+    Trait,
     Trigger,
     transitions_among,
 )
@@ -72,6 +72,24 @@ def reachable(start, edges):
         found |= new
         new = {target for state in new for target in edges.get(state, ())} - found
     return found
+
+
+TRAITS = {
+    Trait.MOVES: "HOMING PICK_UP RETURNING TO_GOAL ZERO",
+    Trait.STREAMS: "SERVO BRAKING LINE LINE_BRAKING",
+    Trait.BRAKES: "BRAKING LINE_BRAKING",
+    Trait.PROGRAM: "TO_GOAL LINE LINE_BRAKING",
+    Trait.FOLLOWS: "PICK_UP SERVO",
+    Trait.RESTS: "HOME AT_POSE SERVO_LEFT AT_GOAL",
+    Trait.FORGETS: "HOMING RETURNING TO_GOAL LINE STOPPED ZERO",
+    Trait.SCALES_HERE: "PICK_UP AT_POSE SERVO BRAKING SERVO_LEFT",
+}
+
+
+@pytest.mark.parametrize("trait", Trait, ids=lambda trait: trait.name.lower())
+def test_a_trait_holds_in_its_states_only(trait):
+    """Not each of them shows in a motion: a target that is not forgotten, for instance, only in the status."""
+    assert " ".join(state.name for state in State if trait in state.traits) == TRAITS[trait]
 
 
 def enable(world):
@@ -437,15 +455,16 @@ class AnyOrder(RuleBasedStateMachine):
             assert world.control_on or away == 0.0, "with control off the arm moves to home or zero only"
         elif moves:
             why = "with control off the arm only brakes, and its servo law is identified"
-            assert world.control_on or step.mode == Mode.HOMING or world.state in BRAKES, why
-        if world.state in BY_PROGRAM:
+            assert world.control_on or step.mode == Mode.HOMING or Trait.BRAKES in world.state.traits, why
+        by_program = Trait.PROGRAM in world.state.traits
+        if by_program:
             assert step.move.state is MoveState.RUNNING
             if world.loop._stream.runs:
                 self.barred.add(world.loop._stream.number)
         elif world.state in (State.PICK_UP, State.SERVO):
             assert world.loop._stream.number not in self.barred, "a hand waits for the end of a program's motion"
         if step.move is not None:
-            assert (step.move.state is MoveState.RUNNING) == (world.state in BY_PROGRAM)
+            assert (step.move.state is MoveState.RUNNING) == by_program
             assert step.move.state in (MoveState.RUNNING, MoveState.DONE) or step.move.sentence
         leaving = world.exit_requested or (step.mode in (Mode.ZERO, Mode.STOPPED) and isinstance(command, StartPtp))
         if world.state is State.STOPPED:

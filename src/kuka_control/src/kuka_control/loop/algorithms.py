@@ -28,7 +28,7 @@ from kuka_control.loop.goal_stream import (
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MovePlanner, ProgramMotion
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
-from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trigger
+from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trait, Trigger
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig
 from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
@@ -37,14 +37,6 @@ from kuka_control.model.target import TargetChain
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard
-
-RETURNS = (
-    Trigger.CONTROL_OFF,
-    Trigger.CONTROL_WAS_OFF,
-    Trigger.TIME_OUT,
-)  # ends of the stream after which the arm goes home
-STREAMS = (State.SERVO, State.BRAKING, State.LINE, State.LINE_BRAKING)
-COUNTED_AS = {Trigger.JUMPED: "jumps", Trigger.JOINTS_JUMPED: "flips"}
 
 TEST_MOTIONS = 3
 """So often at most does joint 7 turn to show the servo law, where a busy machine did not see it well."""
@@ -105,7 +97,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
 
     def _followed(self, command: Servo) -> np.ndarray:
         """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
-        return self.goal if self._active.state in STREAMS else command.q
+        return self.goal if self._active.has(Trait.STREAMS) else command.q
 
     def _arrived(self, cycle: Cycle) -> Fired:
         if self._active.state is State.HOMING and self._law is None and not self._exits(cycle):
@@ -170,8 +162,6 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                 return Fired(Trigger.INFEASIBLE, self._infeasible)
             too_far = goals.take(cycle.fresh, q, joints, cycle.now, stall)
             if too_far is not None:
-                if too_far in COUNTED_AS:
-                    self.counts[COUNTED_AS[too_far]] += 1
                 return Fired(too_far)
             stamp = None if q is None else cycle.fresh.stamp
         try:
@@ -228,10 +218,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
                 return Fired(Trigger.LAG, lag)
         goal = None if goals is None else goals.brake(cycle.observation.joints, cycle.now)
         if goal is None:
-            if self._active.trigger in (Trigger.GUARD_FAILED, Trigger.CONFLICT):
-                return Fired(Trigger.AT_REST_TO_STOP)
-            returns = self._active.state is State.BRAKING and self._active.trigger in RETURNS
-            return Fired(Trigger.AT_REST_TO_RETURN if returns else Trigger.AT_REST)
+            return Fired(self._active.at_rest)
         self.counts["goals_sent"] += 1
         return Servo(goal.q)
 
@@ -248,6 +235,7 @@ class PtpLoop(ControlLoop[PtpSettings]):
 
     STATES = PTP_STATES
     PICK_UP = "the desired pose"
+    NOT_COUNTED = frozenset({"pickups"})  # each motion goes to a desired pose
 
     def _follow(self, distance: float) -> Outcome:
         return Wait() if distance <= self._settings.joints_thresh else Fired(Trigger.FAR_TARGET)

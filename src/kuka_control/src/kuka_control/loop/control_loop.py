@@ -29,7 +29,7 @@ from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observatio
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
 from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
-from kuka_control.loop.transitions import Action, State, Transition, Trigger, transitions_among
+from kuka_control.loop.transitions import Action, State, Trait, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, until_anew
 from kuka_control.model.robot_shape import REACH, Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
@@ -62,14 +62,6 @@ FINGER_IN_THE_WAY = (
     "A finger that opens or closes meanwhile could come that near; what the fingers may touch, name in allow_contact. "
 )
 
-MOVING = frozenset((State.HOMING, State.PICK_UP, State.RETURNING, State.TO_GOAL, State.ZERO))
-"""The states in which a PTP motion runs."""
-BY_PROGRAM = frozenset((State.TO_GOAL, State.LINE, State.LINE_BRAKING))  # the states in which a program moves the arm
-WITHOUT_TARGET = MOVING - {State.PICK_UP} | {State.STOPPED, State.LINE}  # the states that forget the target
-KEEPS_SCALING = frozenset((State.PICK_UP, State.AT_POSE, State.SERVO, State.BRAKING, State.SERVO_LEFT))
-"""The states in which a new scaling factor counts from the present pose on."""
-WAITING = frozenset((State.HOME, State.AT_GOAL, State.AT_POSE, State.SERVO_LEFT))  # from which it begins to
-BRAKES = (State.BRAKING, State.LINE_BRAKING)  # the states that keep the stream of goals, and why it ended
 CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
 STANDS_RAD = 5e-4  # an arm whose joints are no further off still is where the check of a path began
 LINE_START_RAD = 2e-3  # a line begins where the arm stands; no joint is further off than this
@@ -109,6 +101,10 @@ class Active:
     reason: str = State.STARTING.text  # the published reason
     enable_count: int = 0  # the count of enablings under which the arm left home or was stopped
     data: Any = None  # what the state works with: supervision of its motion, identification, or stream of goals
+    at_rest: Trigger = Trigger.AT_REST  # while it brakes: the trigger once the goals are at rest
+
+    def has(self, trait: Trait) -> bool:
+        return trait in self.state.traits
 
 
 @dataclass(frozen=True)
@@ -144,6 +140,7 @@ class ControlLoop(ABC, Generic[Settings]):
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
     PICK_UP = ""  # what a motion to a target goes to, in words
+    NOT_COUNTED: frozenset[str] = frozenset()  # counters of the table that it leaves alone
 
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
@@ -154,7 +151,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._chain = chain
         self._table = transitions_among(self.STATES)
         self._handlers: dict[State, Handler] = {
-            **dict.fromkeys(MOVING, self._moving),
+            **{state: self._moving for state in State if Trait.MOVES in state.traits},
             State.STARTING: self._starting,
             State.HOME: self._home,
             State.AT_POSE: self._at_rest,
@@ -226,7 +223,7 @@ class ControlLoop(ABC, Generic[Settings]):
         command = self._command(Cycle(observation, update.fresh, now))
         if isinstance(command, Servo):
             self._joints.follow(self._followed(command), now)
-        if self._active.state in BY_PROGRAM and self._stream.runs:
+        if self._active.has(Trait.PROGRAM) and self._stream.runs:
             because = f"{BARRED_BY_MOVE} {until_anew(self._stream.foreign)}"
             self._barred, self._barred_because = self._stream.number, because
         guard = self._settings.guard
@@ -264,7 +261,7 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _command(self, cycle: Cycle) -> Command:
         """Returns the command of the state in which the triggers of this cycle end."""
-        if self._active.state in MOVING:
+        if self._active.has(Trait.MOVES):
             cycle = replace(cycle, fresh=None)
         observation, refused = cycle.observation, cycle.observation.refused
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
@@ -292,7 +289,7 @@ class ControlLoop(ABC, Generic[Settings]):
         if blocked is not None:
             if row.target is State.PICK_UP:
                 return self._refuse_pick_up(blocked, cycle.now)
-            if row.target in BY_PROGRAM and self._progress is not None:
+            if Trait.PROGRAM in row.target.traits and self._progress is not None:
                 self._progress = replace(self._progress, state=MoveState.REFUSED, sentence=blocked)
                 return Wait()
             fired = Fired(Trigger.EXIT_BLOCKED if row.target is State.ZERO else Trigger.BLOCKED, blocked)
@@ -312,35 +309,31 @@ class ControlLoop(ABC, Generic[Settings]):
             self._note_own(row.target, (before.trigger, fired.trigger), cycle.now)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
-        if before.state in BY_PROGRAM and row.target not in BY_PROGRAM:
-            braked = before.state in BRAKES and fired.trigger is Trigger.AT_REST
-            self._end_move(row.target, before.trigger if braked else fired.trigger, because)
+        if row.counted and row.counted not in self.NOT_COUNTED:
+            self.counts[row.counted] += 1
+        traits, cause = row.target.traits, before.trigger if before.has(Trait.BRAKES) else fired.trigger
+        if before.has(Trait.PROGRAM) and Trait.PROGRAM not in traits:
+            self._end_move(row.target, cause if fired.trigger is Trigger.AT_REST else fired.trigger, because)
+        elif Trait.PROGRAM in traits and not before.has(Trait.PROGRAM):
+            self._own.forget()
         if row.target is State.STOPPED:
             enable_count, self.stopped_because = cycle.switches.enable_count, because
             self._infeasible = None
             self.counts["faults"] += 1
         elif fired.trigger is Trigger.ENABLED_AGAIN:
             self.stopped_because = None
-        elif row.target is State.HOME and before.state is State.RETURNING:
-            self.counts["returns"] += 1
-        elif fired.trigger in (Trigger.MOVE, Trigger.LINE):
-            self.counts["moves"] += 1
-            self._own.forget()
-        elif row.target is State.PICK_UP and State.SERVO in self.STATES:
-            self.counts["pickups"] += 1
-        if row.target in WITHOUT_TARGET:
+        if Trait.FORGETS in traits:
             self._target = None
-        if row.target in (State.PICK_UP, State.SERVO):
+        if Trait.FOLLOWS in traits:
             self._early = None
-        if row.target in MOVING or row.target is State.STOPPED:
+        if Trait.MOVES in traits or row.target is State.STOPPED:
             self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
         if reason:
             self._unreachable = None
             self._report("error" if row.target is State.STOPPED else "info", reason)
-        cause = before.trigger if before.state in BRAKES else fired.trigger
-        data = before.data if row.target in BRAKES else data
-        self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data)
+        data = before.data if Trait.BRAKES in traits else data
+        self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data, row.at_rest)
         return command
 
     def _motion(self, target: State) -> tuple[str, np.ndarray, float]:
@@ -442,7 +435,7 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _scale(self, factor: float) -> None:
         """Takes the scaling factor over; where the arm follows, about its present pose."""
-        if self._active.state not in KEEPS_SCALING:
+        if not self._active.has(Trait.SCALES_HERE):
             self._scaling = MotionScaling(factor)
         elif factor != self._scaling.factor:
             self._scaling = self._chain.rescaled(self._scaling, factor, self._position)
@@ -543,7 +536,7 @@ class ControlLoop(ABC, Generic[Settings]):
         if move is None or known is None or move.number > known.number:
             return move
         checked = move.number == known.number and known.state is MoveState.RUNNING
-        return move if checked and self._active.state not in BY_PROGRAM else None
+        return move if checked and not self._active.has(Trait.PROGRAM) else None
 
     def _new_move(self, cycle: Cycle) -> Fired | None:
         """Starts a motion that a program asks for, or refuses it."""
@@ -575,14 +568,14 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _note_move(self, observation: Observation) -> None:
         """Refuses a motion that came at the wrong time, and notes how far the running one is."""
-        state, move, progress = self._active.state, self._move, self._progress
-        if state in BY_PROGRAM and move is not None and progress is not None:
+        move, progress = self._move, self._progress
+        if self._active.has(Trait.PROGRAM) and move is not None and progress is not None:
             fraction, left = self._progress_at(move, observation.joints)
             self._progress = replace(progress, fraction=fraction, left=left)
             return
         asked = self._asked(observation)
         if asked is not None and not (self._checks and asked is self._move):
-            refused = wrong_time(state.mode, self._active.reason)
+            refused = wrong_time(self._active.state.mode, self._active.reason)
             self._progress = MoveProgress(asked.number, MoveState.REFUSED, refused)
 
     def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
@@ -673,9 +666,9 @@ class ControlLoop(ABC, Generic[Settings]):
     def _inhibited_by(self, observation: Observation, now: float) -> str | None:
         """Returns the first reason why incoming frames are not followed, a sentence, or None."""
         if not observation.inputs.switches.control_on:
-            return OFF if self._active.state in WAITING and self._stream.runs else None
+            return OFF if self._active.has(Trait.RESTS) and self._stream.runs else None
         barred = self._barred_because if self._stream.number == self._barred and self._stream.runs else None
-        slow = self._stream.too_slow(self._settings.time_out) if self._active.state in WAITING else None
+        slow = self._stream.too_slow(self._settings.time_out) if self._active.has(Trait.RESTS) else None
         announced = TAKEN_OVER if self._announced is not None and self._stream.number == self._early else None
         blocked = self._blocked[0] if self._blocked is not None and now <= self._blocked[1] + TICK_S else None
         waits = self._waits[0] if self._waits is not None and now <= self._waits[1] + TICK_S else None
@@ -692,7 +685,7 @@ class ControlLoop(ABC, Generic[Settings]):
             return observation.inputs.missing if self._active.state is State.HOME else None
         if self._stream.silence > self._settings.time_out:
             return None
-        outside = self._target.outside if self._target and self._active.state in KEEPS_SCALING else None
+        outside = self._target.outside if self._target and self._active.has(Trait.SCALES_HERE) else None
         return self._unreachable or outside or self._held_back()
 
     def _held_back(self) -> str | None:

@@ -12,6 +12,7 @@ import numpy as np
 from common.poses import read_only
 from iiwa_kinematics import Kinematics, arm_points
 from kuka_control.limits.line_plan import LineLimits, LinePlan, MoveRefused, plan_line
+from kuka_control.loop.transitions import TRANSITIONS, Trigger
 from kuka_control.model.desired_frame import rejection_reason
 from kuka_control.model.joint_configurations import range_faults
 from kuka_control.model.rig import Rig
@@ -22,7 +23,8 @@ LEAST_PTP, LEAST_LINE_M_PER_S = 0.01, 0.005
 """The least velocities that a program may ask for: nothing can stop a PTP motion, and a slower one looks stopped."""
 LINE_M_PER_S = 0.1  # speed of a line for which the program names none [m/s]
 CHECKED_RAD = 0.05  # the height of the tool point is checked every so often on the way of a PTP motion [rad]
-READY = (Mode.HOME, Mode.HOLDING)  # the modes in which a motion may start
+READY = frozenset(state.mode for row in TRANSITIONS if row.trigger is Trigger.MOVE for state in row.sources)
+"""The modes in which a motion may start."""
 LOW_M = 1e-3  # by which the tool point may come below the workspace there [m]
 
 

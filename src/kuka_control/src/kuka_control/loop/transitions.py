@@ -14,37 +14,53 @@ from kuka_control.model.switches import Mode
 
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."
+_FOLLOWS = "The arm follows the desired tool frame in servo mode."
+_AT_POSE = "The arm is at the desired pose; it goes to the next one once that is farther than joints_thresh."
+
+
+class Trait(Enum):
+    """What holds in a state; a column of the table of states in docs/reference/control-loop.md."""
+
+    MOVES = "a PTP motion runs"
+    STREAMS = "goals are streamed"
+    BRAKES = "keeps the stream that ended, and why it did"
+    PROGRAM = "moves for a program"
+    FOLLOWS = "goes to the desired tool frame"
+    RESTS = "rests, and can begin to follow from here"
+    FORGETS = "forgets the target"
+    SCALES_HERE = "a new scaling factor counts from the present pose on"
+
+
+_IS = Trait
 
 
 class State(Enum):
-    """A state: the mode that is published in it, and the reason; where that is empty, the reason before stays."""
+    """A state: the mode that is published in it, the reason, and its traits; an empty reason keeps the one before."""
 
     STARTING = Mode.STARTING, "The controller has started."
-    HOMING = Mode.HOMING, _MOVES
+    HOMING = Mode.HOMING, _MOVES, _IS.MOVES, _IS.FORGETS
     IDENTIFYING = Mode.HOMING, "The arm is at home; a small motion of joint 7 shows its servo law."
     IDENTIFIED = Mode.HOMING, ""
-    HOME = Mode.HOME, "The arm is at home."
-    PICK_UP = Mode.PICK_UP, _MOVES
-    AT_POSE = (
-        Mode.PICK_UP,
-        "The arm is at the desired pose; it goes to the next one once that is farther than joints_thresh.",
-    )
-    SERVO = Mode.SERVO, "The arm follows the desired tool frame in servo mode."
-    BRAKING = Mode.SERVO, "{because} The arm brakes."
-    SERVO_LEFT = Mode.PICK_UP, _LEAVES
+    HOME = Mode.HOME, "The arm is at home.", _IS.RESTS
+    PICK_UP = Mode.PICK_UP, _MOVES, _IS.MOVES, _IS.FOLLOWS, _IS.SCALES_HERE
+    AT_POSE = Mode.PICK_UP, _AT_POSE, _IS.RESTS, _IS.SCALES_HERE
+    SERVO = Mode.SERVO, _FOLLOWS, _IS.STREAMS, _IS.FOLLOWS, _IS.SCALES_HERE
+    BRAKING = Mode.SERVO, "{because} The arm brakes.", _IS.STREAMS, _IS.BRAKES, _IS.SCALES_HERE
+    SERVO_LEFT = Mode.PICK_UP, _LEAVES, _IS.RESTS, _IS.SCALES_HERE
     RETURN_PENDING = Mode.RETURNING, _LEAVES
-    RETURNING = Mode.RETURNING, _MOVES
-    TO_GOAL = Mode.MOVING, _MOVES
-    LINE = Mode.MOVING, "{because} The tool moves along a straight line."
-    LINE_BRAKING = Mode.MOVING, "{because} The arm brakes."
-    AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off."
-    STOPPED = Mode.STOPPED, "{because} The arm stays where it is until control goes off and on again."
-    ZERO = Mode.ZERO, _MOVES
+    RETURNING = Mode.RETURNING, _MOVES, _IS.MOVES, _IS.FORGETS
+    TO_GOAL = Mode.MOVING, _MOVES, _IS.MOVES, _IS.PROGRAM, _IS.FORGETS
+    LINE = Mode.MOVING, "{because} The tool moves along a straight line.", _IS.STREAMS, _IS.PROGRAM, _IS.FORGETS
+    LINE_BRAKING = Mode.MOVING, "{because} The arm brakes.", _IS.STREAMS, _IS.BRAKES, _IS.PROGRAM
+    AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off.", _IS.RESTS
+    STOPPED = Mode.STOPPED, "{because} The arm stays where it is until control goes off and on again.", _IS.FORGETS
+    ZERO = Mode.ZERO, _MOVES, _IS.MOVES, _IS.FORGETS
     ENDED = Mode.STOPPED, "{because}"
 
-    def __init__(self, mode: Mode, text: str) -> None:
+    def __init__(self, mode: Mode, text: str, *traits: Trait) -> None:
         self.mode = mode
         self.text = text
+        self.traits = frozenset(traits)
 
 
 class Trigger(Enum):
@@ -99,13 +115,15 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Transition:
-    """One row. `because` goes into the reason of the target; {because} in it is that of the transition before."""
+    """One row."""
 
     sources: tuple[State, ...]
     trigger: Trigger
     target: State
     action: Action
-    because: str = ""
+    because: str = ""  # goes into the reason of the target; {because} in it is that of the transition before
+    counted: str = ""  # the counter that counts it; besides, entering `stopped` is a fault
+    at_rest: Trigger = Trigger.AT_REST  # of a transition to BRAKING: the trigger once the goals are at rest
 
 
 _S, _T, _A = State, Trigger, Action
@@ -114,8 +132,8 @@ _TO_REST = (*_TO_HOME, _S.PICK_UP, _S.TO_GOAL)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
 _LEFT = (_S.AT_POSE, _S.SERVO_LEFT, _S.RETURN_PENDING, _S.AT_GOAL)
 _BLOCKED = (_S.RETURN_PENDING, _S.AT_GOAL, *_AWAY)
-_STREAMS = (_S.SERVO, _S.BRAKING, _S.LINE, _S.LINE_BRAKING)
-_RESTS = (_S.HOME, _S.AT_POSE, _S.SERVO_LEFT, _S.AT_GOAL)
+_STREAMS = tuple(state for state in State if Trait.STREAMS in state.traits)
+_RESTS = tuple(state for state in State if Trait.RESTS in state.traits)
 _OTHERS = (_S.HOME, *_LEFT, _S.IDENTIFYING, _S.IDENTIFIED, *_STREAMS)
 _JOINTS_FAR = "The desired tool frame did not jump, but asks for joints far from those before."
 _MOVED_ON = "The desired tool frame moved on while the arm was on its way."
@@ -135,25 +153,28 @@ TRANSITIONS = (
     Transition((_S.IDENTIFYING,), _T.LAW_IDENTIFIED, _S.IDENTIFIED, _A.STOP_SERVO),
     Transition((_S.IDENTIFIED,), _T.WRONG_LAW, _S.ENDED, _A.END, "{detail}"),
     Transition((_S.IDENTIFIED,), _T.SERVO_ENDED, _S.HOME, _A.DECIDE),
-    Transition(_TO_HOME, _T.ARRIVED, _S.HOME, _A.DECIDE),
+    Transition((_S.HOMING,), _T.ARRIVED, _S.HOME, _A.DECIDE),
+    Transition((_S.RETURNING,), _T.ARRIVED, _S.HOME, _A.DECIDE, counted="returns"),
     # Following the desired tool frame.
-    Transition((_S.HOME, _S.AT_POSE, _S.SERVO_LEFT, _S.AT_GOAL), _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}"),
+    Transition(_RESTS, _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}", "pickups"),
     Transition((_S.HOME, _S.SERVO_LEFT, _S.AT_GOAL), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
     # Every end of the stream of goals, but for faults, is a stop within their limits.
-    Transition((_S.SERVO,), _T.JUMPED, _S.BRAKING, _A.DECIDE, "The desired tool frame jumped."),
-    Transition((_S.SERVO,), _T.JOINTS_JUMPED, _S.BRAKING, _A.DECIDE, _JOINTS_FAR),
+    Transition((_S.SERVO,), _T.JUMPED, _S.BRAKING, _A.DECIDE, "The desired tool frame jumped.", "jumps"),
+    Transition((_S.SERVO,), _T.JOINTS_JUMPED, _S.BRAKING, _A.DECIDE, _JOINTS_FAR, "flips"),
     Transition((_S.SERVO,), _T.MOVED_ON, _S.BRAKING, _A.DECIDE, _MOVED_ON),
-    Transition((_S.SERVO,), _T.CONTROL_OFF, _S.BRAKING, _A.DECIDE, "Control is off."),
-    Transition((_S.SERVO,), _T.CONTROL_WAS_OFF, _S.BRAKING, _A.DECIDE, "Control was off."),
-    Transition((_S.SERVO,), _T.TIME_OUT, _S.BRAKING, _A.DECIDE, _SILENCE),
+    Transition((_S.SERVO,), _T.CONTROL_OFF, _S.BRAKING, _A.DECIDE, "Control is off.", at_rest=_T.AT_REST_TO_RETURN),
+    Transition(
+        (_S.SERVO,), _T.CONTROL_WAS_OFF, _S.BRAKING, _A.DECIDE, "Control was off.", at_rest=_T.AT_REST_TO_RETURN
+    ),
+    Transition((_S.SERVO,), _T.TIME_OUT, _S.BRAKING, _A.DECIDE, _SILENCE, at_rest=_T.AT_REST_TO_RETURN),
     Transition((_S.SERVO,), _T.EXIT, _S.BRAKING, _A.DECIDE),
     Transition((_S.BRAKING,), _T.AT_REST, _S.SERVO_LEFT, _A.STOP_SERVO, "{because}"),
     Transition((_S.BRAKING,), _T.AT_REST_TO_RETURN, _S.RETURN_PENDING, _A.STOP_SERVO, "{because}"),
     # Motions for programs. A PTP motion ends at its goal; a straight line is a stream, which can stop.
-    Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM),
-    Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM),
+    Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM, "moves"),
+    Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM, "moves"),
     Transition((_S.TO_GOAL,), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
     Transition((_S.LINE,), _T.ARRIVED, _S.LINE_BRAKING, _A.DECIDE, "The line has ended."),
     Transition((_S.LINE,), _T.CANCELLED, _S.LINE_BRAKING, _A.DECIDE, "The program cancelled the line."),
@@ -182,8 +203,8 @@ TRANSITIONS = (
     Transition(_OTHERS, _T.REFUSED, _S.STOPPED, _A.NONE, "The robot's controller has ended servo mode: {detail}."),
     Transition((_S.STARTING, _S.STOPPED, *_BLOCKED), _T.BLOCKED, _S.STOPPED, _A.NONE, "{detail}"),
     Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED, *_LEFT), _T.EXIT_BLOCKED, _S.ENDED, _A.END, "{detail}"),
-    Transition((_S.SERVO,), _T.CONFLICT, _S.BRAKING, _A.DECIDE, "{detail}"),
-    Transition((_S.SERVO, _S.LINE), _T.GUARD_FAILED, _S.BRAKING, _A.DECIDE, "{detail}"),
+    Transition((_S.SERVO,), _T.CONFLICT, _S.BRAKING, _A.DECIDE, "{detail}", at_rest=_T.AT_REST_TO_STOP),
+    Transition((_S.SERVO, _S.LINE), _T.GUARD_FAILED, _S.BRAKING, _A.DECIDE, "{detail}", at_rest=_T.AT_REST_TO_STOP),
     Transition((_S.BRAKING,), _T.AT_REST_TO_STOP, _S.STOPPED, _A.STOP_SERVO, "{because}"),
     Transition((_S.STOPPED,), _T.ENABLED_AGAIN, _S.HOMING, _A.PTP, "Control was switched off and on again."),
     Transition((_S.ZERO,), _T.REFUSED, _S.ENDED, _A.END, _REFUSED),
@@ -192,12 +213,7 @@ TRANSITIONS = (
 )
 """All transitions of both algorithms."""
 
-PTP_STATES = frozenset(
-    (
-        *(_S.STARTING, _S.HOMING, _S.HOME, _S.PICK_UP, _S.AT_POSE, _S.RETURNING, _S.STOPPED, _S.ZERO, _S.ENDED),
-        *(_S.TO_GOAL, _S.AT_GOAL),
-    )
-)
+PTP_STATES = frozenset(_S) - {*_STREAMS, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO_LEFT, _S.RETURN_PENDING}
 REAL_TIME_STATES = frozenset(_S) - {_S.AT_POSE}
 
 
