@@ -26,7 +26,7 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
-from kuka_control.model.robot_shape import Opening
+from kuka_control.model.robot_shape import OPENED_RAD, Opening
 from kuka_control.model.switches import Mode, SwitchState
 from kuka_control.model.target import MotionScaling, check_tool_pose, scaled, seed
 from leap_hand.config import HandConfig
@@ -45,7 +45,6 @@ CYCLES_PER_LOOK = 25  # after so many, what happens ten times a second: silence 
 CLOCK_S = 1.7e9  # ROS time less monotonic time
 BEGIN_S = 100.0  # monotonic time at which a run begins
 AFTERWARDS_S = 0.6  # a run ends so long after its last frame
-OPENED_RAD = 0.02  # the controller takes a hand for another one when a finger has moved by more than this
 SERVO_STEPS = 4  # of the robot's servo loop in a cycle
 DRIVES_S = 0.04  # time constant of the arm's drives
 SWITCHED_ON = ((0.0, "control", False), (0.1, "control", True), (0.1, "gripper", True))

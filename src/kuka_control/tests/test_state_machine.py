@@ -92,6 +92,16 @@ def test_a_trait_holds_in_its_states_only(trait):
     assert " ".join(state.name for state in State if trait in state.traits) == TRAITS[trait]
 
 
+def test_after_the_arm_has_braked_it_goes_home_or_stays_only_for_what_asks_for_that():
+    after = {row.trigger: row.at_rest for row in TRANSITIONS if row.target is State.BRAKING}
+    assert {t for t, rest in after.items() if rest is Trigger.AT_REST_TO_RETURN} == {
+        *(Trigger.CONTROL_OFF, Trigger.CONTROL_WAS_OFF, Trigger.TIME_OUT)
+    }
+    assert {t for t, rest in after.items() if rest is Trigger.AT_REST_TO_STOP} == {
+        *(Trigger.CONFLICT, Trigger.GUARD_FAILED)
+    }
+
+
 def enable(world):
     world.control_on = True
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from kuka_control.model.desired_frame import LOOK_S, PAUSE_S, DesiredFrame, DesiredStream
+from common.stream_pause import NEW_STREAM_PAUSE_S
+from kuka_control.model.desired_frame import LOOK_S, DesiredFrame, DesiredStream
 
 CLOCK = 1.7e9
 
@@ -50,10 +51,10 @@ def test_a_pause_separates_streams():
     stream = DesiredStream()
     now = looked_at(stream, 0.0, 0.5, frames=True)
     assert stream.number == 0, "it may have begun before"
-    now = looked_at(stream, now, PAUSE_S - 0.03, frames=False)
+    now = looked_at(stream, now, NEW_STREAM_PAUSE_S - 0.03, frames=False)
     now = looked_at(stream, now, 0.1, frames=True)
     assert stream.number == 0 and stream.runs
-    now = looked_at(stream, now, PAUSE_S + 0.03, frames=False)
+    now = looked_at(stream, now, NEW_STREAM_PAUSE_S + 0.03, frames=False)
     assert not stream.runs
     looked_at(stream, now, 0.1, frames=True)
     assert stream.number == 1

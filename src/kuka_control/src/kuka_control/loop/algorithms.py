@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -250,13 +250,13 @@ SPEED_MARGIN = 0.97  # the guard checks the speed of the arm at some times only;
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
     """Returns the real-time control loop."""
-    lower, upper = _ranges(rig)
+    limits = stream_limits(config, rig)
     goals = GoalStreamSettings(
-        joint_speeds=config.joint_speed * rig.model.max_speed,
+        joint_speeds=limits.joint_speeds,
         tool_speed=config.tcp_speed,
         shaped=config.shaping != "none",
-        lower=lower,
-        upper=upper,
+        lower=limits.lower,
+        upper=limits.upper,
     )
     slow, fast = config.velocity_ptp_slow, config.velocity_ptp_fast
     guard = collision_guard(config, rig)
@@ -290,10 +290,17 @@ def line_limits(config: RealTimeConfig, rig: Rig) -> LineLimits | None:
     """Returns the limits of straight lines; None where the stream of goals is not shaped."""
     if config.shaping == "none":
         return None
-    lower, upper = _ranges(rig)
-    speeds, speed = config.joint_speed * rig.model.max_speed, SPEED_MARGIN * config.tcp_speed
-    shape, points = _shape(config, rig), _points(rig)
-    return LineLimits(rig.kinematics, rig.workspace, lower, upper, speeds, shape, speed, points)
+    limits = stream_limits(config, rig)
+    return LineLimits(
+        kinematics=rig.kinematics,
+        workspace=rig.workspace,
+        lower=limits.lower,
+        upper=limits.upper,
+        joint_speeds=limits.joint_speeds,
+        shape=limits.shape,
+        speed=limits.speed,
+        points=_points(rig),
+    )
 
 
 def move_planner(config: ControllerConfig, rig: Rig, named: Mapping[str, np.ndarray]) -> MovePlanner:
@@ -305,8 +312,27 @@ def move_planner(config: ControllerConfig, rig: Rig, named: Mapping[str, np.ndar
     return MovePlanner(rig, named, velocity, velocity, None)
 
 
-def _ranges(rig: Rig) -> tuple[np.ndarray, np.ndarray]:
-    return rig.model.lower + RANGE_MARGIN_RAD, rig.model.upper - RANGE_MARGIN_RAD
+class StreamLimits(NamedTuple):
+    """What servo goals keep to."""
+
+    lower: np.ndarray  # joint ranges, shape (7,) [rad]
+    upper: np.ndarray
+    joint_speeds: np.ndarray  # shape (7,) [rad/s]
+    shape: ShapeLimits
+    speed: float  # of every point of the moving arm [m/s]
+
+
+def stream_limits(config: RealTimeConfig, rig: Rig) -> StreamLimits:
+    """Returns the limits of servo goals; faster joints change their speed more quickly in proportion."""
+    fastest = rig.model.max_speed
+    pace = fastest / np.min(fastest)
+    return StreamLimits(
+        lower=rig.model.lower + RANGE_MARGIN_RAD,
+        upper=rig.model.upper - RANGE_MARGIN_RAD,
+        joint_speeds=config.joint_speed * fastest,
+        shape=ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace),
+        speed=SPEED_MARGIN * config.tcp_speed,
+    )
 
 
 def _points(rig: Rig) -> MovingPoints:
@@ -314,25 +340,19 @@ def _points(rig: Rig) -> MovingPoints:
     return MovingPoints(rig.kinematics, rig.carried(None))
 
 
-def _shape(config: RealTimeConfig, rig: Rig) -> ShapeLimits:
-    """Returns the limits of acceleration and jerk; faster joints change their speed more quickly in proportion."""
-    pace = rig.model.max_speed / np.min(rig.model.max_speed)
-    return ShapeLimits(config.joint_acceleration * pace, config.joint_jerk * pace)
-
-
 def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None = None) -> MotionLimits:
     """Returns the limits of the stream of servo goals."""
-    lower, upper = _ranges(rig)
+    limits = stream_limits(config, rig)
     room = GuardedRoom(
-        lower=lower,
-        upper=upper,
-        speed=SPEED_MARGIN * config.tcp_speed,
+        lower=limits.lower,
+        upper=limits.upper,
+        speed=limits.speed,
         points=_points(rig),
         tool_jacobian=rig.kinematics.jacobian,
         workspace=None if rig.workspace.lifted else rig.workspace,
         collisions=guard,
     )
-    return MotionLimits(config.joint_speed * rig.model.max_speed, _shape(config, rig), room)
+    return MotionLimits(limits.joint_speeds, limits.shape, room)
 
 
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:

@@ -17,13 +17,13 @@ import numpy as np
 from common.frame_rate import FrameRate
 from common.poses import check_pose, inverse
 from common.rotations import UNIT_TOLERANCE, rotation_angle
+from common.stream_pause import NEW_STREAM_PAUSE_S
 
 MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
 HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
 MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
 MAX_OFFSET_S = 60.0  # a clock that differs by more was never set, and a stamp that does is of a recording [s]
-PAUSE_S = 0.28  # after a longer pause than this a new stream of frames begins [s],
-PAUSE_PERIODS = 2.5  # which also is longer than so many times the time between its last frames
+PAUSE_PERIODS = 2.5  # a pause before a new stream also is longer than so many times the time between its last frames
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 FOREIGN_PAUSE_S = 2.0  # no hand comes in with a foreign frame: a pause that is shorter begins no stream [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
@@ -277,7 +277,7 @@ class DesiredStream:
     @property
     def runs(self) -> bool:
         """Whether frames come, accepted or refused."""
-        return self._pause <= max(PAUSE_S, PAUSE_PERIODS * self._period)
+        return self._pause <= max(NEW_STREAM_PAUSE_S, PAUSE_PERIODS * self._period)
 
     @property
     def lasts(self) -> bool:

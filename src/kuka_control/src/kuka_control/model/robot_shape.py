@@ -28,6 +28,7 @@ LINK_7 = 0.075  # where link 7 begins beyond the wrist
 BASE_RADIUS, PLUGS = 0.113, ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
 PALM = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
 PHALANX_RADIUS = 0.0165
+OPENED_RAD = 0.02  # a hand some of whose joints has turned by more than this since has another opening [rad]
 PROXIMAL, DISTAL = ((0.0, 0.003), (0.054, 0.003)), ((0.003, 0.001), (0.038, 0.001))  # x, z of the ends of their axes
 TABLE, REACH = "table", "reach of finger"
 

@@ -25,14 +25,13 @@ from kuka_control.model.arms import SIDE
 from kuka_control.model.config import ControllerConfig
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
-from kuka_control.model.robot_shape import TABLE, Opening
+from kuka_control.model.robot_shape import OPENED_RAD, TABLE, Opening
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import GuardState
 
 PERIOD_S = 0.1
 BODIES_EVERY = 5  # of so many times once
 TAKE_S = 0.04  # the opening is taken over this often [s]
-TURN_RAD = 0.02  # if some joint has turned by more than this [rad]
 SILENT_S = 1.0  # a hand that has not reported for so long may be open as wide as it can [s]
 FAILED_S = 10.0  # how often a failure of the guard is said [s]
 TEXT_ABOVE_M = 0.3  # over the pair, where the hand does not hide it [m]
@@ -56,7 +55,7 @@ class HandOpening:
         newest = self._newest
         if newest is None or now - newest[0] > SILENT_S:
             self._taken = None
-        elif self._taken is None or np.max(np.abs(np.subtract(_row(newest[1]), _row(self._taken)))) > TURN_RAD:
+        elif self._taken is None or np.max(np.abs(np.subtract(_row(newest[1]), _row(self._taken)))) > OPENED_RAD:
             self._taken = newest[1]
         return self._taken
 
