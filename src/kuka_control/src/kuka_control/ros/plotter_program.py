@@ -12,8 +12,8 @@ from matplotlib import pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from common.command_line import whole
 from common.errors import RigError
-from common.number_arguments import whole
 from common.ros.files import read_yaml
 from common.ros.node import run_program
 from common.screen import check_screen

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import rospy
 
+from common.command_line import real
 from common.errors import DeviceError, RigError
-from common.number_arguments import real
 from common.ros.files import read_yaml
 from common.ros.node import INTERRUPTED, join, run_program
 from iiwa_kinematics import PTP_M_PER_S, full_speed_time, path_speed, ptp_velocity

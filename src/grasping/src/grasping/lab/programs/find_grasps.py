@@ -17,8 +17,8 @@ import numpy as np
 from torch import nn
 
 from common.camera_model import pinhole
+from common.command_line import real, whole
 from common.errors import RigError
-from common.number_arguments import real, whole
 from common.plausible import check_intrinsics
 from grasping.lab.dataset.labelled_images import depth_images, read_depth
 from grasping.lab.synthetic.samples import FOCAL_PX

@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 from tqdm import tqdm
 
+from common.command_line import whole
 from common.errors import RigError
-from common.number_arguments import whole
 from grasping.lab.evaluation import label_check
 from grasping.lab.synthetic import samples
 from grasping.lab.synthetic.samples import LabelSettings

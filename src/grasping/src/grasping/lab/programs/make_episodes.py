@@ -15,8 +15,8 @@ import cv2
 import mujoco
 import torch
 
+from common.command_line import whole
 from common.errors import RigError
-from common.number_arguments import whole
 from grasping.lab.dataset import store
 from grasping.lab.programs.make_dataset import ignore_warning, make_all
 from grasping.lab.synthetic import samples, simulated_operator

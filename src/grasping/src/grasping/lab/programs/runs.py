@@ -17,8 +17,8 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
+from common.command_line import real, whole
 from common.errors import RigError
-from common.number_arguments import real, whole
 from grasping.lab.training.trainer import Images, NetworkTrainer, NetworkTraining
 from grasping.network.depth_image import NETWORK_SIDE
 from grasping.network.networks import NETWORKS

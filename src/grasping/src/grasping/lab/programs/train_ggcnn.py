@@ -23,8 +23,8 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
+from common.command_line import whole
 from common.errors import RigError
-from common.number_arguments import whole
 from common.plausible import FARTHEST_M
 from grasping.lab.programs import runs
 from grasping.lab.programs.make_dataset import label_settings

@@ -15,7 +15,7 @@ from pathlib import Path
 import rospy
 
 import common.errors
-from common.number_arguments import whole
+from common.command_line import whole
 from common.ros.node import run_program
 from leap_rig.recording import csv_export, lerobot_export
 from leap_rig.recording.recording_files import (

@@ -21,8 +21,8 @@ import rospy
 import yaml
 
 from common import clock
+from common.command_line import real
 from common.errors import RigError
-from common.number_arguments import real
 from common.ros.files import file_hash
 from common.ros.node import join, run_program
 from common.stored_time import utc

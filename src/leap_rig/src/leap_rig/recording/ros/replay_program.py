@@ -18,9 +18,9 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from common import clock
+from common.command_line import real, whole
 from common.errors import RigError
 from common.frames import BASE
-from common.number_arguments import real, whole
 from common.ros.conversions import stamped_pose
 from common.ros.files import file_hash, read_yaml
 from common.ros.node import join, run_program

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Generic, Optional, Tuple, TypeVar
 
 from common import clock
+from common.command_line import finite, positive
 from common.config import is_number
 from common.errors import ConfigError
-from rig_simulation.command_line import finite, positive
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 
 from common import clock
+from common.command_line import finite, port, positive, stop_on_signals
 from common.errors import DeviceError
 from common.frames import BASE
 from common.poses import inverse, pose, read_only
-from rig_simulation.command_line import finite, port, positive, stop_on_signals
 from rig_simulation.control_port import ControlClient
 from rig_simulation.world.physics import ROBOT
 

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from common import clock
+from common.command_line import failed, parse_options, positive
 from common.errors import DeviceError, RigError
-from rig_simulation.command_line import failed, parse_options, positive
 from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.recording import display
 from rig_simulation.recording.films import ContactSheet, Mp4, film_for, with_lines

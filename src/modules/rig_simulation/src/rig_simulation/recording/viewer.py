@@ -12,9 +12,9 @@ import warnings
 from typing import Any
 
 from common import clock
+from common.command_line import failed, parse_options
 from common.errors import DeviceError
 from common.screen import no_x_server
-from rig_simulation.command_line import failed, parse_options
 from rig_simulation.control_port import ControlClient, PortClosedError
 from rig_simulation.recording import display
 from rig_simulation.world.model import WorldCopy

@@ -21,9 +21,9 @@ import mujoco
 
 from common import clock
 from common.arms import arms_from
+from common.command_line import CommandLine, failed, parse_options, port, positive, stop_on_signals
 from common.errors import ConfigError, RigError
 from common.ros.files import read_yaml
-from rig_simulation.command_line import CommandLine, failed, parse_options, port, positive, stop_on_signals
 from rig_simulation.control_port import ControlPort, within
 from rig_simulation.devices.reflex import program as reflex
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand

@@ -17,9 +17,9 @@ import rospy
 from std_srvs.srv import Trigger
 
 from common import clock
+from common.command_line import real
 from common.errors import DeviceError, RigError
 from common.mounting import rotation_of_mounting
-from common.number_arguments import real
 from common.poses import inverse
 from common.ros.node import join, run_program
 from common.ros.params import wait_for_config

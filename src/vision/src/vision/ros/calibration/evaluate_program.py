@@ -20,9 +20,9 @@ import numpy as np
 from apriltag_ros.detector import TagDetector
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.settings import detector_settings
+from common.command_line import real, whole
 from common.config import parse
 from common.errors import DeviceError, RigError
-from common.number_arguments import real, whole
 from common.poses import inverse
 from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig

@@ -16,9 +16,9 @@ import matplotlib
 import numpy as np
 
 from apriltag_ros.settings import detector_settings
+from common.command_line import real, whole
 from common.config import parse
 from common.errors import RigError
-from common.number_arguments import real, whole
 from vision.marker_board import pose_evaluation as tables
 from vision.marker_board.plane_fit import PlanePoseConfig
 from vision.marker_board.plane_pose import RgbdDetector

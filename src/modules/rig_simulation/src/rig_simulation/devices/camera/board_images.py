@@ -17,13 +17,13 @@ import mujoco
 import numpy as np
 
 from common.camera_model import from_calibration
+from common.command_line import failed, finite, not_negative, positive
 from common.config import parse
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import CAMERA_LINK, DEPTH_OPTICAL, RGB_OPTICAL
 from common.poses import inverse, pose
 from common.ros.files import read_yaml
 from common.rotations import quaternion_from_rotation, rotation_about, unit
-from rig_simulation.command_line import failed, finite, not_negative, positive
 from rig_simulation.devices.camera.rgbd_camera import RgbdCamera
 from rig_simulation.files import SOURCE_TREE, read_board, read_scene
 from rig_simulation.node_parameters import ColourConfig, DepthConfig

@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from common.command_line import failed, finite, parse_options, port, positive, stop_on_signals
 from common.errors import RigError
 from common.poses import pose
 from common.rotations import rotation_about
 from leap_motion.service import wire
-from rig_simulation.command_line import failed, finite, parse_options, port, positive, stop_on_signals
 from rig_simulation.devices.leap.sensing import FRAME_RATE
 from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.faults.injection import add_option, switch_all

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import Any
 
 from common import clock
+from common.command_line import failed, parse_options, port, stop_on_signals
 from common.errors import DeviceError, RigError
-from rig_simulation.command_line import failed, parse_options, port, stop_on_signals
 from rig_simulation.control_port import ControlPort, within
 from rig_simulation.devices.reflex.hand import PERIOD_S, SimulatedHand
 from rig_simulation.devices.reflex.wire import GROUP, STATE_BYTES, read_command

@@ -9,8 +9,7 @@ import sys
 from collections.abc import Callable
 
 from common import clock
-from common.errors import DeviceError
-from rig_simulation.command_line import (
+from common.command_line import (
     CommandLine,
     angle,
     failed,
@@ -20,6 +19,7 @@ from rig_simulation.command_line import (
     positive,
     stop_on_signals,
 )
+from common.errors import DeviceError
 from rig_simulation.devices.sunrise.application import VERSIONS
 from rig_simulation.devices.sunrise.arm import ArmEnvironment, ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.robot import LAWS, Robot
