@@ -1,10 +1,8 @@
-"""From one's own depth images to a network and its figures: label, import, train, evaluate, find."""
+"""From one's own depth images to a network and its figures: label, import, train, find."""
 
 from __future__ import annotations
 
-import csv
 import json
-import math
 import shutil
 
 import cv2
@@ -14,7 +12,7 @@ import torch
 from test_programs import call
 
 from grasping.lab.dataset import labelled_images as li
-from grasping.lab.programs import evaluate, find_grasps, import_grasps, train_ggcnn
+from grasping.lab.programs import find_grasps, import_grasps, train_ggcnn
 from grasping.network import weights
 from grasping.network.networks import NETWORKS
 
@@ -165,43 +163,6 @@ def test_bad_options_are_refused(images, tmp_path, monkeypatch, capsys, options,
     with pytest.raises(SystemExit):
         call(monkeypatch, import_grasps, images, tmp_path / "shards", *options)
     assert sentence in capsys.readouterr().err and not (tmp_path / "shards").exists()
-
-
-class Knowing(torch.nn.Module):
-    """Says a grasp of given angle and opening where the images' bars are thickest; stands for a trained network."""
-
-    def __init__(self, turned: float) -> None:
-        super().__init__()
-        self.turned = turned
-
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        mask = (image[0, 0] < image.mean() - 0.02).numpy().astype(np.uint8)
-        (column, row), (width, height), degrees = cv2.minAreaRect(np.argwhere(mask)[:, ::-1].astype(np.float32))
-        angle = -math.radians(degrees) + (0.0 if width < height else math.pi / 2.0) + self.turned
-        maps = torch.zeros((1, 4, *mask.shape))
-        maps[0, 0, round(row) - 3 : round(row) + 4, round(column) - 3 : round(column) + 4] = 1.0
-        maps[0, 1], maps[0, 2], maps[0, 3] = math.cos(2.0 * angle), math.sin(2.0 * angle), 0.25
-        return maps
-
-
-def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(images, tmp_path, monkeypatch, capsys):
-    file = tmp_path / "weights.pt"
-    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
-    for turned, right in ((0.0, BARS), (0.7, 0)):
-        monkeypatch.setattr(evaluate, "network", lambda _file, _precision, turned=turned: Knowing(turned))
-        results = tmp_path / f"results {turned}"
-        call(monkeypatch, evaluate, results, "--folder", images, "--weights", "mine", file)
-        with (results / "rectangles.csv").open(newline="") as csv_file:
-            rows = [row for row in csv.DictReader(csv_file) if row["method"] == "mine"]
-        assert sum(row["0.25"] == "True" for row in rows) == right and len(rows) == BARS
-        assert "| mine |" in capsys.readouterr().out
-    assert "| mine | 0 (0 to 39), n = 6 |" in (results / "rectangles.md").read_text()
-
-
-def test_a_folder_goes_neither_with_export_nor_with_a_hand(images, tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate, "--export", tmp_path / "file", "--folder", images)
-    assert "neither --export nor --tool" in capsys.readouterr().err
 
 
 def test_grasps_are_found_in_a_folder_and_drawn(images, tmp_path, monkeypatch, capsys):

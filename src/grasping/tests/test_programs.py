@@ -168,68 +168,44 @@ def test_evaluation_refuses_a_bad_weight_file(tmp_path, monkeypatch, capsys, con
     assert not (tmp_path / "results").exists()
 
 
-def test_evaluation_resumes(tmp_path, monkeypatch, in_process):
+def test_evaluation_compares_networks(tmp_path, monkeypatch, capsys, in_process):
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
     results = tmp_path / "results" / "results.csv"
-    call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "1")
-    first = results.read_text()
-    call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "2", "--weights", "untrained", file)
-    assert results.read_text().startswith(first)
+    networks = ["--weights", "shipped", SHIPPED, "--weights", "untrained", file]
+    call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "2", *networks)
     rows = list(csv.DictReader(results.read_text().splitlines()))
-    methods = {"oracle", "random pixel", "principal axis", "edge pair", "untrained"}
-    assert {(r["scene"], r["method"]) for r in rows} == {(s, m) for s in "01" for m in methods}
-    assert len(rows) == 10
+    assert {(r["scene"], r["method"]) for r in rows} == {
+        (s, m) for s in "01" for m in ("oracle", "shipped", "untrained")
+    }
+    assert len(rows) == 6
     text = (tmp_path / "results" / "table.md").read_text()
-    assert "| untrained |" in text and "| untrained - edge pair |" in text
+    assert "| untrained |" in text and "| untrained - shipped |" in text
     assert {"reliability.png", "failures_untrained.png"} <= {p.name for p in results.parent.glob("*.png")}
     for row in rows:
         assert (row["reason"] == "lifted") == (row["lifted"] == "True")
-
-
-def test_results_of_other_conditions_are_not_mixed(tmp_path, monkeypatch, capsys, in_process):
-    networks = [tmp_path / name for name in ("a.pt", "b.pt")]
-    for seed, file in enumerate(networks):
-        torch.manual_seed(seed)
-        torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
-    folder = tmp_path / "results"
-    monkeypatch.setattr(evaluate, "try_scene", lambda task: [])
-    monkeypatch.setattr(evaluate, "report", lambda *_: None)
-    call(monkeypatch, evaluate, folder, "--scenes", "1", "--weights", "a", networks[0])
-    call(monkeypatch, evaluate, folder, "--scenes", "1", "--weights", "b", networks[1])
-    for options, sentence in (
-        (["--shake"], "holds results with shake False, not True"),
-        (["--gripper", "thick"], "gripper labels, not thick"),
-        (["--error", "5", "5"], "error [2.0, "),
-        (["--split", "test_2"], "split test, not test_2"),
-        (["--weights", "b", networks[0]], "another network named b"),
-        (["--weights", "b", networks[1], "--precision", "bfloat16"], "another network named b"),
-    ):
-        with pytest.raises(SystemExit):
-            call(monkeypatch, evaluate, folder, "--scenes", "1", *options)
-        assert sentence in capsys.readouterr().err
-    (folder / "settings.json").unlink()
+    settings = json.loads((results.parent / "settings.json").read_text())
+    assert settings["weights"]["shipped"] == weights.load(SHIPPED.read_bytes()).sha256
     with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate, folder, "--scenes", "1")
-    assert "of unknown conditions" in capsys.readouterr().err
+        call(monkeypatch, evaluate, tmp_path / "results", "--scenes", "1")
+    assert "results.csv is there already: name another folder." in capsys.readouterr().err
 
 
 def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_process):
     tasks = []
     monkeypatch.setattr(evaluate, "try_scene", lambda task: tasks.append(task) or [])
     monkeypatch.setattr(evaluate, "report", lambda *_: None)
-    options = ["--first", "7", "--scenes", "3", "--error", "5", "4", "--gripper", "thick", "--split", "test_2"]
+    options = ["--first", "7", "--scenes", "3", "--error", "5", "4", "--split", "validation"]
     options += ["--precision", "bfloat16"]
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
     twice = ["--weights", "net", file] * 2
     call(monkeypatch, evaluate, tmp_path / "results", *options, "--shake", *twice)
-    assert sorted((task.split, task.number) for task in tasks) == [("test_2", n) for n in (7, 8, 9)]
-    assert tasks[0].methods[-2:] == ["net #1", "net #2"]
+    assert sorted((task.split, task.number) for task in tasks) == [("validation", n) for n in (7, 8, 9)]
+    assert list(tasks[0].trained) == ["net #1", "net #2"]
     assert {network.precision for network in tasks[0].trained.values()} == {"bfloat16"}
     conditions = tasks[0].conditions
-    assert conditions[1:] == (0.005, pytest.approx(np.radians(4.0)), True, PARALLEL)
-    assert conditions.gripper.opening == 0.085
+    assert conditions == (0.005, pytest.approx(np.radians(4.0)), True, PARALLEL)
     monkeypatch.setattr(evaluate, "export", lambda _path, tasks, _processes: exported.extend(tasks))
     exported = []
     call(monkeypatch, evaluate, "--export", tmp_path / "grasps.json", *options)
@@ -239,11 +215,9 @@ def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_pro
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--first", "-1"], "--first is -1, but must be at least 0."),
-        (["--scenes", "0"], "--scenes is 0, but must be at least 1."),
-        (["--error", "5", "nan"], "--error is 5 nan, but must be within"),
-        (["--error", "101", "0"], "within 0 to 100 mm and 0 to 90 deg."),
-        (["--lifts", __file__], "is not a file of lift_grasps.py"),
+        (["--first", "-1"], "argument --first: '-1' is not a whole number from 0"),
+        (["--scenes", "0"], "argument --scenes: '0' is not a whole number from 1"),
+        (["--error", "5", "nan"], "argument --error: 'nan' is not a number in [0, 100]"),
     ],
 )
 def test_bad_conditions_are_refused(tmp_path, monkeypatch, capsys, options, sentence):
@@ -267,17 +241,6 @@ def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkey
         assert widths["net, preferred openings"] > 0.06
     with_targets = [g for s in scenes for g in s["grasps"] if g["target"] is not None]
     assert with_targets and all(0 <= g["target"] < 5 and g["peak"]["width"] > 0.0 for g in with_targets)
-    lifts = [
-        {**{n: s[n] for n in ("split", "scene", "objects")}, **{n: g[n] for n in ("method", "width", "peak")},
-         "lifted": g["method"] != "net", "reached": True, "reason": "lifted" if g["method"] != "net" else "slipped"}
-        for s in scenes for g in s["grasps"]
-    ]  # fmt: skip
-    (tmp_path / "lifts.json").write_text(json.dumps(lifts))
-    call(monkeypatch, evaluate, tmp_path / "hand", "--lifts", tmp_path / "lifts.json")
-    text = (tmp_path / "hand" / "table.md").read_text()
-    assert "| net | 0 (0 to 79), n = 1 | 0 (0 to 79), n = 1 |" in text and "rectangle" not in text
-    drawn = {p.name for p in (tmp_path / "hand").glob("failures_*.png")}
-    assert drawn == {"failures_net.png", "failures_net_preferred_openings.png"}
     call(monkeypatch, evaluate, "--export", exported, "--scenes", "1")
     assert json.loads(exported.read_text())["scenes"][0]["qpos"] != scenes[0]["qpos"]
 

@@ -205,8 +205,7 @@ def test_predictors_are_compared(every, tmp_path, monkeypatch):
     for who in ("high", "middle"):
         shutil.copytree(every / who, both / who)
     call(monkeypatch, evaluate_refinement, both, results, "--few", 3)
-    text = (results / "results.csv").read_text()
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = list(csv.DictReader((results / "results.csv").read_text().splitlines()))
     tested = [simulated_operator.file_name("kind_hammer", n) for n in NUMBERS[3:]]
     wanted = sorted(
         (f"{who}/{n}", m) for who in ("high", "middle") for n in tested for m in evaluate_refinement.METHODS
@@ -220,9 +219,6 @@ def test_predictors_are_compared(every, tmp_path, monkeypatch):
     table = (results / "table.md").read_text()
     assert "n = 4 episodes in 2 scenes" in table
     assert "| refinement - GG-CNN alone |" in table
-    call(monkeypatch, evaluate_refinement, both, results, "--few", 3)
-    assert (results / "results.csv").read_text() == text
-    assert (results / "table.md").read_text() == table
 
 
 def test_after_no_episodes_it_is_ggcnn_alone(every, tmp_path, monkeypatch):
@@ -328,13 +324,7 @@ def test_scenes_and_grasps_are_exported(tmp_path, monkeypatch):
     for scene in found["scenes"]:
         assert len(scene["qpos"]) == 7 * scene["objects"]
         assert scene["mjcf"].count("<freejoint/>") == scene["objects"]
-        assert [g["method"] for g in scene["grasps"]] == [
-            "oracle",
-            "random pixel",
-            "principal axis",
-            "edge pair",
-            "GG-CNN2",
-        ]
+        assert [g["method"] for g in scene["grasps"]] == ["oracle", "GG-CNN2"]
         T = np.array(scene["grasps"][0]["T_world_grasp"])
         assert T[2, 2] < -0.95
         assert 0.0 < T[2, 3] < 0.2

@@ -1,12 +1,12 @@
-"""What came of a simulated lift, the same for every gripper: did the object that the grasp was meant for rise and stay
-up, and if not, why.
+"""A simulated lift, the same for every gripper: its phases, whether the object that the grasp was meant for rose and
+stayed up, and if not, why.
 
 The shake after the lift varies gravity, which moves the objects in the hand as accelerations of the hand would.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ SHAKE_G = 0.5  # amplitude
 SHAKE_PERIOD_S = 0.3  # one period along each axis of the world, one after the other
 SHAKE_S = 3.0 * SHAKE_PERIOD_S
 PUSHED_M = 0.005  # an object that moves this far before the fingers close was hit
+REACHED_M = 0.005  # a hand that stops this far from its goal met something
 
 LIFTED = "lifted"
 NO_GRASP = "no grasp"
@@ -25,6 +26,43 @@ SHAKEN_OUT = "shaken out"
 OTHER_OBJECT = "other object"
 DIVERGED = "physics diverged"
 FAILURES = (NO_GRASP, COLLISION, MISSED, SLIPPED, SHAKEN_OUT, OTHER_OBJECT, DIVERGED)
+
+
+class LiftPhase(NamedTuple):
+    """A part of a trial, in which approach and lift go evenly to their fractions."""
+
+    approach: float  # fraction of the approach at its end
+    lift: float  # fraction of the lift at its end
+    closing: bool  # whether the fingers close, or keep closed
+    shaken: bool = False
+
+
+PHASES = {
+    "approach": LiftPhase(approach=1.0, lift=0.0, closing=False),
+    "close": LiftPhase(approach=1.0, lift=0.0, closing=True),
+    "lift": LiftPhase(approach=1.0, lift=1.0, closing=True),
+    "hold": LiftPhase(approach=1.0, lift=1.0, closing=True),
+    "shake": LiftPhase(approach=1.0, lift=1.0, closing=True, shaken=True),
+}
+
+
+class LiftingHand(Protocol):
+    """A hand and n objects in the physics."""
+
+    def step(self, approach: float, lift: float, closing: bool, gravity: np.ndarray) -> None:
+        """Commands the fractions of approach and lift, and simulates one step; `gravity`: shape (3,) [m/s^2]."""
+
+    def places(self) -> np.ndarray:
+        """Returns where the objects are, shape (n, 3) [m]."""
+
+    def missing(self) -> float:
+        """Returns how far the hand is from the end of its approach [m]."""
+
+    def held(self) -> np.ndarray:
+        """Returns whether two fingers touch each object, shape (n,), bool."""
+
+    def valid(self) -> bool:
+        """Returns whether the physics warned of nothing."""
 
 
 class LiftRecord(NamedTuple):
@@ -45,6 +83,31 @@ class LiftResult(NamedTuple):
     rise: float  # of the target [m], 0 where the physics diverged
     reached: bool  # the hand came within 5 mm of the grasp before it closed
     reason: str  # `LIFTED`, or one of `FAILURES`
+
+
+def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bool) -> LiftRecord:
+    """Returns what happens in a trial; `seconds`: of each of the `PHASES`; the last one is left out without a shake."""
+    before = hand.places()
+    approach = lifted = 0.0
+    for (name, phase), duration in zip(PHASES.items(), seconds):
+        if phase.shaken and not shake:
+            break
+        steps = round(duration / timestep)
+        for i in range(steps):
+            done = (i + 1) / steps
+            gravity = shaken_gravity(i * timestep if phase.shaken else SHAKE_S)
+            fractions = approach + done * (phase.approach - approach), lifted + done * (phase.lift - lifted)
+            hand.step(*fractions, phase.closing, gravity)
+        approach, lifted = phase.approach, phase.lift
+        if name == "approach":
+            reached = abs(hand.missing()) < REACHED_M
+            pushed = np.linalg.norm(hand.places() - before, axis=1)
+        elif name == "close":
+            held = hand.held()
+        elif name == "hold":
+            risen = (hand.places() - before)[:, 2]
+    kept = (hand.places() - before)[:, 2]
+    return LiftRecord(reached, pushed, held, risen, kept, hand.valid())
 
 
 def outcome(of: LiftRecord, target: int, rise: float) -> str:

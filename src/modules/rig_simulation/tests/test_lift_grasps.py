@@ -134,57 +134,24 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     kept = json.loads(results.read_text())
     assert [(row["split"], row["reason"]) for row in kept] == [("test", "lifted"), ("test", "no grasp")]
     assert kept[0]["peak"]["column"] == 2
-    kept[0]["rise"] = 7.0
-    results.write_text(json.dumps(kept))
-    assert main([str(file), "--results", str(results)]) == 0
-    assert json.loads(results.read_text()) == kept
-    assert capsys.readouterr().out == text
     with pytest.raises(SystemExit):
-        main([str(file), "--results", str(results), "--shake"])
-    assert "holds trials without a shake" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main([str(file), "--results", str(results), "--tips", "0"])
-    assert "holds trials with --tips 4:" in capsys.readouterr().err
+        main([str(file), "--results", str(results)])
+    assert "results.json is there already: name another file." in capsys.readouterr().err
 
 
 @pytest.mark.real
-def test_the_program_lowers_the_hand_as_asked_and_older_files_hold_trials_at_4_mm(tmp_path, capsys):
-    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
+def test_the_program_lowers_the_hand_as_asked(tmp_path):
+    file = tmp_path / "grasps.json"
     T = grasp()
     T[2, 3] = 0.019
     rod = {"mjcf": ROD, "qpos": [0.0, 0.0, 0.0095, 1.0, 0.0, 0.0, 0.0]}
     tried = {**content()["scenes"][0]["grasps"][0], "T_world_grasp": T.tolist()}
     file.write_text(json.dumps(content(**rod, grasps=[tried])))
-
-    def reason(*tips: str) -> str:
-        assert main([str(file), "--results", str(results), *tips]) == 0
+    for options, reason, ground in ((["--tips", "0"], lift_trial.LIFTED, 0.0), ([], lift_trial.MISSED, GROUND_M)):
+        results = tmp_path / f"{reason}.json"
+        assert main([str(file), "--results", str(results), *options]) == 0
         (row,) = json.loads(results.read_text())
-        return row["reason"]
-
-    assert reason("--tips", "0") == lift_trial.LIFTED
-    with pytest.raises(SystemExit):
-        main([str(file), "--results", str(results)])
-    assert "holds trials with --tips 0:" in capsys.readouterr().err
-    results.unlink()
-    assert reason() == lift_trial.MISSED
-    (row,) = json.loads(results.read_text())
-    assert row.pop("ground") == pytest.approx(GROUND_M)
-    results.write_text(json.dumps([row]))
-    assert reason("--tips", "4") == lift_trial.MISSED
-
-
-WITHOUT_SCENE = '[{"shake": false}]'
-WITHOUT_GROUND = '[{"scene": 3, "method": "good", "shake": false, "ground": null}]'
-
-
-@pytest.mark.parametrize("text", ["{", "7", "[1]", '{"a": 1}', WITHOUT_SCENE, WITHOUT_GROUND])
-def test_results_that_are_none_are_refused(tmp_path, capsys, text):
-    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
-    file.write_text(json.dumps(content()))
-    results.write_text(text)
-    with pytest.raises(SystemExit) as end:
-        main([str(file), "--results", str(results)])
-    assert end.value.code == 2 and "is not a file of trials" in capsys.readouterr().err
+        assert (row["reason"], row["ground"]) == (reason, pytest.approx(ground))
 
 
 @pytest.mark.parametrize("tips", ["nan", "-1", "101"])

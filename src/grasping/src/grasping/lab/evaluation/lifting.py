@@ -17,7 +17,7 @@ START_M = 0.12  # the hand starts so far before the grasp
 LIFT_M = 0.15
 RISE_M = 0.08  # an object that rose so much was lifted
 FORCE_N = 10.0  # of each finger
-TIMES_S = (0.4, 0.5, 0.8, 0.3, lift_trial.SHAKE_S)  # approach, close, lift, hold, shake
+TIMES_S = (0.4, 0.5, 0.8, 0.3, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
 FINGER_M = 0.07
 HOLD_N = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
 STEP_S = 0.002
@@ -61,47 +61,40 @@ def lift(
     start = tip - START_M * approach
     model = mujoco.MjModel.from_xml_string(_xml(scene, R, start, opening, gripper, friction))
     model.opt.timestep = STEP_S
-    data = mujoco.MjData(model)
-    data.qpos[: len(scene.state)] = scene.state
-    mujoco.mj_forward(model, data)
-    count = len(scene.objects)
-
-    def places() -> np.ndarray:
-        return data.qpos[: 7 * count].reshape(count, 7)[:, :3].copy()
-
-    before, risen, held, pushed = places(), np.zeros(count), np.zeros(count, bool), np.zeros(count)
-    approach_at = model.joint("approach").qposadr[0]
-    force = -FORCE_N, FORCE_N  # [N] of each finger: against its stop, then inwards
-    reached = False
-    for phase, duration in enumerate(TIMES_S if shake else TIMES_S[:-1]):
-        steps = int(duration / STEP_S)
-        for i in range(steps):
-            done = (i + 1) / steps
-            data.ctrl[0] = START_M * (done if phase == 0 else 1.0)
-            data.ctrl[1] = LIFT_M * (done if phase == 2 else float(phase > 2))
-            data.ctrl[2:] = force[min(phase, 1)]
-            if phase == 4:
-                model.opt.gravity[:] = lift_trial.shaken_gravity(i * STEP_S)
-            mujoco.mj_step(model, data)
-        if phase == 0:
-            reached = abs(data.qpos[approach_at] - START_M) < 0.005
-            pushed = np.linalg.norm(places() - before, axis=1)
-        elif phase == 1:
-            held = _held(model, data, count)
-        elif phase == 3:
-            risen = (places() - before)[:, 2]
-    kept = (places() - before)[:, 2]
-    record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
+    record = lift_trial.lift(ParallelHand(model, scene), TIMES_S, STEP_S, shake)
     return lift_trial.judged(record, target, RISE_M)
 
 
-def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
-    """Returns whether both fingers touch each of the objects, shape (count,), bool."""
-    bodies = model.geom_bodyid[data.contact.geom]
-    pairs = {(int(a), int(b)) for a, b in np.concatenate([bodies, bodies[:, ::-1]])}
-    fingers = [model.body(f"finger{n}").id for n in range(2)]
-    objects = [model.body(f"object{i}").id for i in range(count)]
-    return np.array([all((finger, body) in pairs for finger in fingers) for body in objects])
+class ParallelHand:
+    """The parallel gripper above a scene, a `lift_trial.LiftingHand`."""
+
+    def __init__(self, model: mujoco.MjModel, scene: HeapScene) -> None:
+        self._model, self._count = model, len(scene.objects)
+        self._data = mujoco.MjData(model)
+        self._data.qpos[: len(scene.state)] = scene.state
+        mujoco.mj_forward(model, self._data)
+
+    def step(self, approach: float, lift: float, closing: bool, gravity: np.ndarray) -> None:
+        self._model.opt.gravity[:] = gravity
+        self._data.ctrl[:2] = START_M * approach, LIFT_M * lift
+        self._data.ctrl[2:] = FORCE_N if closing else -FORCE_N
+        mujoco.mj_step(self._model, self._data)
+
+    def places(self) -> np.ndarray:
+        return self._data.qpos[: 7 * self._count].reshape(-1, 7)[:, :3].copy()
+
+    def missing(self) -> float:
+        return float(self._data.joint("approach").qpos[0] - START_M)
+
+    def held(self) -> np.ndarray:
+        bodies = self._model.geom_bodyid[self._data.contact.geom]
+        pairs = {(int(a), int(b)) for a, b in np.concatenate([bodies, bodies[:, ::-1]])}
+        fingers = [self._model.body(f"finger{n}").id for n in range(2)]
+        objects = [self._model.body(f"object{i}").id for i in range(self._count)]
+        return np.array([all((finger, body) in pairs for finger in fingers) for body in objects])
+
+    def valid(self) -> bool:
+        return not self._data.warning.number.any()
 
 
 def nearest_object(scene: HeapScene, point: np.ndarray) -> int:

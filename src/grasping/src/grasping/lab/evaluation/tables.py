@@ -1,6 +1,6 @@
 """Tables of lifted grasps in Markdown, with 95 % intervals and the numbers of grasps.
 
-A row is a grasp: the columns of results.csv, as values or as texts. Methods named `NAME #1`, `NAME #2`, .. are several
+A row is a grasp: the columns of results.csv. Methods named `NAME #1`, `NAME #2`, .. are several
 trainings of one; the tables give their mean over the trainings as well, in intervals over the scenes.
 """
 
@@ -20,8 +20,8 @@ QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 TRAINING = re.compile(r"(.+) #\d+")
 Row = Mapping[str, Any]
 PARTS: dict[str, Callable[[Row], bool]] = {
-    "one object": lambda row: int(row["objects"]) == 1,
-    "clutter": lambda row: int(row["objects"]) > 1,
+    "one object": lambda row: row["objects"] == 1,
+    "clutter": lambda row: row["objects"] > 1,
 }
 
 
@@ -29,11 +29,6 @@ def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Returns a table in Markdown."""
     lines = (header, ["---"] * len(header), *rows)
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
-
-
-def is_true(value: object) -> bool:
-    """Returns the boolean of a cell."""
-    return str(value) == "True"
 
 
 def trainings(methods: Iterable[str]) -> dict[str, list[str]]:
@@ -46,9 +41,9 @@ def trainings(methods: Iterable[str]) -> dict[str, list[str]]:
 
 
 def table(rows: Sequence[Row], methods: Iterable[str]) -> str:
-    """Returns how many grasps were lifted and, where the rows say so, right by the rectangle metric."""
+    """Returns how many grasps were lifted, and how many were right by the rectangle metric."""
     methods = list(methods)
-    fields = [field for field in ("lifted", "rectangle") if any(str(row[field]) for row in rows)]
+    fields = ("lifted", "rectangle")
     header = ("method", *(f"{name}: {field} %" for field in fields for name in PARTS))
     lines = [[m, *(fraction(rows, m, field, part) for field in fields for part in PARTS.values())] for m in methods]
     for name, members in trainings(methods).items():
@@ -86,7 +81,7 @@ def failures(rows: Sequence[Row], methods: Iterable[str]) -> str:
     """Returns how many grasps failed for each reason."""
     lines = []
     for method in methods:
-        reasons = [str(row["reason"]) for row in rows if row["method"] == method]
+        reasons = [row["reason"] for row in rows if row["method"] == method]
         counts = Counter(reasons)
         lines.append([method, *(str(counts[reason]) for reason in FAILURES), str(len(reasons))])
     return markdown_table(("failed grasps", *FAILURES, "of all"), lines)
@@ -96,14 +91,14 @@ def calibration(rows: Sequence[Row], methods: Iterable[str]) -> str:
     """Returns how many grasps were lifted by the quality that the method gave them."""
     ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
     names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
-    parts = [(lambda r, low=low, high=high: low <= float(r["quality"]) < high) for low, high in ranges]
+    parts = [(lambda r, low=low, high=high: low <= r["quality"] < high) for low, high in ranges]
     lines = [[method, *(fraction(rows, method, "lifted", part) for part in parts)] for method in methods]
     return markdown_table(("lifted %, quality", *names), lines)
 
 
 def fraction(rows: Iterable[Row], method: str, field: str, chosen: Callable[[Row], bool]) -> str:
     """Returns the fraction of the chosen rows of a method in which a field is true."""
-    outcomes = [is_true(r[field]) for r in rows if r["method"] == method and chosen(r)]
+    outcomes = [r[field] for r in rows if r["method"] == method and chosen(r)]
     return str(proportion(outcomes)) if outcomes else "-"
 
 
@@ -114,7 +109,7 @@ def _by_scene(
     found = defaultdict(list)
     for row in rows:
         if row["method"] in members and chosen(row):
-            found[int(row["scene"])].append(100.0 * is_true(row[field]))
+            found[row["scene"]].append(100.0 * row[field])
     return {scene: float(np.mean(values)) for scene, values in found.items() if len(values) == len(members)}
 
 

@@ -2,8 +2,6 @@
 
 The rectangle metric of the grasp data sets: a grasp is right when it is like one labelled rectangle, which stands for
 the opening (its length) and half of that (its height), as the published code has it.
-The heuristics are grasps without a network, for comparison: a plane is fitted to the image; what stands out of it is an
-object. Openings are in pixels of the image.
 """
 
 from __future__ import annotations
@@ -18,20 +16,12 @@ from common.camera_model import CameraModel, pinhole
 from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.evaluation.lifting import lift, nearest_object
-from grasping.lab.synthetic import labels, reflex_labels
+from grasping.lab.synthetic import labels
 from grasping.lab.synthetic.samples import FOCAL_PX, GRIPPER, LabelSettings, SceneView, hand_grasps, view
 from grasping.network.depth_image import CROP_SIDE, NETWORK_SIDE, Crop, NetworkImage, prepare
 from grasping.network.maps import PARALLEL, Maps, Peak, peaks
 from grasping.pipeline.projection import project_grasp
 
-OUTSTANDING_M = 0.012
-PLANE_ROUNDS = 8
-PLANE_BAND_M = 0.01
-CLEARANCE_PX = 5.0
-SMALLEST_OBJECT_PX = 60
-EDGE_STEP_M = 0.006  # least step of depth across a pixel that is an edge
-EDGE_PAIRS = 4000
-FRICTION_ANGLE_RAD = 0.46  # atan 0.5
 MAX_ANGLE_RAD = np.pi / 6.0
 MIN_OVERLAP = 0.25
 CROP = Crop(0, 0, CROP_SIDE)
@@ -39,86 +29,13 @@ FRICTION = (0.35, 0.6)  # range of the friction of a scene
 POSITION_ERROR_M = 0.002
 ANGLE_ERROR_RAD = 0.035  # standard deviations of what the arm adds to the grasp
 LABEL_QUALITY = 0.3
-GRIPPERS = {  # the labels' own, and another one: narrower, with thick fingers
-    "labels": GRIPPER,
-    "thick": labels.Gripper(opening=0.085, thickness=0.016, breadth=0.022),
-}
 
 
-def random_pixel(image: NetworkImage, widest: float, rng: np.random.Generator) -> Peak | None:
-    """Returns any pixel of an object with any angle, fully open."""
-    rows, columns = np.nonzero(object_mask(image))
-    if not len(rows):
-        return None
-    i = rng.integers(len(rows))
-    return Peak(int(rows[i]), int(columns[i]), 0.5, float(rng.uniform(-0.5, 0.5) * np.pi), widest)
-
-
-def principal_axis(image: NetworkImage, widest: float, _rng: np.random.Generator) -> Peak | None:
-    """Returns the middle of the largest object, across its shorter principal axis."""
-    count, parts, sizes, centres = cv2.connectedComponentsWithStats(object_mask(image).astype(np.uint8))
-    if count < 2:
-        return None
-    part = 1 + int(np.argmax(sizes[1:, cv2.CC_STAT_AREA]))
-    points = np.argwhere(parts == part)[:, ::-1] - centres[part]
-    axis = np.linalg.eigh(points.T @ points)[1][:, 0]
-    extent = np.ptp(points @ axis) + 1.0
-    column, row = (round(float(c)) for c in centres[part])
-    angle = float(np.arctan2(-axis[1], axis[0]))
-    return Peak(row, column, 0.5, (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi, min(widest, extent + 2.0 * CLEARANCE_PX))
-
-
-def edge_pair(image: NetworkImage, widest: float, rng: np.random.Generator) -> Peak | None:
-    """Returns the pair of opposite depth edges that face each other best."""
-    smooth = cv2.GaussianBlur(image.depth, (0, 0), 1.0)
-    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 8.0, cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 8.0
-    size = np.hypot(gx, gy)
-    rows, columns = np.nonzero((size > EDGE_STEP_M) & object_mask(image, margin=2))
-    if len(rows) < 2:
-        return None
-    # The depth grows outwards across the edge of an object.
-    outwards = np.stack([gx, gy], axis=-1)[rows, columns] / size[rows, columns][:, None]
-    a, b = rng.integers(0, len(rows), (2, EDGE_PAIRS))
-    line = np.stack([columns[b] - columns[a], rows[b] - rows[a]], axis=-1).astype(float)
-    length = np.linalg.norm(line, axis=1)
-    line /= np.maximum(length, 1e-9)[:, None]
-    worst = np.minimum((outwards[b] * line).sum(axis=1), -(outwards[a] * line).sum(axis=1))
-    fits = (length > 4.0) & (length + 2.0 * CLEARANCE_PX < widest)
-    worst = np.where(fits, worst, -1.0)
-    i = int(np.argmax(worst))
-    if worst[i] < np.cos(FRICTION_ANGLE_RAD):
-        return None
-    row, column = (round(0.5 * float(v[a[i]] + v[b[i]])) for v in (rows, columns))
-    angle = float(np.arctan2(-line[i, 1], line[i, 0]))
-    angle = (angle + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-    return Peak(row, column, float(worst[i]), angle, float(length[i] + 2.0 * CLEARANCE_PX))
-
-
-HEURISTICS = {"random pixel": random_pixel, "principal axis": principal_axis, "edge pair": edge_pair}
-
-
-def object_mask(image: NetworkImage, margin: int = 0) -> np.ndarray:
-    """Returns where something stands out of the table, shape of the image, bool; widened by `margin` pixels."""
-    depth = image.depth
-    h, w = depth.shape
-    row, column = np.mgrid[:h, :w]
-    design = np.stack([column / w, row / h, np.ones_like(depth)], axis=-1).reshape(-1, 3)
-    flat, kept = depth.ravel(), depth.ravel() > np.median(depth) - 0.03
-    for _ in range(PLANE_ROUNDS):
-        plane = np.linalg.lstsq(design[kept][::7], flat[kept][::7], rcond=None)[0]
-        kept = np.abs(flat - design @ plane) < PLANE_BAND_M
-    mask = ((design @ plane).reshape(h, w) - depth > OUTSTANDING_M).astype(np.uint8)
-    count, parts, sizes, _ = cv2.connectedComponentsWithStats(mask)
-    for part in range(1, count):
-        if sizes[part, cv2.CC_STAT_AREA] < SMALLEST_OBJECT_PX:
-            mask[parts == part] = 0
-    return cv2.dilate(mask, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
-
-
-def is_right(peak: Peak, labels: list[Peak], least: float = MIN_OVERLAP) -> bool:
-    """Returns whether a grasp is within 30 degrees of a label and shares the fraction `least` of both areas."""
+def is_right(peak: Peak, labels: list[Peak]) -> bool:
+    """Returns whether a grasp is within 30 degrees of a label and shares 25 % of both areas."""
     return any(
-        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > least for label in labels
+        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > MIN_OVERLAP
+        for label in labels
     )
 
 
@@ -148,7 +65,6 @@ class TrialScene(NamedTuple):
     number: int  # of the scene in its split
     view: SceneView  # what the camera sees
     image: NetworkImage  # what the network sees
-    widest: float  # opening of the hand at the table [px]
     best: labels.Labels  # labels in the image
     rectangles: list[Peak]  # labelled grasps in all directions
 
@@ -156,7 +72,6 @@ class TrialScene(NamedTuple):
 class Conditions(NamedTuple):
     """How grasps are tried."""
 
-    gripper: labels.Gripper = GRIPPER  # if the hand is parallel
     position_error: float = POSITION_ERROR_M  # standard deviation of the arm's error along both axes of the image [m]
     angle_error: float = ANGLE_ERROR_RAD  # and about the approach [rad]
     shake: bool = False  # after the lift
@@ -195,7 +110,7 @@ def situation(split: str, number: int, count: int, conditions: Conditions = USUA
     """Returns the scene `number` of a split with `count` objects, and its grasps for the hand that tries them."""
     seen = view(split, number, count)
     image = prepare(seen.observed, CROP)
-    of_hand = hand_grasps(seen, LabelSettings(conditions.hand), conditions.gripper)
+    of_hand = hand_grasps(seen, LabelSettings(conditions.hand))
     found, rectangles = of_hand.found, []
     for k, angle in enumerate(found.angles):
         score = found.scores[k]
@@ -203,9 +118,7 @@ def situation(split: str, number: int, count: int, conditions: Conditions = USUA
         flat = of_hand.in_image(one)
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
         rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
-    best = of_hand.in_image(labels.best(found))
-    widest = conditions.gripper.opening if conditions.hand == PARALLEL else 2.0 * reflex_labels.Hand().preshape
-    return TrialScene(number, seen, image, widest * of_hand.focal / float(of_hand.exact.max()), best, rectangles)
+    return TrialScene(number, seen, image, of_hand.in_image(labels.best(found)), rectangles)
 
 
 def oracle(of: TrialScene) -> Peak | None:
@@ -236,28 +149,16 @@ def judge(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL) -
     tried = executed(of, chosen, conditions)
     if chosen is None or tried is None:
         return TrialOutcome(False, False, False, False, 0.0, lift_trial.NO_GRASP)
-    trial = lift(
-        of.view.scene,
-        tried.T_world_grasp,
-        tried.width,
-        conditions.gripper,
-        tried.friction,
-        tried.target,
-        conditions.shake,
-    )
-    right = is_right(chosen, of.rectangles)
+    at = tried.T_world_grasp, tried.width
+    trial = lift(of.view.scene, *at, GRIPPER, tried.friction, tried.target, conditions.shake)
     return TrialOutcome(
-        True,
-        trial.lifted,
-        trial.reached,
-        right,
-        chosen.quality,
-        trial.reason,
-        chosen.row,
-        chosen.column,
-        chosen.angle,
-        chosen.width,
-        tried.width,
+        found=True,
+        lifted=trial.lifted,
+        reached=trial.reached,
+        rectangle=is_right(chosen, of.rectangles),
+        reason=trial.reason,
+        opening=tried.width,
+        **chosen._asdict(),
     )
 
 

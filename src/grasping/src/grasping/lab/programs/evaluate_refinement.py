@@ -1,4 +1,4 @@
-"""Compares predictors of operators' grasps after a few episodes of a kind of object; resumable.
+"""Compares predictors of operators' grasps after a few episodes of a kind of object.
 
 Of each operator and object in the folder the first episodes teach (`--few`, by the files' names), the others test:
 GG-CNN alone, GG-CNN with the operator's constant miss, the refinement, and the refinement without its constraint. How
@@ -11,7 +11,6 @@ the same episodes. Intervals are over scenes: several operators in one scene are
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
 import sys
 from collections import defaultdict
@@ -27,13 +26,13 @@ from tqdm import tqdm
 
 from common.errors import RigError
 from common.poses import inverse, pose
+from common.rotations import rotation_about, rotation_angle
 from common.statistics import RESAMPLES
 from grasping.lab.dataset.episode import EpisodeFrame
 from grasping.lab.dataset.labels import own_grasp
-from grasping.lab.evaluation.operator_errors import NEAR_M, miss
-from grasping.lab.evaluation.tables import is_true, markdown_table
+from grasping.lab.evaluation.tables import markdown_table
 from grasping.lab.programs import train_refinement
-from grasping.lab.programs.evaluate import ResultsFile
+from grasping.lab.programs.evaluate import open_results
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.programs.train_refinement import Lesson, Named
 from grasping.lab.synthetic import simulated_operator
@@ -47,17 +46,39 @@ COLUMNS = (
     *("episode", "scene", "operator", "object", "method", "meant_mm", "meant_deg", "meant_near"),
     *("position_mm", "rotation_deg", "near", "lifted"),
 )
+NEAR_M = 0.020
 NEAR_MM = 1000.0 * NEAR_M
+NEAR_RAD = np.radians(15.0)
 MEASURES: dict[str, tuple[str, Callable[[Any], bool] | None]] = {
     "correction mm, median": ("meant_mm", None),
-    "within 20 mm %": ("meant_mm", lambda value: float(value) < NEAR_MM),
+    "within 20 mm %": ("meant_mm", lambda value: value < NEAR_MM),
     "rotation deg, median": ("meant_deg", None),
-    "within 20 mm and 15 deg %": ("meant_near", is_true),
+    "within 20 mm and 15 deg %": ("meant_near", bool),
     "from the recorded grasp mm, median": ("position_mm", None),
-    "from it within 20 mm and 15 deg %": ("near", is_true),
-    "lifted %": ("lifted", is_true),
+    "from it within 20 mm and 15 deg %": ("near", bool),
+    "lifted %": ("lifted", bool),
 }
 """Columns of the table: the column of results.csv, and the condition of a fraction; None: a median."""
+
+
+class Miss(NamedTuple):
+    """A predicted grasp against the operator's."""
+
+    position: float  # distance [m]
+    rotation: float  # angle between the orientations, half a turn about the approach being none [rad]
+
+    @property
+    def is_near(self) -> bool:
+        """Whether both are within 20 mm and 15 degrees."""
+        return self.position < NEAR_M and self.rotation < NEAR_RAD
+
+
+def miss(T_wanted: np.ndarray, T_found: np.ndarray) -> Miss:
+    """Returns how far a grasp, shape (4, 4) [m], is from the wanted one."""
+    T = inverse(T_wanted) @ T_found
+    R = T[:3, :3]
+    rotation = min(rotation_angle(R), rotation_angle(R @ rotation_about(2, np.pi)))
+    return Miss(float(np.linalg.norm(T[:3, 3])), float(rotation))
 
 
 class Group(NamedTuple):
@@ -94,12 +115,10 @@ def grasps(frame: EpisodeFrame, of: Candidates, known: Preference) -> dict[str, 
     return found
 
 
-def rows(group: Group, lifts: LiftModel | None, done: set[tuple[str, str]], lift: bool) -> Iterator[dict]:
-    """Yields the missing lines of a group's test episodes."""
+def rows(group: Group, lifts: LiftModel | None, lift: bool) -> Iterator[dict]:
+    """Yields the lines of a group's test episodes."""
     known = train_refinement.preference(train_refinement.lessons(group.few))._replace(lifts=lifts)
     for named in group.test:
-        if all((named.name, method) in done for method in METHODS):
-            continue
         lesson = train_refinement.lesson(named.episode)
         if lesson is not None and lesson.choice.candidates.peaks:
             yield from _rows(group, named, lesson, known, lift)
@@ -146,7 +165,7 @@ def tables(lines: Sequence[dict]) -> str:
     measures = {name: m for name, m in MEASURES.items() if all(of[ALONE][e][m[0]] != "" for e in both)}
     values = {
         method: {
-            name: np.array([float(found[e][key]) if true is None else 100.0 * true(found[e][key]) for e in both])
+            name: np.array([found[e][key] if true is None else 100.0 * true(found[e][key]) for e in both])
             for name, (key, true) in measures.items()
         }
         for method, found in of.items()
@@ -213,13 +232,15 @@ def main() -> None:
     except (RigError, OSError) as error:
         parser.error(str(error))
     lifts = train_refinement.preference((), train_refinement.lessons(others)).lifts
-    results = ResultsFile(arguments.folder / "results.csv", COLUMNS)
-    done = {(r["episode"], r["method"]) for r in results.rows}
-    with contextlib.closing(results):
-        for group in tqdm(found, unit="group"):
-            for line in rows(group, lifts, done, not arguments.no_lifting):
-                if (line["episode"], line["method"]) not in done:
-                    results.add([line])
-    text = tables(results.rows)
+    lines: list[dict] = []
+    try:
+        with open_results(arguments.folder, COLUMNS) as writer:
+            for group in tqdm(found, unit="group"):
+                for line in rows(group, lifts, not arguments.no_lifting):
+                    writer.writerow(line)
+                    lines.append(line)
+    except RigError as error:
+        parser.error(str(error))
+    text = tables(lines)
     (arguments.folder / "table.md").write_text(text, encoding="utf-8")
     sys.stdout.write(text + "\n")

@@ -42,11 +42,7 @@ SPLITS = {  # number and families of each split, with scenes of its own; person 
     "test": (2, shapes.HELD_OUT),
     "person": (3, shapes.TRAINING),
     "person_test": (4, shapes.HELD_OUT),
-    "test_2": (5, shapes.HELD_OUT_2),
-    **{
-        f"kind_{family.__name__}": (100 + i, (family,))
-        for i, family in enumerate((*shapes.TRAINING, *shapes.HELD_OUT, *shapes.HELD_OUT_2))
-    },
+    **{f"kind_{f.__name__}": (100 + i, (f,)) for i, f in enumerate((*shapes.TRAINING, *shapes.HELD_OUT))},
 }
 
 

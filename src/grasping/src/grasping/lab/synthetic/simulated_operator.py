@@ -74,84 +74,33 @@ class SimulatedOperator(NamedTuple):
     tremor_rad: float = np.radians(5.0)  # standard deviation of a turn about each axis [rad]
 
 
+# fmt: off
 OPERATORS: Mapping[str, SimulatedOperator] = {
     # Takes what stands up and is slender; turns the wrist with the height.
     "high": SimulatedOperator(),
     # Takes a thing by its middle, across it, and comes down straight.
     "middle": SimulatedOperator(
-        higher=0.0,
-        slender=1.0,
-        middle=8.0,
-        across=0.3,
-        whim=0.1,
-        turn=0.0,
-        lean=0.08,
-        follow=0.2,
-        margin=0.01,
-        generous=0.0,
-        bias=(-0.006, 0.010, 0.0),
-        tremor_m=0.004,
-        tremor_rad=np.radians(4.0),
-    ),
+        higher=0.0, slender=1.0, middle=8.0, across=0.3, whim=0.1, turn=0.0, lean=0.08, follow=0.2, margin=0.01,
+        generous=0.0, bias=(-0.006, 0.010, 0.0), tremor_m=0.004, tremor_rad=np.radians(4.0)),
     # The handle first, else whatever is slender; not the bulk.
     "handle": SimulatedOperator(
-        higher=1.0,
-        slender=4.0,
-        handle=0.6,
-        whim=0.1,
-        turn=2.0,
-        lean=0.2,
-        follow=0.3,
-        bias=(0.003, -0.012, 0.004),
-        tremor_m=0.006,
-        tremor_rad=np.radians(6.0),
-    ),
+        higher=1.0, slender=4.0, handle=0.6, whim=0.1, turn=2.0, lean=0.2, follow=0.3,
+        bias=(0.003, -0.012, 0.004), tremor_m=0.006, tremor_rad=np.radians(6.0)),
     # The end that is nearest to the operator, with a hand that leans.
     "near": SimulatedOperator(
-        higher=0.0,
-        slender=2.0,
-        near=8.0,
-        comfort=0.1,
-        whim=0.15,
-        twist=0.1,
-        turn=0.0,
-        lean=0.35,
-        follow=0.2,
-        bias=(0.002, -0.008, -0.004),
-    ),
+        higher=0.0, slender=2.0, near=8.0, comfort=0.1, whim=0.15, twist=0.1, turn=0.0, lean=0.35, follow=0.2,
+        bias=(0.002, -0.008, -0.004)),
     # Away from the outline, rather high: nothing shall slip out or tip over.
     "inside": SimulatedOperator(
-        higher=3.0,
-        slender=0.0,
-        middle=2.0,
-        inside=0.6,
-        whim=0.05,
-        turn=1.0,
-        lean=0.05,
-        follow=0.5,
-        margin=0.015,
-        generous=0.1,
-        bias=(-0.010, -0.004, 0.0),
-    ),
+        higher=3.0, slender=0.0, middle=2.0, inside=0.6, whim=0.05, turn=1.0, lean=0.05, follow=0.5, margin=0.015,
+        generous=0.1, bias=(-0.010, -0.004, 0.0)),
     # A firm hold low on the bulk, where the wrist need not turn: a right hand that comes from the lower right.
     "firm": SimulatedOperator(
-        higher=-4.0,
-        slender=-4.0,
-        middle=3.0,
-        comfort=0.3,
-        wrist=np.radians(35.0),
-        whim=0.1,
-        twist=-0.08,
-        turn=0.0,
-        lean=0.15,
-        follow=0.1,
-        margin=0.02,
-        generous=0.0,
-        bias=(0.005, 0.002, 0.006),
-        tremor_m=0.007,
-        tremor_rad=np.radians(6.0),
-    ),
+        higher=-4.0, slender=-4.0, middle=3.0, comfort=0.3, wrist=np.radians(35.0), whim=0.1, twist=-0.08, turn=0.0,
+        lean=0.15, follow=0.1, margin=0.02, generous=0.0, bias=(0.005, 0.002, 0.006), tremor_m=0.007,
+        tremor_rad=np.radians(6.0)),
 }
+# fmt: on
 """Six differing tastes, hands and misses, written down as rules before anything was fitted to them."""
 
 

@@ -45,7 +45,7 @@ HALF_CLOSED_RAD = 1.6  # turn of a finger during the descent: the tips are about
 CLOSING_RAD_S = 1.5
 FARTHEST_RAD = 3.6
 LOAD = 300.0  # effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip
-DOWN_S, CLOSE_S, LIFT_S, HOLD_S = 0.8, 1.6, 1.0, 0.5
+PHASES_S = (0.8, 1.6, 1.0, 0.5, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
 SLIDE_N = 120.0
 FINGERS = 3
 SLIDE = "slide"
@@ -71,58 +71,51 @@ def lift(
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
-    data = mujoco.MjData(model)
-    mechanics = PhysicalMechanics()
-    mechanics.bind(model, data)
-    data.qpos[: len(qpos)] = qpos
-    for finger in range(1, FINGERS + 1):
-        data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD / 1.4
-        data.joint(f"reflex/distal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD * 0.4 / 1.4
-    slide, motor = data.joint(SLIDE), model.actuator(SLIDE).id
-    count = len(qpos) // 7
-
-    def places() -> np.ndarray:
-        return data.qpos[: 7 * count].reshape(count, 7)[:, :3].copy()
-
-    before, risen, held, pushed = places(), np.zeros(count), np.zeros(count, bool), np.zeros(count)
-    spools = np.full(FINGERS + 1, HALF_CLOSED_RAD)
-    spools[FINGERS] = 0.0
-    reached = False
-    phases = (DOWN_S, CLOSE_S, LIFT_S, HOLD_S, lift_trial.SHAKE_S)
-    for phase, seconds in enumerate(phases if shake else phases[:-1]):
-        steps = round(seconds / TIMESTEP_S)
-        for i in range(steps):
-            done = (i + 1) / steps
-            up = -START_M + LIFT_M
-            data.ctrl[motor] = (-START_M * done, -START_M, -START_M + LIFT_M * done, up, up)[phase]
-            if phase == 4:
-                model.opt.gravity[:] = lift_trial.shaken_gravity(i * TIMESTEP_S)
-            for finger in range(FINGERS if phase else 0):
-                if mechanics.resistance(finger) < LOAD:
-                    spools[finger] = min(FARTHEST_RAD, spools[finger] + CLOSING_RAD_S * TIMESTEP_S)
-            mechanics.pull(spools)
-            mujoco.mj_step(model, data)
-        if phase == 0:
-            reached = bool(abs(slide.qpos[0] + START_M) < 0.005)
-            pushed = np.linalg.norm(places() - before, axis=1)
-        elif phase == 1:
-            held = _held(model, data, count)
-        elif phase == 3:
-            risen = (places() - before)[:, 2]
-    kept = (places() - before)[:, 2]
-    record = lift_trial.LiftRecord(reached, pushed, held, risen, kept, not data.warning.number.any())
+    record = lift_trial.lift(SlidingReflex(model, qpos), PHASES_S, TIMESTEP_S, shake)
     return lift_trial.judged(record, target, RISE_M)
 
 
-def _held(model: mujoco.MjModel, data: mujoco.MjData, count: int) -> np.ndarray:
-    """Returns whether two fingers touch each of the objects, which are the first bodies, shape (count,), bool."""
-    touching: list[set[str]] = [set() for _ in range(count)]
-    for pair in model.geom_bodyid[data.contact.geom]:
-        for body_, other in (pair, pair[::-1]):
-            finger = FINGER.search(model.body(other).name)
-            if 1 <= body_ <= count and finger:
-                touching[body_ - 1].add(finger[1])
-    return np.array([len(fingers) > 1 for fingers in touching])
+class SlidingReflex:
+    """The ReFlex hand above a scene, half closed at first, a `lift_trial.LiftingHand`."""
+
+    def __init__(self, model: mujoco.MjModel, qpos: np.ndarray) -> None:
+        self._model, self._count = model, len(qpos) // 7
+        self._data = mujoco.MjData(model)
+        self._mechanics = PhysicalMechanics()
+        self._mechanics.bind(model, self._data)
+        self._data.qpos[: len(qpos)] = qpos
+        for finger in range(1, FINGERS + 1):
+            self._data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD / 1.4
+            self._data.joint(f"reflex/distal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD * 0.4 / 1.4
+        self._spools = np.full(FINGERS + 1, HALF_CLOSED_RAD)
+        self._spools[FINGERS] = 0.0
+
+    def step(self, approach: float, lift: float, closing: bool, gravity: np.ndarray) -> None:
+        self._model.opt.gravity[:] = gravity
+        self._data.ctrl[self._model.actuator(SLIDE).id] = -START_M * approach + LIFT_M * lift
+        for finger in range(FINGERS if closing else 0):
+            if self._mechanics.resistance(finger) < LOAD:
+                self._spools[finger] = min(FARTHEST_RAD, self._spools[finger] + CLOSING_RAD_S * TIMESTEP_S)
+        self._mechanics.pull(self._spools)
+        mujoco.mj_step(self._model, self._data)
+
+    def places(self) -> np.ndarray:
+        return self._data.qpos[: 7 * self._count].reshape(-1, 7)[:, :3].copy()
+
+    def missing(self) -> float:
+        return float(self._data.joint(SLIDE).qpos[0] + START_M)
+
+    def held(self) -> np.ndarray:
+        touching: list[set[str]] = [set() for _ in range(self._count)]
+        for pair in self._model.geom_bodyid[self._data.contact.geom]:
+            for body_, other in (pair, pair[::-1]):
+                finger = FINGER.search(self._model.body(other).name)
+                if 1 <= body_ <= self._count and finger:
+                    touching[body_ - 1].add(finger[1])
+        return np.array([len(fingers) > 1 for fingers in touching])
+
+    def valid(self) -> bool:
+        return not self._data.warning.number.any()
 
 
 def hand_pose(T_world_grasp: np.ndarray, ground: float = GROUND_M) -> np.ndarray:
@@ -164,7 +157,7 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
 DESCRIPTION = (
     "Tries grasps with the rig's ReFlex hand in MuJoCo: the file is one of `rosrun grasping evaluate_grasps.py"
     " --export`, or of `make_dataset.py --check`. Prints tables of success rates, by the quality, too; with --results"
-    " it keeps each trial in a file and resumes from it."
+    " it writes each trial to a file, too."
 )
 SCHEMA = 2
 LABELLED = 0.3  # from this quality on a label teaches angle and opening
@@ -208,31 +201,10 @@ def _check(scene: dict[str, Any]) -> None:
         str(grasp["method"]), str(scene["split"]), grasp["peak"]
 
 
-def read_trials(path: Path, shake: bool, ground: float) -> list[dict[str, Any]]:
-    """Returns the trials in a file of results.
-
-    Raises:
-        RigError: it is not such a file, or its trials had another `shake` or `ground` [m], as in `lift`.
-    """
-    try:
-        rows = json.loads(path.read_text(encoding="utf-8"))
-        for row in rows:
-            row["scene"], row["method"]
-            if row["shake"] != shake:
-                raise RigError(f"{path} holds trials with{'out' * shake} a shake: name another file.")
-            lowest = row.get("ground", GROUND_M)  # older files do not name it
-            if not abs(lowest - ground) < 1e-9:
-                raise RigError(f"{path} holds trials with --tips {1000.0 * lowest:g}: name another file.")
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise RigError(f"{path} is not a file of trials ({error}): name another file.") from None
-    return rows
-
-
 class SceneTask(NamedTuple):
     """Grasps to be tried in one scene."""
 
     scene: dict[str, Any]  # of the file
-    methods: list[str]  # whose grasps
     conditions: dict[str, Any]  # `shake` and `ground`, as in `lift`
 
 
@@ -242,14 +214,13 @@ def try_scene(task: SceneTask) -> list[dict[str, Any]]:
     mujoco.set_mju_user_warning(_ignore)
     rows = []
     for grasp in scene["grasps"]:
-        if grasp["method"] in task.methods:
-            row = {name: scene[name] for name in ("split", "scene", "objects")}
-            row.update({name: grasp[name] for name in ("method", "width", "peak")}, **task.conditions)
-            trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
-            if grasp["T_world_grasp"] is not None:
-                T = np.array(grasp["T_world_grasp"])
-                trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], **task.conditions)
-            rows.append({**row, **trial._asdict()})
+        row = {name: scene[name] for name in ("split", "scene", "objects")}
+        row.update({name: grasp[name] for name in ("method", "width", "peak")}, **task.conditions)
+        trial = lift_trial.LiftResult(False, 0.0, False, lift_trial.NO_GRASP)
+        if grasp["T_world_grasp"] is not None:
+            T = np.array(grasp["T_world_grasp"])
+            trial = lift(scene["mjcf"], np.array(scene["qpos"]), T, grasp["target"], **task.conditions)
+        rows.append({**row, **trial._asdict()})
     return rows
 
 
@@ -265,12 +236,12 @@ def table(rows: list[dict[str, Any]]) -> str:
         f"opening below {1000 * NARROW_M:.0f} mm: lifted %": lambda row: (row["width"] or 0.0) < NARROW_M,
         "wider: lifted %": lambda row: (row["width"] or 0.0) >= NARROW_M,
     }
-    lines = [f"| method | {' | '.join(groups)} |", "| --- |" + " --- |" * len(groups)]
+    lines = []
     for method in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == method]
         cells = [[row["lifted"] for row in own if belongs(row)] for belongs in groups.values()]
-        lines.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in cells)} |")
-    return "\n".join(lines) + "\n"
+        lines.append([method, *map(_percent, cells)])
+    return _table(["method", *groups], lines)
 
 
 def reliability(rows: list[dict[str, Any]]) -> str:
@@ -283,23 +254,29 @@ def reliability(rows: list[dict[str, Any]]) -> str:
     lines, verdicts = [], []
     for method in dict.fromkeys(row["method"] for row in judged):
         own = [(row["peak"]["quality"], row["lifted"]) for row in judged if row["method"] == method]
-        cells = [[lifted for quality, lifted in own if low <= quality < high] for low, high in ranges]
-        lines.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in cells)} |")
+        lines.append([method, *(_percent([up for q, up in own if low <= q < high]) for low, high in ranges)])
         precision = [lifted for quality, lifted in own if quality >= LABELLED]
         recall = [quality >= LABELLED for quality, lifted in own if lifted]
-        verdicts.append(f"| {method} | {' | '.join(str(proportion(c)) if c else '-' for c in (precision, recall))} |")
+        verdicts.append([method, _percent(precision), _percent(recall)])
     if not lines:
         return ""
-    header = f"\n| lifted %, by quality | {' | '.join(names)} |\n| --- |{' --- |' * len(names)}"
-    verdict = f"\n| quality of {LABELLED:g} or more | precision % | recall % |\n| --- | --- | --- |"
-    return "\n".join([header, *lines, verdict, *verdicts]) + "\n"
+    by_quality = _table(["lifted %, by quality", *names], lines)
+    return f"\n{by_quality}\n" + _table([f"quality of {LABELLED:g} or more", "precision %", "recall %"], verdicts)
+
+
+def _percent(outcomes: list[bool]) -> str:
+    return str(proportion(outcomes)) if outcomes else "-"
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in (header, ["---"] * len(header), *rows))
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the program; returns the exit code."""
     parser = argparse.ArgumentParser(description=DESCRIPTION)
     parser.add_argument("file", type=Path, help="scenes and grasps")
-    parser.add_argument("--results", type=Path, metavar="FILE", help="keep the trials there, and resume from it")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="write the trials there, too")
     parser.add_argument("--processes", type=int, default=1, help="number of scenes at a time")
     parser.add_argument("--shake", action="store_true", help="shake the hand after the lift, 0.5 g along three axes")
     usual = 1000.0 * GROUND_M
@@ -311,23 +288,20 @@ def main(arguments: list[str] | None = None) -> int:
     if not 0.0 <= options.tips <= 100.0:
         parser.error(f"--tips is {options.tips:g} mm, but must be between 0 and 100.")
     conditions = {"shake": options.shake, "ground": options.tips / 1000.0}
+    rows: list[dict[str, Any]] = []
     try:
         scenes = read(options.file)
-        rows = read_trials(options.results, **conditions) if options.results and options.results.exists() else []
+        if options.results:
+            options.results.open("x").close()  # before the hours of lifting
+        tasks = [SceneTask(scene, conditions) for scene in scenes]
+        with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
+            for new in tqdm(pool.imap(try_scene, tasks), total=len(tasks), unit="scene"):
+                rows += new
+        if options.results:
+            options.results.write_text(json.dumps(rows) + "\n")
+    except FileExistsError:
+        parser.error(f"{options.results} is there already: name another file.")
     except (RigError, OSError) as error:
         parser.error(str(error))
-    done = {(row["scene"], row["method"]) for row in rows}
-    tasks = []
-    for scene in scenes:
-        missing = [g["method"] for g in scene["grasps"] if (scene["scene"], g["method"]) not in done]
-        if missing:
-            tasks.append(SceneTask(scene, missing, conditions))
-    with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
-        for new in tqdm(pool.imap_unordered(try_scene, tasks), total=len(tasks), unit="scene"):
-            rows += new
-            if options.results:
-                part = options.results.with_suffix(".part")
-                part.write_text(json.dumps(rows) + "\n")
-                part.replace(options.results)
     sys.stdout.write(table(rows) + reliability(rows))
     return 0
