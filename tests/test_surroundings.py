@@ -69,7 +69,6 @@ PROGRAMS = [
     Program("grasping/label_grasps.py", ("{images}",), (WINDOW,)),
     Program("grasping/make_dataset.py", ("{new}/shards", "--scenes", "1", "--processes", "1"), ALONE),
     Program("grasping/make_episodes.py", ("{new}/episodes", "{images}/none.pt"), ALONE),
-    Program("grasping/play_bag.py", ("_bag:={images}/none.bag",), (ROS,)),
     Program("grasping/train_ggcnn.py", ("{images}", "{new}/run"), ALONE),
     Program("grasping/train_refinement.py", ("{images}", "{new}/run"), ALONE),
     Program("kuka_control/gui.py", (), (WINDOW,)),

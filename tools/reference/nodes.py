@@ -52,7 +52,6 @@ NODES: dict[str, Node] = {
     "grasping/grasp_execution.py": Node(
         {}, {"": ("grasping/config/execution.yaml",), "tool_pose": ("grasping/config/tool_pose.yaml",)}
     ),
-    "grasping/play_bag.py": Node({"": "grasping.lab.ros.play_program:PlayConfig"}, {}),
     "leap_hand/leap_hand_node.py": Node({"": "leap_hand.config:NodeConfig"}, {}),
     "leap_rig/leap_teleop.py": Node(
         {

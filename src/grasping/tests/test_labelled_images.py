@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from common.errors import RigError
 from grasping.lab.dataset import labelled_images as li
-from grasping.lab.evaluation.trials import is_right
 from grasping.network.depth_image import Crop
 from grasping.network.maps import WIDTH_SCALE_PX
 from grasping.refinement.taste import half_turn
@@ -257,13 +256,6 @@ def test_an_image_that_cannot_teach_is_refused():
     blind = li.LabelledImage("dark", "dark", lambda: np.zeros((480, 640), np.float32), tuple(far))
     with pytest.raises(RigError, match="dark: the depth image holds no reading"):
         li.sample(blind, 400)
-
-
-@given(RECTANGLES)
-def test_a_labelled_grasp_is_right_by_the_rectangle_metric_and_one_turned_is_not(grasp):
-    (label,) = li.labels(image_of(grasp), Crop(0, 0, 400))
-    assert is_right(label, [label], 0.9)
-    assert not is_right(label._replace(angle=half_turn(label.angle + 0.6)), [label], 0.1)
 
 
 @pytest.mark.parametrize(

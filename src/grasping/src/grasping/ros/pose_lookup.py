@@ -15,12 +15,11 @@ PATIENCE_S = 0.1  # the camera pose at an image's stamp may arrive this much lat
 
 
 class PoseLookup:
-    """Looks poses up in tf, which comes through `subscribers`."""
+    """Looks poses up in tf."""
 
     def __init__(self) -> None:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer)
-        self.subscribers = (self._listener.tf_sub, self._listener.tf_static_sub)
 
     def in_base(self, frame: str, stamp: rospy.Time) -> tuple[np.ndarray | None, str]:
         """Returns T_base_camera, shape (4, 4) [m], at a moment, or None and why it is missing or stale, a clause."""

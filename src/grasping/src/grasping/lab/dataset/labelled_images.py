@@ -25,10 +25,10 @@ import numpy as np
 
 from common.errors import RigError
 from common.plausible import plausible_depth
-from common.ros.files import read_text
+from common.ros.files import read_text, write_whole
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import WIDTH_SCALE_PX, Peak
+from grasping.network.maps import WIDTH_SCALE_PX
 from grasping.refinement.taste import half_turn
 
 SCHEMA = 1
@@ -217,10 +217,8 @@ def read_grasps(path: Path) -> list[GraspRectangle]:
 
 def write_grasps(path: Path, grasps: Iterable[GraspRectangle]) -> None:
     """Writes a label file whole or not at all."""
-    part = path.with_name(f"{path.name}.part")
     rows = ",\n".join(f"  {json.dumps(asdict(grasp))}" for grasp in grasps)
-    part.write_text(f'{{"schema": {SCHEMA}, "grasps": [\n{rows}\n]}}\n')
-    part.replace(path)
+    write_whole(path, f'{{"schema": {SCHEMA}, "grasps": [\n{rows}\n]}}\n')
 
 
 def label_file(image: Path) -> Path:
@@ -328,9 +326,3 @@ def sample(image: LabelledImage, side: int) -> Sample:
         )
     known = np.ones_like(quality, bool)
     return Sample((seen.depth - seen.mean).astype(np.float16), quality, angle, width, known)
-
-
-def labels(image: LabelledImage, crop: Crop) -> list[Peak]:
-    """Returns the grasps as the rectangle metric compares them, in the pixels of the network's image."""
-    found = [in_network_image(grasp, crop) for grasp in image.grasps]
-    return [Peak(round(g.row), round(g.column), 1.0, g.angle, g.opening) for g in found]

@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool, SetBoolResponse
 
 from common import clock
 from common.config import parse
-from common.errors import ConfigError, RigError
+from common.errors import ConfigError
 from common.frames import BASE, TOOL_DESIRED
 from common.ros.compressed_images import depth_topic
 from common.ros.conversions import pose_in
@@ -26,7 +26,6 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.inputs import FaultLog, NodeInputs, clause
 from common.ros.node import run
 from common.ros.params import private_values
-from common.ros.service_calls import ServiceFailed, call
 from grasp_msgs.msg import GraspOutcome
 from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
@@ -43,7 +42,6 @@ EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: 
 STALE_S = 0.5
 SILENT_S = 1.0
 HAND_STATE = "reflex_takktile/hand_state"
-PLAYER, PLAYER_S = "collection_bag/pause_playback", 30.0
 
 
 class GraspCollection:
@@ -65,38 +63,14 @@ class GraspCollection:
         self._fingers = np.full(4, np.nan)
         self._unused = {"images": "", "hand": ""}  # why what comes is not used
         self._episodes = self._held = self._on_robot = 0
-        self._sensors = [
-            self._reader.subscriber,
-            self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth)),
-            self._inputs.subscribe(HAND_STATE, Hand, self._on_hand, queue_size=10),
-        ]
-        self._others = [
-            rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10),
-            rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10),
-            rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10),
-            *self._poses.subscribers,
-        ]
+        self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth))
+        self._inputs.subscribe(HAND_STATE, Hand, self._on_hand, queue_size=10)
+        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10)
+        rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10)
         rospy.Service("grasping/collection_label", SetBool, self._on_label)
         Diagnostics("grasp_collection", self._diagnose)
         rospy.loginfo("Episodes go to %s.", setup.folder)
-
-    def wait_for_publishers(self, seconds: float) -> bool:
-        """Waits for publishers of all images and the hand's state, and for the connection to whatever is published.
-
-        Returns:
-            Whether that happened in time. Before it, a recording's only message on /tf_static would be lost.
-        """
-        deadline = clock.monotonic() + seconds
-        while clock.monotonic() < deadline and not rospy.is_shutdown():
-            try:
-                published = {topic for topic, _ in rospy.get_published_topics()}
-            except OSError:  # the master ends
-                return False
-            needed = [*self._sensors, *(other for other in self._others if other.resolved_name in published)]
-            if all(subscriber.get_num_connections() for subscriber in needed):
-                return True
-            clock.sleep(0.05)
-        return False
 
     def close(self) -> None:
         """Writes the decided episodes and reports the undecided frames."""
@@ -244,29 +218,9 @@ class GraspCollection:
         return DiagnosticStatus.OK, f"{self._episodes} episodes, {self._held} held", values
 
 
-def _play() -> None:
-    """Starts the recording that is paused until this node listens; raises RigError if its player does not answer."""
-    try:
-        call(PLAYER, SetBool, False, timeout=PLAYER_S, wait=PLAYER_S)
-    except ServiceFailed as error:
-        if rospy.is_shutdown():
-            return
-        raise RigError(f"The recording cannot be played: {error}.") from None
-
-
 def _run() -> None:
-    setup = read_setup()
-    node = GraspCollection(setup)
+    node = GraspCollection(read_setup())
     rospy.on_shutdown(node.close)
-    if setup.config.from_bag:
-        if not node.wait_for_publishers(PLAYER_S):
-            if rospy.is_shutdown():
-                return
-            raise RigError(
-                f"No connection to all topics of the recording within {PLAYER_S:g} s: it must hold depth images, "
-                "camera_info and hand_state under their names, and be played on a ROS master of its own."
-            )
-        _play()
     rospy.spin()
 
 

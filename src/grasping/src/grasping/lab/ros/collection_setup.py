@@ -16,7 +16,7 @@ import rospy
 import torch
 
 from common.camera_model import CameraModel
-from common.config import flag, number, parse, path, required, text
+from common.config import number, parse, path, required, text
 from common.mounting import ToolConfig, mounting_field, rotation_of_mounting
 from common.ros.params import private_values, wait_for_param
 from common.stored_time import utc
@@ -41,7 +41,6 @@ class CollectionConfig:
     object: str = text(doc="name of the grasped object; may be changed while the node runs")
     operator: str = text(doc="who teleoperates")
     tf_wait: float = number("s", above=0.0, high=5.0, doc="longest wait for the poses at an image's time")
-    from_bag: bool = flag(doc="start the recording that collection_bag is about to play")
 
 
 @dataclass(frozen=True)

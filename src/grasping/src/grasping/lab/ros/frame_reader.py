@@ -42,7 +42,7 @@ class FrameReader:
         self._setup, self._poses = setup, poses
         self._views, self._live = setup.ggcnn.views(), setup.ggcnn.steps(setup.up)
         self._info: CameraInfo | None = None
-        self.subscriber = inputs.subscribe(setup.ggcnn.input.info_topic, CameraInfo, self._on_info)
+        inputs.subscribe(setup.ggcnn.input.info_topic, CameraInfo, self._on_info)
 
     def place(self, message: Image) -> PlacedImage:
         """Returns an image with its camera and poses; raises ValueError or TransformException for what is missing."""

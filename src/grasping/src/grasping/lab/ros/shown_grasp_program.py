@@ -175,7 +175,7 @@ def _run(options: argparse.Namespace) -> None:
     join(NAME, anonymous=True)
     values = default_values()
     folder = "" if options.folder is None else str(options.folder.absolute())
-    values.update(folder=folder, object=options.object, operator=options.operator, from_bag=False)
+    values.update(folder=folder, object=options.object, operator=options.operator)
     if options.view is not None:
         values["ggcnn"]["view"] = options.view
     setup = setup_from(values)
