@@ -27,10 +27,10 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from common.command_line import real, whole
 from common.config import parse
 from common.errors import RigError
 from common.lift_trial import LIFTED
-from common.number_arguments import real, whole
 from common.ros.files import read_yaml
 from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.programs.make_dataset import ignore_warning
