@@ -1,6 +1,6 @@
 """`python -m tools.mutate`: plants faults with cosmic-ray and prints which ones a package's own tests do not find.
 
-It works on a copy of the last commit, with the tests without real time, and can be interrupted: the next call continues.
+It works on a copy of the last commit with the tests without real time, and can be interrupted: the next call goes on.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ OPERATORS = (
 LIMIT_S = 900.0
 """The longest tests of one fault [s]."""
 
-TESTS = """
+TESTS = r"""
 . devel/setup.bash
 file=$(git diff --name-only | head -n 1)
-exec .venv/bin/python -m pytest -x -q -p no:cacheprovider -m "not (real or long)" "${file%/src/*}/tests" tests/test_golden.py
+exec .venv/bin/python -m pytest -x -q -p no:cacheprovider -m "not (real or long)" \
+  "${file%/src/*}/tests" tests/test_golden.py
 """
 
 
@@ -49,18 +50,18 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     folder = options.folder.resolve()
     commit = _git(ROOT, "rev-parse", "HEAD").strip()
-    session, tree = folder / "session.sqlite", folder / "tree"
-    if not (folder / "commit").is_file() or (folder / "commit").read_text() != commit:
+    session, tree, begun = folder / "session.sqlite", folder / "tree", folder / "begun"
+    asked = f"{commit} {options.count} {options.seed} {options.only}"
+    if not begun.is_file() or begun.read_text() != asked:
         shutil.rmtree(folder, ignore_errors=True)
         copy_of_the_tree(tree, commit)
         (folder / "tests.sh").write_text(TESTS)
-        if not (folder / "venv").is_dir():
-            venv.create(folder / "venv", with_pip=True)
-            subprocess.run([folder / "venv" / "bin" / "pip", "install", "-q", TOOL], check=True)
+        venv.create(folder / "venv", with_pip=True)
+        subprocess.run([folder / "venv" / "bin" / "pip", "install", "-q", TOOL], check=True)
         (folder / "config.toml").write_text(configuration(sources(tree, options.only), folder / "tests.sh"))
         _cosmic_ray(folder, "init")
         keep_some(session, options.count, options.seed)
-        (folder / "commit").write_text(commit)
+        begun.write_text(asked)
     _cosmic_ray(folder, "exec")
     print(report(session))
     return 0
@@ -123,7 +124,9 @@ def report(session: Path) -> str:
                 "FROM mutation_specs JOIN work_results USING (job_id) ORDER BY module_path, start_pos_row"
             )
         )
-    total, found, lines = Counter[str](), Counter[str](), []
+    total: Counter[str] = Counter()
+    found: Counter[str] = Counter()
+    lines = []
     for file, line, outcome, _, diff in rows:
         package = file.split("/src/")[0].rpartition("/")[2]
         total[package] += 1
