@@ -1,4 +1,4 @@
-"""A recording as CSV files, one for each series of the reader; the table of the series is on the handbook's page."""
+"""A recording as CSV files, one for each series of the reader; the table of the series is a generated page."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def lines(run: RecordedRun, series: RecordedSeries) -> Iterator[str]:
 
 
 def table() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Returns head and rows of the handbook's table of the series."""
+    """Returns head and rows of the table of the series."""
     head = ("field", "shape", "unit", "holds", "times", "from", "columns of the CSV file")
     rows: list[tuple[str, ...]] = []
     for series in SERIES:

@@ -228,8 +228,9 @@ def _measure(options: argparse.Namespace, stopped: threading.Event) -> int:
                 width = agreed([value for _, value in widths])
     source.close()
     if width is None:
-        what = source.fault or f"hand and {scale} were seen together in {len(widths)} images, or not flat"
-        raise WebcamError(f"The palm could not be measured: {what}. Nothing was stored.")
+        seen = f"Hand and {scale} were seen together in {len(widths)} images, or not flat."
+        what = source.fault.replace(" Trying again.", "") or seen
+        raise WebcamError(f"The palm could not be measured. {what} Nothing was stored.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f"palm_width: {width:.1f}  # [mm] across the knuckles\n")
