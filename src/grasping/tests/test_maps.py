@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.network.maps import Maps, SmoothedMaps, Smoothing, gaussian, highest, peaks, smoothed
+from grasping.network.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
 
 
 def blurred(image, sigma):
@@ -104,31 +104,3 @@ def test_peaks_are_those_of_a_maximum_over_the_whole_image(seed, distance, count
             wanted.append((rows[i], columns[i]))
     found = peaks(Maps(quality, quality, quality), count, distance, 0.3)
     assert [(p.row, p.column) for p in found] == wanted[:count]
-
-
-@given(st.integers(0, 10**6), st.tuples(st.floats(0.0, 6.0), st.floats(0.0, 4.0), st.floats(0.0, 3.0)))
-@settings(max_examples=30)
-def test_a_grasp_at_a_pixel_is_that_of_the_whole_maps(seed, sigmas):
-    random = np.random.default_rng(seed)
-    raw, valid, smoothing = (
-        random.normal(size=(4, 40, 50)).astype(np.float32),
-        random.random((40, 50)) < 0.7,
-        Smoothing(*sigmas),
-    )
-    maps, everywhere = SmoothedMaps(raw, valid, smoothing), smoothed(raw, valid, smoothing)
-    for row, column in [(0, 0), (39, 49), (random.integers(40), random.integers(50))]:
-        found, wanted = maps.at(row, column), everywhere.at(row, column)
-        np.testing.assert_allclose(found[:3], wanted[:3], atol=1e-6)
-        np.testing.assert_allclose(found.width, wanted.width, atol=1e-4)
-        np.testing.assert_allclose(np.exp(2j * found.angle), np.exp(2j * wanted.angle), atol=1e-3)
-
-
-@given(st.integers(0, 10**6), st.floats(0.0, 6.0))
-@settings(max_examples=30)
-def test_the_quality_is_the_blur_of_the_whole_map(seed, sigma):
-    random = np.random.default_rng(seed)
-    raw, valid = random.normal(size=(4, 80, 90)).astype(np.float32), np.zeros((80, 90), bool)
-    row, column = random.integers(80), random.integers(90)
-    valid[row : row + random.integers(1, 30), column : column + random.integers(1, 30)] = True
-    found = SmoothedMaps(raw, valid, Smoothing(quality=sigma)).quality
-    np.testing.assert_allclose(found, gaussian(np.where(valid, raw[0], np.float32(0.0)), sigma), atol=1e-6)

@@ -87,34 +87,6 @@ def test_a_weight_of_one_is_no_average():
     np.testing.assert_allclose(average.step(newest, depth)[0], newest, atol=1e-6)
 
 
-def test_what_becomes_known_begins_with_a_quality_of_zero_before():
-    average, depth = MapAverage(averaging(weight=0.4)), np.full((60, 60), 0.7, np.float32)
-    left, right = np.zeros((2, 60, 60), bool)
-    left[:, :40] = right[:, 20:] = True
-    output = maps()
-    average.step(output * left, depth, left)
-    found, anew = average.step(output * right, depth, right)
-    assert not anew
-    np.testing.assert_allclose(found[:, :, 20:40], output[:, :, 20:40], rtol=1e-5)  # known in both
-    np.testing.assert_array_equal(found[1:, :, 40:], output[1:, :, 40:])
-    np.testing.assert_allclose(found[0, :, 40:], 0.4 * output[0, :, 40:], rtol=1e-5)
-    assert not found[:, :, :20].any()
-    found, _ = average.step(output, depth)  # known everywhere
-    np.testing.assert_array_equal(found[1:, :, :20], output[1:, :, :20])
-    np.testing.assert_allclose(found[0, :, :20], 0.4 * output[0, :, :20], rtol=1e-5)
-
-
-def test_the_average_of_what_stays_known_is_that_of_maps_known_everywhere():
-    plain, partly = MapAverage(averaging()), MapAverage(averaging())
-    depth, known = np.full((60, 60), 0.7, np.float32), np.zeros((60, 60), bool)
-    known[10:30, 5:25] = True
-    for i in range(6):
-        output = maps()
-        wanted = plain.step(output, depth)[0]
-        found = partly.step(output * known, depth, None if i == 0 else known)[0]
-    np.testing.assert_array_equal(found[:, known], wanted[:, known])
-
-
 @given(st.integers(0, 1000), st.integers(1, 9))
 def test_the_median_is_numpys(seed, count):
     values = list(np.random.default_rng(seed).normal(size=(count, 9)))

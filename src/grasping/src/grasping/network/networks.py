@@ -2,8 +2,7 @@
 
 The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
 convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
-at a third of the size followed by a pixel shuffle; a frozen GG-CNN also has its heads before the shuffle, which then
-moves 4 instead of 32 channels. The outputs are the same to rounding.
+at a third of the size followed by a pixel shuffle. The outputs are the same to rounding.
 Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
 (about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `maps.WIDTH_SCALE_PX`.
 """
@@ -11,7 +10,6 @@ Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from typing import Callable, NamedTuple, TypeVar
 
 import numpy as np
@@ -20,13 +18,10 @@ import torch.nn.functional as F
 from torch import nn
 
 from grasping.network.depth_image import NETWORK_SIDE
-from grasping.network.strips import Strip, array, put, side_by_side, tensor, with_margin
 
 Network = TypeVar("Network", bound=nn.Module)
 MapNetwork = Callable[[torch.Tensor], torch.Tensor]  # from images, shape (n, 1, h, w), to maps, shape (n, 4, h, w)
 MAPS = ("quality", "cos", "sin", "width")
-BAND = 10  # rows of GG-CNN's features in a strip
-AT_ONCE = 3  # strips as wide as the image that are evaluated at once
 FLOAT32, BFLOAT16 = PRECISIONS = "float32", "bfloat16"  # of the convolutions; all else is float32
 HEADS = ("pos_output", "cos_output", "sin_output", "width_output")
 
@@ -76,13 +71,8 @@ class GGCNN(nn.Module):
         """Returns the input of the last transposed convolution, shape (n, 16, h / 3, w / 3)."""
         check_side(depth, self.side_multiple)
         x = depth
-        for layer, border in zip((self.conv1, self.conv2), self.borders.conv):
+        for layer, border in zip((self.conv1, self.conv2, self.conv3), self.borders.conv):
             x = bordered(layer, x, border)
-        return self.upwards(x)
-
-    def upwards(self, x: torch.Tensor) -> torch.Tensor:
-        """Returns the same of the features behind the first two layers, shape (n, 16, h / 6, w / 6)."""
-        x = bordered(self.conv3, x, self.borders.conv[2])
         for transposed, start in zip((self.convt1, self.convt2), self.borders.crop):
             rows, columns = (2 * n for n in x.shape[2:])
             weight, bias = transposed.weight, transposed.bias
@@ -127,67 +117,6 @@ NETWORKS: dict[str, Callable[[], nn.Module]] = {"ggcnn": GGCNN, "ggcnn2": GGCNN2
 """The known networks by name; `ggcnn_keras` is GG-CNN with the borders of the Keras weights."""
 
 
-class ShuffledHeads:
-    """GG-CNN's last transposed convolution and its heads, which are evaluated before the pixel shuffle, in strips.
-
-    A head is a 2 x 2 convolution, so each of its four taps can be evaluated where the transposed convolution leaves
-    its 3 x 3 remainders; what is shuffled are the products of the taps.
-    """
-
-    seam = 3  # columns of the features that a strip reads beside its own
-
-    def __init__(self, network: GGCNN) -> None:
-        weight, bias = network.convt3.weight.detach(), network.convt3.bias
-        inputs, outputs = weight.shape[:2]
-        kernel = _remainders(weight, 3).permute(2, 3, 1, 0, 4, 5)  # by remainder and channel
-        self._kernel = kernel.reshape(9 * outputs, inputs, 3, 3).contiguous(memory_format=torch.channels_last)
-        self._bias = bias.detach().repeat(9)  # type: ignore[union-attr]
-        heads, head_bias = stacked_heads(network)
-        self._taps = heads.detach().permute(1, 2, 3, 0).reshape(outputs, -1).contiguous()  # by tap and head
-        self._head_bias = head_bias.detach()
-        self._padded_heads = network.borders.head == (0, 1)
-
-    def into(self, maps: np.ndarray, x: np.ndarray, found: Sequence[Strip], rows: int) -> None:
-        """Writes strips of so many rows of `x` into the maps, shape (4, 3 h, 3 w); `x`: features, shape (h, w, 16)."""
-        h, w, _ = x.shape
-        laid = side_by_side([with_margin(x, strip, rows, 1, 2) for strip in found])
-        full = F.conv2d(tensor(laid), self._kernel, self._bias).relu_()[0].permute(1, 2, 0)
-        if self._padded_heads:
-            column = 0
-            for strip in found:
-                last = column + strip.stop - strip.start
-                full[h - strip.row :, column : last + 1] = 0.0
-                full[:, last : last + (strip.stop == w)] = 0.0
-                column = last + self.seam
-        size = full.shape[:2]
-        taps = (full.reshape(-1, self._taps.shape[0]) @ self._taps).float().view(*size, 3, 3, 2, 2, len(maps))
-        taps = taps.permute(0, 2, 1, 3, 4, 5, 6).reshape(3 * size[0], 3 * size[1], 2, 2, len(maps))
-        values = taps[:-3, :-3, 0, 0] + taps[:-3, 1:-2, 0, 1]
-        values += taps[1:-2, :-3, 1, 0]
-        values += taps[1:-2, 1:-2, 1, 1]
-        values += self._head_bias
-        put(maps.transpose(1, 2, 0), [strip.scaled(3) for strip in found], values.numpy(), 3 * self.seam)
-
-
-class FrozenGGCNN:
-    """GG-CNN as it is at the moment, for evaluation only."""
-
-    def __init__(self, network: GGCNN, precision: str = FLOAT32) -> None:
-        self._network, self._heads, self._precision = network, ShuffledHeads(network), precision
-
-    def __call__(self, depth: torch.Tensor) -> torch.Tensor:
-        """Returns the maps, shape (n, 4, h, w)."""
-        n, _, h, w = depth.shape
-        maps = torch.empty(n, len(MAPS), h, w)
-        with torch.no_grad(), convolutions_in(self._precision):
-            for image, found in zip(depth, maps.numpy()):
-                x = array(self._network.features(image[None]))
-                bands = [Strip(min(row, h // 3 - BAND), 0, w // 3) for row in range(0, h // 3, BAND)]
-                for i in range(0, len(bands), AT_ONCE):
-                    self._heads.into(found, x, bands[i : i + AT_ONCE], BAND)
-        return maps
-
-
 def infer(network: MapNetwork, image: np.ndarray) -> np.ndarray:
     """Returns the network's maps, shape (4, h, w), of a network image, shape (h, w)."""
     with torch.no_grad():
@@ -199,8 +128,6 @@ def frozen(network: nn.Module, side: int = NETWORK_SIDE, precision: str = FLOAT3
     columns, in one of the `PRECISIONS`.
     """
     network = channels_last(network.eval())
-    if isinstance(network, GGCNN):
-        return FrozenGGCNN(network, precision)
     with torch.no_grad(), convolutions_in(precision), warnings.catch_warnings():
         # torch advises its compiler instead, which needs a C++ compiler at run time.
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -265,14 +192,10 @@ def _conv_relu(inputs: int, outputs: int, kernel: int, dilation: int = 1) -> tup
     return nn.Conv2d(inputs, outputs, kernel, padding=padding, dilation=dilation), nn.ReLU(inplace=True)
 
 
-def stacked_heads(network: nn.Module) -> tuple[torch.Tensor, torch.Tensor]:
-    """Returns the weights of the four heads as one convolution's, shape (4, i, k, k), and its bias, shape (4,)."""
-    heads = [getattr(network, name) for name in HEADS]
-    return torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads])
-
-
 def _heads(network: nn.Module, x: torch.Tensor) -> torch.Tensor:
-    return F.conv2d(x, *stacked_heads(network))
+    """Returns what the four heads make of features, in one convolution."""
+    heads = [getattr(network, name) for name in HEADS]
+    return F.conv2d(x, torch.cat([h.weight for h in heads]), torch.cat([h.bias for h in heads]))
 
 
 def _remainders(weight: torch.Tensor, stride: int) -> torch.Tensor:

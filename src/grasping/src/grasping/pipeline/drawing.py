@@ -7,7 +7,7 @@ import textwrap
 import cv2
 import numpy as np
 
-from grasping.network.maps import Maps, SmoothedMaps
+from grasping.network.maps import Maps
 from grasping.pipeline.pipeline import GraspProposal, PipelineResult
 
 SCALE = 2  # pixels of the heat map to one of the network's, in rows and columns
@@ -19,7 +19,7 @@ LINE_LETTERS = 66
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 
 
-def plain(maps: Maps | SmoothedMaps) -> np.ndarray:
+def plain(maps: Maps) -> np.ndarray:
     """Returns the quality in the red channel, as the published node draws it, shape (h, w, 3), uint8, blue first."""
     image = np.zeros((*maps.quality.shape, 3), np.uint8)
     image[..., 2] = np.uint8(255.0 * np.clip(maps.quality, 0.0, 1.0))

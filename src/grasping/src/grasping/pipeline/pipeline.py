@@ -11,14 +11,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from torch import nn
 
 from common.camera_model import CameraModel
 from common.poses import inverse, read_only
-from grasping.network.around import around
-from grasping.network.maps import HIGHEST_QUALITY, Maps, Peak, SmoothedMaps, Smoothing, decisive, highest, peaks
+from grasping.network.maps import Maps, Peak, Smoothing, highest, peaks, smoothed
 from grasping.network.networks import FLOAT32, frozen, infer
 from grasping.pipeline import projection, refined_grasp
 from grasping.pipeline.tool_pose import LimitsConfig, ToolPoseConfig, preferred, rejection_reason
@@ -33,7 +31,6 @@ from grasping.pipeline.tracking import (
 from grasping.pipeline.view import CameraView, GraspView, NoView, TableView
 from grasping.refinement.preference import Preference
 
-MOST_GRASPABLE = 0.2  # fraction of the view; with more, the network is faster everywhere than near the objects
 OUT_OF_SIGHT = "the best grasp is briefly out of sight"
 
 
@@ -83,7 +80,7 @@ class PipelineResult(NamedTuple):
     """The result for one depth image."""
 
     view: GraspView | None  # the network's input, None where there was nothing to see
-    maps: Maps | SmoothedMaps | None  # smoothed, with the quality for this hand; None likewise
+    maps: Maps | None  # smoothed, with the quality for this hand; None likewise
     candidates: tuple[GraspCandidate, ...]  # one for each peak, best first
     grasps: tuple[GraspProposal, ...]  # the candidates that passed all limits, tracked, best first
     reason: str  # why there is no grasp, a clause; empty if there is one
@@ -109,7 +106,6 @@ class GraspPipeline:
         clock: Callable[[], float] = lambda: 0.0,
     ) -> None:
         self._views, self._settings, self._clock, self._refinement = views, settings, clock, refinement
-        self._around = None if refinement is not None else around(network, settings.precision)
         self.network = frozen(network, precision=settings.precision)
         self._average = None if settings.averaging is None else MapAverage(settings.averaging)
         self._tracker = None if settings.tracking is None else GraspTracker(settings.tracking)
@@ -150,12 +146,12 @@ class GraspPipeline:
             self._track((), now)
             return PipelineResult(None, None, (), (), str(error), stages.end("view"))
         stages.end("view")
-        output, known = self._output(view)
+        output = infer(self.network, view.image.input)
         stages.end("network")
         if not np.isfinite(output).all():
             return PipelineResult(view, None, (), (), "the network's maps are not finite", stages.seconds)
         if self._average is not None:
-            output, _ = self._average.step(output, view.image.depth, known)
+            output, _ = self._average.step(output, view.image.depth)
         maps, found = self._peaks(output, view)
         stages.end("peaks")
         candidates = tuple(self._candidates(found, view, T_base_camera))
@@ -168,33 +164,18 @@ class GraspPipeline:
         stages.end("poses")
         return PipelineResult(view, maps, candidates, grasps, self._reason(candidates, grasps), stages.seconds)
 
-    def _output(self, view: GraspView) -> tuple[np.ndarray, np.ndarray | None]:
-        """Returns the network's maps, shape (4, h, w), and where they were evaluated, shape (h, w), None: everywhere.
-        In a view that is flat beside its objects, they are only as far as peaks and the blurs about them reach.
-        """
-        s, graspable, wanted = self._settings, view.graspable, None
-        if view.flat and np.count_nonzero(graspable) < MOST_GRASPABLE * graspable.size:
-            wanted = decisive(graspable, s.smoothing, s.threshold)
-        if self._around is not None and wanted is not None:
-            output, known = self._around(view.image.input, graspable, wanted)
-            if cv2.minMaxLoc(output[0], graspable.view(np.uint8))[1] <= HIGHEST_QUALITY:
-                return output, known
-        return infer(self.network, view.image.input), None
-
     def _track(self, detections: Sequence[GraspDetection], now: float) -> list[TrackedGrasp]:
         if self._tracker is not None:
             return self._tracker.step(detections, now)
         return [TrackedGrasp(i + 1, i, read_only(d.T), d.width, False) for i, d in enumerate(detections)]
 
-    def _peaks(
-        self, output: np.ndarray, view: GraspView
-    ) -> tuple[Maps | SmoothedMaps, list[Peak] | list[refined_grasp.RefinedPeak]]:
+    def _peaks(self, output: np.ndarray, view: GraspView) -> tuple[Maps, list[Peak] | list[refined_grasp.RefinedPeak]]:
         """Returns the smoothed maps and their peaks, with a refinement those that the operator prefers."""
         s = self._settings
         if self._refinement is None:
             found = maps_of(output, view, s)
             return found, [highest(found)] if s.threshold is None else peaks(found, s.count, s.distance, s.threshold)
-        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING)).everywhere()
+        maps = maps_of(output, view, replace(s, smoothing=refined_grasp.SMOOTHING))
         widest = np.inf if s.tool is None else s.tool.max_opening
         seen = maps, np.hypot(output[1], output[2]), view.image, view.camera
         return maps, refined_grasp.refined_peaks(self._refinement, *seen, s.count, s.distance, s.threshold, widest)
@@ -260,9 +241,9 @@ class GraspPipeline:
         return OUT_OF_SIGHT
 
 
-def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> SmoothedMaps:
+def maps_of(output: np.ndarray, view: GraspView, settings: PipelineSettings) -> Maps:
     """Returns the maps for peaks: the output, shape (4, h, w), smoothed and with the hand's preference."""
-    maps = SmoothedMaps(output, view.graspable, settings.smoothing)
+    maps = smoothed(output, view.graspable, settings.smoothing)
     if settings.tool is None or settings.threshold is None:
         return maps
     return preferred(maps, projection.pixel_size(view.image, view.camera), settings.tool, settings.threshold)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +17,8 @@ from numpy.typing import ArrayLike
 from common.config import choice, flag, integer, number, vector
 from common.poses import pose, translation
 from common.rotations import cross, rotation_about, rotation_angle, unit
-from grasping.network.maps import HANDS, PARALLEL, Maps, SmoothedMaps
+from grasping.network.maps import HANDS, PARALLEL, Maps
 
-AnyMaps = TypeVar("AnyMaps", Maps, SmoothedMaps)
 VERTICAL, ALONG_GRASP = "vertical", "grasp"
 UP = (0.0, 0.0, 1.0)
 STEEP = math.cos(math.radians(80.0))  # fingers whose line rises more steeply than this have no heading
@@ -87,7 +86,7 @@ def above(T_base_tool: np.ndarray, clearance: float) -> np.ndarray:
     return T_base_tool @ translation(0.0, 0.0, -clearance)
 
 
-def preferred(maps: AnyMaps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: float) -> AnyMaps:
+def preferred(maps: Maps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshold: float) -> Maps:
     """Returns the maps with the quality that they have for a hand; it is nowhere higher than before. `pixel_m`: what a
     pixel shows of the scene, shape (h, w) [m]; `threshold`: of the quality; what is not above it stays as it is.
     """
@@ -102,7 +101,7 @@ def preferred(maps: AnyMaps, pixel_m: np.ndarray, tool: ToolPoseConfig, threshol
     shrunk = np.minimum(found, threshold + left * (found - threshold))
     quality = maps.quality.copy()
     quality[above] = np.where(left < 1.0, shrunk, found)
-    return maps.with_quality(quality)
+    return maps._replace(quality=quality)
 
 
 @dataclass(frozen=True)

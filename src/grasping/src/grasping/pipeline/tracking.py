@@ -41,25 +41,16 @@ class MapAverage:
     def reset(self) -> None:
         """Forgets all maps."""
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
-        self._known: np.ndarray | None = None
 
-    def step(self, output: np.ndarray, depth: np.ndarray, known: np.ndarray | None = None) -> tuple[np.ndarray, bool]:
+    def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
         """Returns the average, shape (4, h, w), and whether it began anew. `output`: the network's maps, shape (4, h,
-        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m]; `known`: where the
-        output is the network's, shape (h, w), None for everywhere. When a pixel becomes known, its angle and opening
-        begin, and its quality counts as 0 before.
+        w), whose angle is a sine and a cosine; `depth`: its image without holes, shape (h, w) [m].
         """
-        averages, before, self._known = self._averages, self._known, known
+        averages = self._averages
         if averages is None or averages[0].shape != output.shape or self._moved(averages[1], depth):
             self._averages = output.copy(), depth.copy()
             return output.copy(), True
         average, _ = self._averages = self._mean(averages[0], output), self._mean(averages[1], depth)
-        pixels, newest = average.reshape(len(average), -1), output.reshape(len(output), -1)
-        if known is not None:
-            pixels[:, np.flatnonzero(~known if before is None else before & ~known)] = 0.0
-        if before is not None:
-            begins = np.flatnonzero(~before if known is None else known & ~before)
-            pixels[1:, begins] = newest[1:, begins]
         return average.copy(), False
 
     def _mean(self, average: np.ndarray, newest: np.ndarray) -> np.ndarray:

@@ -62,7 +62,6 @@ class GraspView(NamedTuple):
 
     image: NetworkImage  # the network's
     graspable: np.ndarray  # where a grasp may be: has a reading, and from above is on an object; (300, 300), bool
-    flat: bool  # whether the network's input is one constant elsewhere
     depth: np.ndarray  # the whole image that it was cut from, shape (h, w) [m], NaN where nothing is known
     rays: np.ndarray  # direction of each of its pixels, shape (h, w, 3)
     camera: CameraModel  # that took it, a real or an imagined one
@@ -89,7 +88,7 @@ class CameraView:
             image = prepare(depth, crop)
         except ValueError as error:
             raise NoView(str(error)) from None
-        return GraspView(image, image.valid, False, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
+        return GraspView(image, image.valid, depth, self._rays.of(camera), camera, read_only(np.eye(4)))
 
     def reset(self) -> None:
         """Forgets nothing: each image stands for itself."""
@@ -140,7 +139,7 @@ class TableView:
         # What is not above the table is known to be table.
         known = np.ones(seen.shape, bool)
         image = NetworkImage(inside, np.clip(seen - mean, -1.0, 1.0), seen, known, mean)
-        return GraspView(image, above, True, seen, self._own_rays, self._camera, seen_from.T)
+        return GraspView(image, above, seen, self._own_rays, self._camera, seen_from.T)
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
         """Returns where the table is, and moves the view if it is another one; raises NoView without a table."""
