@@ -27,6 +27,7 @@ from grasping.execution.execution import (
     Execution,
     ExecutionConfig,
     ExecutionObservation,
+    ExecutionRequest,
     ProposalList,
     ProposedPose,
     Refusal,
@@ -221,9 +222,9 @@ def test_whatever_comes_an_execution_ends_once(moments):
 
 def test_the_best_grasp_is_executed_and_no_other_in_its_place():
     best, other = ProposedPose(8, GRASP.T_base_grasp), ProposedPose(6, GRASP.T_base_grasp)
-    assert choose(ProposalList(0.3, [best, other, GRASP]), HOME, False, CONFIG.fresh) is best
+    assert choose(ExecutionRequest(ProposalList(0.3, [best, other, GRASP]), HOME, False, CONFIG.fresh)) is best
     unknown = ProposedPose(9, None, "its pose is of no use: nan")
-    assert isinstance(choose(ProposalList(0.3, [unknown, best]), HOME, False, CONFIG.fresh), Refusal)
+    assert isinstance(choose(ExecutionRequest(ProposalList(0.3, [unknown, best]), HOME, False, CONFIG.fresh)), Refusal)
 
 
 @pytest.mark.parametrize(
@@ -252,7 +253,7 @@ def test_the_best_grasp_is_executed_and_no_other_in_its_place():
     ],
 )
 def test_what_is_refused(proposals, controller, followed, sentence):
-    assert choose(proposals, controller, followed, CONFIG.fresh) == Refusal(sentence)
+    assert choose(ExecutionRequest(proposals, controller, followed, CONFIG.fresh)) == Refusal(sentence)
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))

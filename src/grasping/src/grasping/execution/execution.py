@@ -10,19 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Callable, NamedTuple
 
 import numpy as np
 
 from common.config import number
+from common.modes import TO_DESIRED_TOOL, Mode
 from common.rotations import rotation_angle
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
 
-UNABLE = ("starting", "zero", "stopped")  # modes of the arm's controller in which it follows no desired tool frame
+UNABLE = (Mode.STARTING, Mode.ZERO, Mode.STOPPED)  # modes in which the arm follows no desired tool frame
+AWAY = (Mode.RETURNING, Mode.HOMING, Mode.HOME)  # modes in which it leaves the desired tool frame
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 NONE, HELD, TAKEN = "none", "held", "taken"  # leap_kuka's tool: not held, held for a hand, taken over by one
-
-FOLLOWING, AWAY = ("pick_up", "servo"), ("returning", "homing", "home")  # modes towards the goal and there; and away
 
 
 @dataclass(frozen=True)
@@ -68,28 +69,39 @@ class ToolGoal:
     T_base_grip: np.ndarray  # the grasp between the fingers then, shape (4, 4) [m]: x through them, z the approach
 
 
-def choose(
-    proposals: ProposalList | None, controller: ControllerState | None, hand_followed: bool, fresh: float
-) -> ProposedPose | Refusal:
-    """Returns the best of the newest proposals, or why none is taken; those in an image older than `fresh` [s] are
-    refused. None stands for proposals that never came, and for a silent controller.
-    """
-    if controller is None:
-        return Refusal("The arm's controller is silent.")
-    if not controller.control_on:
-        return Refusal("Control of the arm is off.")
-    if controller.mode in UNABLE:
-        return Refusal(f"The arm cannot go there: {controller.reason}")
-    if hand_followed:
-        return Refusal("The arm follows a hand; take it away first.")
-    if proposals is None:
-        return Refusal("No grasp was proposed yet.")
-    if not -fresh <= proposals.age <= fresh:
-        return Refusal(f"The newest proposal is {proposals.age:.1f} s old.")
-    if not proposals.grasps:
-        return Refusal(f"No grasp is proposed: {proposals.reason or 'the list is empty'}.")
-    best = proposals.grasps[0]
-    return best if best.T_base_grasp is not None else Refusal(f"The pose of the grasp is unknown: {best.reason}.")
+class ExecutionRequest(NamedTuple):
+    """What is known when a grasp is asked for."""
+
+    proposals: ProposalList | None  # the newest, None if none ever came
+    controller: ControllerState | None  # None if it is silent
+    hand_followed: bool
+    fresh: float  # proposals in an older image are refused [s]
+
+
+REFUSALS: tuple[tuple[Callable[..., bool], str], ...] = (
+    (lambda r: r.controller is None, "The arm's controller is silent."),
+    (lambda r: not r.controller.control_on, "Control of the arm is off."),
+    (lambda r: r.controller.mode in UNABLE, "The arm cannot go there: {r.controller.reason}"),
+    (lambda r: r.hand_followed, "The arm follows a hand; take it away first."),
+    (lambda r: r.proposals is None, "No grasp was proposed yet."),
+    (lambda r: not -r.fresh <= r.proposals.age <= r.fresh, "The newest proposal is {r.proposals.age:.1f} s old."),
+    (lambda r: not r.proposals.grasps and not r.proposals.reason, "No grasp is proposed: the list is empty."),
+    (lambda r: not r.proposals.grasps, "No grasp is proposed: {r.proposals.reason}."),
+    (
+        lambda r: r.proposals.grasps[0].T_base_grasp is None,
+        "The pose of the grasp is unknown: {r.proposals.grasps[0].reason}.",
+    ),
+)
+"""Why a request is refused; the first row that holds counts."""
+
+
+def choose(request: ExecutionRequest) -> ProposedPose | Refusal:
+    """Returns the best of the newest proposals, or why none is taken."""
+    for holds, sentence in REFUSALS:
+        if holds(request):
+            return Refusal(sentence.format(r=request))
+    assert request.proposals is not None, "a row refuses it"
+    return request.proposals.grasps[0]
 
 
 def tool_goal(
@@ -140,6 +152,55 @@ class ExecutionOutcome:
     release: bool  # whether the tool may still be held for a hand
 
 
+class ExecutionFacts(NamedTuple):
+    """What decides whether an execution continues."""
+
+    seen: ExecutionObservation
+    config: ExecutionConfig
+    elapsed: float  # since the execution began [s]
+    in_state: float  # since its state began [s]
+    let_go: bool  # whether the tool is not held for a hand, although it was, or although it is late
+    followed: bool  # whether the arm went to the grasp
+
+
+BEFORE_HAND = (APPROACHING, WAITING_FOR_HAND)
+RUNNING = (*BEFORE_HAND, PERSON)
+STOPS: tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...] = (
+    (RUNNING, lambda f: f.seen.controller is None, "The arm's controller is silent"),
+    (RUNNING, lambda f: not f.seen.controller.control_on, "Control of the arm was switched off"),
+    (RUNNING, lambda f: f.seen.controller.mode in UNABLE, "The arm stopped: {arm}"),
+    (RUNNING, lambda f: f.seen.T_base_tool is None, "The pose of the tool is unknown"),
+    (BEFORE_HAND, lambda f: f.let_go, "The tool was not held for a hand: {hold}"),
+    (BEFORE_HAND, lambda f: f.elapsed > f.config.wait_for_hand + f.config.silence, "No hand took over in time"),
+    (
+        (APPROACHING,),
+        lambda f: f.elapsed > f.config.approach_time,
+        "The tool was not above the grasp after {config.approach_time:g} s",
+    ),
+    ((PERSON,), lambda f: f.seen.hold != TAKEN, "The operator's hand is no longer followed: {hold}"),
+    ((PERSON,), lambda f: f.seen.hand is None, "The state of the robot hand is unknown"),
+    (
+        (PERSON,),
+        lambda f: f.in_state > f.config.person_time,
+        "Nothing was decided within {config.person_time:g} s of the operator's hand taking over",
+    ),
+    (RUNNING, lambda f: f.followed and f.seen.controller.mode in AWAY, "The arm left the grasp: {arm}"),
+)
+"""What ends an execution before its grasp is decided: the states in which it does, the condition on `ExecutionFacts`,
+and the sentence without its full stop, with the reasons of the controller (`arm`) and of leap_kuka (`hold`). The first
+row that holds counts.
+"""
+
+
+def stop_sentence(state: str, facts: ExecutionFacts) -> str | None:
+    """Returns why an execution in that state ends, one sentence, or None."""
+    for states, holds, sentence in STOPS:
+        if state in states and holds(facts):
+            arm = "" if facts.seen.controller is None else facts.seen.controller.reason.rstrip(".")
+            return sentence.format(arm=arm, hold=facts.seen.hold_reason, config=facts.config) + "."
+    return None
+
+
 class Execution:
     """The execution: its `state` (IDLE at first, OVER after each), the `reason` (one sentence: the current step, or how
     it ended) and the number of the `episode`, from 1 on. `up` is the vertical in the base frame, shape (3,).
@@ -175,16 +236,19 @@ class Execution:
         if not self.running:
             return None
         self._held |= seen.hold == HELD
-        self._followed |= seen.controller is not None and seen.controller.mode in FOLLOWING
+        self._followed |= seen.controller is not None and seen.controller.mode in TO_DESIRED_TOOL
         if self.state != PERSON and seen.hold == TAKEN:
             self._watch.reset()
             self._enter(PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
-        why = self._inhibit_reason(seen, now)
+        elapsed, in_state = now - self._began, now - self._since
+        let_go = seen.hold == NONE and (self._held or elapsed > self._config.silence)
+        facts = ExecutionFacts(seen, self._config, elapsed, in_state, let_go, self._followed)
+        why = stop_sentence(self.state, facts)
         if why is not None:
-            return self.end(f"{why}.")
-        assert seen.T_base_tool is not None, "an unknown tool pose inhibits the execution"
+            return self.end(why)
+        assert seen.T_base_tool is not None, "an unknown tool pose ends the execution"
         if self.state == PERSON:
-            assert seen.hand is not None, "an unknown hand inhibits the operator's part"
+            assert seen.hand is not None, "an unknown hand ends the operator's part"
             grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
             if grasp is not None:
                 return self._over(grasp, grasp.held, grasp.reason)
@@ -197,42 +261,6 @@ class Execution:
     def end(self, sentence: str) -> ExecutionOutcome:
         """Ends the execution before its grasp is decided."""
         return self._over(self._watch.give_up(sentence), False, sentence)
-
-    def _inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
-        """Returns why the execution cannot continue, a sentence without its full stop, or None."""
-        arm = seen.controller
-        if arm is None:
-            return "The arm's controller is silent"
-        if not arm.control_on:
-            return "Control of the arm was switched off"
-        if arm.mode in UNABLE:
-            return f"The arm stopped: {arm.reason.rstrip('.')}"
-        if seen.T_base_tool is None:
-            return "The pose of the tool is unknown"
-        operator = self.state == PERSON
-        why = self._operator_inhibit_reason(seen, now) if operator else self._approach_inhibit_reason(seen, now)
-        if why is None and self._followed and arm.mode in AWAY:
-            return f"The arm left the grasp: {arm.reason.rstrip('.')}"
-        return why
-
-    def _approach_inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
-        config = self._config
-        if seen.hold == NONE and (self._held or now - self._began > config.silence):
-            return f"The tool was not held for a hand: {seen.hold_reason}"
-        if now - self._began > config.wait_for_hand + config.silence:
-            return "No hand took over in time"
-        if self.state == APPROACHING and now - self._began > config.approach_time:
-            return f"The tool was not above the grasp after {config.approach_time:g} s"
-        return None
-
-    def _operator_inhibit_reason(self, seen: ExecutionObservation, now: float) -> str | None:
-        if seen.hold != TAKEN:
-            return f"The operator's hand is no longer followed: {seen.hold_reason}"
-        if seen.hand is None:
-            return "The state of the robot hand is unknown"
-        if now - self._since > self._config.person_time:
-            return f"Nothing was decided within {self._config.person_time:g} s of the operator's hand taking over"
-        return None
 
     def _arrived(self, T_base_tool: np.ndarray) -> bool:
         target = self._T_base_above

@@ -13,6 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common import clock
 from common.frames import BASE
 from common.poses import translation
+from common.robot_hand import HAND, hand_state
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
 from common.ros.inputs import NodeInputs
 from common.ros.publishing import DirectPublisher
@@ -119,12 +120,8 @@ def _proposal(grasp: Grasp) -> ProposedPose:
 
 def hand_measurement(hand: Hand) -> HandMeasurement:
     """Returns the state of index, middle and thumb in a message."""
-    motors = hand.motor[: len(hand.finger)]
-    return HandMeasurement(
-        np.array([motor.joint_angle for motor in motors]),
-        np.array([finger.pressure for finger in hand.finger]),
-        np.array([motor.load for motor in motors]),
-    )
+    state, fingers = hand_state(hand), slice(len(HAND.fingers))
+    return HandMeasurement(state.angles[fingers], state.pressures, state.loads[fingers])
 
 
 class ExecutionDisplay:

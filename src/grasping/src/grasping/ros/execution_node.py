@@ -97,7 +97,8 @@ class ExecutionNode:
             return f"The grasp {self._grasp.id} is being executed; cancel it first."
         inputs, message = self._inputs, self._inputs.grasps
         proposals = None if message is None else proposals_from(message, rospy.Time.now())
-        chosen = execution.choose(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
+        request = execution.ExecutionRequest(proposals, inputs.controller, inputs.hand_followed, self._config.fresh)
+        chosen = execution.choose(request)
         if isinstance(chosen, execution.Refusal):
             return chosen.sentence
         way = execution.tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
