@@ -25,11 +25,9 @@ from kuka_control.model.arms import WALL_M, filled, nearest_points, placement_fa
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import workspace_of
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.workspace import Workspace
 
 CONFIG = Path(__file__).parents[1] / "config"
 TWO = yaml.safe_load((CONFIG / "two_arms.yaml").read_text())
-AHEAD = Workspace(**{**SETTINGS, "center_line": np.array([1.0, 0.0, 0.0])})
 UPRIGHT = np.zeros(3)
 
 
@@ -94,19 +92,6 @@ def test_the_distance_is_symmetrical_and_does_not_depend_on_where_world_is(first
     T = other[1]
     there = nearest_points(filled(second[0], T @ second[1]), filled(first[0], T @ first[1]))
     assert nearest_points(filled(*first), filled(*second)).distance == pytest.approx(there.distance, abs=3e-6)
-
-
-@pytest.mark.parametrize(
-    "T, distance",
-    [
-        (pose(rotation_from_zyx(np.pi, 0.0, 0.0), [2.0, 0.0, 0.0]), 0.6),  # face to face, at the height of joint 2
-        (pose(p=[0.0, 0.9, 0.0]), 0.9 - 2 * 0.7 * np.sin(np.radians(25.0))),  # side by side
-        (pose(p=[0.0, 0.0, 1.0]), 0.6),  # one above the other: between the z limits
-        (pose(p=[0.0, 0.1, 0.0]), 0.0),
-    ],
-)
-def test_examples(T, distance):
-    assert nearest_points(filled(AHEAD, np.eye(4)), filled(AHEAD, T)).distance == pytest.approx(distance, abs=2e-6)
 
 
 def test_the_shipped_arms_keep_their_margin_and_would_not_nearer():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -76,10 +75,3 @@ def test_measurements_that_differ_little_move_the_offset_no_faster_than_clocks_d
             assert abs(clock.value - before) <= DRIFT * dt + 1e-12 and clock.number == number
             assert abs(clock.value - measured) <= max(abs(before - measured), 1e-12)
         assert abs(clock.value - measured) <= WIDTH_S + 1e-12
-
-
-def test_a_clock_that_was_set_right_is_as_one_that_never_differed():
-    clock = ClockOffset()
-    assert clock.measured(-3.0) and clock.measured(0.1)
-    assert (clock.value, clock.number) == (0.0, 2)
-    assert np.isinf(clock._at)

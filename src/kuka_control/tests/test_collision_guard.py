@@ -425,15 +425,6 @@ def test_a_motion_into_a_post_is_refused_by_name_and_one_out_of_it_allowed():
     assert path_fault(guard(WALL), held, HOME.q) is None
 
 
-def test_a_motion_that_parts_from_a_post_does_not_come_near_it_again():
-    turn = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    start, goal = HOME.q - turn, HOME.q + turn
-    post = beside(-OUT, 0.01, start, (0.02, 1.0, 0.2))
-    assert distance([post], HOME.q) > MARGIN + 0.01 and distance([post], goal) < MARGIN
-    assert path_fault(guard(post), start, HOME.q) is None
-    assert "post" in path_fault(guard(post), start, goal)
-
-
 @pytest.mark.parametrize("method", ["slowed", "near", "depths", "nearest_at", "follow", "follow from"])
 def test_what_is_not_a_number_is_an_error(method):
     bad = [float("nan"), *[0.0] * 6]
@@ -474,11 +465,6 @@ def test_the_fingers_may_touch_what_is_allowed_but_the_palm_may_not():
         assert names in path_fault(made, HOME.q, q)
 
 
-def test_hands_that_are_not_known_are_as_wide_as_they_can_be():
-    wide, narrow = guard(WALL, opening=None), guard(WALL, opening=FOLDED)
-    assert wide.nearest_at(HOME.q.tolist()).distance < narrow.nearest_at(HOME.q.tolist()).distance - 0.02
-
-
 def guarded_world():
     """A world whose real-time controller knows of table and base."""
     return World(collision_guard=True)
@@ -497,14 +483,6 @@ def test_a_pick_up_that_is_blocked_is_refused_and_the_arm_stays_until_the_hand_i
     assert world.mode == Mode.HOME and not world.arm.commands
     assert "wall" in world.steps[-1].reason and sum("refuses" in event for event in world.events) == 1
     world.until("servo", 4.0, aside(-0.05))
-
-
-def test_an_arm_whose_motion_home_is_blocked_stays_and_says_why():
-    world = guarded_world().following(aside(0.15))
-    place(world, wall(0.05, "post"))
-    world.run(1.0)
-    assert world.mode == Mode.STOPPED and "post" in world.steps[-1].reason
-    assert not any(command[0] == "ptp" for command in world.arm.commands)
 
 
 @pytest.mark.parametrize("opening", [FOLDED, OPEN, None])

@@ -86,11 +86,6 @@ def test_what_both_controllers_upload_and_load_may_stand_side_by_side(schema):
         parse(schema, {**both, "velocity": 1}, others=neighbours(schema))
 
 
-def test_a_tool_that_is_too_long_has_no_home():
-    with pytest.raises(RigError, match="too long"):
-        Rig.of(parse(RealTimeConfig, values(RealTimeConfig, tool_length=0.7)))
-
-
 def test_a_home_of_ones_own():
     rig = Rig.of(parse(RealTimeConfig, values(RealTimeConfig, use_home_pos=True)))
     assert rig.home.q[0] == pytest.approx(-0.785398, abs=1e-6)

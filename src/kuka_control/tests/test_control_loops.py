@@ -10,15 +10,13 @@ from loop_world import DT, FAST, HOME, SLOW, World, at_rate, out_of_reach_and_ba
 
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
-from kst import ConnectionLost, ReplyTimeout
+from kst import ConnectionLost
 from kuka_control.loop.algorithms import SPEED_MARGIN
 from kuka_control.loop.commands import End
 from kuka_control.loop.control_loop import OFF
-from kuka_control.loop.controller import MAX_MISSED, MISSING_S
 from kuka_control.loop.goal_stream import CATCH_UP_SCALE
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
-from kuka_control.model.desired_frame import DesiredFrame
 
 both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 
@@ -29,12 +27,6 @@ def test_the_arm_goes_home_slowly_at_the_start_and_waits_there(schema):
     check = [("start_servo",), ("stop_servo",)] if schema is RealTimeConfig else []
     assert world.arm.commands == [ptp(HOME.q, SLOW), *check]
     assert world.modes == ["homing", "home"]
-
-
-@both
-def test_without_control_no_frame_moves_the_arm(schema):
-    world = World(schema).at_home().run(1.0, shifted(0.1, 0.0, 0.1))
-    assert world.arm.commands == []
 
 
 @both
@@ -49,30 +41,6 @@ def test_exit_goes_to_zero_and_ends(schema):
 def to_zero(world):
     """On the way from home the finger tips are the fastest."""
     return ptp(np.zeros(7), world.rig.ptp_velocity(HOME.q, np.zeros(7), SLOW))
-
-
-def test_exit_while_following_leaves_servo_mode_first():
-    world = World().following()
-    world.exit_requested = True
-    world.run(5.0, shifted(0.0, 0.0, 0.0))
-    assert world.arm.commands == [("stop_servo",), to_zero(world)]
-    assert world.steps[-1].command == End(None)
-
-
-@both
-def test_exit_during_a_motion_waits_for_its_end(schema):
-    world = World(schema).run(0.1)
-    world.exit_requested = True
-    world.run(5.0)
-    assert world.arm.commands == [ptp(HOME.q, SLOW), to_zero(world)]
-
-
-def test_near_home_servo_starts_at_once():
-    world = World().at_home()
-    world.control_on = True
-    world.run(0.5, shifted(0.005, 0.0, 0.0))
-    assert world.arm.commands == [("start_servo",)]
-    assert reached(world, shifted(0.005, 0.0, 0.0))
 
 
 def test_far_from_home_the_frame_is_picked_up_by_a_fast_motion():
@@ -151,23 +119,6 @@ def test_silence_for_the_time_out_sends_the_arm_home_fast():
     assert any("0.2 s" in event for event in world.events)
 
 
-def test_the_same_stamp_again_is_silence():
-    world = World().following()
-    frozen = world.newest
-    for _ in range(200):
-        world.newest = DesiredFrame(frozen.T_base_tool, frozen.stamp)
-        world.run(DT)
-    assert ("stop_servo",) in world.arm.commands
-
-
-def test_control_off_sends_the_arm_home_fast():
-    world = World().following(shifted(0.05, 0.0, 0.0))
-    world.control_on = False
-    world.run(3.0, shifted(0.05, 0.0, 0.0))
-    assert world.arm.commands == [("stop_servo",), ptp(HOME.q, FAST)]
-    assert world.modes == ["returning", "home"]
-
-
 @pytest.mark.parametrize("cycles", [0, 1])
 def test_control_off_and_on_again_still_goes_home_first(cycles):
     world = World().following(shifted(0.05, 0.0, 0.0))
@@ -192,24 +143,6 @@ def test_frames_during_a_motion_are_disregarded_and_only_a_new_one_counts():
     assert reached(world, shifted(0.05, 0.0, 0.0))
 
 
-def test_control_off_during_the_pick_up_goes_home_after_it():
-    world = World().at_home()
-    world.control_on = True
-    world.run(0.05, shifted(0.1, 0.0, 0.0))
-    assert world.mode == "pick_up"
-    world.control_on = False
-    world.run(4.0, shifted(0.1, 0.0, 0.0))
-    assert [t[0] for t in world.arm.commands] == ["ptp", "ptp"] and world.arm.commands[-1] == ptp(HOME.q, FAST)
-
-
-def test_a_hand_lost_during_the_pick_up_sends_the_arm_home_fast():
-    world = World().at_home()
-    world.control_on = True
-    world.run(0.05, shifted(0.2, 0.0, 0.0))
-    world.run(4.0)
-    assert [t[0] for t in world.arm.commands] == ["ptp", "ptp"] and world.arm.commands[-1] == ptp(HOME.q, FAST)
-
-
 def test_a_jump_in_the_stream_is_picked_up_anew():
     world = World().following()
     world.run(3.0, shifted(0.08, 0.0, 0.0))
@@ -217,14 +150,6 @@ def test_a_jump_in_the_stream_is_picked_up_anew():
     assert world.arm.commands[1][2] == FAST
     assert world.loop.counts["limited_goals"] <= 1
     assert reached(world, shifted(0.08, 0.0, 0.0))
-
-
-def test_a_signal_lost_and_found_elsewhere_is_picked_up_anew():
-    world = World(time_out=5.0).following()
-    world.run(2.0)
-    assert world.mode == "servo"
-    world.run(3.0, shifted(0.04, 0.0, 0.0))
-    assert [t[0] for t in world.arm.commands] == ["stop_servo", "ptp", "start_servo"]
 
 
 def test_a_hand_that_moved_on_during_the_pick_up_is_caught_up_with_slowly():
@@ -296,13 +221,6 @@ def test_a_hand_that_comes_back_into_reach_after_a_jump_or_turned_far_is_picked_
     assert [t[0] for t in world.arm.commands] == ["stop_servo", "ptp", "start_servo"]
     assert (world.loop.counts["jumps"], world.loop.counts["flips"]) == ((1, 0) if count == "jumps" else (0, 1))
     assert any(because in event for event in world.events)
-
-
-def test_without_shaping_a_hand_that_comes_back_into_reach_elsewhere_is_picked_up_anew():
-    world = World(shaping="none").following()
-    world.run(10.0, out_of_reach_and_back())
-    assert [t[0] for t in world.arm.commands][:3] == ["stop_servo", "ptp", "start_servo"]
-    assert world.loop.counts["jumps"] == 0 and world.loop.counts["flips"] > 0
 
 
 def wandering(seed, seconds):
@@ -387,13 +305,6 @@ def test_an_infeasible_position_shuts_the_controller_down_where_the_arm_stands(s
     assert isinstance(world.steps[-1].command, End) and "infeasible" in world.steps[-1].command.fault
 
 
-def test_an_infeasible_position_while_following_leaves_servo_mode_and_shuts_down():
-    world = World().following()
-    world.run(5.0, pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4)))
-    assert world.arm.commands == [("stop_servo",)]
-    assert "infeasible" in world.steps[-1].command.fault
-
-
 def test_an_unreachable_frame_keeps_the_joints_and_is_said_once():
     world = World().following(shifted(0.0, 0.0, 0.15))
     before = world.arm.q.copy()
@@ -460,14 +371,6 @@ def test_a_frame_outside_is_clipped_and_the_bound_is_named():
     assert world.loop.counts["workspace_clips"] == 1
 
 
-def test_scaling_is_about_the_centre():
-    world = World().at_home()
-    world.scale = 0.5
-    world.control_on = True
-    world.run(2.0, shifted(0.06, 0.0, 0.0))
-    assert reached(world, shifted(0.03, 0.0, 0.0))
-
-
 def test_the_wall_clock_may_be_set_while_the_arm_follows():
     def sway(t):
         return shifted(0.0, 0.0, 0.06 * (1.0 - np.cos(6.0 * t)))  # up to 0.36 m/s
@@ -528,32 +431,6 @@ def test_a_refused_motion_latches(schema, when):
     assert world.mode == "home"
 
 
-def test_servo_mode_that_the_controller_ended_latches():
-    world = World().following()
-    world.arm.refuse = "servo"
-    world.run(1.0, shifted(0.0, 0.0, 0.0))
-    assert world.mode == "stopped" and world.arm.commands == []
-
-
-def test_a_refused_motion_to_zero_ends_the_controller_with_a_fault():
-    world = World().at_home()
-    world.arm.refuse = "start"
-    world.exit_requested = True
-    world.run(1.0)
-    assert "zero" in world.steps[-1].command.fault
-
-
-def test_a_motion_that_does_not_end_is_said_and_exit_still_ends_the_controller():
-    world = World()
-    world.arm.held = True
-    world.run(3.0)
-    assert world.mode == "homing" and sum("does not continue" in e for e in world.events) == 1
-    assert "does not continue" in world.loop.stopped_because
-    world.exit_requested = True
-    world.run(1.0)
-    assert "does not end" in world.steps[-1].command.fault
-
-
 HELD_S = [0.5, 1.8, 5.0]
 
 
@@ -602,18 +479,6 @@ def test_after_a_way_home_that_a_safety_stop_held_the_arm_stays_there(schema, se
     assert world.arm.commands[0] == ptp(HOME.q, SLOW) and reached(world, tool)
 
 
-def test_the_first_way_home_that_a_safety_stop_held_ends_in_a_new_one_when_control_goes_on():
-    world = World().run(0.1)
-    world.arm.held = True
-    world.run(1.0)
-    world.arm.held = False
-    world.run(4.0)
-    assert world.mode == "stopped" and world.arm.commands == [ptp(HOME.q, SLOW)]
-    world.control_on = True
-    world.run(4.0)
-    assert world.mode == "home" and world.arm.commands[1:] == [ptp(HOME.q, SLOW), ("start_servo",), ("stop_servo",)]
-
-
 @pytest.mark.parametrize("seconds, ends", [(1.0, True), (4.0, False)])
 def test_a_way_to_zero_that_a_safety_stop_held_ends_there_if_it_continues_soon(seconds, ends):
     world = World().at_home()
@@ -649,19 +514,6 @@ def test_a_lost_connection_ends_the_cycle():
         world.run(DT, shifted(0.0, 0.0, 0.0))
 
 
-def test_single_answers_may_be_missed_but_not_many_in_a_row():
-    world = World().following()
-    for _ in range(3):
-        world.arm.fail = ReplyTimeout("late")
-        world.run((MAX_MISSED - 1) * DT, shifted(0.0, 0.0, 0.0))
-        world.arm.fail = None
-        world.run(0.1, shifted(0.0, 0.0, 0.0))
-    assert world.mode == "servo" and world.controller.missed == 3 * (MAX_MISSED - 1)
-    world.arm.fail = ReplyTimeout("late")
-    with pytest.raises(ReplyTimeout):
-        world.run(MISSING_S + 0.1, shifted(0.0, 0.0, 0.0))
-
-
 def test_ptp_goes_to_frames_beyond_the_threshold_only():
     world = World(PtpConfig).at_home()
     world.control_on = True
@@ -670,14 +522,6 @@ def test_ptp_goes_to_frames_beyond_the_threshold_only():
     world.run(2.0, shifted(0.05, 0.0, 0.0))
     assert [t[0] for t in world.arm.commands] == ["ptp"] and world.arm.commands[0][2] == 0.15
     assert reached(world, shifted(0.05, 0.0, 0.0))
-
-
-def test_ptp_goes_home_after_the_time_out():
-    world = World(PtpConfig).at_home()
-    world.control_on = True
-    world.run(2.0, shifted(0.05, 0.0, 0.0))
-    world.run(2.0)
-    assert world.arm.commands[-1] == ptp(HOME.q, 0.15) and world.mode == "home"
 
 
 @both

@@ -255,20 +255,6 @@ def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released_and_th
     assert "connection to the robot is closed" not in node.log, "it leaves the connection alone"
 
 
-def test_a_motion_that_a_safety_stop_holds_is_said_and_continues_to_its_end_when_it_is_released(ros, robot, start):
-    node = start(**SLOW)
-    node.wait_for_mode("homing")
-    clock.sleep(1.0)
-    robot.ask("fault", name="emergency_stop")
-    ros.wait_until(lambda: "does not continue" in node.log, 10.0, "the sentence")
-    robot.ask("fault", name="emergency_stop", on=False)
-    clock.sleep(0.1)
-    robot.ask("release")
-    node.wait_for_mode("stopped")
-    assert node.control(True).success
-    node.wait_for_mode("home")
-
-
 def test_a_motion_that_something_pushes_on_ends_there_and_both_services_say_what_follows(ros, robot, start):
     node = start(**SLOW)
     node.wait_for_mode("homing")

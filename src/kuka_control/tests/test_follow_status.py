@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_world import DT, HOME, World, at_rate, shifted, tipped
 
-from kuka_control.loop.control_loop import OFF
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 
 FOLLOWS = "follows the desired tool frame in servo mode"
@@ -132,13 +131,6 @@ def test_frames_that_come_too_rarely_are_said_to_be_nothing_else():
         assert (FOLLOWS in world.steps[-1].reason) == (rate > 21.0)
 
 
-def test_where_the_arm_follows_the_status_says_so():
-    world = at_rate(World().following(), 80.0, circle, 2.0)
-    assert all(FOLLOWS in step.reason and not step.inhibited for step in world.steps[-100:])
-    way = [world.rig.kinematics.forward(q)[:3, 3] for q in world.arm.goals[-100:]]
-    assert np.linalg.norm(way[-1] - way[0]) > MOVED_M
-
-
 def test_a_controller_that_waits_says_for_what():
     world = World().at_home()
     world.missing = "It waits for kuka/tool_frame/desired."
@@ -178,14 +170,6 @@ def test_the_advice_after_a_conflict_is_about_what_publishes(schema, foreign, ad
     world.run(2.1)
     world.run(3.0, circle)
     assert world.arm.commands, "a pause ends it, as it says"
-
-
-def test_control_off_is_said_where_frames_come_and_not_elsewhere():
-    world = World().at_home()
-    assert OFF not in world.run(0.1).steps[-1].reason
-    assert world.run(0.5, circle).steps[-1].reason == f"The arm is at home. {OFF}"
-    assert OFF not in world.run(0.5).steps[-1].reason
-    np.testing.assert_allclose(world.arm.q, HOME.q)
 
 
 PATHS = {

@@ -49,15 +49,6 @@ def test_a_conflict_about_a_frame_that_others_stand_in_counts_for_them_and_not_t
     assert sources.conflict(LEAP, 0.2) is None
 
 
-def test_another_node_takes_over_after_a_silence():
-    sources = FrameSources()
-    assert sources.heard(TOOL, BASE, "/a", 0.0)
-    assert not sources.heard(TOOL, BASE, "/b", 0.9 * HANDOVER_S)
-    assert sources.heard(TOOL, BASE, "/b", 1.1 * HANDOVER_S)
-    assert sources.conflict(TOOL, 1.1 * HANDOVER_S) is not None
-    assert sources.conflict(TOOL, 2.0 * HANDOVER_S) is None
-
-
 def test_frames_in_a_circle_end_the_search():
     sources = FrameSources()
     sources.heard("a", "b", "/n", 0.0)

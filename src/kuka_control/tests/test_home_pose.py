@@ -90,29 +90,6 @@ def test_which_way_joint_1_turns_and_the_arm_leans(model, center_line, joint_1, 
     assert tuple(np.sign(home.q[[1, 3, 5]])) == signs
 
 
-def test_home_of_the_default_parameters():
-    model = MODELS[0]
-    home = home_pose(Kinematics(model, TOOL), workspace_of(model, [1.0, -1.0, 0.0]))
-    np.testing.assert_allclose(np.degrees(home.q), (-45.0, 29.593, 0.0, -63.391, 0.0, 87.016, 0.0), atol=1e-3)
-    np.testing.assert_allclose(home.centre, (0.42214, -0.42214, 0.4), atol=1e-5)
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-@pytest.mark.parametrize("center_line", [[1.0, -1.0, 0.0], [-1.0, 0.2, 0.0]])
-def test_inverse_kinematics_starts_from_home_without_a_step(model, center_line):
-    home = home_pose(Kinematics(model, TOOL), workspace_of(model, center_line))
-    arm = Kinematics(model, TOOL)
-    result = arm.inverse(home.T_base_tool, home.q)
-    np.testing.assert_allclose(result.q, home.q, atol=1e-9)
-    assert result.arm_angle == pytest.approx(0.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-def test_tool_that_is_too_long_is_named(model):
-    with pytest.raises(HomeError, match=r"out of reach: with a tool of 0\.6 m .* probably the tool is too long"):
-        home_pose(Kinematics(model, translation(0.0, 0.0, 0.6)), workspace_of(model, [1.0, -1.0, 0.0]))
-
-
 def test_joint_out_of_range_is_named():
     """High and with a long tool the forearm points so far up that joint 6 cannot turn the tool down."""
     model = MODELS[0]
@@ -158,11 +135,6 @@ def test_custom_home_is_where_its_joints_bring_the_tool():
     np.testing.assert_allclose(home.T_base_flange, forward(model, q), atol=1e-15)
     np.testing.assert_allclose(home.T_base_tool, home.T_base_flange @ translation(0.0, 0.0, TOOL_LENGTH), atol=1e-12)
     np.testing.assert_array_equal(home.centre, home.T_base_tool[:3, 3])
-
-
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
-def test_custom_home_of_the_default_parameters_is_accepted(model):
-    custom_home(Kinematics(model, TOOL), workspace_of(model, [1.0, -1.0, 0.0]), CUSTOM)
 
 
 @pytest.mark.parametrize(

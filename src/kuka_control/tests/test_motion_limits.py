@@ -150,15 +150,6 @@ def test_a_steady_target_within_the_limits_is_met_without_lag(share, dt):
     np.testing.assert_allclose(step.q, v * i * dt, atol=1e-5)
 
 
-def test_a_sine_within_the_limits_is_followed_closely():
-    def sine(t):
-        return 0.1 * np.sin(6.0 * t) * WRIST, 0.6 * np.cos(6.0 * t) * WRIST
-
-    goals = run(limits(), sine, 3.0)[250:, 6]
-    wanted = 0.1 * np.sin(6.0 * DT * np.arange(250, 251 + 500))
-    assert np.max(np.abs(goals - wanted)) < 0.002
-
-
 def test_the_result_names_the_limit():
     def named(target, measured=None):
         follower = limits()

@@ -246,23 +246,6 @@ def test_a_cancelled_ptp_motion_ends_at_its_goal_and_says_so():
     assert "ends at its goal" in world.progress.sentence
 
 
-def test_control_off_stops_a_line_and_brings_the_arm_home():
-    world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True)
-    world.run(0.5)
-    world.control_on = False
-    world.until_state(State.RETURNING)
-    assert world.progress.state is MoveState.ABORTED
-    assert "Control is off" in world.progress.sentence
-    world.until_state(State.HOME)
-
-
-def test_a_hand_takes_over_where_the_line_ended():
-    world = at_home().ask(shifted(0.0, 0.03, 0.05), straight=True)
-    world.until_state(State.AT_GOAL)
-    world.run(0.4)
-    world.until_state(State.SERVO, shifted(0.0, 0.03, 0.05))
-
-
 def test_a_line_whose_goals_wait_in_a_stall_continues_and_stays_on_the_line():
     world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True, velocity=0.3)
     world.run(0.3)

@@ -98,12 +98,6 @@ def test_frames_of_this_machine_that_are_steadily_late_or_ahead_are_never_follow
     assert "runs on this machine, so its frames are late" in refused[-1]
 
 
-def test_a_steady_delay_from_another_machine_is_never_taken_for_an_offset(elsewhere):
-    stream = Stream()
-    accepted, refused = stream.run(20.0, -1.0)
-    assert accepted == 0 and "differs by +0.00 s; beyond that its frames are late" in refused[-1]
-
-
 @pytest.mark.parametrize("offset", [-40.0, -1.0, 1.0, 5.0])
 def test_a_clock_that_differs_counts_once_it_was_asked(elsewhere, offset):
     elsewhere.clock = offset + 0.1
@@ -132,12 +126,6 @@ def test_a_clock_that_cannot_be_asked_is_refused_with_the_figure_and_what_to_do(
     accepted, refused = Stream().run(5.0, 2.0)
     assert accepted == 0 and words in refused[-1] and "synchronise the clocks" in refused[-1]
     assert stated(refused[-1]) == pytest.approx(2.0, abs=0.01)
-
-
-def test_a_clock_that_was_never_set_is_not_corrected(elsewhere):
-    elsewhere.clock = 3600.0
-    accepted, refused = Stream().run(5.0, 3600.0)
-    assert accepted == 0 and "more than 60 s" in refused[-1]
 
 
 def test_a_master_that_does_not_answer_leaves_the_frame_refused(virtual_graph):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from loop_world import DT, FAST, HOME, SLOW, World, ptp, reached, rig, shifted
+from loop_world import DT, HOME, SLOW, World, reached, rig, shifted
 
 from common.poses import pose
 from common.rotations import rotation_about
@@ -164,14 +164,6 @@ def test_each_hand_that_comes_in_is_followed_at_once_and_one_whose_link_is_inter
     assert not went and "it waits" in " ".join(world.events)
 
 
-def test_each_ptp_of_the_ptp_algorithm_is_asked_for_by_its_stream():
-    world = World(PtpConfig).at_home()
-    world.control_on = world.foreign = True
-    for x in (0.0, 0.05, 0.0, 0.05):
-        stream(world, 1.0, shifted(0.05, x, 0.0))
-        assert reached(world, shifted(0.05, x, 0.0))
-
-
 @both
 def test_a_near_stream_that_runs_already_is_announced_and_picked_up_slowly(schema):
     world = World(schema).at_home()
@@ -186,21 +178,6 @@ def test_a_near_stream_that_runs_already_is_announced_and_picked_up_slowly(schem
     assert any(TAKEN_OVER in step.reason for step in world.steps)
     stream(world, 3.0, NEAR)
     assert reached(world, NEAR)
-
-
-def test_control_off_and_on_in_a_running_stream_is_one_return_and_one_pick_up():
-    world = World().at_home()
-    world.foreign = True
-    stream(world, 0.5, NEAR)
-    world.control_on = True
-    stream(world, 4.0, NEAR)
-    assert world.mode == "servo"
-    world.arm.commands.clear()
-    world.control_on = False
-    world.control_on = True
-    stream(world, 30.0, NEAR)
-    assert [command[0] for command in world.arm.commands] == ["stop_servo", "ptp", "ptp", "start_servo"]
-    assert world.arm.commands[1][1] == ptp(HOME.q, 0.0)[1] and world.arm.commands[2][2] == SLOW
 
 
 @both
@@ -276,16 +253,6 @@ def test_a_stream_that_pauses_when_control_goes_on_was_there_and_is_announced_ag
         stream(world, DT, NEAR, DT)
     assert world.arm.commands[0][2] == SLOW
     assert world.now - begin == pytest.approx(ANNOUNCED_S, abs=4 * DT), "it is announced again after the pause"
-
-
-def test_a_hand_that_comes_in_soon_after_control_went_on_is_followed_at_once():
-    world = World().at_home()
-    stream(world, 0.5, NEAR)
-    world.run(0.1)
-    world.control_on = True
-    world.run(0.25)
-    stream(world, 2.0, NEAR)
-    assert reached(world, NEAR) and world.arm.commands[0][2] == FAST
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 3.0))

@@ -50,18 +50,6 @@ def test_a_toggle_asks_and_turns_green_only_when_the_function_is_on(panel, name)
     assert asked == [(True,), (False,)] and button.isChecked()
 
 
-def test_showing_a_state_asks_for_nothing(panel):
-    asked = [emitted(getattr(panel, f"{n}_requested")) for n in ("control", "gripper", "scaling", "exit", "emergency")]
-    panel.show_state(state(control_on=True, gripper_on=True, scaling_factor=0.4))
-    panel.show_state(state())
-    assert asked == [[], [], [], [], []]
-
-
-def test_the_slider_has_the_range_of_the_scaling_factor(panel):
-    assert (panel.scaling.minimum(), panel.scaling.maximum()) == (10, 150)
-    assert panel.scaling_label.text() == "Scaling Factor: 1.00"
-
-
 @pytest.mark.parametrize(("key", "factor"), [("Key_Left", 0.99), ("Key_Right", 1.01), ("Key_PageDown", 0.9)])
 def test_keys_move_the_slider_by_a_hundredth_or_a_tenth(panel, key, factor):
     from python_qt_binding.QtCore import Qt
@@ -102,14 +90,6 @@ def test_dragging_asks_once_at_its_end(panel):
 
 def test_reset_asks_for_one(panel):
     asked = emitted(panel.scaling_requested)
-    click(panel.reset)
-    assert asked == [(1.0,)]
-
-
-def test_the_slider_works_while_control_is_on(panel):
-    asked = emitted(panel.scaling_requested)
-    panel.show_state(state(control_on=True, scaling_factor=0.4))
-    assert panel.scaling.isEnabled()
     click(panel.reset)
     assert asked == [(1.0,)]
 

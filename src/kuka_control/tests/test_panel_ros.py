@@ -197,19 +197,6 @@ def test_the_slider_stays_where_the_keys_put_it(panel, start, see):
     see(lambda: panel.scaling.value() == 100 and abs(now_scale() - 1.0) < 1e-6, "the default")
 
 
-def test_the_scaling_factor_changes_while_control_is_on(panel, controller, see):
-    panel.control_requested.emit(True)
-    see(lambda: panel.control.isChecked(), "control")
-    panel.scaling_requested.emit(0.3)
-    see(lambda: panel.scaling.value() == 30 and abs(now_scale() - 0.3) < 1e-6, "the factor")
-
-
-def test_a_factor_set_by_the_service_is_shown_exactly(panel, controller, see):
-    see(panel.scaling.isEnabled, "the controller")
-    assert call("scaling_factor", "setScalingFactor", 0.3337).success
-    see(lambda: panel.scaling_label.text() == "Scaling Factor: 0.3337", "the factor")
-
-
 def test_a_refusal_is_shown(panel, controller, see):
     click(panel.exit)
     see(lambda: "goes to the zero position" in panel.answer.full, "the answer")
@@ -278,15 +265,6 @@ def test_a_hanging_controller_never_does_later_what_was_given_up(panel, controll
     assert call("gripper_control", "setGripperControl", True).success
     see(panel.gripper.isChecked, "the gripper")
     assert not panel.control.isChecked()
-
-
-def test_emergency_stop_ends_a_controller_that_hangs(panel, controller, see):
-    controller.send_signal(signal.SIGSTOP)
-    click(panel.emergency)
-    assert is_after(0.5, see(lambda: controller.poll() is not None, "the end of the process"))
-    assert controller.returncode == -signal.SIGKILL
-    see(lambda: "hung and its process was ended" in panel.answer.full, "the sentence")
-    see(lambda: "has exited" in panel.status.full and not panel.control.isEnabled(), "the end")
 
 
 def test_emergency_stop_asks_a_controller_whose_loop_hangs(panel, controller, see):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import mmap
 import os
 import re
@@ -12,7 +11,6 @@ import struct
 import subprocess
 import sys
 import time
-import xmlrpc.client
 from pathlib import Path
 
 import pytest
@@ -161,37 +159,6 @@ def test_a_person_clicks_presses_a_key_and_closes_the_window(ros, screen, panel,
     screen.wait_for("control", LOCKED)
     ask_to_close(screen.display, int(screen.window))
     assert_ends_well(shown)
-
-
-def test_interrupted_it_ends_although_the_master_hangs(screen, panel, processes, free_port, wait_until):
-    uri = f"http://localhost:{free_port()}"
-    master = xmlrpc.client.ServerProxy(uri)
-    processes.start("rosmaster", "--core", "-p", uri.rpartition(":")[2])
-
-    def process_of_the_master():
-        with contextlib.suppress(OSError):
-            return master.getPid("/test")[2]
-
-    pid = wait_until(process_of_the_master, LONG_S, "the ROS master")
-    shown = panel(ROS_MASTER_URI=uri)
-    screen.wait_for("status", NORMAL)
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        screen.wait_for("status", WARNING)
-        shown.send_signal(signal.SIGINT)
-        assert_ends_well(shown)
-    finally:
-        os.kill(pid, signal.SIGCONT)
-
-
-def test_the_panel_comes_and_goes_with_a_controller(ros, screen, processes, wait_until):
-    """One that has neither parameters nor a robot."""
-    environment = {"DISPLAY": screen.display, "QT_QPA_PLATFORM": "xcb"}
-    controller = processes.start("rosrun", "kuka_control", "real_time_controller.py", env=environment)
-    screen.wait_for_panel()
-    assert processes.end(controller) == 0
-    there = ("search", "--onlyvisible", "--name", TITLE)
-    wait_until(lambda: not screen.xdotool(*there), LONG_S, "the window to close", ASK_S)
 
 
 def ask_to_close(display, window):

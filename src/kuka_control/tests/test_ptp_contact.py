@@ -14,7 +14,6 @@ from loop_world import World, rig, shifted
 from common import clock
 from common.mounting import rotation_of_mounting
 from kuka_control.loop.commands import End, StartPtp, Wait
-from kuka_control.loop.moves import MoveState
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.ptp_contact import torque_ranges, touched
@@ -169,17 +168,6 @@ def test_on_the_way_to_zero_a_contact_ends_the_controller_where_the_arm_stands()
     world.arm.touches = (PUSH,)
     world.run(1.0)
     assert world.state is State.ENDED and "joint 2 bears -31.0 Nm" in world.steps[-1].command.fault
-
-
-def test_a_program_hears_of_the_contact():
-    world = World().at_home()
-    world.control_on = True
-    world.ask("aside")
-    world.run(0.2)
-    world.arm.touches = (PUSH,)
-    world.run(0.1)
-    assert world.progress.state is MoveState.ABORTED
-    assert "touched something on its way to aside" in world.progress.sentence
 
 
 @pytest.mark.parametrize("fault", ["torn", "slow", "bursts", "unfinished"])

@@ -7,9 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from kst import ConnectionLost, NoServer, UnexpectedReply
+from kst import ConnectionLost, UnexpectedReply
 from kuka_control.loop.commands import Inputs, Observation, StartPtp, Step, Wait
-from kuka_control.loop.controller import LONGEST_PAUSE_S, REMIND_S, ReconnectSupervisor
+from kuka_control.loop.controller import ReconnectSupervisor
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.switches import SwitchState
 
@@ -87,17 +87,6 @@ def test_a_frame_from_before_never_reaches_the_new_loop(supervisor, loops):
 def test_a_controller_that_is_asked_to_end_goes_to_zero_by_its_loop(supervisor, loops):
     supervisor.step(observation(exit_requested=True), 101.0)
     assert loops[0].observations[0].inputs.switches.exit_requested
-
-
-def test_attempts_become_rarer_and_are_reported_now_and_then(supervisor):
-    now, pauses, reported = supervisor.next_try, [], []
-    while now < 100.0 + 2.5 * REMIND_S:
-        reported += supervisor.failed(NoServer("nobody listens"), now)
-        pauses.append(supervisor.next_try - now)
-        now = supervisor.next_try
-    assert pauses[:3] == [1.0, 2.0, 4.0] and max(pauses) == pauses[-1] == LONGEST_PAUSE_S
-    assert len(reported) == 3 and reported[0].sentence == "The robot is still gone. Try 1 failed: nobody listens."
-    assert "broke" in supervisor.reason and f"Try {len(pauses)} failed: nobody listens." in supervisor.reason
 
 
 @pytest.mark.parametrize(

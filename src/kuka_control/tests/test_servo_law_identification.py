@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kuka_control.loop.servo_law import TURN_RAD, Approach, ServoLawIdentification, ServoLawResult, lts, verdict
+from kuka_control.loop.servo_law import TURN_RAD, Approach, ServoLawIdentification, lts, verdict
 
 HOME = np.radians([-45.0, 30.0, 0.0, -80.0, 0.0, 70.0, 0.0])
 DT = 0.004
@@ -124,20 +124,3 @@ def test_the_lts_law_is_seldom_missed_and_never_taken_for_the_other_one(seeds):
         assert run_badly(lts, **luck).law in ("lts", None), seed
         quiet = {**luck, "noise": 2e-5, "freezes": 0.0, "stalls": 0.0, "arm_s": 0.02 + 0.02 * luck["random"].uniform()}
         assert run_badly(lts, **quiet).law == "lts", seed
-
-
-@pytest.mark.parametrize("law", ["lts", "none", None])
-def test_with_auto_the_law_is_used_that_was_identified_and_none_where_it_is_unclear(law):
-    follows = verdict(ServoLawResult(law, "as measured"), "auto")
-    assert follows.lts == (law == "lts") and not follows.refused
-    assert follows.level == ("warn" if law is None else "info") and "as measured" in follows.sentence
-    assert ("Goals are sent as for servo_law none." in follows.sentence) == (law is None)
-
-
-@pytest.mark.parametrize("law", ["lts", "none", None])
-@pytest.mark.parametrize("servo_law", ["lts", "none"])
-def test_goals_for_the_lts_law_need_both_the_parameter_and_the_robot(law, servo_law):
-    follows = verdict(ServoLawResult(law, "as measured"), servo_law)
-    assert follows.lts == (law == servo_law == "lts")
-    assert follows.refused == (servo_law == "lts" and law == "none")
-    assert (follows.level == "warn") == (law is None) and "as measured" in follows.sentence

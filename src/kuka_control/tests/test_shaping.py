@@ -104,14 +104,6 @@ def test_between_frames_the_goal_continues_smoothly(rate):
     assert np.max(np.abs(acceleration[350:])) < 8.0
 
 
-def test_uneven_frames_do_not_shake_the_goal():
-    r = rig()
-    late = np.random.default_rng(2)
-    r.follow(2.5, circle(home(r), 0.06, 0.5), 74.0, lambda: late.uniform(0.0, 0.008))
-    acceleration = np.diff(goal_speeds(r), axis=0) / DT
-    assert np.max(np.abs(acceleration[350:])) < 12.0
-
-
 @pytest.mark.parametrize("hertz", [0.25, 0.5])
 def test_nothing_limited_adds_no_lag(hertz):
     """The goal is where the tool frame is at that moment, although frames come at 74 Hz only."""
@@ -122,28 +114,6 @@ def test_nothing_limited_adds_no_lag(hertz):
     wanted = np.array([tool(t)[:3, 3] for t in r.times])
     speed = 2.0 * np.pi * hertz * 0.06
     assert np.max(np.linalg.norm(goals - wanted, axis=1)[350:]) < 0.005 * speed + 0.0002
-
-
-def test_a_hand_that_stops_is_not_overshot():
-    r = rig()
-    T = home(r)
-
-    def reach(t):
-        s = min(max((t - 0.3) / 0.6, 0.0), 1.0)
-        return moved(T, [0.0, 0.12 * (10 * s**3 - 15 * s**4 + 6 * s**5), 0.0])
-
-    r.follow(2.0, reach)
-    y = np.array([r.rig.kinematics.forward(q)[1, 3] for q in r.q]) - T[1, 3]
-    assert np.max(y) < 0.1205 and y[-1] == pytest.approx(0.12, abs=1e-3)
-
-
-def test_when_frames_stop_the_goal_comes_to_rest_soon():
-    r = rig(time_out=2.0)
-    T = home(r)
-    r.follow(1.5, lambda t: moved(T, [0.0, 0.2 * t, 0.0]), frames_for=0.7)
-    y = np.array([r.rig.kinematics.forward(q)[1, 3] for q in r.goals]) - T[1, 3]
-    assert np.max(y) < 0.2 * (0.7 + 0.04)
-    np.testing.assert_array_equal(r.goals[-1], r.goals[-100])
 
 
 def out_and_back(T, way, axis, degrees, seconds):
@@ -197,31 +167,6 @@ def test_singular_poses_and_joint_limits_slow_the_arm_and_let_it_back(where, ser
     np.testing.assert_allclose(r.rig.kinematics.forward(r.q[-1]), T, atol=3e-3)
     turns = np.sum(np.diff(np.sign(np.where(np.abs(r.v) < 0.02, 0.0, r.v)), axis=0) != 0.0, axis=0)
     assert np.max(turns) < 24
-
-
-def test_a_hand_that_leaves_the_reach_and_comes_back_elsewhere_is_followed_in_servo_mode():
-    """Up where the wrist comes to its limit, aside there, with the hand tilted, and down."""
-    r = rig(time_out=1.0)
-    T = home(r)
-
-    def tool(t):
-        up, over = (0.5 - 0.5 * np.cos(np.pi * np.clip(x, 0.0, 1.0)) for x in (t / 2.0, (t - 2.0) / 3.0))
-        down = 0.5 - 0.5 * np.cos(np.pi * np.clip((t - 5.0) / 2.0, 0.0, 1.0))
-        aside = 0.245 * (over - 0.5 * up)
-        return moved(T, [aside, aside, 0.25 * up - 0.15 * down], about("x", 0.8 * np.sin(np.pi * over)))
-
-    r.follow(9.0, tool)
-    assert r.loop.counts["ik_failures"] == 0 and r.step.mode == "servo"
-    assert r.loop.counts["ptp_motions"] == 1 and r.loop.counts["jumps"] == 0, r.events[-3:]
-    assert r.joints.stops == 0 and r.joints.max_tool_speed < STOP - 0.02
-    assert np.all(np.abs(goal_speeds(r)) <= 1.01 * r.config.joint_speed * r.rig.model.max_speed)
-    np.testing.assert_allclose(r.rig.kinematics.forward(r.q[-1]), tool(9.0), atol=3e-3)
-
-
-def test_a_wrong_servo_law_is_refused_before_anything_is_followed():
-    r = rig("none", servo_law="lts")
-    assert r.step.mode == "stopped" and "Set servo_law: none" in r.step.command.fault
-    np.testing.assert_allclose(r.joints.q, r.rig.home.q, atol=np.radians(0.07))
 
 
 @pytest.mark.parametrize(("server", "servo_law", "said"), [

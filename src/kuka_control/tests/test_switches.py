@@ -16,11 +16,6 @@ def switches(mode="home", stopped=None):
     return result
 
 
-def test_everything_is_off_at_the_start():
-    now = Switches().now
-    assert (now.control_on, now.gripper_on, now.scale, now.exit_requested) == (False, False, 1.0, False)
-
-
 def test_control_goes_on_and_off():
     s = switches()
     assert s.set_control(True).success and s.now.control_on

@@ -263,3 +263,14 @@ def test_bytes_that_are_no_tf_message_are_left_out_and_the_next_message_counts(l
         damaged._connection_header = {"callerid": "/hostile"}
         listener.desired.callback(damaged)
     assert hear(listener, BASE, 0.5, 100.0).conflict is None
+
+
+def test_frames_in_a_circle_have_no_way_to_the_base(listener, monkeypatch):
+    now = clock.monotonic()
+    monkeypatch.setattr(clock, "monotonic", lambda: now)
+    for i in range(2):
+        for parent, child in (("a", "b"), ("b", "a")):
+            hear(listener, parent, 0.1, 100.0 + i, child)
+        refused = hear(listener, "a", 0.5, 100.0 + i)
+        now += 0.6
+    assert "stands in a" in refused.conflict

@@ -13,7 +13,6 @@ from test_controller import GOAL, LATE, Cycles, silent
 from common import clock
 from common.errors import DeviceError
 from common.frames import ONE_ARM
-from common.poses import translation
 from kst import ConnectionLost, NoServer, ReplyTimeout
 from kuka_control.loop.algorithms import real_time_loop
 from kuka_control.loop.commands import End, Step, Wait
@@ -363,48 +362,3 @@ class TestNodes:
             server.show(step, new(0.0))
         assert clock.monotonic() - begin == pytest.approx(1.0, abs=2.0 * DT)
         assert aborted == ["The controller did not start the motion. It is busy."]
-
-    def desired(self, parent, *others):
-        """Publishes the desired tool frame in a parent, and `others` in theirs; returns what becomes of it."""
-        import rospy
-        from tf2_msgs.msg import TFMessage
-
-        from common.ros.conversions import stamped_transform
-        from kuka_control.ros.desired_tool import DesiredTool
-
-        publisher, desired = rospy.Publisher("/tf", TFMessage, queue_size=10), DesiredTool()
-        clock.sleep(0.1)
-
-        def publish():
-            now, T = rospy.Time.now(), translation(0.5, 0.0, 0.5)
-            frames = [stamped_transform(T, a, b, now) for a, b in ((parent, TOOL), *others)]
-            publisher.publish(TFMessage(frames))
-            clock.sleep(0.02)
-            return desired.wait(0.0)
-
-        return publish
-
-    def refused_after(self, publish, words):
-        begin = clock.monotonic()
-        while True:
-            found = publish()
-            said = "" if found is None else found.refused or found.conflict or ""
-            if words in said:
-                return clock.monotonic() - begin
-            assert clock.monotonic() - begin < 10.0
-
-    def test_a_tool_frame_without_a_way_to_the_base_is_refused_after_half_a_second(self, ros):
-        assert self.refused_after(self.desired(LEAP), "nobody publishes where that is") == pytest.approx(0.5, abs=0.05)
-
-    def test_frames_in_a_circle_have_no_way_to_the_base(self, ros):
-        circle = (("a", LEAP), (LEAP, "a"))
-        assert self.refused_after(self.desired(LEAP, *circle), "nobody publishes where that is") < 1.0
-
-    def test_ros_time_that_stands_still_is_no_time_after_half_a_second(self, ros, monkeypatch):
-        import rospy
-
-        publish = self.desired(BASE)
-        now = rospy.Time.now()
-        monkeypatch.setattr(rospy.Time, "now", classmethod(lambda _: now))
-        monkeypatch.setattr(rospy, "get_time", now.to_sec)
-        assert self.refused_after(publish, "ROS time has stood still for 0.5") == pytest.approx(0.5, abs=0.1)

@@ -87,12 +87,6 @@ def test_why_it_cannot_be_brought_there(T, words):
     assert words in answer.sentence and answer.sentence.endswith((".", "?"))
 
 
-def test_a_pose_on_a_bound_is_inside():
-    T = tool()
-    T[2, 3] = RIG.workspace.z_lower
-    assert check(T, scale=0.7).T_base_desired is not None
-
-
 @pytest.mark.parametrize("mode", ["pick_up", "servo"])
 def test_an_arm_that_follows_continues_from_where_it_is(mode):
     joints = HOME.q + 0.1

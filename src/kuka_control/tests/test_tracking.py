@@ -33,10 +33,6 @@ def test_an_arm_that_lags_by_its_servo_is_fine(speed, lag):
     assert run(sweep(speed, 1.5), lambda q, goal: q + (goal - q) * DT / lag) is None
 
 
-def test_an_arm_at_rest_at_its_goal_is_fine():
-    assert run([np.full(7, 0.004)] * 1000, lambda q, goal: q) is None
-
-
 @settings(max_examples=30)
 @given(st.floats(0.1, 1.5))
 def test_a_frozen_arm_is_found_within_half_a_second_of_moving_away(speed):
@@ -58,11 +54,6 @@ def test_goals_do_not_move_on_without_measured_joints(speed, dt):
     cycles = next(i for i in range(10_000) if monitor.step(np.full(7, speed * DT * i), measured, i * dt))
     assert (cycles - np.radians(0.5) / (speed * DT)) * min(dt, 0.03) < 0.6
     assert monitor.step(np.zeros(7), np.zeros(7), 10_000.0) is None, "new joints, at the goal"
-
-
-def test_an_arm_far_behind_is_found():
-    time, fault = run([np.full(7, 1.0)] * 200, lambda q, goal: q + 1e-3)
-    assert time < 0.5 and "behind" in fault
 
 
 def test_a_stall_of_the_loop_is_not_blamed_on_the_arm():
@@ -108,10 +99,6 @@ def test_an_arm_that_is_held_on_its_way_is_found_within_half_a_second(override, 
 
     found = watch(END, joints, held_at + 2.0) - held_at
     assert 0.0 < found < (0.5 if give == 0.0 else 1.3)
-
-
-def test_an_arm_that_does_not_begin_to_move_is_found():
-    assert watch(END, lambda t: START, 2.0) < 1.1
 
 
 def test_joints_that_are_not_read_anew_say_nothing_of_a_motion():

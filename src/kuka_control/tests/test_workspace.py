@@ -14,7 +14,6 @@ from hypothesis.extra import numpy as st_numpy
 from common.errors import ConfigError
 from kuka_control.model.workspace import (
     Bound,
-    Constrained,
     Infeasibility,
     Infeasible,
     LiftedWorkspace,
@@ -191,15 +190,6 @@ def test_examples(desired, expected, bounds):
     np.testing.assert_allclose(result.position, expected, atol=1e-12)
 
 
-def test_projection_onto_the_side_plane():
-    """From 55 deg, 30 deg beyond the plane at 25 deg: what is left of 0.7 m is its part along the plane."""
-    far = 0.7 * np.array([math.cos(math.radians(55.0)), math.sin(math.radians(55.0)), 0.0]) + [0.0, 0.0, 0.34]
-    result = AHEAD.constrain(far)
-    r, edge = 0.7 * math.cos(math.radians(30.0)), math.radians(25.0)
-    np.testing.assert_allclose(result.position, (r * math.cos(edge), r * math.sin(edge), 0.34), atol=1e-12)
-    assert result.bounds == (Bound.OPENING_ANGLE,)
-
-
 @pytest.mark.parametrize(
     "position, reason",
     [
@@ -216,10 +206,6 @@ def test_infeasible_positions(position, reason):
     assert result.reason is reason
     assert not AHEAD.contains(np.array(position))
     assert reason.value in str(result)
-
-
-def test_foot_of_the_base_is_feasible():
-    assert isinstance(AHEAD.constrain(np.array([0.6, 0.0, 0.0])), Constrained)
 
 
 @given(positions)
@@ -267,10 +253,6 @@ def test_settings_that_make_no_workspace(change, words):
     with pytest.raises(ConfigError, match=words) as raised:
         Workspace(**{**SETTINGS, **change})
     assert raised.value.faults == tuple(workspace_faults(**{**SETTINGS, **change}))
-
-
-def test_all_faults_are_named_at_once():
-    assert len(workspace_faults(np.zeros(3), 4.0, 0.5, 0.4, 0.7, 0.6, 0.34)) == 4
 
 
 @given(workspaces())

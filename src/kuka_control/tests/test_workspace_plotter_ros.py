@@ -56,11 +56,6 @@ def test_a_custom_home_and_other_tolerances(plotter, tmp_path):
     assert "<svg" in (tmp_path / "w.svg").read_text()
 
 
-def test_equal_seeds_say_the_same(plotter, tmp_path):
-    first, again, other = (plotter("--save", tmp_path / "w.png", *QUICK, "--seed", seed).stdout for seed in (1, 1, 2))
-    assert first == again != other
-
-
 def test_all_faults_of_a_bad_workspace_are_said(plotter, tmp_path):
     path = params_file(tmp_path, center_line=[0, 0, 1], z_lower_limit=0.9, time_out=-1.0)
     done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
@@ -105,12 +100,6 @@ def test_a_calibrated_arm_is_studied_by_its_own_parameters(plotter, tmp_path):
     assert done.returncode == 0 and "-45.0, 29.5, 0.0, -63.5, 0.0, 87.1, 0.0 deg" in done.stdout, done.stdout
     bad = plotter("--params", params_file(tmp_path, dh_parameters="/no/arm.yaml"), "--save", tmp_path / "w.png", *QUICK)
     assert bad.returncode == 1 and "/no/arm.yaml cannot be read" in bad.stderr
-
-
-def test_text_that_is_no_yaml_is_refused(plotter, tmp_path):
-    (tmp_path / "params.yaml").write_text("a: [1\nb: }")
-    done = plotter("--params", tmp_path / "params.yaml", "--save", tmp_path / "w.png")
-    assert done.returncode == 1 and "is not yaml" in done.stderr and len(done.stderr.splitlines()) == 1
 
 
 def test_takes_the_parameters_from_the_server(virtual_graph, plotter, tmp_path):

@@ -71,11 +71,6 @@ def test_every_bound_has_its_samples_and_each_sample_one_group():
     np.testing.assert_array_equal(groups.sum(axis=0), 1)
 
 
-def test_a_wide_workspace_also_has_infeasible_samples():
-    samples = constrained_samples(workspace(opening=175.0), COUNT, np.random.default_rng(0))
-    assert len(samples.infeasible) > 0
-
-
 @pytest.mark.parametrize("draw", [volume_samples, lambda *a: constrained_samples(*a).raw])
 def test_equal_seeds_give_equal_samples(draw):
     space = workspace()

@@ -9,6 +9,5 @@ from __future__ import annotations
 from typing import Final
 
 NEW_STREAM_PAUSE_S: Final = 0.28  # the controller: longer than one lost packet stops TCP (0.2 s)
-SENDER_PAUSE_S: Final = (
-    NEW_STREAM_PAUSE_S + 0.02
-)  # who sends waits so long before it begins anew: with delay on the way
+DELAY_S: Final = 0.02  # on the way
+SENDER_PAUSE_S: Final = NEW_STREAM_PAUSE_S + DELAY_S  # who sends waits so long before it begins anew

@@ -16,7 +16,6 @@ from iiwa_kinematics import (
     DhParameters,
     IkFailure,
     Kinematics,
-    kinematics_of,
     nominal_parameters,
     robot_model,
 )
@@ -129,15 +128,6 @@ def test_without_deviations_it_is_the_arm_of_the_data_sheet(model, seed):
     expected, found = plain.inverse(plain.forward(q), near), arm.inverse(plain.forward(q), near)
     assert found.branch == expected.branch and found.arm_angle == pytest.approx(expected.arm_angle, abs=1e-6)
     np.testing.assert_allclose(found.q, expected.q, atol=1e-6)
-
-
-@models
-def test_without_deviations_kinematics_of_is_the_closed_form_itself(model):
-    assert type(kinematics_of(model, TOOL, None)) is type(kinematics_of(model, TOOL, deviations(NONE)))
-    assert not kinematics_of(model, TOOL, None).calibrated
-    off = kinematics_of(model, TOOL, deviations(np.eye(28)[27]))
-    assert off.calibrated
-    np.testing.assert_allclose(off.forward(HOME)[:3, 3], Kinematics(model, TOOL).forward(HOME)[:3, 3], atol=1e-3)
 
 
 @models

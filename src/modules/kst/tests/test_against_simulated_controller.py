@@ -7,8 +7,7 @@ from common import clock
 from common.poses import translation
 from kst.client import KstClient, KstMode
 from kst.codec import Feedback
-from kst.errors import ConnectionLost, MotionInterrupted, MotionRefused, NoServer, ReplyTimeout, ServerBusy, WrongMode
-from kst.limits import JointLimits
+from kst.errors import ConnectionLost, MotionInterrupted, ReplyTimeout, WrongMode
 from kst.session import ARRIVED_RAD, KstTiming
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
@@ -164,21 +163,6 @@ def test_a_server_that_wipes_commands(start, window, resent):
     assert (client.counts.resent, client.counts.stray) == (resent, 0)
 
 
-def test_a_safety_stop_only_delays_the_arrival(rig):
-    client = rig.connect()
-    client.start_ptp_joints(ABOVE_ZERO, 0.1)
-    clock.sleep(0.5)
-    rig.ask("set_external_torque", value=[0.0, 40.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    clock.sleep(0.5)
-    assert rig.state("safety_stop") and not any(rig.state("velocities"))
-    assert not client.ptp_arrived()
-    assert client.joints()[3] > ABOVE_ZERO[3]
-    rig.ask("set_external_torque", value=[0.0] * 7)
-    rig.ask("release")
-    until(client.ptp_arrived, 5.0)
-    np.testing.assert_allclose(client.joints(), ABOVE_ZERO, atol=1e-6)
-
-
 def test_a_torque_ends_a_guarded_motion_and_the_next_one_goes_on(rig):
     client = rig.connect()
     assert client.knows_guarded_ptp()
@@ -194,37 +178,6 @@ def test_a_torque_ends_a_guarded_motion_and_the_next_one_goes_on(rig):
     client.start_ptp_joints(ABOVE_ZERO, 0.5, ranges)
     until(client.ptp_arrived, 10.0)
     assert client.counts.stray == client.counts.missed == 0
-
-
-def test_after_a_refused_goal_the_poses_are_again_those_of_the_tool(rig):
-    client = rig.connect(limits=JointLimits(np.full(7, -4.0), np.full(7, 4.0)))
-    with pytest.raises(MotionRefused):
-        client.ptp_joints([3.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.5, timeout=30.0)
-    np.testing.assert_allclose(client.pose(), np.array(rig.state("flange")) @ TOOL, atol=1e-6)
-    client.ptp_joints(ABOVE_ZERO, 1.0, timeout=30.0)
-
-
-def test_closing_in_the_servo_mode_leaves_it(rig):
-    client = rig.connect()
-    client.start_joint_servo()
-    client.close()
-    assert rig.state("mode") == "idle" and not rig.state("connected")
-
-
-def test_a_second_client_finds_the_server_busy(rig):
-    rig.connect()
-    with pytest.raises(ServerBusy):
-        rig.connect()
-
-
-def test_the_controller_dies(rig):
-    client = rig.connect()
-    client.start_joint_servo()
-    rig.die()
-    with pytest.raises(ConnectionLost):
-        client.servo(np.zeros(7), Feedback.JOINTS)
-    with pytest.raises(NoServer):
-        rig.connect()
 
 
 @pytest.mark.parametrize("longer", [False, True])

@@ -196,13 +196,6 @@ def test_lights_during_a_motion_do_not_end_it(server, connect):
     assert client.ptp_arrived()
 
 
-def test_a_blocking_motion(server, connect):
-    server.answers["doPTPinJS"] = b"done\ndone\n"
-    client = connect()
-    client.ptp_joints(HOME, 0.25, timeout=10.0)
-    assert client.mode is KstMode.IDLE
-
-
 def test_a_motion_that_does_not_end_in_time_names_the_joint_that_is_farthest(server, connect, takes):
     client = connect()
     with takes(12.0), pytest.raises(ReplyTimeout, match=r"joint 4 .* 5\.73 deg"):
@@ -287,14 +280,6 @@ def test_an_end_by_a_torque_that_is_never_told_is_no_arrival(server, connect):
     server.push(b"interrupted\n")
     with pytest.raises(MotionInterrupted):
         client.ptp_arrived()
-
-
-def test_a_late_end_of_an_earlier_motion_is_not_that_of_the_next(server, connect):
-    client = connect()
-    server.push(b"interrupted\n")
-    client.start_ptp_joints(HOME, 0.25)
-    assert not client.ptp_arrived()
-    assert client.counts.stray == 1
 
 
 def test_a_server_is_asked_whether_it_knows_guarded_motions_by_one_that_does_not_move(server, connect, takes):

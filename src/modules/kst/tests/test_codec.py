@@ -193,10 +193,6 @@ def test_lines_do_not_depend_on_how_the_stream_is_cut(lines, data):
     assert [line for piece in pieces for line in splitter.feed(piece)] == KstLineSplitter().feed(stream)
 
 
-def test_two_replies_in_one_packet_and_the_empty_line_after_a_pin():
-    assert KstLineSplitter().feed(b"1\n\ndone\r\n0.0_") == [b"1", b"done"]
-
-
 def test_a_line_without_end_takes_no_memory_and_no_neighbour():
     splitter = KstLineSplitter()
     assert all(splitter.feed(b"1" * 1000) == [] for _ in range(1000))

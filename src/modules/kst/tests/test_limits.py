@@ -61,10 +61,6 @@ def test_relative_velocities_that_the_controller_would_refuse(velocity):
         check_relative_velocity(velocity)
 
 
-def test_the_fastest_is_one():
-    assert check_relative_velocity(1) == 1.0
-
-
 def test_refusals_are_also_value_errors():
     assert issubclass(BadJoints, KstError) and issubclass(BadJoints, ValueError)
     assert issubclass(BadVelocity, KstError) and issubclass(BadVelocity, ValueError)

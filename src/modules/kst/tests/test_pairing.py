@@ -116,14 +116,6 @@ def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, late):
     assert client.ptp_arrived()
 
 
-def test_a_late_answer_of_the_main_thread_behind_the_probe(server, connect):
-    client = connect()
-    server.once("Torques_ext_J", b"")
-    server.once("getPin3", b"1\n\n" + server.answers["Torques_ext_J"])
-    np.testing.assert_allclose(client.external_torques(), TORQUES)
-    assert server.words()[1:] == ["Torques_ext_J", "getPin3"]
-
-
 @pytest.mark.parametrize("arrives", ["before the next command", "with the probe", "never"])
 def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives):
     client = connect()
@@ -205,15 +197,6 @@ def test_garbage_before_an_answer_is_dropped_and_counted(server, connect, garbag
     assert client.counts.foreign == 1
 
 
-def test_nothing_but_garbage(server, connect):
-    client = connect()
-    server.once("getJointsPositions", b"hello\n" * 100)
-    with pytest.raises(UnexpectedReply) as caught:
-        client.joints()
-    assert caught.value.reply == "hello"
-    np.testing.assert_array_equal(client.joints(), HOME)
-
-
 def test_an_answer_of_the_wrong_kind_leaves_the_next_one_right(server, connect):
     client = connect()
     server.once("getJointsPositions", b"done\n")
@@ -232,18 +215,6 @@ def test_the_pose_of_an_old_server_is_its_force(server, connect):
     server.answers["jpEEfP"] = b"0.0_0.0_0.0_\n"
     with pytest.raises(UnexpectedReply):
         client.servo(HOME, Feedback.POSE)
-
-
-def test_an_answer_in_single_bytes(server, connect):
-    client = connect()
-    server.once("getJointsPositions", b"")
-
-    def drip():
-        for byte in server.answers["getJointsPositions"]:
-            server.push(bytes([byte]))
-
-    clock.Timer(0.1, drip).start()
-    np.testing.assert_array_equal(client.joints(), HOME)
 
 
 def test_a_pause_follows_every_answer_of_the_main_thread(connect):

@@ -105,7 +105,6 @@ class Sentence(QLabel):
         self.show_text("", Tone.NORMAL)
 
     def show_text(self, text: str, tone: Tone) -> None:
-        """Shows the text in the colour of its tone."""
         shown = tone.value if text else "silent"
         if self.property("tone") != shown:
             self.setProperty("tone", shown)
@@ -116,12 +115,10 @@ class Sentence(QLabel):
             self._fit()
 
     def resizeEvent(self, event) -> None:
-        """Fits the text to the new size."""
         super().resizeEvent(event)
         self._fit()
 
     def changeEvent(self, event) -> None:
-        """Makes room for the lines in a new font."""
         super().changeEvent(event)
         self.setFixedHeight(self._height_of("\n" * (self._lines - 1)) + FRAME_PX)
 
@@ -144,7 +141,6 @@ class Sentence(QLabel):
 
 
 def label(text: str = "", name: str = "") -> QLabel:
-    """Returns a label that shows its text as it is."""
     widget = QLabel(text)
     widget.setObjectName(name)
     widget.setTextFormat(Qt.PlainText)
@@ -160,8 +156,6 @@ EMERGENCY_TIP = (
 
 
 class ControlPanel(QWidget):
-    """The panel of the arm and the gripper."""
-
     control_requested = Signal(bool)
     gripper_requested = Signal(bool)
     scaling_requested = Signal(float)
@@ -213,7 +207,6 @@ class ControlPanel(QWidget):
         self.status.show_text(state.status_line, state.tone)
 
     def show_answer(self, text: str, tone: Tone = Tone.NORMAL) -> None:
-        """Shows the answer to the operator's last request."""
         self.answer.show_text(text, tone)
 
     def show_rows(self, rows: tuple[Row, ...] = SILENT) -> None:

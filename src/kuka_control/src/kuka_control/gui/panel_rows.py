@@ -28,7 +28,6 @@ class OperatorRows(QWidget):
         self.setSizePolicy(policy)
 
     def show_rows(self, rows: tuple[Row, ...]) -> None:
-        """Shows the rows."""
         if rows == self._rows:
             return
         self._rows = rows
@@ -42,12 +41,10 @@ class OperatorRows(QWidget):
         return QSize(0, self.minimumHeight())
 
     def resizeEvent(self, event) -> None:
-        """Breaks the lines of ticks and bars anew."""
         super().resizeEvent(event)
         self.setFixedHeight(max(1, self._lay_out(None)))
 
     def paintEvent(self, _event) -> None:
-        """Draws the rows."""
         painter = QPainter(self)
         painter.setRenderHint(QPainter.Antialiasing)
         self._lay_out(painter)

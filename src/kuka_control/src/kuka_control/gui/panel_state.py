@@ -35,8 +35,6 @@ class ControllerStatus:
 
 @dataclass(frozen=True)
 class PanelContext:
-    """What the control panel knows besides the status."""
-
     master: str = ""  # address of the ROS master
     master_lost: bool = False  # it does not answer
     runs: bool | None = None  # whether the controller's process runs, None if it is on another machine
@@ -44,8 +42,6 @@ class PanelContext:
 
 @dataclass(frozen=True)
 class PanelState:
-    """What the widgets show."""
-
     present: bool
     control_on: bool
     gripper_on: bool

@@ -56,8 +56,6 @@ PALE_WIDTHS = (10, 9, 8, 6)
 
 @dataclass(frozen=True, eq=False)
 class WorkspacePicture:
-    """Everything that is drawn."""
-
     title: str  # one line above
     notes: tuple[str, ...]  # lines of text below
     rig: Rig  # the arm, its workspace and home
@@ -76,7 +74,6 @@ class WorkspacePicture:
 
 
 def draw_scene(axes: Axes3D, picture: WorkspacePicture) -> None:
-    """Draws the scene in space."""
     _draw_workspace(axes, picture.rig.workspace)
     _draw_samples(axes, picture)
     _draw_arm(axes, picture.arm)
@@ -244,7 +241,6 @@ def _draw_fractions(axes: Axes, picture: WorkspacePicture, points: np.ndarray) -
 
 
 def _draw_outlines(above: Axes, side: Axes, picture: WorkspacePicture) -> None:
-    """Draws the workspace and the arm at home from above and in the section."""
     workspace, home = picture.rig.workspace, picture.rig.home
     half = workspace.opening_angle / 2.0
     turns = workspace.heading + np.linspace(-half, half, 60)

@@ -379,7 +379,6 @@ class CollisionGuard:
         return distance
 
     def _contact(self, pair: int, posture: _Posture) -> NearestPair:
-        """Returns the distance of a pair with its nearest points."""
         posture.distances.pop(pair, None)
         distance = self._distance(pair, posture)
         i, j = self._pairs[pair]

@@ -37,8 +37,6 @@ class MoveRefused(RigError):
 
 @dataclass(frozen=True)
 class LineLimits:
-    """What a line keeps to."""
-
     kinematics: Kinematics  # of the arm with its tool
     workspace: Workspace  # of the tool point
     lower: np.ndarray  # joint ranges, shape (7,) [rad]

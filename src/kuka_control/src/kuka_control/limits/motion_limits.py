@@ -94,7 +94,6 @@ class MotionLimits:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the goal has no speed and no acceleration."""
         return not (any(self._now.v) or any(self._now.a))
 
     def brake(self, dt: float) -> LimitedGoal:
@@ -233,7 +232,6 @@ class Unlimited:
         """Does nothing: no speed is limited."""
 
     def reset(self, q: np.ndarray) -> None:
-        """Starts from the joints q."""
         self._q = read_only(q)
 
     @property
@@ -243,11 +241,9 @@ class Unlimited:
 
     @property
     def at_rest(self) -> bool:
-        """Returns True: each goal stands by itself."""
         return True
 
     def brake(self, dt: float) -> LimitedGoal:
-        """Returns the last goal."""
         return LimitedGoal(self._q, np.zeros(7), None)
 
     def step(

@@ -43,7 +43,6 @@ class JointState:
 
     @classmethod
     def rest(cls, q: list[float]) -> JointState:
-        """Returns the state at rest at joints q."""
         return cls(q, [0.0] * 7, [0.0] * 7)
 
 

@@ -97,8 +97,6 @@ class SpeedChange:
 
 @dataclass(frozen=True)
 class GuardedRoom:
-    """What the guard keeps to."""
-
     lower: np.ndarray  # joint ranges, shape (7,) [rad]
     upper: np.ndarray
     speed: float  # of every point of the moving arm [m/s]

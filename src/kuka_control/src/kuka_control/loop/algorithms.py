@@ -44,8 +44,6 @@ TEST_MOTIONS = 3
 
 @dataclass(frozen=True)
 class RealTimeSettings(LoopSettings):
-    """Settings of the real-time loop besides."""
-
     servo_law: str  # law of the robot's servo loop that the goals are to be made for, "auto", "lts" or "none"
     goals: GoalStreamSettings  # the settings of the stream of goals
     carried: Callable[[Opening | None], Iterable[Ball]]  # what the flange carries at an opening of the hand
@@ -249,7 +247,6 @@ SPEED_MARGIN = 0.97  # the guard checks the speed of the arm at some times only;
 
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:
-    """Returns the real-time control loop."""
     limits = stream_limits(config, rig)
     goals = GoalStreamSettings(
         joint_speeds=limits.joint_speeds,
@@ -313,8 +310,6 @@ def move_planner(config: ControllerConfig, rig: Rig, named: Mapping[str, np.ndar
 
 
 class StreamLimits(NamedTuple):
-    """What servo goals keep to."""
-
     lower: np.ndarray  # joint ranges, shape (7,) [rad]
     upper: np.ndarray
     joint_speeds: np.ndarray  # shape (7,) [rad/s]
@@ -341,7 +336,6 @@ def _points(rig: Rig) -> MovingPoints:
 
 
 def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None = None) -> MotionLimits:
-    """Returns the limits of the stream of servo goals."""
     limits = stream_limits(config, rig)
     room = GuardedRoom(
         lower=limits.lower,
@@ -356,7 +350,6 @@ def motion_limits(config: RealTimeConfig, rig: Rig, guard: CollisionGuard | None
 
 
 def ptp_loop(config: PtpConfig, rig: Rig) -> PtpLoop:
-    """Returns the PTP control loop."""
     velocity, threshold = config.velocity_ptp, float(np.radians(config.joints_thresh))
     guard = collision_guard(config, rig)
     speeds, ranges = rig.model.max_speed, ptp_torque_ranges(config, rig)

@@ -17,8 +17,6 @@ from kuka_control.model.target import MotionScaling, Target
 
 @dataclass(frozen=True)
 class Inputs:
-    """What comes from outside in a cycle."""
-
     desired: DesiredFrame | None = None  # the newest desired tool frame
     clock: float = 0.0  # ROS time [s], the clock of the stamps
     switches: SwitchState = SwitchState()  # what the operator switched
@@ -28,8 +26,6 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Observation:
-    """What a control loop decides on in a cycle."""
-
     joints: np.ndarray  # measured joints
     inputs: Inputs = Inputs()  # what comes from outside
     arrived: bool = True  # whether no PTP motion runs
@@ -100,8 +96,6 @@ class Event:
 
 @dataclass(frozen=True)
 class Step:
-    """The result of a cycle."""
-
     command: Command  # for the arm
     mode: Mode  # the published mode
     reason: str  # why this mode, in sentences, and why the arm does not follow the desired tool frame that comes

@@ -69,8 +69,6 @@ LINE_START_RAD = 2e-3  # a line begins where the arm stands; no joint is further
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Settings of both loops."""
-
     ptp_velocity: Callable[[np.ndarray, np.ndarray, float], float]  # slows a motion whose tool would be too fast
     q_home: np.ndarray  # home position, shape (7,) [rad]
     joint_speeds: np.ndarray  # full speeds of the joints, shape (7,) [rad/s]
@@ -117,7 +115,6 @@ class Cycle:
 
     @property
     def switches(self) -> SwitchState:
-        """What the operator switched."""
         return self.observation.inputs.switches
 
 
@@ -260,7 +257,6 @@ class ControlLoop(ABC, Generic[Settings]):
         self._opening = opening
 
     def _command(self, cycle: Cycle) -> Command:
-        """Returns the command of the state in which the triggers of this cycle end."""
         if self._active.has(Trait.MOVES):
             cycle = replace(cycle, fresh=None)
         observation, refused = cycle.observation, cycle.observation.refused
@@ -539,7 +535,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return move if checked and not self._active.has(Trait.PROGRAM) else None
 
     def _new_move(self, cycle: Cycle) -> Fired | None:
-        """Starts a motion that a program asks for, or refuses it."""
         move = self._asked(cycle.observation)
         if move is None:
             return None
@@ -552,7 +547,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.MOVE if move.line is None else Trigger.LINE)
 
     def _refused_move(self, move: ProgramMotion, cycle: Cycle) -> str | None:
-        """Returns why a motion cannot start where the arm rests, a sentence."""
         if move.cancelled:
             return "The motion was cancelled before it began."
         if not cycle.switches.control_on:

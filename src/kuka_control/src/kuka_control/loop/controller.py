@@ -135,7 +135,6 @@ class ReconnectSupervisor:
         return (Event("info", BACK),)
 
     def waiting(self) -> Step:
-        """Returns the step while nothing moves."""
         return Step(Wait(), Mode.STOPPED, self.reason, ())
 
     def step(self, observation: Observation, now: float) -> Step:

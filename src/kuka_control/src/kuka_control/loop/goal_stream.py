@@ -79,7 +79,6 @@ class FrameSteps:
         self.jumped = self.jumped or jump
 
     def followed(self) -> None:
-        """Reports that the arm follows the frame."""
         self.jumped = False
 
 
@@ -93,8 +92,6 @@ def _cycle(dt: float, stall: float) -> float:
 
 @dataclass(frozen=True)
 class MovingTarget:
-    """A moving joint target."""
-
     q: np.ndarray  # joints, shape (7,) [rad]
     v: np.ndarray  # their speeds, shape (7,) [rad/s]
 
@@ -223,8 +220,6 @@ while the pick-up motion ran, out of reach, or after a gap between two goals."""
 
 @dataclass(frozen=True)
 class GoalStreamSettings:
-    """Settings of the stream of goals."""
-
     joint_speeds: np.ndarray  # limits of the stream, shape (7,) [rad/s]
     tool_speed: float  # limit of the stream [m/s]
     shaped: bool  # whether the stream is shaped; if not, every target is a goal as it is

@@ -47,7 +47,6 @@ class LineStream(ServoStream):
 
     @property
     def arrived(self) -> bool:
-        """Whether the goals rest at the end of the line."""
         return self.fraction == 1.0 and self._limits.at_rest and np.array_equal(self._limits.goal, self._plan.q_goal)
 
     def blocked(self, now: float) -> str | None:

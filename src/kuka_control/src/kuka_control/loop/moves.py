@@ -30,8 +30,6 @@ LOW_M = 1e-3  # by which the tool point may come below the workspace there [m]
 
 @dataclass(frozen=True)
 class MoveGoal:
-    """What a program asks for."""
-
     target: np.ndarray | str  # joints, shape (7,) [rad], a tool pose, shape (4, 4) [m], or a name
     straight: bool = False  # whether the tool is to move along a straight line
     velocity: float = 0.0  # fraction of the full joint speed, (0, 1], of a line [m/s]; 0: the usual one
@@ -50,8 +48,6 @@ class ProgramMotion:
 
 
 class MoveState(Enum):
-    """What has become of a motion."""
-
     RUNNING = "running"
     DONE = "done"
     CANCELLED = "cancelled"
@@ -61,8 +57,6 @@ class MoveState(Enum):
 
 @dataclass(frozen=True)
 class MoveProgress:
-    """How far a motion is."""
-
     number: int
     state: MoveState
     sentence: str = ""  # about its end

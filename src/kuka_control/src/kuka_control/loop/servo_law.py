@@ -98,8 +98,6 @@ class ServoLawResult:
 
 @dataclass(frozen=True)
 class ServoLawVerdict:
-    """What follows from it."""
-
     lts: bool  # whether goals are to be made for the LTS law
     level: str  # of what is to be reported
     sentence: str  # that is to be reported
@@ -142,7 +140,6 @@ class Approach:
 
     @property
     def done(self) -> bool:
-        """Whether an eighth remains."""
         return len(self._times) == len(self.MARKS)
 
     def look(self, left: float, now: float) -> None:

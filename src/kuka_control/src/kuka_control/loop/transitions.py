@@ -64,8 +64,6 @@ class State(Enum):
 
 
 class Trigger(Enum):
-    """A condition that ends a state."""
-
     START = "at once"
     ARRIVED = "arrived"
     ARRIVED_UNIDENTIFIED = "arrived for the first time"
@@ -103,8 +101,6 @@ class Trigger(Enum):
 
 
 class Action(Enum):
-    """The command to the arm at a transition."""
-
     NONE = "nothing"
     PTP = "PTP motion"
     START_SERVO = "start servo mode"

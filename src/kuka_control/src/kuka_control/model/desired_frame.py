@@ -41,8 +41,6 @@ LIKE = 0.6  # how much another frame's name resembles the missing one, 0 to 1
 
 @dataclass(frozen=True)
 class DesiredFrame:
-    """A desired tool frame."""
-
     T_base_tool: np.ndarray  # shape (4, 4) [m]
     stamp: float  # ROS time [s]; of one that is refused on arrival any other number than of the one before
     conflict: str | None = None  # why the controller must not follow it, a sentence, if that is known on arrival

@@ -86,7 +86,6 @@ class Switches:
         self._held_by = None
 
     def set_control(self, on: bool) -> SwitchReply:
-        """Switches control of the arm on or off."""
         if on and self.now.exit_requested:
             return SwitchReply(False, "Control stays off: the controller is shutting down.")
         if on and self._held_by is not None:
@@ -110,7 +109,6 @@ class Switches:
         return SwitchReply(True, f"Control is on.{first} {self._outlook or follows}")
 
     def set_gripper(self, on: bool) -> SwitchReply:
-        """Switches the flag on the topic kuka/gripper_control."""
         if on and self.now.exit_requested:
             return SwitchReply(False, "Gripper control stays off: the controller is shutting down.")
         self._now = replace(self.now, gripper_on=on)
@@ -137,7 +135,6 @@ class Switches:
         return SwitchReply(True, f"The payload is {self.now.payload:g} kg.")
 
     def request_exit(self) -> SwitchReply:
-        """Requests the motion to the zero position and the exit."""
         if self.now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
         off = replace(self.now, control_on=False, gripper_on=False)

@@ -77,7 +77,6 @@ class Target:
 
     @property
     def outside(self) -> str | None:
-        """A sentence about the bounds, if they act."""
         if not self.bounds:
             return None
         bounds = " and the ".join(self.bounds)
@@ -85,7 +84,6 @@ class Target:
 
     @property
     def limitation(self) -> str | None:
-        """A sentence about the orientation, if it yields."""
         if self.deviation <= SHOWN_RAD:
             return None
         return (
@@ -214,8 +212,6 @@ def _refused_turn(turns: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class ToolCheck:
-    """The answer."""
-
     sentence: str  # why the tool cannot be brought there, or that it can
     T_base_desired: np.ndarray | None = None  # the desired tool frame for that, shape (4, 4) [m]; None if it cannot
     obstacle: str | None = None  # why an arm that yields in orientation and at bounds cannot come there either

@@ -22,8 +22,6 @@ ON_BOUND = 1e-12  # a position beyond a bound by at most this counts as on it [m
 
 
 class Bound(str, Enum):
-    """The bounds of the workspace."""
-
     OPENING_ANGLE = "opening angle"
     Z_LOWER = "lower z limit"
     Z_UPPER = "upper z limit"
@@ -43,8 +41,6 @@ class Infeasibility(str, Enum):
 
 @dataclass(frozen=True)
 class Constrained:
-    """A position within the workspace."""
-
     position: np.ndarray  # shape (3,) [m]; the desired position itself if no bound was active
     bounds: tuple[Bound, ...]  # the active bounds, in the order of their application
 

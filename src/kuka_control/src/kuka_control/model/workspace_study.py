@@ -89,8 +89,6 @@ def _rows(points: list) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ReachStudy:
-    """What was found."""
-
     positions: np.ndarray  # of the tool, shape (n, 3) [m]
     down: np.ndarray  # whether the tool gets there pointing straight down, shape (n,) of bool
     fraction: np.ndarray  # of the orientations within the tolerances that it reaches, shape (n,), 0 to 1

@@ -23,8 +23,6 @@ NODES = ("kuka_real_time_node", "kuka_ptp_node")
 
 
 class PlaceBesideOthers(NamedTuple):
-    """Where an arm stands."""
-
     T_world_base: np.ndarray  # shape (4, 4) [m]
     walls: tuple[ConvexBody, ...]  # between it and the others, for the collision guard
 

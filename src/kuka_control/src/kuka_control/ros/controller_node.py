@@ -138,12 +138,10 @@ def ends_soon() -> bool:
 
 
 def real_time_main() -> None:
-    """The node kuka_real_time_node."""
     _main("kuka_real_time_node", RealTimeConfig, algorithms.real_time_loop)
 
 
 def ptp_main() -> None:
-    """The node kuka_ptp_node."""
     _main("kuka_ptp_node", PtpConfig, algorithms.ptp_loop)
 
 

@@ -135,7 +135,6 @@ class DesiredTool:
         return self._missing
 
     def callback(self, data: RawTfMessage) -> None:
-        """Receives tf messages."""
         node, now = data._connection_header["callerid"], clock.monotonic()
         try:
             transforms = list(data.raw_transforms())

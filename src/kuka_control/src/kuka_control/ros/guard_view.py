@@ -148,7 +148,6 @@ def _row(opening: Opening) -> tuple[float, ...]:
 
 
 def _body(header: Header, number: int, body: ConvexBody, T: np.ndarray) -> list[Marker]:
-    """Returns the markers of a body: a capsule is a cylinder with two spheres."""
     robot = body.link > 0 or body.name.startswith("base")
     look = Header(0, header.stamp, header.frame_id), "robot" if robot else "around"
     colour, shape = ROBOT if robot else AROUND, body.shape

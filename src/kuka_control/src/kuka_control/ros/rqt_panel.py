@@ -21,5 +21,4 @@ class ControlPanelPlugin(Plugin):
         context.add_widget(self._panel)
 
     def shutdown_plugin(self) -> None:
-        """rqt closes the panel."""
         self._link.close()

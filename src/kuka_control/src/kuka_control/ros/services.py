@@ -44,7 +44,6 @@ class Services:
             self._switches.hold(why)
 
     def release(self) -> None:
-        """Lets control be switched on again."""
         with self._lock:
             self._switches.release()
 

@@ -59,7 +59,6 @@ class ProgressLine:
         self._tenths = -1
 
     def show(self, progress: PtpProgress) -> None:
-        """Shows the progress."""
         if self._live:
             print(f"\r{progress_bar(progress)}", end="", flush=True)
             self._open = True

@@ -50,8 +50,6 @@ RATE_GOALS = 1000  # the most goals in a second
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The state after a cycle of the control loop, for publication."""
-
     arm: ArmState
     step: Step
     switched: SwitchState

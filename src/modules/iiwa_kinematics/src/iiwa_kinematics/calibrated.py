@@ -45,7 +45,6 @@ class DhParameters:
         return any(np.any(values) for values in (self.a, self.alpha, self.d, self.theta))
 
     def plus(self, deviations: DhParameters) -> DhParameters:
-        """Returns the parameters of an arm with these deviations."""
         pairs = ((getattr(self, name), getattr(deviations, name)) for name in ("a", "alpha", "d", "theta"))
         return DhParameters(*(read_only(nominal + deviation) for nominal, deviation in pairs))
 

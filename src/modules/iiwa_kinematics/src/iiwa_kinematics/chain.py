@@ -30,7 +30,6 @@ def zyz_axes(a: float, b: float, c: float) -> tuple[Vector, Vector, Vector]:
 
 
 def combination(a: float, x: Vector, b: float, y: Vector, c: float = 0.0, z: Vector = (0.0, 0.0, 0.0)) -> Vector:
-    """Returns a x + b y + c z."""
     return (
         a * x[0] + b * y[0] + c * z[0],
         a * x[1] + b * y[1] + c * z[1],
@@ -39,7 +38,6 @@ def combination(a: float, x: Vector, b: float, y: Vector, c: float = 0.0, z: Vec
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Returns the vector product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 

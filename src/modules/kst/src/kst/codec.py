@@ -62,7 +62,6 @@ class KstCommand(NamedTuple):
 
     @property
     def word(self) -> str:
-        """The command without its numbers."""
         return self.line.split("_", 1)[0] if self.line.endswith("_") else self.line
 
     @property

@@ -58,8 +58,6 @@ class PtpApproach:
 
 @dataclass(frozen=True)
 class PtpLimits:
-    """Bounds of a supervised motion."""
-
     arrived: float = math.radians(0.1)  # largest distance of a joint from its goal at the end of the motion [rad]
     stalled: float = 3.0  # an arm that stands still for this long is stalled [s]
     given_up: float = 60.0  # an arm that stands still for this long is not awaited any longer [s]
@@ -82,8 +80,6 @@ class PtpState(enum.Enum):
 
 @dataclass(frozen=True)
 class PtpProgress:
-    """Progress of a motion."""
-
     state: PtpState  # of the motion
     fraction: float  # of the largest joint step that is done, 0 to 1
     joint: int  # the joint with the largest remaining step, 1 to 7

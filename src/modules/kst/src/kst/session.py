@@ -60,8 +60,6 @@ class KstTiming:
 
 @dataclass
 class LinkCounts:
-    """Events since the link was opened."""
-
     sent: int = 0
     answered: int = 0
     missed: int = 0  # answers
@@ -149,7 +147,6 @@ class KstSession:
 
     @property
     def has_room(self) -> bool:
-        """Whether another goal may be streamed."""
         if not self.open:
             return self.in_step
         return len(self.open) < MAX_OPEN and self.monotonic() - self.open[0].sent_at < self.window
@@ -186,7 +183,6 @@ class KstSession:
                 return
 
     def post(self, command: KstCommand) -> None:
-        """Sends a command that has no answer."""
         self.poll()
         self._send(command)
 
@@ -243,7 +239,6 @@ class KstSession:
 
     @staticmethod
     def unexpected(command: KstCommand, reply: KstReply) -> UnexpectedReply:
-        """Returns the error of a reply that does not fit its command."""
         return UnexpectedReply(
             f"`{command.word}` was answered by `{reply.text}` instead of {command.answer.value}: check the"
             " version of the server",
@@ -438,7 +433,6 @@ class KstSession:
         self.refused |= late is not None and late.kind is ReplyKind.NAK and not self._awaits_final
 
     def _search(self, missing: KstCommand, asked_at: float, probe_lost: bool = False) -> None:
-        """Begins the search for an answer."""
         if not probe_lost:
             self._late = None
         self._unanswered, self._asked_at, self._probe_lost = missing, asked_at, probe_lost
