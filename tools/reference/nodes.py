@@ -67,8 +67,8 @@ NODES: dict[str, Node] = {
     "reflex/reflex_takktile_driver.py": Node(
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),
-    "leap_rig/operator_view_node.py": Node({"": "leap_rig.operator_view:OperatorViewConfig"}, {}),
-    "leap_rig/tutorial.py": Node({"": "leap_rig.ros.tutorial_node:TutorialConfig"}, {}),
+    "leap_rig/operator_view_node.py": Node({"": "leap_rig.operator.view:OperatorViewConfig"}, {}),
+    "leap_rig/tutorial.py": Node({"": "leap_rig.operator.ros.tutorial_node:TutorialConfig"}, {}),
     "rig_simulation/camera_node.py": Node(
         {"": "rig_simulation.node_parameters:CameraConfig"},
         {"": ("rig_simulation/config/camera.yaml",), **CALIBRATIONS},

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leap_rig.cues import GAP_S, LIMIT_GAP_S, NOTES, RATE_HZ, Cue, Sound, Sounds, wav
+from leap_rig.operator.cues import GAP_S, LIMIT_GAP_S, NOTES, RATE_HZ, Cue, Sound, Sounds, wav
 
 STEP_S = 0.1
 cues = st.builds(Cue, st.booleans(), st.booleans(), st.booleans())

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from common.poses import translation
-from leap_rig.recorder import Recorder
-from leap_rig.report import as_text, summarise
+from leap_rig.report.recorder import Recorder
+from leap_rig.report.report import as_text, summarise
 
 HELD = {
     "scenario": "assisted_grasp",

@@ -251,8 +251,8 @@ def test_what_is_for_one_arm_ends_the_launch_of_two_with_a_sentence(given):
 
 def test_the_launch_file_refuses_for_two_arms_the_same_arguments_as_make_demo():
     """A launch file cannot read the list in Python, so it has one of its own."""
-    (text,) = re.findall(r'<arg name="for_one" value="\$\(eval (.*)\)"/>', DEMO.read_text())
-    condition = compile(text, "for_one", "eval")
+    (text,) = re.findall(r'<arg name="for_one" value="\$\(eval (.*?)\)"/>', DEMO.read_text(), re.DOTALL)
+    condition = compile(text.replace("\n", " "), "for_one", "eval")
     allowed = {name: yaml.safe_load(value) if value else "" for name, value in OF_ONE_ARM.items()}
     allowed["scenario"] = "two_cups"
     assert set(condition.co_names) == {*allowed, "str", "join"}

@@ -19,8 +19,8 @@ from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
 from common.ros.conversions import pose_from_transform, stamped_transform
-from leap_rig.recorder import Recorder
-from leap_rig.ros.listener import RigListener
+from leap_rig.report.recorder import Recorder
+from leap_rig.report.ros.listener import RigListener
 
 pytestmark = pytest.mark.ros
 

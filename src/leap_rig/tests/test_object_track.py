@@ -9,8 +9,8 @@ import pytest
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from leap_rig.recorder import Recorder
-from leap_rig.report import as_text, summarise
+from leap_rig.report.recorder import Recorder
+from leap_rig.report.report import as_text, summarise
 
 ON_TABLE, IN_HAND = ("table",), ("reflex/distal_1", "reflex/distal_3")
 STANDS = translation(0.44, -0.44, 0.13)

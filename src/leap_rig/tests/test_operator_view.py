@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from common.operator_rows import BARS, OLD_ROWS_S, Row, RowTone, plain_text
 from common.teleop_record import TeleopRecord
-from leap_rig.cues import Cue
-from leap_rig.operator_view import (
+from leap_rig.operator.cues import Cue
+from leap_rig.operator.view import (
     DELAY_SILENCE_S,
     ArmView,
     DelayView,
@@ -149,7 +149,7 @@ def test_as_plain_text_every_line_fits():
 
 @pytest.mark.ros
 def test_a_marker_outlives_the_pause_between_two_messages():
-    from leap_rig.ros.operator_markers import LIFETIME
-    from leap_rig.ros.operator_view_node import HEARTBEAT_S, PERIOD_S
+    from leap_rig.operator.ros.markers import LIFETIME
+    from leap_rig.operator.ros.view_node import HEARTBEAT_S, PERIOD_S
 
     assert LIFETIME.to_sec() >= HEARTBEAT_S + 3.0 * PERIOD_S

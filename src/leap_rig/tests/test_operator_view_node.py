@@ -16,7 +16,7 @@ from common.ros.node import repeat
 from leap_motion.frames import LeapFinger, LeapFrame, LeapHand
 from leap_motion.msg import Human
 from leap_motion.ros.human import FrameMessage
-from leap_rig.ros import speaker
+from leap_rig.operator.ros import speaker
 from reflex_msgs.msg import Finger, Hand
 from rig_msgs.msg import KukaStatus, OperatorView, TeleopState
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from leap_rig.processor import ProcessorLoad, cpu_times
-from leap_rig.recorder import Recorder
-from leap_rig.report import as_text, summarise
+from leap_rig.report.processor import ProcessorLoad, cpu_times
+from leap_rig.report.recorder import Recorder
+from leap_rig.report.report import as_text, summarise
 
 
 def good_run() -> Recorder:

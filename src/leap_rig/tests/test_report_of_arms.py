@@ -8,9 +8,9 @@ import pytest
 from test_report import good_run
 
 from common.poses import translation
-from leap_rig.recorder import Recorder
-from leap_rig.report import summarise as of_one
-from leap_rig.report_of_arms import as_text, summarise
+from leap_rig.report.recorder import Recorder
+from leap_rig.report.report import summarise as of_one
+from leap_rig.report.report_of_arms import as_text, summarise
 
 
 def test_an_only_arm_has_the_summary_that_it_always_had():

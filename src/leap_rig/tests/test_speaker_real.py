@@ -5,8 +5,8 @@ import wave
 import pytest
 
 pytest.importorskip("rospy")
-from leap_rig.cues import Sound
-from leap_rig.ros import speaker
+from leap_rig.operator.cues import Sound
+from leap_rig.operator.ros import speaker
 
 pytestmark = pytest.mark.ros
 

@@ -11,7 +11,7 @@ from common.reasons import ReasonCode
 from common.rotations import rotation_about
 from common.teleop_record import TeleopRecord
 from leap_kuka.start_gate import BOX, CONDITIONS, PITCH, ROLL
-from leap_rig.tutorial import (
+from leap_rig.operator.tutorial import (
     DONE,
     FRESH_S,
     HINT_S,
@@ -22,7 +22,7 @@ from leap_rig.tutorial import (
     FlangeRecord,
     Tutorial,
 )
-from leap_rig.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
+from leap_rig.operator.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
 
 WITHOUT_CLUTCH = tuple(step for step in STEPS if step != "clutch")
 NONE_MET, ALL_MET = frozenset(), frozenset(CONDITIONS)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from leap_rig.tutorial import DONE, STEPS, TutorialView
-from leap_rig.tutorial_texts import TEXTS
+from leap_rig.operator.tutorial import DONE, STEPS, TutorialView
+from leap_rig.operator.tutorial_texts import TEXTS
 
 pytest.importorskip("python_qt_binding", reason="python3-python-qt-binding is not installed")
 
 
 @pytest.fixture(params=TEXTS)
 def window(application, request):
-    from leap_rig.tutorial_window import TutorialWindow
+    from leap_rig.operator.tutorial_window import TutorialWindow
 
     widget = TutorialWindow(TEXTS[request.param])
     widget.show()
@@ -34,7 +34,7 @@ def test_done_present_and_later_steps_differ_and_an_absent_one_is_hidden(window)
 
 
 def test_every_text_fits_into_the_window(window):
-    from leap_rig.tutorial_window import SIZE_PX
+    from leap_rig.operator.tutorial_window import SIZE_PX
 
     hints = sorted(key[len("hint_") :] for key in window._texts if key.startswith("hint_"))
     for i, hint in enumerate(hints):

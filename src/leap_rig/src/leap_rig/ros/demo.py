@@ -30,11 +30,11 @@ from common.ros.service_calls import ServiceFailed, call
 from common.screen import no_screen
 from kuka_msgs.srv import exitApp
 from leap_hand.ros.operators import known_file
-from leap_rig.processor import ProcessorLoad
-from leap_rig.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
+from leap_rig.report.processor import ProcessorLoad
+from leap_rig.report.ros.live_status import CLEAR_LINE, COMPLAINT, LiveStatus
 
 if TYPE_CHECKING:
-    from leap_rig.ros.listener import RigListener
+    from leap_rig.report.ros.listener import RigListener
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 WINDOWS = ("rviz", "kuka_panel")  # no motion depends on one, and whoever looks on may close it
@@ -310,10 +310,10 @@ def run(arguments: argparse.Namespace) -> int:
         interrupts.heed()
         deaths.take_early(parent.pm)
         # Imported while the nodes start, which would wait for them otherwise.
-        from leap_rig.recorder import Recorder
-        from leap_rig.report import TUTORIAL
-        from leap_rig.report_of_arms import as_text, summarise
-        from leap_rig.ros.listener import RigListener
+        from leap_rig.report.recorder import Recorder
+        from leap_rig.report.report import TUTORIAL
+        from leap_rig.report.report_of_arms import as_text, summarise
+        from leap_rig.report.ros.listener import RigListener
 
         join("demo", argv=[])  # name:=value is for the launch file
         arms = TWO_ARMS if _given(arguments).get("robots") == "2" else ONE_ARM
@@ -353,7 +353,7 @@ def wait_for_end(
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
     `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S.
     """
-    from leap_rig.report import TUTORIAL  # as late as in `run`
+    from leap_rig.report.report import TUTORIAL  # as late as in `run`
 
     first = next(iter(listeners.values()))
     try:

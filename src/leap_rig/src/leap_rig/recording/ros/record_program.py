@@ -37,7 +37,7 @@ from leap_rig.recording.recording_files import (
     is_stored_name,
 )
 from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
-from leap_rig.ros.live_status import CLEAR_LINE
+from leap_rig.report.ros.live_status import CLEAR_LINE
 
 FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
 QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from common import clock
 
 if TYPE_CHECKING:
-    from leap_rig.ros.listener import RigListener
+    from leap_rig.report.ros.listener import RigListener
 
 CLEAR_LINE = "\r\033[K"
 COMPLAINT = "[${severity}] ${node}: ${message}"

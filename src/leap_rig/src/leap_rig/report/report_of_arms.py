@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from leap_rig import report
-from leap_rig.recorder import Recorder
+from leap_rig.report import report
+from leap_rig.report.recorder import Recorder
 
 SHARED = ("duration_s", "frames_received", "objects", "grasps", "real_time_factor", "processor")
 

@@ -16,7 +16,7 @@ from common.config import flag, number
 from common.modes import Mode
 from common.operator_rows import BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
 from common.teleop_record import WAITING, TeleopRecord
-from leap_rig.cues import Cue
+from leap_rig.operator.cues import Cue
 
 FINGERS = ("index", "middle", "thumb")
 CLOSED_RAD = 2.0  # about the angle of a finger on the palm

@@ -20,7 +20,7 @@ from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
 from leap_motion.ros.tracking import ReceivedPalms
-from leap_rig.recorder import Recorder
+from leap_rig.report.recorder import Recorder
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import ObjectStates
 

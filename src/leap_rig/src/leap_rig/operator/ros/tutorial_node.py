@@ -22,7 +22,7 @@ from common.ros.raw_tf import TransformSearch
 from common.screen import no_screen
 from common.teleop_record import teleop_record
 from leap_kuka.config import NONE
-from leap_rig.tutorial import (
+from leap_rig.operator.tutorial import (
     DONE,
     ArmRecord,
     FingersRecord,
@@ -31,7 +31,7 @@ from leap_rig.tutorial import (
     Tutorial,
     TutorialView,
 )
-from leap_rig.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
+from leap_rig.operator.tutorial_texts import ENGLISH, GERMAN, TEXTS, language_of
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus, TeleopState
 
@@ -128,7 +128,7 @@ def _show(node: TutorialNode) -> None:
     from python_qt_binding.QtCore import QTimer
     from python_qt_binding.QtWidgets import QApplication
 
-    from leap_rig.tutorial_window import TutorialWindow
+    from leap_rig.operator.tutorial_window import TutorialWindow
 
     application = QApplication([])
     window, timer = TutorialWindow(node.texts), QTimer()

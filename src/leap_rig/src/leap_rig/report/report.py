@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from common.hand_delay import hand_delay
-from leap_rig.recorder import ObjectTrack, Recorder, TrackingErrors
+from leap_rig.report.recorder import ObjectTrack, Recorder, TrackingErrors
 
 ARM_FOLLOWED_M = 0.005
 """Least path of the tool while a hand steers it."""

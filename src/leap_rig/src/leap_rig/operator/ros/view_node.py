@@ -26,8 +26,10 @@ from common.teleop_record import teleop_record
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
-from leap_rig.cues import Sounds
-from leap_rig.operator_view import (
+from leap_rig.operator.cues import Sounds
+from leap_rig.operator.ros.markers import LIFETIME, view_markers
+from leap_rig.operator.ros.speaker import Speaker
+from leap_rig.operator.view import (
     ArmView,
     DelayView,
     GripView,
@@ -37,8 +39,6 @@ from leap_rig.operator_view import (
     Record,
     TouchConfig,
 )
-from leap_rig.ros.operator_markers import LIFETIME, view_markers
-from leap_rig.ros.speaker import Speaker
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import GuardState, KukaStatus, OperatorRow, TeleopState
 from rig_msgs.msg import OperatorView as OperatorViewMessage

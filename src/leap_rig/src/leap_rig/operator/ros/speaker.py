@@ -7,7 +7,7 @@ import subprocess
 import rospy
 
 from common import clock
-from leap_rig.cues import Sound, wav
+from leap_rig.operator.cues import Sound, wav
 
 LONGEST_S = 3.0
 

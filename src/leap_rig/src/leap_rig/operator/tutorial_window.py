@@ -5,7 +5,7 @@ from __future__ import annotations
 from python_qt_binding.QtCore import Qt
 from python_qt_binding.QtWidgets import QLabel, QProgressBar, QVBoxLayout, QWidget
 
-from leap_rig.tutorial import STEPS, TutorialView
+from leap_rig.operator.tutorial import STEPS, TutorialView
 
 STYLE = """
 TutorialWindow { background-color: #f4f6f8; }

@@ -1,0 +1,1 @@
+"""What the operator sees and hears: `view` (rows out of the newest messages), `cues` (sounds), `tutorial`."""

@@ -1,0 +1,1 @@
+"""Nodes of the operator: view with its markers and sounds, tutorial."""
