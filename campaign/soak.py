@@ -49,7 +49,7 @@ FAULT_S, WATCH_S, REST_S = (1.0, 6.0), 6.0, 30.0
 LISTENER_S, PANEL_S, PANEL_EVERY = 8.0, 15.0, 5
 STAGE = b"kuka_control"  # the goal is on the arm's wire
 NAME = b"__name:="
-STAGE_TIME = struct.Struct("<7I")  # a TimeReference up to its source, as leap_rig.ros.listener reads it
+STAGE_TIME = struct.Struct("<7I")  # a TimeReference up to its source, as leap_rig.report.ros.listener reads it
 TCP_PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port",
              "camera_control_port")  # fmt: skip
 FAULTS = {"arm": ARM_FAULTS, "leap": LEAP_FAULTS, "hand": HAND_FAULTS, "camera": CAMERA_FAULTS}
