@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""`make fuzz MINUTES=60`: tests/test_fuzz.py tries new inputs on every target, each for its share of the time.
+"""`make fuzz MINUTES=60`: tests/test_fuzz.py tries new inputs on every target, each for its share of the time, and
+tests/test_fuzz_rig.py random messages and calls on the rig.
 
 pytest shows a finding with its smallest input, which hypothesis keeps in .hypothesis, and names a target whose process
 died or hung. Exit code 1 if anything was found.
@@ -46,6 +47,7 @@ def main(argv: list[str] | None = None) -> int:
         str(8 * share + HANGS_S),
     ]
     tests = [f"tests/test_fuzz.py::test_nothing_is_found[{name}]" for name in names]
+    tests += [] if options.only or "ROS_PACKAGE_PATH" not in os.environ else ["tests/test_fuzz_rig.py"]
     changes = {"FUZZ_SECONDS": str(share), "HYPOTHESIS_SEARCH": "1"}
     try:
         return subprocess.run([*command, *tests], cwd=ROOT, env={**os.environ, **changes}, check=False).returncode

@@ -7,8 +7,6 @@ import gzip
 import io
 import math
 import os
-import random
-import signal
 import subprocess
 import time
 
@@ -144,32 +142,6 @@ def test_a_planted_fault_is_found(monkeypatch, fault):
     assert not isinstance(found.value, (HypothesisException, *TARGETS[name].declared))
 
 
-@pytest.mark.ros
-def test_random_messages_of_every_type_of_the_rig_can_be_sent():
-    from fuzz.live import random_message
-    from kuka_msgs.msg import MoveActionGoal
-    from leap_motion.msg import Human
-    from rig_msgs.msg import KukaStatus, OperatorInput
-    from rig_msgs.srv import CheckToolPoseRequest
-
-    for seed in range(20):
-        for kind in (Human, KukaStatus, OperatorInput, MoveActionGoal, CheckToolPoseRequest):
-            stream = io.BytesIO()
-            random_message(kind, random.Random(seed)).serialize(stream)
-            kind().deserialize(stream.getvalue())
-
-
-def test_an_exception_in_a_node_is_a_finding(tmp_path):
-    from fuzz.live import _tracebacks
-
-    log = tmp_path / "rig.log"
-    trace = 'Traceback (most recent call last):\n  File "/src/a.py", line 7\nKeyError: 1\n'
-    log.write_text(f"[ERROR] bad callback: x\n{trace}" * 3)
-    assert _tracebacks(log) == ['File "/src/a.py", line 7: KeyError: 1']
-    log.write_text("[WARN] The stamp is old.\n")
-    assert not _tracebacks(log)
-
-
 def test_each_target_has_its_share_of_the_minutes(monkeypatch):
     asked = []
 
@@ -184,28 +156,3 @@ def test_each_target_has_its_share_of_the_minutes(monkeypatch):
         f"tests/test_fuzz.py::test_nothing_is_found[{name}]" for name in ("kst_answers", "leap_text")
     ]
     assert float(env["FUZZ_SECONDS"]) == 60.0 and env["HYPOTHESIS_SEARCH"] == "1"
-
-
-@pytest.mark.ros
-def test_a_second_ctrl_c_leaves_no_node_of_the_rig_behind(tmp_path, monkeypatch):
-    from fuzz import live
-
-    class Rig:
-        ended = False
-
-        def end(self):
-            os.kill(os.getpid(), signal.SIGINT)
-            Rig.ended = True
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(live, "Rig", lambda _: Rig())
-    monkeypatch.setattr(live, "until_home", interrupted)
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        assert live.main(["--minutes", "1", "--out", str(tmp_path)]) == fuzz_run.INTERRUPTED
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-    assert Rig.ended
