@@ -131,7 +131,7 @@ class NodeChain:
     def see(self):
         """Notes what has changed."""
         world, step = self.world, self.node._step
-        newest = self.arm._status._newest
+        newest = self.arm._report._newest
         if newest is not None:
             world.trace.say(world.now, "leap_kuka", newest.state.value)
         if self.hand._result is not self.first:

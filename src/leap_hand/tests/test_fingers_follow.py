@@ -196,3 +196,19 @@ def test_after_an_engagement_the_hand_opens_and_only_one_that_comes_in_then_move
     assert "was in view already; take it away and bring it back" in play.step(shown(), other).reason
     play.steps(30, shown())
     assert play.step(shown(), other).reason == "left hand 9 is followed"
+
+
+@pytest.mark.parametrize("steers", [True, False])
+def test_after_a_restart_of_the_tracker_the_same_number_is_another_hand(steers):
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    play.teleop.steered_by(None, play.now)
+    play.steps(10, shown())
+    play.number -= 1000
+    if steers:
+        play.teleop.steered_by((7, False), play.now)
+        result = play.step(shown(angle=OPEN, place=0.3))
+        np.testing.assert_allclose(result.command, wanted(shown()), atol=1e-9)
+    else:
+        results = play.steps(30, shown(angle=OPEN, place=0.3))
+        assert results[0].state is GripperState.KEEPING and results[-1].state is GripperState.OPEN

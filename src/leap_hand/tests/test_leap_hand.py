@@ -262,3 +262,30 @@ def test_when_leap_kuka_falls_silent_the_grip_is_kept_for_a_while_then_nobody_is
     assert results[-1].reason == "leap_kuka does not report which hand steers the arm"
     play.teleop.steered_by((7, False), play.now)
     assert play.step(hand_with()).state is GripperState.FOLLOWING
+
+
+def test_another_open_hand_in_view_does_not_open_the_robot_hand():
+    """The operator's fist is not seen in single frames while an open left hand lies beside it."""
+    play = Player()
+    fist, lies = (
+        hand_with(20.0, 20.0, 20.0),
+        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
+    )
+    results = play.steps(5, fist, lies)
+    for missing in (1, 3, 15):
+        results += play.steps(missing, lies) + play.steps(5, fist, lies)
+    commands = [r.command for r in results if r.command is not None]
+    np.testing.assert_allclose(commands, [np.radians([115, 115, 100, 0])] * len(commands), atol=1e-12)
+    opened = play.steps(200, lies)[-1]
+    assert opened.state == GripperState.OPEN and "was in view already" in opened.reason
+    play.steps(30)
+    assert play.step(lies).state == GripperState.FOLLOWING
+
+
+def test_a_silent_leap_kuka_keeps_no_grip():
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    play.teleop.steered_by((7, False), play.now, keep_grip=True)
+    play.step(hand_with(20.0, 20.0, 20.0))
+    assert play.steps(140)[-1].state == GripperState.KEEPING
+    assert play.steps(20)[-1].state == GripperState.OPEN

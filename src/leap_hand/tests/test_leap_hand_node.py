@@ -12,7 +12,7 @@ from common import clock
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Bool
@@ -20,7 +20,7 @@ from std_srvs.srv import Empty, EmptyResponse
 
 from leap_motion.msg import Human
 from reflex_msgs.msg import RadianServoCommands
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, TeleopState
 from tools import launched
 
 pytestmark = pytest.mark.ros
@@ -87,8 +87,8 @@ class ArmReports:
     """Reports which hand steers the arm, again and again as leap_kuka does."""
 
     def __init__(self):
-        self.number = ""
-        self._publisher = rospy.Publisher("leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+        self.number = 0
+        self._publisher = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=10, latch=True)
         self._stop = clock.Event()
         self._thread = clock.Thread(target=self._loop, daemon=True)
         self._thread.start()
@@ -101,8 +101,7 @@ class ArmReports:
     def _loop(self):
         while not self._stop.wait(0.1):
             number = self.number
-            values = [KeyValue("hand_id", number), KeyValue("hand_side", "right" if number else "")]
-            self._publisher.publish(DiagnosticStatus(name="leap_kuka", values=values))
+            self._publisher.publish(TeleopState(hand_id=number, hand_side="right" if number else "", hold="none"))
 
 
 class Tracker:
@@ -237,10 +236,10 @@ def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept
     waits = "no hand steers the arm; bring one into the interaction box"
     ros.wait_until(lambda: status() and status()[1] == waits, 40.0, "the node to wait for an engagement")
     assert is_near(driver, np.zeros(4))
-    arm.number = "7"
+    arm.number = 7
     ros.wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
     driver.commands.clear()
-    arm.number = "8"
+    arm.number = 8
     ros.wait_until(lambda: status()[2]["state"] == "keeping" and status()[0] == 1, 10.0, "the grip to be kept")
     ros.wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose after grip_hold")
     assert all(np.allclose(c.radian_commands, FIST) or not any(c.radian_commands) for c in driver.commands)

@@ -459,3 +459,21 @@ def test_a_reason_names_its_side_of_the_box_and_all_that_is_missing(play, sample
     result = play.steps(10, sample(position=position, roll=30.0, confidence=0.0))[-1]
     told = [c.value for c in result.codes if c is not ReasonCode.IN_BOX_ALREADY]
     assert told == [code, "not_level", "unsure"], result.reason
+
+
+def test_where_control_was_on_from_the_start_the_first_hand_must_come_in_too(play, sample):
+    """The program died and was started again, and the hand is still there."""
+    play.teleop.control(True)
+    assert play.steps(50, sample())[-1].state == StreamState.WAITING
+    assert play.come_in(sample())[-1].state == StreamState.RUNNING
+
+
+def test_control_that_turns_out_to_be_on_ends_a_stream_that_began_before_that_was_known(play, sample):
+    play.steps(15, sample())
+    play.teleop.control(True)
+    assert play.steps(50, sample())[-1].state == StreamState.WAITING
+
+
+def test_without_any_confidence_no_stream_starts(leap, arm, player, sample):
+    play = player(ArmTeleop(leap(min_confidence=0.0), arm()))
+    assert play.steps(10, sample(confidence=0.0))[-1].state == StreamState.WAITING

@@ -83,3 +83,9 @@ def test_torn_and_foreign_packets_are_refused(data):
 def test_a_state_packet_is_no_command_though_it_begins_like_one():
     assert not is_command(GOLDEN_STATE)
     assert read_command(GOLDEN_STATE) is None
+
+
+@pytest.mark.parametrize("raw", [(1, 2, 3), (-1, 0, 0, 0), (65536, 0, 0, 0), (1.0, 0, 0, 0)])
+def test_impossible_targets_are_refused(raw):
+    with pytest.raises(ValueError, match="four whole numbers"):
+        encode_target(raw)

@@ -337,6 +337,7 @@ def test_without_torque_commands_are_refused_until_the_speed_is_set(bench):
     before = len(b.sent)
     assert "Torque is off" in b.command(1, 1, 1, 0).refusal
     assert "Torque is off" in b.take(b.driver.calibrate_fingers(b.now)).refusal
+    assert "Torque is off" in b.take(b.driver.command_raw((14000,) * 4, b.now)).refusal
     b.run(1.0)
     assert len(b.sent) == before and b.driver.state(b.now) is HandStatus.TORQUE_OFF
     b.take(b.driver.set_speed((3, 3, 3, 2), b.now))
@@ -505,3 +506,55 @@ def test_any_sequence_of_events_leaves_a_driver_that_works(bench, plan, seed):
     b.take(b.driver.set_speed((3, 3, 3, 2), b.now))
     b.run(0.5)
     assert b.driver.state(b.now) is HandStatus.READY
+
+
+def test_a_command_of_another_length_is_refused_and_the_goals_stay(bench):
+    b = bench().calibrated()
+    before = list(b.sent)
+    assert b.take(b.driver.command((1, 1, 1), b.now)).refusal
+    assert b.take(b.driver.command_raw((14000,) * 3, b.now)).refusal
+    assert b.take(b.driver.command_raw((70000,) * 4, b.now)).refusal
+    b.run(0.5)
+    assert b.sent == before
+
+
+def test_a_calibration_of_stuck_encoders_fails_and_drops_the_waiting_command(bench):
+    b = bench()
+    b.run(0.3)
+    before = b.device.state()["angles"]
+    b.device.stick_encoder(1, True)
+    b.take(b.driver.calibrate_fingers(b.now))
+    b.run(0.1)
+    b.command(2, 2, 2, 0)
+    b.run(10.0)
+    assert b.driver.calibration_outcome.startswith("failed: Finger f2")
+    assert b.zeros is None
+    np.testing.assert_allclose(b.device.state()["angles"], before, atol=0.01)
+    b.device.stick_encoder(1, False)
+    b.calibrated()
+    b.run(1.0)
+    np.testing.assert_allclose(angles(b), 0, atol=0.01)
+
+
+def test_a_finger_loosened_to_its_end_can_be_used_again(bench):
+    b = bench().calibrated()
+    b.command(1, 1, 1, 0)
+    b.device.set_load(0, 600)
+    b.run(4.0)
+    b.device.set_load(0, None)
+    b.run(1.0)
+    assert angles(b)[0] == pytest.approx(0, abs=0.01)
+    b.command(0, 1, 1, 0)
+    b.command(1, 1, 1, 0)
+    b.run(1.0)
+    assert angles(b)[0] == pytest.approx(1, abs=0.01)
+
+
+def test_idle_is_sent_again_after_a_pause_without_torque(bench):
+    b = bench().calibrated()
+    b.take(b.driver.disable_torque())
+    b.device.set_silent(True)
+    b.run(1.0)
+    b.device.set_silent(False)
+    b.run(0.5)
+    assert b.sent[-2:] == [encode_mode(IDLE)] * 2

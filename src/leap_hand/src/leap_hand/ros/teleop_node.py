@@ -12,7 +12,6 @@ from std_srvs.srv import Empty
 
 from common import clock
 from common.errors import DeviceError
-from common.hand_tracking import LEFT
 from common.ros.calibration_use import check_use
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
@@ -20,6 +19,7 @@ from common.ros.params import private_config, wait_for_config
 from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import call
 from common.simulated import said_by
+from common.teleop_record import teleop_record
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.ros.operators import operator_file
@@ -28,6 +28,7 @@ from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedHuman, Subscribe, subscribe
 from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Hand, RadianServoCommands
+from rig_msgs.msg import TeleopState
 
 WATCH_PERIOD_S = 0.1
 FIRST_STATE_S = 2.0  # longest wait for the first state of the robot hand [s]
@@ -62,8 +63,8 @@ class HandTeleopNode:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""
         self._state_received.wait(FIRST_STATE_S)
         rospy.Subscriber(f"{self._of}kuka/gripper_control", Bool, self._on_gripper, queue_size=1, tcp_nodelay=True)
-        stream = f"{self._of}leap_kuka/stream"
-        rospy.Subscriber(stream, DiagnosticStatus, self._on_stream, queue_size=10, tcp_nodelay=True)
+        arm = f"{self._of}leap_kuka/state"
+        rospy.Subscriber(arm, TeleopState, self._on_arm_teleop, queue_size=10, tcp_nodelay=True)
         subscribe(self._on_frame, ReceivedHuman)
         while not rospy.is_shutdown():
             with self._lock:
@@ -74,10 +75,10 @@ class HandTeleopNode:
         with while_running(), self._lock:
             self._carry_out(self._teleop.switch(message.data))
 
-    def _on_stream(self, stream: DiagnosticStatus) -> None:
+    def _on_arm_teleop(self, message: TeleopState) -> None:
+        state = teleop_record(message)
         with self._lock:
-            values = {value.key: value.value for value in stream.values}
-            self._teleop.steered_by(owner(stream), clock.monotonic(), values.get("keep_grip") == "true")
+            self._teleop.steered_by(state.owner, clock.monotonic(), state.keep_grip)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
@@ -131,12 +132,6 @@ class HandTeleopNode:
             return DiagnosticStatus.WARN, f"{self._result.reason}; {silence}", values
         level = DiagnosticStatus.OK if self._result.state is GripperState.FOLLOWING else DiagnosticStatus.WARN
         return level, self._result.reason, values
-
-
-def owner(stream: DiagnosticStatus) -> tuple[int, bool] | None:
-    """Returns id and side (whether left) of the hand that steers the arm, from a message on leap_kuka/stream."""
-    values = {value.key: value.value for value in stream.values}
-    return (int(values["hand_id"]), values["hand_side"] == LEFT) if values.get("hand_id") else None
 
 
 def finger_feedback(hand: Hand) -> FingerFeedback:

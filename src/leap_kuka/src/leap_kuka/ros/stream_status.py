@@ -1,9 +1,9 @@
-"""The state of the stream for the operator: on leap_kuka/stream, and beside the interaction box in RViz."""
+"""What the teleoperation of an arm reports: leap_kuka/state, leap_kuka/stream made from it, and the interaction box."""
 
 from __future__ import annotations
 
-import abc
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import rospy
@@ -15,90 +15,64 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common import clock
 from common.hand_tracking import LEFT, RIGHT
 from leap_kuka.numbers import HEARTBEAT_S
-from leap_kuka.start_gate import InteractionBox
+from leap_kuka.start_gate import CONDITIONS, InteractionBox
 from leap_kuka.teleop_result import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
+from rig_msgs.msg import TeleopState
 
 GREEN = (0.2, 0.8, 0.3)
 AMBER = (1.0, 0.7, 0.1)
 EDGE_WIDTH_M = 0.004
 TEXT_HEIGHT_M = 0.025
+STATE_PERIOD_S = 0.2
 
 
-class NewestResult(abc.ABC):
-    """Publishes a result with a change at once, and the newest one again at a `flush` after `period` [s].
+class Repetition:
+    """When a topic is due: at once with a change of its `key`, at a flush with another `text` or after `period` [s]."""
 
-    Classes that derive from it say what a change is (`_key`), and publish.
-    """
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self._lock = clock.Lock()
-        self._newest: TeleopResult | None = None
+    def __init__(
+        self, period: float, key: Callable[[TeleopResult], tuple], text: Callable[[TeleopResult], str] = lambda _: ""
+    ) -> None:
+        self._period, self._key, self._text = period, key, text
         self._published: TeleopResult | None = None
         self._published_at = 0.0
 
-    def update(self, result: TeleopResult) -> None:
-        """Sets the newest result; publishes it if it brings a change."""
-        with self._lock:
-            self._newest, before = result, self._published
-            if before is None or self._key(before) != self._key(result):
-                self._changed(result)
-                self._send(result)
+    def changed(self, result: TeleopResult) -> bool:
+        """Returns whether the result brings a change."""
+        return self._published is None or self._key(self._published) != self._key(result)
 
-    def flush(self) -> None:
-        """Publishes the newest result if its text differs from the published one, or that one is a period old."""
-        with self._lock:
-            result, published = self._newest, self._published
-            if result is None or published is None:
-                return
-            if self._text(result) != self._text(published) or clock.monotonic() - self._published_at >= self._period:
-                self._send(result)
+    def due(self, result: TeleopResult) -> bool:
+        """Returns whether the result is due at a flush."""
+        if self._published is None or clock.monotonic() - self._published_at >= self._period:
+            return True
+        return self._text(self._published) != self._text(result)
 
-    def _send(self, result: TeleopResult) -> None:
+    def done(self, result: TeleopResult) -> None:
+        """Notes that the result is published."""
         self._published, self._published_at = result, clock.monotonic()
-        self._publish(result)
-
-    @abc.abstractmethod
-    def _key(self, result: TeleopResult) -> tuple:
-        """Returns what is published at once."""
-
-    def _text(self, result: TeleopResult) -> str:
-        """Returns what is published at the next flush."""
-        return ""
-
-    def _changed(self, result: TeleopResult) -> None:  # noqa: B027 - who has nothing to add leaves it out
-        """Is called before a change is published."""
-
-    @abc.abstractmethod
-    def _publish(self, result: TeleopResult) -> None:
-        """Publishes a result."""
 
 
-class StreamStatus(NewestResult):
-    """Publishes a change of the state or of the hold at once, and a new reason at the next `flush`.
+class TeleopReport:
+    """Publishes what the operator switches and steers at once, and all of it again and again.
 
-    Without either it publishes every HEARTBEAT_S.
-
-    The reason may change with every frame (the distance to the box), faster than anybody can read. `of`: namespace of
-    the arm with a slash, in a node for several.
+    The reason may change with every frame (the distance to the box), faster than anybody can read: on leap_kuka/stream
+    it waits for a `flush`. `of`: namespace of the arm with a slash, in a node for several.
     """
 
-    def __init__(self, box: InteractionBox, frame_id: str, of: str = "") -> None:
-        super().__init__(HEARTBEAT_S)
+    def __init__(
+        self, engagement: str, enabling_needed: bool, box: InteractionBox, frame_id: str, of: str = ""
+    ) -> None:
+        self._engagement, self._enabling_needed = engagement, enabling_needed
         self._box, self._frame_id, self._whose = box, frame_id, f"{of[:-1]}: " if of else ""
-        self._status = rospy.Publisher(f"{of}leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
+        self._lock = clock.Lock()
+        self._newest: TeleopResult | None = None
+        self._state = rospy.Publisher(f"{of}leap_kuka/state", TeleopState, queue_size=10, latch=True)
+        self._stream = rospy.Publisher(f"{of}leap_kuka/stream", DiagnosticStatus, queue_size=10, latch=True)
         self._markers = rospy.Publisher(f"{of}leap_kuka/interaction_box", MarkerArray, queue_size=10, latch=True)
-
-    def _key(self, result: TeleopResult) -> tuple:
-        return result.state, result.hold, result.owner
-
-    def _text(self, result: TeleopResult) -> str:
-        return result.reason
-
-    def _changed(self, result: TeleopResult) -> None:
-        held = ", the tool is held" if result.hold in (HoldState.HELD, HoldState.KEPT) else ""
-        rospy.loginfo("%sStream %s%s: %s.", self._whose, result.state.value, held, result.reason)
+        self._of_state = Repetition(STATE_PERIOD_S, _switched_and_steered)
+        self._of_stream = Repetition(
+            HEARTBEAT_S, lambda result: (result.state, result.hold, result.owner), lambda result: result.reason
+        )
 
     @property
     def text(self) -> tuple[int, str, str]:
@@ -106,22 +80,37 @@ class StreamStatus(NewestResult):
         result = self._newest
         if result is None:
             return DiagnosticStatus.WARN, "starting", StreamState.WAITING.value
-        return _level(result), result.reason, result.state.value
+        return _level(result.follows), result.reason, result.state.value
 
-    def _publish(self, result: TeleopResult) -> None:
-        number, side = ("", "") if result.owner is None else (str(result.owner[0]), LEFT if result.owner[1] else RIGHT)
-        values = [
-            KeyValue("state", result.state.value),
-            KeyValue("hold", result.hold.value),
-            KeyValue("keep_grip", str(result.keep_grip).lower()),
-            KeyValue("hand_id", number),
-            KeyValue("hand_side", side),
-        ]
-        self._status.publish(
-            DiagnosticStatus(level=_level(result), name="leap_kuka", message=result.reason, values=values)
-        )
-        colour = GREEN if _level(result) == DiagnosticStatus.OK else AMBER
-        self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
+    def update(self, result: TeleopResult) -> None:
+        """Sets the newest result; publishes it if it brings a change."""
+        with self._lock:
+            self._newest = result
+            stream = self._of_stream.changed(result)
+            if stream:
+                held = ", the tool is held" if result.hold in (HoldState.HELD, HoldState.KEPT) else ""
+                rospy.loginfo("%sStream %s%s: %s.", self._whose, result.state.value, held, result.reason)
+            self._publish(result, self._of_state.changed(result), stream)
+
+    def flush(self) -> None:
+        """Publishes the newest result where it is due."""
+        with self._lock:
+            result = self._newest
+            if result is not None:
+                self._publish(result, self._of_state.due(result), self._of_stream.due(result))
+
+    def _publish(self, result: TeleopResult, state: bool, stream: bool) -> None:
+        if not (state or stream):
+            return
+        message = state_message(result, self._engagement, self._enabling_needed)
+        if state:
+            self._of_state.done(result)
+            self._state.publish(message)
+        if stream:
+            self._of_stream.done(result)
+            self._stream.publish(stream_message(message))
+            colour = GREEN if message.follows else AMBER
+            self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
         """The edges of the box: faces would hide the robot hand that works in it."""
@@ -152,5 +141,48 @@ class StreamStatus(NewestResult):
         return marker
 
 
-def _level(result: TeleopResult) -> int:
-    return DiagnosticStatus.OK if result.follows else DiagnosticStatus.WARN
+def _switched_and_steered(result: TeleopResult) -> tuple:
+    switches = result.follows, result.enabled, result.clutched
+    return _state(result), result.hold, result.keep_grip, result.owner, switches, result.unmet, result.limits
+
+
+def state_message(result: TeleopResult, engagement: str, enabling_needed: bool) -> TeleopState:
+    """Returns the message of leap_kuka/state."""
+    message = TeleopState(engagement=engagement, state=_state(result), reason=result.reason, follows=result.follows)
+    message.header.stamp = rospy.Time.now()
+    if result.owner is not None:
+        message.hand_id, message.hand_side = result.owner[0], LEFT if result.owner[1] else RIGHT
+    message.enabling_needed, message.enabled = enabling_needed, result.enabled
+    message.clutched, message.source, message.hold_left = result.clutched, result.source, result.hold_left
+    message.conditions = list(CONDITIONS)
+    message.fulfilled = [condition not in result.unmet for condition in CONDITIONS]
+    message.limits = list(result.limits)
+    message.reason_codes = [code.value for code in result.codes]
+    message.hold, message.keep_grip = result.hold.value, result.keep_grip
+    return message
+
+
+def stream_message(state: TeleopState) -> DiagnosticStatus:
+    """Returns the message of leap_kuka/stream: the state as texts, which programs of before it read."""
+    running = state.state == TeleopState.RUNNING
+    values = {
+        "state": (StreamState.RUNNING if running else StreamState.WAITING).value,
+        "hold": state.hold,
+        "keep_grip": str(state.keep_grip).lower(),
+        "hand_id": str(state.hand_id) if state.hand_side else "",
+        "hand_side": state.hand_side,
+    }
+    pairs = [KeyValue(key, value) for key, value in values.items()]
+    return DiagnosticStatus(level=_level(state.follows), name="leap_kuka", message=state.reason, values=pairs)
+
+
+def _state(result: TeleopResult) -> str:
+    if result.state is StreamState.RUNNING:
+        return TeleopState.RUNNING
+    if result.hold is HoldState.NONE:
+        return TeleopState.WAITING
+    return TeleopState.CLUTCHED if result.hold is HoldState.KEPT and result.clutched else TeleopState.HOLDING
+
+
+def _level(follows: bool) -> int:
+    return DiagnosticStatus.OK if follows else DiagnosticStatus.WARN

@@ -29,8 +29,7 @@ from leap_kuka.ros.arm_choice_node import CHOSEN_ARM
 from leap_kuka.ros.hand_to_arm import DelayMonitor
 from leap_kuka.ros.measured_tool import MeasuredTool
 from leap_kuka.ros.reach import ReachCheck
-from leap_kuka.ros.stream_status import StreamStatus
-from leap_kuka.ros.teleop_state import TeleopStatePublisher
+from leap_kuka.ros.stream_status import TeleopReport
 from leap_kuka.scaling import Scaling
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import TeleopResult
@@ -67,8 +66,7 @@ class ArmTeleopNode:
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka", of)
-        self._status = StreamStatus(teleop.box, self._virtual, of)
-        self._state = TeleopStatePublisher(engagement, teleop.switches.enabling_needed, of)
+        self._report = TeleopReport(engagement, teleop.switches.enabling_needed, teleop.box, self._virtual, of)
         self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange, frames), False
         rospy.Subscriber(f"{of}kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         operator_input = f"{of}leap_kuka/operator_input"
@@ -86,10 +84,8 @@ class ArmTeleopNode:
             with self._lock:
                 silent = self._teleop.silence(clock.monotonic())
                 if silent is not None:
-                    self._status.update(silent)
-                    self._state.update(silent)
-            self._status.flush()
-            self._state.flush()
+                    self._report.update(silent)
+            self._report.flush()
             clock.sleep(WATCH_PERIOD_S)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
@@ -98,8 +94,7 @@ class ArmTeleopNode:
             if result.usable:
                 self._tf.publish(self._transforms(result, stamp))
                 self._stage_times.done(stamp)
-            self._status.update(result)
-            self._state.update(result)
+            self._report.update(result)
         if self._servo and result.owner is not None:
             for hand in frame.hands:
                 if (hand.id, hand.is_left) == result.owner:
@@ -164,7 +159,7 @@ class ArmTeleopNode:
         ])  # fmt: skip
 
     def _diagnostics(self):
-        level, reason, state = self._status.text
+        level, reason, state = self._report.text
         rate = self._teleop.frame_rate
         values = {"state": state, "frame_rate": "" if rate is None else f"{rate:.1f}"}
         return level, reason, {**values, **self._hand_to_arm.values(), **dataclasses.asdict(self._teleop.counts)}
