@@ -33,8 +33,8 @@ Joint speeds are fractions of the data sheet's, accelerations those of joint 1, 
 means over 20 ms. They are the largest from the fault to the end of the row, recovery included. A goal that comes late
 is caught up with by the drives, at up to 17.2 rad/s²; over 80 ms no row may exceed 14.5 rad/s².
 
-*virtual* is the reaction time in virtual time, in which tests run the rows, too (`python -m campaign.virtual`): it is
-exact, and judged there. On the real rig it depends on the machine.
+*virtual* is the reaction time in virtual time, in which tests run the rows, too (`python -m campaign.run --virtual`):
+it is exact, and judged there. On the real rig it depends on the machine.
 """
 CATALOGUE = 83  # faults; a row has the number of its fault
 

@@ -22,7 +22,6 @@ from kuka_control.model.target import MotionScaling
 from rig_simulation.devices.sunrise.robot import Drives, lts_law
 
 FAULT = 100.0
-BRAKES = 8.0 * FULL_SPEED / FULL_SPEED[0]  # rad/s^2
 
 
 def arm(*parts, speed=0.3, until=8.0):
@@ -409,26 +408,6 @@ class TestRows:
         assert f"| {first.number} | {first.fault} | {' '.join(first.expected.reactions)} | not run |" in page.page(
             {first.number: dataclasses.replace(first)}, {}, {}
         )
-
-
-@pytest.mark.parametrize("content", [None, "", "[1]", "{}", '{"fault": 1.0, "steps": [1]}', "\xff"])
-def test_what_is_no_trace_has_no_story(tmp_path, content):
-    from campaign import story
-
-    file = tmp_path / "row_1.json"
-    if content is not None:
-        file.write_text(content, encoding="latin-1")
-    with pytest.raises(SystemExit, match="is no trace of a row"):
-        story.main([str(file)])
-
-
-def test_a_trace_has_a_story(tmp_path, capsys):
-    from campaign import story
-
-    file = tmp_path / "row_1.json"
-    file.write_text(json.dumps({**vars(seen(statuses=statuses((0.4, "home")))), "steps": stops().tolist()}))
-    story.main([str(file)])
-    assert "mode home, control on" in capsys.readouterr().out
 
 
 def test_what_a_message_says_of_the_run_alone_is_left_out():
