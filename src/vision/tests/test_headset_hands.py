@@ -269,6 +269,7 @@ def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monke
     hands = headset_hands.HeadsetHands(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, ""))
     try:
         code = hands._endpoint._access.code
-        assert code in capsys.readouterr().out and not any(code in text for text in logged)
+        said = capsys.readouterr()
+        assert code in said.err and code not in said.out and not any(code in text for text in logged)
     finally:
         hands.close()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import rospy
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -98,5 +100,7 @@ class HeadsetHands:
 
 
 def _show(sentence: str) -> None:
-    """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings."""
-    print(sentence, flush=True)
+    """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings, and `make demo` keeps what
+    nodes write to standard output in files.
+    """
+    print(sentence, file=sys.stderr, flush=True)
