@@ -37,7 +37,7 @@ SOURCES = [str(setup.parent / "src") for setup in sorted(ROOT.glob("src/**/setup
 sys.path.extend([*SOURCES, str(ROOT)])
 
 from common import clock  # noqa: E402 - needs the path above
-from common.ports import free_port  # noqa: E402
+from simulated.ports import free_port  # noqa: E402
 
 # On a busy machine one example of a law may take long, to make or to try. Each run tries the same ones: what one finds
 # is due to a change. `HYPOTHESIS_SEARCH=1 make test-fast` tries others, HYPOTHESIS_TIMES=10 ten times as many,
@@ -155,7 +155,7 @@ def pytest_runtest_teardown(item, nextitem):
 
 @pytest.fixture(name="free_port")
 def free_port_fixture():
-    """The function common.ports.free_port."""
+    """The function simulated.ports.free_port."""
     return free_port
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.measure import ROOT, BenchError, Goal, Row, number
-from common.ports import free_port
+from simulated.ports import free_port
 
 PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
 READY = "Ready after"

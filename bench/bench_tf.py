@@ -23,8 +23,8 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from bench.measure import ROOT, BenchError, Peer, Row, number, row
-from common.ports import free_port
 from common.ros.publishing import DirectPublisher
+from simulated.ports import free_port
 
 RATE_HZ = 115.3  # of the tracking frames
 LISTENERS = 4  # as in the rig: controller, operator's view, RViz, and leap_kuka_node, which measures the delay

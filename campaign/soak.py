@@ -34,12 +34,12 @@ sys.path[:0] = [] if str(ROOT) in sys.path else [str(ROOT)]
 from bench.bench_demo import processes_below  # noqa: E402 - needs the path above
 from campaign.soak_report import check_name, report  # noqa: E402
 from common.errors import DeviceError, RigError  # noqa: E402
-from common.ports import free_port  # noqa: E402
 from rig_simulation.control_port import ControlClient  # noqa: E402
 from rig_simulation.faults.arm import ARM_FAULTS  # noqa: E402
 from rig_simulation.faults.camera import CAMERA_FAULTS  # noqa: E402
 from rig_simulation.faults.hand import HAND_FAULTS  # noqa: E402
 from rig_simulation.faults.leap import LEAP_FAULTS  # noqa: E402
+from simulated.ports import free_port  # noqa: E402
 from tools.options import number  # noqa: E402
 
 SAMPLE_S = 10.0

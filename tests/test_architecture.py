@@ -32,7 +32,7 @@ ROS = {"rospy", "actionlib", "tf2_ros", "tf2_msgs", "roslaunch", "rosgraph", "ro
        "reflex_msgs", "rig_msgs", "grasp_msgs"}  # fmt: skip
 IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "asyncio", "websockets", "os", "logging"}
 # The edge files: they may hold sockets, clocks and threads.
-EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "ports", "screen", "server",
+EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "screen", "server",
          "socket_service", "certificate", "hand_detector", "video_source", "webcam_program",
          "command_line"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.

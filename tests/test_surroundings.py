@@ -256,7 +256,7 @@ def inputs(ros_master) -> Iterator[dict[str, str]]:
 
 
 def free_port() -> int:
-    from common.ports import free_port
+    from simulated.ports import free_port
 
     return free_port()
 

@@ -25,9 +25,9 @@ from typing import Callable
 import cv2
 from PIL import Image
 
-from common.ports import free_port
 from leap_motion.registration import SHEET
 from rig_simulation.control_port import ControlClient
+from simulated.ports import free_port
 from tools.reference.sources import ROOT
 
 PICTURES = ROOT / "docs" / "pictures"

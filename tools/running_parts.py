@@ -15,7 +15,7 @@ from pathlib import Path
 
 import rosgraph
 
-from common.ports import free_port
+from simulated.ports import free_port
 from tools import launched
 from tools.handbook.walk import screen
 

@@ -20,7 +20,6 @@ class CommandLine(argparse.ArgumentParser):
         self._name = name
 
     def error(self, message: str) -> NoReturn:
-        """Ends the program."""
         self.exit(1, f"{self._name}: {message}\n")
 
 

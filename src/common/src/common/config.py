@@ -87,7 +87,6 @@ def vector(length: int, unit: str = "", *, doc: str = "", absent: Any = REQUIRED
 
 
 def flag(doc: str = "", absent: Any = REQUIRED) -> Any:
-    """true or false."""
     return _field(_Kind(lambda value: _instance(value, bool), "true or false", "true or false"), doc, absent)
 
 
@@ -127,8 +126,6 @@ def names(doc: str = "", absent: Any = REQUIRED) -> Any:
 
 
 def choice(*options: str, doc: str = "", absent: Any = REQUIRED) -> Any:
-    """One of the given strings."""
-
     def read(value: Any) -> str:
         if value not in options:
             raise ValueError
@@ -198,13 +195,11 @@ class Key(NamedTuple):
 
 
 def keys(schema: type) -> list[Key]:
-    """Returns the keys of the schema in their order."""
     columns = ((f.name, f.metadata["kind"], f.metadata) for f in dataclasses.fields(schema))
     return [Key(name, kind.type, kind.range, kind.unit, more["doc"], more["absent"]) for name, kind, more in columns]
 
 
 def required(schema: type) -> tuple[str, ...]:
-    """Returns the keys that must be given."""
     return tuple(f.name for f in dataclasses.fields(schema) if f.metadata["absent"] is REQUIRED)
 
 

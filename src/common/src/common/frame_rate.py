@@ -24,7 +24,6 @@ class FrameRate:
             stamps.popleft()
 
     def clear(self) -> None:
-        """Forgets all frames."""
         self._stamps.clear()
 
     @property

@@ -181,7 +181,6 @@ class HandLock(Generic[Hand]):
 
     @property
     def came_in(self) -> bool:
-        """Whether the hand may start an engagement."""
         return self._followed is not None and self._followed.came_in
 
     @property
@@ -190,7 +189,6 @@ class HandLock(Generic[Hand]):
         return self._followed.key if self.engaged and self._followed is not None else None
 
     def engage(self) -> None:
-        """Makes the hand the owner."""
         self.engaged = self._followed is not None
 
     def end(self) -> None:

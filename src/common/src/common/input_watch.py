@@ -53,11 +53,9 @@ class InputWatch:
                 self._nearest = difference, now
 
     def refused(self, reason: str, now: float) -> None:
-        """Takes why nothing came out of what came in."""
         self._refused = reason, now
 
     def done(self, now: float) -> None:
-        """Takes that something came out."""
         self._refused, self._output = ("", now), now
 
     def missing(self, now: float, silent: float | None = None) -> str:

@@ -62,7 +62,6 @@ def fraction(value: float) -> float:
 
 
 def stale(row: Row, text: str) -> Row:
-    """Returns a row as one that no longer holds."""
     return replace(row, text=text, tone=RowTone.STALE)
 
 

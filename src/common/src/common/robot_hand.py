@@ -25,12 +25,10 @@ class HandDescription:
 
     @property
     def state(self) -> str:
-        """The topic of its state."""
         return f"{self.driver}/hand_state"
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """The topics that move it."""
         return f"{self.driver}/radian_hand_command", f"{self.driver}/raw_hand_command"
 
     def bodies(self, finger: int) -> tuple[str, ...]:
@@ -61,7 +59,6 @@ class HandState:
 
 
 def hand_state(message: Any) -> HandState:
-    """Returns the state in a message."""
     motors, fingers = message.motor, message.finger
     return HandState(
         np.array([motor.joint_angle for motor in motors]),

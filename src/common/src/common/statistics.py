@@ -24,7 +24,6 @@ class Proportion(NamedTuple):
 
     @property
     def value(self) -> float:
-        """Successes per trial."""
         return self.successes / self.trials
 
     def __str__(self) -> str:
@@ -51,7 +50,6 @@ class Estimate(NamedTuple):
     high: float
 
     def __str__(self) -> str:
-        """Returns value and interval."""
         return format(self, ".1f")
 
     def __format__(self, spec: str) -> str:

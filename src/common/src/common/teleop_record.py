@@ -38,12 +38,10 @@ class TeleopRecord:
 
     @property
     def met(self) -> frozenset[str]:
-        """The conditions that are fulfilled."""
         return frozenset(name for name, met in zip(self.conditions, self.fulfilled) if met)
 
 
 def teleop_record(message: Any) -> TeleopRecord:
-    """Returns the record of a message."""
     known = {code.value for code in ReasonCode}
     return TeleopRecord(
         message.state,

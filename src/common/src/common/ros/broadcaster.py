@@ -15,7 +15,6 @@ class FreshBroadcaster(tf2_ros.TransformBroadcaster):
         self._stamps: dict[str, rospy.Time] = {}  # of the newest transform of each frame
 
     def sendTransform(self, transform: TransformStamped | list[TransformStamped]) -> None:
-        """Broadcasts a transform or several."""
         fresh = []
         for one in transform if isinstance(transform, list) else [transform]:
             if self._stamps.get(one.child_frame_id) != one.header.stamp:

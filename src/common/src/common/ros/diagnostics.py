@@ -34,7 +34,6 @@ class Diagnostics:
         repeat(self.publish, PERIOD_S, "diagnostics")
 
     def publish(self) -> None:
-        """Publishes the present state."""
         level, message, values = self._read()
         status = DiagnosticStatus(level=level, name=self._name, message=message)
         status.values = [KeyValue(key, str(value)) for key, value in values.items()]

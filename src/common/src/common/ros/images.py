@@ -90,7 +90,6 @@ def depth_from_image(message: Image) -> np.ndarray:
 
 
 def camera_info_message(model: CameraModel, frame: str, stamp: rospy.Time) -> CameraInfo:
-    """Returns the message that describes the camera."""
     name = PLUMB_BOB if len(model.D) <= 5 else RATIONAL
     message = CameraInfo(height=model.height, width=model.width, distortion_model=name)
     message.header.frame_id = frame
@@ -193,13 +192,11 @@ class RgbdTopics:
             self._metric.publish(self._outgoing(metric))
 
     def publish_info(self, name: str, stamp: rospy.Time) -> None:
-        """Publishes the camera_info of the image with this stamp."""
         info = copy.copy(self._templates[name])
         info.header = copy.copy(info.header)
         info.header.stamp = stamp
         self._infos[name].publish(info)
 
     def close(self) -> None:
-        """Unregisters the topics."""
         for publisher in (*self._raw.values(), self._metric, *self._infos.values()):
             publisher.unregister()

@@ -50,11 +50,9 @@ class NodeInputs:
         return rospy.Subscriber(topic, kind, take, queue_size=queue_size, buff_size=BUFFER_BYTES, tcp_nodelay=True)
 
     def refused(self, reason: Exception) -> None:
-        """Notes why there is no output."""
         self._watch.refused(clause(reason), clock.monotonic())
 
     def done(self) -> None:
-        """Notes that there was output."""
         self._watch.done(clock.monotonic())
 
     def missing(self) -> str:
@@ -87,7 +85,6 @@ class FaultLog:
         self._logged = ""
 
     def __call__(self, fault: str) -> str:
-        """Returns the fault."""
         kind, now = NUMBERS.sub("#", fault), clock.monotonic()
         if kind != self._kind:
             self._kind, self._since = kind, now

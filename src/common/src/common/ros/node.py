@@ -198,7 +198,6 @@ class RepeatedExceptions(logging.Filter):
         self._logged: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Returns whether the record is to be logged."""
         text = str(record.msg)
         if not text.startswith("bad callback: "):
             return True

@@ -42,7 +42,6 @@ def _with_texts(values: Any, texts: Mapping[str, str]) -> Any:
 
 
 def _read(text: str) -> Any:
-    """Returns what yaml makes of a text, or the text."""
     try:
         return yaml.safe_load(text)
     except Exception:  # the library's constructors raise anything

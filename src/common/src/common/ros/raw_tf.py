@@ -24,7 +24,6 @@ _NUMBERS = struct.Struct("<7d")
 
 
 def data_of(message: rospy.AnyMsg) -> bytes:
-    """Returns the bytes of a message."""
     return message._buff
 
 
@@ -60,7 +59,6 @@ class RawTransform(NamedTuple):
 
     @property
     def message(self) -> TransformStamped:
-        """The transform as a message."""
         transform = Transform(Vector3(*self.numbers[:3]), Quaternion(*self.numbers[3:]))
         return TransformStamped(Header(0, rospy.Time(*self.stamp), self.parent), self.child, transform)
 
@@ -87,7 +85,6 @@ class RawTfMessage(TFMessage):
     data: bytes = bytes(4)
 
     def deserialize(self, data: bytes) -> RawTfMessage:
-        """Keeps the bytes of the message."""
         self.data = bytes(data)
         return self
 

@@ -154,7 +154,6 @@ class _Attempt:
             self.done.set()
 
     def _hang_up(self) -> None:
-        """Wakes the thread that waits for the response."""
         with contextlib.suppress(AttributeError, OSError):  # it ended meanwhile
             self._proxy.transport.socket.shutdown(socket.SHUT_RDWR)
 

@@ -219,5 +219,4 @@ class Tutorial:
 
 
 def _gone(teleop: TeleopRecord) -> bool:
-    """Whether the hand has left the view."""
     return not GONE.isdisjoint(teleop.codes)

@@ -58,7 +58,6 @@ class TutorialWindow(QWidget):
         self.hint.setMinimumHeight(2 * self.hint.fontMetrics().lineSpacing() + HINT_FRAME_PX)
 
     def show_view(self, view: TutorialView) -> None:
-        """Shows a view of the tutorial."""
         for name, widget in self.steps.items():
             widget.setVisible(name in view.steps)
             if name in view.steps:

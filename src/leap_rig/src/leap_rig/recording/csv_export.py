@@ -70,7 +70,6 @@ def lines(run: RecordedRun, series: RecordedSeries) -> Iterator[str]:
 
 
 def table() -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Returns head and rows of the table of the series."""
     head = ("field", "shape", "unit", "holds", "times", "from", "columns of the CSV file")
     rows: list[tuple[str, ...]] = []
     for series in SERIES:

@@ -94,7 +94,6 @@ class McapSink:
         self.attach = self._writer.add_attachment
 
     def add(self, message: StoredMessage) -> None:
-        """Adds a message to the open chunk."""
         topic, kind = message.topic, message.kind
         if (topic, kind) not in self._channels:
             if (kind.name, kind.definition) not in self._schemas:
@@ -147,7 +146,6 @@ class _Pending:
         self._waiting.clear()
 
     def close(self) -> str:
-        """Closes the file and returns the hash of what is on the disk."""
         os.close(self._file)
         return self._sha.hexdigest()
 
@@ -197,12 +195,10 @@ class RecordingWriter:
 
     @property
     def size(self) -> int:
-        """Bytes of messages on the disk."""
         return self._file.size
 
     @property
     def count(self) -> int:
-        """Messages that were added."""
         return sum(self._topics.values())
 
     def add(self, message: StoredMessage) -> None:

@@ -130,7 +130,6 @@ class Recorder:
 
     @property
     def streaming(self) -> bool:
-        """Whether a hand steers the arm now."""
         return bool(self.streams) and self.streams[-1].stopped is None
 
     @property
@@ -148,7 +147,6 @@ class Recorder:
             self.stage_times[stage].setdefault(frame, done)
 
     def stream(self, running: bool, reason: str, now: float) -> None:
-        """Sets whether the stream of hand poses runs."""
         if running and not self.streaming:
             self.streams.append(RecordedStream(now))
         elif not running and self.streaming:
@@ -156,7 +154,6 @@ class Recorder:
             self.streams[-1].reason = reason
 
     def status(self, name: str, values: dict[str, str]) -> None:
-        """Sets the counters of a node or device."""
         self.counters[name] = dict(values)
         if "peak_tcp_speed" in values:
             self.largest_tcp_speed = max(self.largest_tcp_speed or 0.0, float(values["peak_tcp_speed"]))

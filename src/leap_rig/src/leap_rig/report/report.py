@@ -88,7 +88,6 @@ def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remark
 
 
 def slow_world(recorder: Recorder, factor: float | None) -> list[str]:
-    """Returns a warning if the simulated world was too slow."""
     wanted = float(recorder.counters.get("simulated_world", {}).get("speed") or "nan")
     if factor is None or not factor < SLOW_WORLD * wanted:
         return []
@@ -111,7 +110,6 @@ def _processor(loads: list[tuple[float, float]]) -> dict | None:
 
 
 def lost_streams(recorder: Recorder, began: float) -> list[str]:
-    """Returns a warning if streams were lost while the processors were full."""
     lost = []
     for stream in recorder.streams:
         if stream.stopped is not None and NO_FRAMES in stream.reason:
@@ -128,7 +126,6 @@ def lost_streams(recorder: Recorder, began: float) -> list[str]:
 
 
 def _clutch_faults(scenario: dict[str, str]) -> list[str]:
-    """Returns what was wrong with a scenario of relative engagements."""
     name, travel, step = scenario["scenario"], float(scenario["travel_mm"]), float(scenario["engagement_step_mm"])
     faults = []
     if travel < LEAST_TRAVEL_MM:
@@ -153,7 +150,6 @@ def _followed(summary: dict) -> bool:
 
 
 def follow_faults(summary: dict) -> list[str]:
-    """Returns why an arm did not follow its hand."""
     error = summary["tracking_error"]["commanded"]
     if not _followed(summary):
         return ["The arm never followed a hand."] if summary["teleoperated"] else []
@@ -164,7 +160,6 @@ def follow_faults(summary: dict) -> list[str]:
 
 
 def scenario_faults(summary: dict) -> list[str]:
-    """Returns what was wrong with the scenario and its grasps."""
     faults, scenario = [], summary["scenario"]
     if scenario is not None and scenario["step"] != "done":
         why = scenario["failure"] or f"it ended at step {scenario['step']!r}"
@@ -200,7 +195,6 @@ def _hand_over_faults(scenario: dict[str, str], meant: list[dict]) -> list[str]:
 
 
 def hand_faults(summary: dict) -> list[str]:
-    """Returns whether a robot hand stood still."""
     scenario = summary["scenario"]
     arm_only = scenario is not None and (_held_back(scenario) or "clutched" in scenario)
     if summary["teleoperated"] and not arm_only and (not summary["hand_commands"] or not _hand_moved(summary)):
@@ -213,8 +207,6 @@ def _hand_moved(summary: dict) -> bool:
 
 
 def _grasp(values: dict[str, str]) -> dict:
-    """Returns the operator's account of a grasp, in numbers."""
-
     def number(key: str, factor: float) -> float | None:
         return round(factor * float(values[key]), 1) if values[key] else None
 
@@ -328,7 +320,6 @@ def _percentiles(seconds: list[float]) -> dict:
 
 
 def as_text(summary: dict) -> str:
-    """Returns the summary as one screen of text."""
     lines = [f"Leap Rig: {summary['duration_s']:.1f} s", "", f"  frames received        {summary['frames_received']}"]
     lines += count_lines(summary) + machine_lines(summary) + travel_lines(summary) + scenario_lines(summary)
     lines += (
@@ -345,7 +336,6 @@ def as_text(summary: dict) -> str:
 
 
 def count_lines(summary: dict) -> list[str]:
-    """Returns the lines with the streams of an arm, and what was counted."""
     lines = [f"  streams                {len(summary['streams'])}"]
     for stream in summary["streams"][-6:]:
         stopped = "end" if stream["stopped_s"] is None else f"{stream['stopped_s']:.1f} s"
@@ -375,12 +365,10 @@ def machine_lines(summary: dict) -> list[str]:
 
 
 def travel_lines(summary: dict) -> list[str]:
-    """Returns the line with the travel of a robot hand."""
     return [f"  hand travel            {summary['hand_travel_rad']} rad (index, middle, thumb, spread)"]
 
 
 def scenario_lines(summary: dict) -> list[str]:
-    """Returns the lines about the scenario."""
     lines = []
     if summary["scenario"] is not None:
         lines.append(f"  scenario               {summary['scenario']['scenario']}: {summary['scenario']['step']}")
@@ -398,7 +386,6 @@ def scenario_lines(summary: dict) -> list[str]:
 
 
 def object_lines(summary: dict) -> list[str]:
-    """Returns the lines about grasps and objects."""
     lines = []
     if summary["grasps"]:
         lines += ["", "  grasps", *(line for grasp in summary["grasps"] for line in _grasp_lines(grasp))]
@@ -408,7 +395,6 @@ def object_lines(summary: dict) -> list[str]:
 
 
 def tracking_lines(summary: dict) -> list[str]:
-    """Returns the lines about an arm's errors and delays."""
     lines = ["", "  tool tracking error       rms mm   max mm  rms deg  max deg  samples"]
     for name, e in summary["tracking_error"].items():
         numbers = " ".join(_cell(e[k]) for k in ("rms_mm", "max_mm", "rms_deg", "max_deg"))

@@ -38,7 +38,6 @@ def summarise(
 
 
 def as_text(summary: dict) -> str:
-    """Returns the summary as text, of one arm or of several."""
     if "arms" not in summary:
         return report.as_text(summary)
     lines = [f"Leap Rig: {summary['duration_s']:.1f} s, arms {' and '.join(summary['arms'])}", ""]

@@ -291,7 +291,6 @@ class Interrupts:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs the demo and returns its exit code."""
     master.check_surroundings()
     refuse_second_rig()
     refuse_without_logs()
@@ -394,7 +393,6 @@ def wait_for_end(
 
 
 def main() -> None:
-    """Runs the demo with the arguments of the command line."""
     end_closed_servers()
     try:
         check_folder()

@@ -127,7 +127,6 @@ class TagDetector:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the poses of earlier images."""
         self._last: dict[str, tuple[float, np.ndarray]] = {}
         self._looked = -np.inf  # for mirrored and inverted tags [s]
 

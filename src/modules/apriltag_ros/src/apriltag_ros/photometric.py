@@ -121,7 +121,6 @@ class _Fit:
 
     @property
     def square(self) -> float:
-        """Sum of the squared differences."""
         return float(self.differences @ self.differences)
 
     @property

@@ -73,12 +73,10 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the calibration may be used."""
         return not self.failed
 
     @property
     def sentence(self) -> str:
-        """The verdict for the operator."""
         fits = self.result.fits
         accuracy = (
             f"rms {self.rms[0]:.2f} mm and {self.rms[1]:.2f} deg in {int(fits.sum())} of {len(fits)} views, "
@@ -214,7 +212,6 @@ def check_alone(view: CalibrationView, config: CalibrationConfig) -> float:
 
 
 def table(verdict: Verdict) -> list[str]:
-    """Returns lines with the errors of each view, and whether it is used."""
     lines = ["view   error [mm]  [deg]   error of the others' prediction [mm]  [deg]"]
     rows = zip(verdict.result.errors, verdict.predicted, verdict.result.fits)
     for i, (error, predicted, fits) in enumerate(rows, start=1):

@@ -47,7 +47,6 @@ class RecordHead:
     simulated: bool | None = simulated_field()
 
     def faults(self) -> list[str]:
-        """Returns what no single field can check."""
         try:
             moment(self.date)
         except ValueError:
@@ -68,7 +67,6 @@ class CalibrationRecord(RecordHead):
 
     @property
     def accuracy(self) -> str:
-        """The accuracy, as a part of a sentence."""
         if self.kind == LIVE:
             found = f"one view without confirmation, standard deviation of a point {self.point_sd_mm:.2f} mm"
         else:

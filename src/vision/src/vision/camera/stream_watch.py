@@ -31,7 +31,6 @@ class StreamHealth:
 
     @property
     def usable(self) -> bool:
-        """Whether the images can be used."""
         return self.state in ("alive", "slow")
 
 

@@ -57,7 +57,6 @@ def trial(distance: float, tilt: float, T_truth: np.ndarray, poses: RgbdPose | N
 
 
 def cells(trials: list[PoseTrial]) -> list[tuple[float, float]]:
-    """Returns all pairs of distance and tilt, sorted."""
     return sorted({(t.distance, t.tilt) for t in trials})
 
 
@@ -85,7 +84,6 @@ def markdown(trials: list[PoseTrial], methods: tuple[str, ...] = METHODS) -> lis
 
 
 def csv(variant: str, trials: list[PoseTrial]) -> list[str]:
-    """Returns a line for each distance, tilt and method, with the columns of CSV_HEAD."""
     lines = []
     for distance, tilt in cells(trials):
         count = sum((t.distance, t.tilt) == (distance, tilt) for t in trials)

@@ -42,7 +42,6 @@ class StereoViewConfig:
     jpeg_quality: int = integer("%", low=10, high=100, doc="quality of the images for the web page")
 
     def faults(self) -> list[str]:
-        """Returns contradictions between fields."""
         if self.nearest > self.flat_distance:
             return [f"nearest is {self.nearest:g} m, but must be at most flat_distance, {self.flat_distance:g} m."]
         return []
@@ -71,7 +70,6 @@ class WebConfig:
     name: str = text(doc="further name of this computer that pages may be asked for by", absent="", empty=True)
 
     def faults(self) -> list[str]:
-        """Returns contradictions between fields."""
         if bool(self.certificate) != bool(self.key):
             return ["https needs both certificate and key, but only one is given."]
         return []

@@ -133,7 +133,6 @@ class OperatorViewNode:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     hand = rospy.get_param("leap_hand", {})
     touch = parse(TouchConfig, hand, "leap_hand/", others=hand)
     node = OperatorViewNode(private_config(OperatorViewConfig), touch, rospy.get_param("leap/hand", ANY))

@@ -37,13 +37,11 @@ WORKSPACE = Path(__file__).resolve().parents[6]
 
 
 def main() -> None:
-    """Entry point of the script."""
     options = _parser().parse_args(rospy.myargv()[1:])
     run_program("export_recording", lambda: export(options), "Interrupted; what was written is not complete.", ERRORS)
 
 
 def export(options: argparse.Namespace) -> int:
-    """Exports and returns the exit code."""
     _refuse_unheeded(options)
     folders = [folder_of(name) for name in options.names]
     for folder in folders:

@@ -69,7 +69,6 @@ class Inbox:
         return self._start + clock.monotonic_ns() - self._zero
 
     def put(self, topic: str, kind: MessageKind, data: bytes) -> None:
-        """Adds a message that came now."""
         with self._lock:
             self.received[topic] += 1
             if self._bytes + len(data) > self._limit:
@@ -79,14 +78,12 @@ class Inbox:
             self._waiting.append(StoredMessage(topic, kind, self.now, data))
 
     def take(self) -> list[StoredMessage]:
-        """Returns what waits, in the order in which it came."""
         with self._lock:
             taken, self._waiting, self._bytes = self._waiting, [], 0
         return taken
 
 
 def main() -> None:
-    """Entry point of the script."""
     options = _parser().parse_args(rospy.myargv()[1:])
     run_program("record", lambda: record(options), "Interrupted before anything was recorded.")
 
@@ -179,7 +176,6 @@ class _LiveLine:
         self._next = seconds + (1.0 if self._terminal else LINE_S)
 
     def finish(self) -> None:
-        """Ends the live line."""
         if self._terminal:
             print()
 

@@ -53,7 +53,6 @@ AGREED = "yes"
 
 
 def main() -> None:
-    """Entry point of the script."""
     options = _parser().parse_args(rospy.myargv()[1:])
     run_program("replay", lambda: replay(options), "The replay was interrupted.", (RigError, LeapServiceError))
 

@@ -66,7 +66,6 @@ class RigListener:
             self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
 
     def stop(self) -> None:
-        """Stops recording."""
         for subscriber in self._subscribers:
             subscriber.unregister()
 

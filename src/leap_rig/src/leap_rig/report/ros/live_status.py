@@ -52,11 +52,9 @@ class LiveStatus:
         self._print(text + ("" if self._terminal else "\n"))
 
     def say(self, sentence: str) -> None:
-        """Prints a sentence on a line of its own."""
         self._print(sentence + "\n")
 
     def finish(self) -> None:
-        """Ends the live line."""
         if self._terminal:
             print()
 

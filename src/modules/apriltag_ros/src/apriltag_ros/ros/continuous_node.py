@@ -103,7 +103,6 @@ def _grey(message: Image) -> np.ndarray:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)
     ContinuousNode()
     rospy.spin()

@@ -35,7 +35,6 @@ def _answer(detector: TagDetector, rectified: bool, request) -> AnalyzeSingleIma
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     settings, targets = read_parameters()
     answer = partial(_answer, TagDetector(settings, targets), settings.rectified)
     rospy.Service("single_image_tag_detection", AnalyzeSingleImage, answer)

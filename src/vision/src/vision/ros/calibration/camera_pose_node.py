@@ -193,7 +193,6 @@ def _summary(record: CalibrationRecord) -> str:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     config = private_config(CameraPoseConfig)
     CameraPoseNode(config.mode, read_setup(config.detector))
     rospy.spin()

@@ -110,7 +110,6 @@ def _content(
     simulated: bool | None,
     sentence: str,
 ) -> str:
-    """Returns the yaml file."""
     yaw, pitch, roll = np.degrees(zyx_from_rotation(T_world_second[:3, :3])).tolist()
     second = BasePlacement(T_world_second[:3, 3], np.array([roll, pitch, yaw]))
     placements: Mapping[str, BasePlacement] = {names[0]: arms.placements[names[0]], names[1]: second}

@@ -11,7 +11,6 @@ from vision.camera.frames import CameraFramesConfig, camera_frames
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     config = private_config(CameraFramesConfig)
     stamp = rospy.Time.now()
     transforms = [stamped_transform(T, parent, child, stamp) for parent, child, T in camera_frames(config)]

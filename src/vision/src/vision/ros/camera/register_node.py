@@ -103,7 +103,6 @@ class RegisterNode:
 
 
 def _why_empty(pair: RgbdPair) -> str:
-    """Returns why there is no depth in the colour image, a clause."""
     if not (pair.depth > 0.0).any():
         return "the depth image holds no reading"
     x, y, z = pair.T_rgb_depth[:3, 3]
@@ -148,7 +147,6 @@ def missing_packages(packages: rospkg.RosPack) -> list[str]:
     """Returns the Debian packages that the nodelets lack; `packages` are those that ROS finds."""
 
     def complete(package: str) -> bool:
-        """Returns whether a package is installed with the descriptions of its nodelets."""
         try:
             folder = Path(packages.get_path(package))
             exports = ElementTree.parse(folder / "package.xml").findall("export/nodelet")

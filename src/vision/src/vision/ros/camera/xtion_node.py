@@ -120,7 +120,6 @@ class XtionNode:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     config = private_config(XtionConfig, others=(*CALIBRATIONS, FRAMES, SERIAL))
     given = [private_values().get(name, {}) for name in CALIBRATIONS]
     rgb, depth = map(from_calibration, given)

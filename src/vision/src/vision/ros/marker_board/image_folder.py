@@ -98,13 +98,11 @@ def rendered_images(board: str, *options: str) -> Iterator[Path]:
 
 
 def board_target(board: str) -> TagTarget:
-    """Returns the tags of a board, bundle or single."""
     (target,) = targets({key: read_config(TAGS[board]).get(key) for key in TAG_KEYS})
     return target
 
 
 def read_config(name: str) -> dict:
-    """Returns the content of a yaml file of this package."""
     return yaml.safe_load(config_file(name).read_text(encoding="utf-8"))
 
 

@@ -104,7 +104,6 @@ def _detections(found: RgbdDetection | None, name: str) -> tuple[TargetDetection
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)
     config = private_config(PairsConfig, others=SECTIONS)
     board = private_config(MarkerBoardConfig, "panel")

@@ -94,7 +94,6 @@ class HeadsetHands:
         self._scene.watch(self._endpoint.driven)
 
     def close(self) -> None:
-        """Stops the service."""
         self._service.stop()
         self._thread.join(CLOSE_S)
 

@@ -110,7 +110,6 @@ class StereoScreen(QWidget):
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     check_screen("The headset view")
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     output = private_config(WindowConfig, others=("view",)).output

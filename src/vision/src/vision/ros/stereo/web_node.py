@@ -106,7 +106,6 @@ class StereoWeb(SocketService):
 
     @property
     def watched(self) -> bool:
-        """Whether a page is open."""
         return bool(self._pages)
 
     def put(self, frame: StereoFrame) -> None:
@@ -193,7 +192,6 @@ def _reachable(host: str) -> str:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(StereoViewConfig, "view")
     settings = private_config(WebConfig, "web")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from common import ports
+from simulated import ports
 
 
 @pytest.mark.real
