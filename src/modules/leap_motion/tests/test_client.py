@@ -148,23 +148,12 @@ def test_after_a_connection_the_next_try_is_soon_again(start):
     assert waits == pytest.approx([0.5, 0.8, 1.28, 0.5, 0.8], abs=GREETED_S)
 
 
-def test_a_wrong_service_that_gets_right_is_used(start):
-    _service, client = start(lambda _service, connection: connection.send('{"version":7}'), stream(frame(3)))
-    assert client.next_frame(RETRY_S + 2 * GREETED_S).frame.id == 3
-
-
 def test_no_header(start):
     service, client = start(lambda service, connection: service.stay(connection))
     clock.sleep(HEADER_TIMEOUT_S)
     assert client.status.link is LeapLink.CONNECTING
     clock.sleep(GREETED_S)
     assert client.status.link is LeapLink.REFUSED and "no header within 2 s" in client.status.sentence
-
-
-def test_close_1001_before_the_header(start):
-    _service, client = start(lambda _service, connection: connection.close(1001))
-    clock.sleep(GREETED_S)
-    assert client.status.link is LeapLink.REFUSED and "ended the connection (1001)" in client.status.sentence
 
 
 def test_silence_is_a_fault_and_ends_with_the_next_frame(start):
@@ -253,15 +242,6 @@ def test_reasons_are_counted_without_growing_for_ever(start):
     assert client.counts.dropped["other reasons"] == 100 - client_module.MAX_REASONS
 
 
-def test_a_missing_service_is_named_with_the_way_to_start_it(wire):
-    client = LeapClient(port=6437, runtime=clock)
-    clock.sleep(GREETED_S)
-    assert client.status.link is LeapLink.NO_SERVICE and "sudo leapd" in client.status.sentence
-    assert client.next_frame(0.01) is None
-    client.close()
-    assert client.status.link is LeapLink.CLOSED
-
-
 def test_close_from_another_thread_ends_a_wait(start):
     _service, client = start(stream())
     closer = clock.Timer(0.2, client.close)
@@ -271,21 +251,6 @@ def test_close_from_another_thread_ends_a_wait(start):
     assert clock.monotonic() - began == pytest.approx(0.2)
     client.close()
     assert clock.monotonic() - began < 0.2 + SILENCE_S + GREETED_S and client.status.link is LeapLink.CLOSED
-
-
-def test_a_flood_does_not_keep_a_client_from_closing(start):
-    def floods(service, connection):
-        greet(service, connection)
-        for number in range(10**6):
-            connection.send(frame(number))
-            clock.sleep(1e-4)
-
-    _service, client = start(floods)
-    clock.sleep(0.1)
-    assert client.counts.received > 900
-    began = clock.monotonic()
-    client.close()
-    assert clock.monotonic() - began < GREETED_S and client.status.link is LeapLink.CLOSED
 
 
 @pytest.mark.parametrize(

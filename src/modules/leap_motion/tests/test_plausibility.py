@@ -230,12 +230,6 @@ def test_a_new_id_in_the_place_of_a_hand_lets_no_lie_through(numbers):
     assert missing(frame(5, closed[5]), seen([frame(i, hand) for i, hand in enumerate(closed)])[5]) > {INDEX, LITTLE}
 
 
-def test_a_new_id_elsewhere_is_another_hand():
-    hands = [hand_at(number=1)] * 3 + [bent(1.2)(hand_at(number=2, place=(-120.0, 250.0, 40.0)))] * 3
-    frames = [frame(i, hand) for i, hand in enumerate(hands)]
-    assert seen(frames) == frames
-
-
 @given(st.integers(0, 4), st.integers(2, 4), st.tuples(*[st.floats(-0.3, 0.3)] * 3), st.floats(0.0, 1.0))
 def test_a_joint_that_comes_through_is_no_farther_than_a_finger_moves(finger, number, offset, curl):
     honest = hand_at(curl=curl)

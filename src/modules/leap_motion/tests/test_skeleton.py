@@ -46,13 +46,6 @@ def test_a_hand_with_numbers_that_are_none_is_not_drawn(place):
     assert skeleton(hand(joints, palm=(0.0, np.inf, 0.0) if place == "palm" else (0.0, 0.2, 0.0))) is None
 
 
-@given(UNIT, UNIT)
-def test_more_confidence_is_less_red_and_more_green(a, b):
-    low, high = (traffic_light(value) for value in sorted((a, b)))
-    assert low[0] >= high[0] and low[1] <= high[1]
-    assert all(0.0 <= part <= 1.0 for part in (*low, *high))
-
-
 def test_ends_of_the_scale_and_what_is_no_number():
     red, green = traffic_light(0.0), traffic_light(1.0)
     assert red[0] == 1.0 and red[1] == 0.0 and green[0] == 0.0 and green[1] > 0.8

@@ -14,8 +14,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from leap_motion.codec import read_message
-from leap_motion.service import wire
 from leap_motion.service.hand import KNUCKLES_MM
 from leap_motion.webcam import hand_tracks, palm_width
 from leap_motion.webcam.hand_tracks import HandTracks, SeenHand
@@ -92,18 +90,6 @@ def test_a_hand_is_found_where_it_is(turn, place, side, width):
 def test_another_palm_width_scales_the_place(turn, place, width):
     hand = seen(rotation(turn) @ FACING, place)
     assert_allclose(measured(hand, width).palm, np.array(place) * width / 84.25, rtol=1e-3, atol=0.1)
-
-
-@given(angles, places)
-@settings(max_examples=30, deadline=None)
-def test_a_mirrored_hand_is_the_other_one(turn, place):
-    mirror = np.array([-1.0, 1.0, 1.0])
-    axes = rotation(turn) @ FACING
-    right = seen(axes, place)
-    world, rays = right.world * mirror, right.rays * mirror[:2]
-    left = measured(SeenHand("left", 1.0, right.landmarks, rays, world))
-    assert_allclose(left.palm, np.array(place) * mirror, atol=0.5)
-    assert_allclose(left.axes, np.diag(mirror) @ axes @ np.diag(mirror), atol=1e-3)
 
 
 NUMBERS = st.one_of(st.floats(-2.0, 2.0), st.sampled_from([math.nan, math.inf, -math.inf, 0.0, 1e300]))
@@ -313,27 +299,6 @@ class TestTracks:
         change = sure.index(True)
         assert sure[change - 2 : change] == [None, None] and False in sure[:change]
         assert all(sure[change:])
-
-    def test_a_new_neutral_pose_turns_no_hand_that_steers(self):
-        tracks = HandTracks(placement(FRONT), 84.25)
-        before = run(tracks, held(), 45)[-1].hands[0]
-        tracks.renew()
-        found = run(tracks, held(), 60, 45)
-        assert not any(f.hands for f in found[:7])  # longer than an engagement outlives its hand
-        assert all(hand.id > before.id for f in found for hand in f.hands) and found[-1].hands
-
-    def test_the_driver_reads_what_is_served(self):
-        found = run(HandTracks(placement(ABOVE), 84.25), held(noise=np.zeros((21, 2))), 9)[-1]
-        text = wire.frame(found.hands, found.rate).text(9, 1_300_000)
-        hand = read_message(text).hands[0]
-        assert_allclose(1e3 * hand.palm, found.hands[0].palm, atol=0.01)
-        assert hand.side == "right" and len(hand.fingers) == 5
-
-
-def test_noise_of_a_pixel_moves_the_hand_by_little():
-    rng = np.random.default_rng(1)
-    palms = np.array([measured(seen(FACING, (0, 0, 500), noise=rng.normal(0, 1, (21, 2)))).palm for _ in range(200)])
-    assert palms[:, :2].std(axis=0).max() < 1.0 and palms[:, 2].std() < 5.0
 
 
 class TestPalmWidth:

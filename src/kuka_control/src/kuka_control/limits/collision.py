@@ -30,13 +30,10 @@ from iiwa_kinematics.chain import Vector, cross, joint_frames, pose_of_axes
 from kuka_control.limits.moving_arm import STOPPING, GuardError, approach_speed
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table
+from kuka_control.numbers import APPROACH_M_S2, ARM_M, LAG_S, SAMPLED_M, SOFT_M
 
 # What each distance means: table in docs/handbook/limits.md.
-APPROACH_M_S2 = 2.0  # deceleration with which an approach is planned [m/s^2]; the jerk limit and the wrist allow more
 GAIN_PER_S = 20.0  # greatest approach speed per distance, near the end of an approach [1/s]
-SOFT_M = 0.003  # an approach ends so far before the margin, so that the tool can slide there [m]
-SAMPLED_M = 0.001  # points of a path keep the margin with this on top: it bends between them [m]
-ARM_M = 0.0025  # and points of the path of the arm with this, whose lag is known less exactly [m]
 NOISE_M = 1e-6  # error of the library's distances [m]
 TOUCHING_M = 1e-9  # bodies whose nearest points are nearer touch [m]
 SWEEPS = 5  # passes over the pairs: a correction at one may add speed towards another
@@ -44,7 +41,6 @@ DAMPED = 0.05**2 * np.eye(6)  # of the pseudoinverse, in the tool's speed [m/s],
 LINEAR_M = 0.5 * APPROACH_M_S2 / GAIN_PER_S**2  # an approach at v may need v^2 / 2 APPROACH_M_S2 and this [m]
 LEAST = 1e-6  # least speed of a correction along its normal, near singular poses
 WRIST_LINK = 6  # the first link whose points follow the tool where it does not turn
-LAG_S = 0.027  # time constant with which a joint of the arm follows its goals, for drives of 40 ms [s]
 STEP_RAD = 0.063  # of a greater lag the loop may see no more (servo_law.py) [rad]
 BRAKING_PER_S = 8.0  # and it is no faster than it can brake before the goal, at so much of its full speed [1/s]
 

@@ -24,16 +24,12 @@ from common.poses import read_only
 from iiwa_kinematics import Ball
 from kuka_control.limits.moving_arm import JointState, ShapeLimits, approach_speed
 from kuka_control.limits.speed_change import ARM_SPEED, COLLISION_GUARD, GuardedRoom, SpeedChange, StoppingGuard
+from kuka_control.numbers import GAP_S
 
 LATE_GOAL = "gap between goals"  # what limits the first goal after a longer gap than GAP_S
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
 LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
 BRAKING_FRACTION = 0.4  # of the acceleration limit, with which braking is planned; the jerk limit costs the rest
-GAP_S = 0.03
-"""After a longer gap than this between two goals the arm starts from rest at the last one [s].
-
-The simulated arm has lost half of its speed 20 to 55 ms after its last goal, with either servo law. Goals that continue
-at full speed after 50 ms make a tool of 0.4 m/s exceed 0.8 m/s, at which the robot's controller stops it."""
 
 ARM_S = 0.03  # expected lag of an arm whose drives have a time constant of 40 ms [s]
 LEAD_RAD = (0.035, 0.065)

@@ -34,12 +34,11 @@ from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.target import TargetChain
+from kuka_control.numbers import SPEED_MARGIN, TEST_MOTIONS
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard
 
-TEST_MOTIONS = 3
-"""So often at most does joint 7 turn to show the servo law, where a busy machine did not see it well."""
 
 
 @dataclass(frozen=True)
@@ -243,7 +242,6 @@ RANGE_MARGIN_RAD = float(np.radians(0.1))
 """Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
 
 
-SPEED_MARGIN = 0.97  # the guard checks the speed of the arm at some times only; between them it is up to 2.5 % faster
 
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:

@@ -35,12 +35,12 @@ from kuka_control.model.robot_shape import REACH, Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
+from kuka_control.numbers import BLOCKED_S, EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard, PathCheck
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
-EXIT_PATIENCE_S = 2.0  # on exit, wait at most this long for an arm that something holds [s]
 
 BARRED = f"The desired tool frame moved before control went on and does not count: {HAND_IN_AGAIN}"
 BARRED_BY_MOVE = "The desired tool frame began to move while a program moved the arm."
@@ -55,8 +55,6 @@ COUNTED = (
 """The names of the counters; all are there from the start."""
 
 TICK_S = 0.1  # longest time between two frames in which such a refusal is still shown [s]
-HAND_S = 1.0  # at the start the arm waits so long for the first report of the hand [s]
-BLOCKED_S = 0.25  # a pick-up motion that the collision guard refused is checked again after this time [s]
 
 FINGER_IN_THE_WAY = (
     "A finger that opens or closes meanwhile could come that near; what the fingers may touch, name in allow_contact. "
@@ -64,7 +62,6 @@ FINGER_IN_THE_WAY = (
 
 CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
 STANDS_RAD = 5e-4  # an arm whose joints are no further off still is where the check of a path began
-LINE_START_RAD = 2e-3  # a line begins where the arm stands; no joint is further off than this
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,8 @@ from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.ptp_contact import touched
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode, Stays
+from kuka_control.numbers import FIRST_PAUSE_S, LONGEST_PAUSE_S, MAX_MISSED, MISSING_S, NAMED_S, OFF_S
 
-FIRST_PAUSE_S = 0.5
-LONGEST_PAUSE_S = 5.0  # the pause between attempts doubles up to this [s]
 REMIND_S = 30.0  # period of the warnings that the robot is still out of reach [s]
 
 BACK = (
@@ -43,14 +42,6 @@ BACK = (
     "and follows the desired tool frame."
 )
 WAITING = "Control is off, nothing is sent, and the same connection is probed for up to 10 s."
-NAMED_S = 0.12
-"""A robot that has not answered for this long, beyond the link's usual delay, is reported; with a cycle's wait within
-0.2 s [s]."""
-OFF_S = 1.0
-"""A longer silence in servo mode switches control off [s]: TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
-Outside of servo mode it is twice as long: one answer is waited for that long, and no goals depend on it."""
-MAX_MISSED = 5  # this many missing or unusable answers in a row,
-MISSING_S = 3.0  # over this time at least, end the link: a busy machine is late several times in a row [s]
 WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s]
 
 

@@ -20,20 +20,13 @@ from kuka_control.loop.servo_law import LtsGoals
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
 from kuka_control.model.desired_frame import RATE_WINDOW_S, DesiredFrame
+from kuka_control.numbers import CONTINUED_S, FADE_S, FULL_SPEED_HZ, HOLD_HZ, LONGEST_STALL_S, LOST_S, RESUME_HZ, TOLERANCE_M
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
-TOLERANCE_M = 0.017  # tolerance of the frame's step on top of the speed limits: 2 deg of a joint, half a metre away [m]
-LOST_S = 0.1  # after a longer gap than this the signal counts as lost and found again [s]
-LONGEST_STALL_S = 0.5  # frames that came in a longer stall of the control loop than this do not count [s]
 CYCLE_S = 0.01  # time in which the arm has to cross such a gap: one cycle of the stream [s]
 SHORT_S = 0.006  # frames nearer in time than this give no speed [s]
 LONG_S = 0.024  # time of the second, longer average of the speed [s]
-CONTINUED_S = 0.03  # a frame is continued for 1.5 times the time between frames, but at most for this long [s]
-FADE_S = 0.02  # then the target slows down to rest in this time [s]
 COMPARED = 64  # number of recent frames among which the least delayed one is sought
-FULL_SPEED_HZ = 60.0  # the tool moves at most 11 mm from one frame to the next at 0.65 m/s; at lower rates no further
-HOLD_HZ = 20.0  # frames that come less often than this are not followed
-RESUME_HZ = 22.0  # until they come this often
 ROUNDING_HZ = 1e-3  # of a rate by stamps in seconds since 1970 [Hz]
 SETTLED_RAD = 1e-3  # an arm this close to its goal has come to rest with it [rad]
 SETTLING_S = 0.3  # it is waited for this long [s]

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 from kuka_control.loop.transitions import State
 from kuka_control.model.desired_frame import FOREIGN_PAUSE_S
+from kuka_control.numbers import ANNOUNCED_S
 
 AGAIN_S = 10.0  # a PTP motion that nobody asked for is not repeated within this time [s]
-ANNOUNCED_S = 1.0  # a stream that ran already is taken over so long after that was announced [s]
 NEAR_M, NEAR_RAD = 0.3, math.radians(45.0)  # and only if it is not farther from the tool at home
 
 WAITS = (

@@ -9,22 +9,16 @@ import numpy as np
 
 from kst import PtpApproach
 from kuka_control.loop.commands import Event
+from kuka_control.numbers import FAR_S, FASTER, HELD_AT_ENDS_S, HELD_AT_GOAL_S, HELD_S, LAST_GOALS_S, SAMPLES, STILL_S, UNKNOWN_S
 
 FAR_RAD = float(np.radians(20.0))  # goal and joint are too far apart (full speed lags about half of it behind)
-FAR_S = 0.1  # how long it may be too far [s]
 AWAY_RAD = float(np.radians(0.5))  # distance between goal and measured joint that an arm in servo mode always works off
 STILL_RAD = float(np.radians(0.02))  # joints that moved less than this stand still
-STILL_S = 0.3  # how long the arm may stand still away from its goal [s]; a safety stop shows within half a second
-SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm
-UNKNOWN_S = 0.5  # so long at most are goals sent that lie away from the last known joints [s]
 CYCLE_S = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
-HELD_S = 0.4  # an arm that came no nearer for this time is held; longer than in servo mode: reduced override [s]
 
 
 BELIEVED_RAD = float(np.radians(0.6))  # measured joints this near to where they can be are believed [rad]
-FASTER = 1.2  # joints that change faster than this fraction of their full speed are not believed
 MOST_GOALS = 1000  # so many are remembered where no joints come
-LAST_GOALS_S = 0.2  # the arm may still be on its way between the goals of this time before a reading [s]
 
 
 class JointCheck:
@@ -146,13 +140,9 @@ class TrackingMonitor:
         return None
 
 
-HELD_AT_ENDS_S = 1.0
-"""The same before the arm has begun to move and in the last AWAY_RAD: the controller plans, opens the brakes, and
-starts and stops gently, the more so at a reduced override [s]."""
 
 
 AT_GOAL_RAD = float(np.radians(0.1))  # joints this near to the goal are there
-HELD_AT_GOAL_S = 2.0  # the same there: where an answer was lost, the client takes 1 s to tell the end by the joints [s]
 END_S = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
 SAMPLES_AT_END = 3  # a verdict needs more readings than this
 

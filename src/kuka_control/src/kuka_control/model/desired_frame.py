@@ -18,23 +18,13 @@ from common.frame_rate import FrameRate
 from common.poses import check_pose, inverse
 from common.rotations import UNIT_TOLERANCE, rotation_angle
 from common.stream_pause import NEW_STREAM_PAUSE_S
+from kuka_control.numbers import FOREIGN_PAUSE_S, HANDOVER_S, MAX_DISTANCE_M, MAX_OFFSET_S, MAX_SKEW_S, PAUSE_PERIODS, REFUSING_S, REPEATED_S, STALLED_S, STANDS_S, UNCONNECTED_S
 
-MAX_DISTANCE_M = 5.0  # a tool further from the base than this was not meant in metres [m]
-HANDOVER_S = 1.0  # another node may take over a frame after the one before has been silent for this long [s]
-MAX_SKEW_S = 0.5  # how far a stamp may be from the clock [s]
-MAX_OFFSET_S = 60.0  # a clock that differs by more was never set, and a stamp that does is of a recording [s]
-PAUSE_PERIODS = 2.5  # a pause before a new stream also is longer than so many times the time between its last frames
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
-FOREIGN_PAUSE_S = 2.0  # no hand comes in with a foreign frame: a pause that is shorter begins no stream [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
 RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
-STALLED_S = 0.5  # stalls since the last frame count as silence where they are longer than this together [s]
-REFUSING_S = 0.5  # frames count as refused until this long after the last refused one [s]
 CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain that moves farther at once was set anew
 AT_ONCE_S = 0.1  # between two stamps that are not farther apart [s]
-STANDS_S = 0.5  # ROS time that has not passed for this long stands still [s]
-UNCONNECTED_S = 0.5  # so long the transforms of a chain may come one after the other [s]
-REPEATED_S = 0.3  # so long a stamp may come again and again [s]
 ABSENT_S = 1.0  # a frame that has not come for this long is missed [s]
 LIKE = 0.6  # how much another frame's name resembles the missing one, 0 to 1
 

@@ -7,11 +7,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from common.modes import Mode
+from kuka_control.numbers import PAYLOAD_MAX_KG, SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
-SCALING_MIN = 0.1
-SCALING_MAX = 1.5
-SCALING_DEFAULT = 1.0
-PAYLOAD_MAX_KG = 5.0
 IN_DOUBT = (
     "the arm does not move while its measured joints are not believed; switch control off and on once they are right "
     "again, or start the controller anew."

@@ -45,6 +45,7 @@ from kuka_control.ros.panel_process import control_panel
 from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, running, shipped
 from kuka_control.ros.services import Services, offer_tool_check
 from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePublisher, publish_workspace
+from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
 
 NAMED_POSITIONS = "joint_configurations.yaml"
 PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_kuka, wait this long for the others [s]
@@ -52,11 +53,7 @@ RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out o
 SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
 PATIENCE_S = 20.0  # how long a server that does not run yet is tried again at the start [s]
 RETRY_S = 0.5
-PROBE_S = 12.0  # the client gives a silent server up before; this bounds the wait for one that answers nonsense [s]
-TIMEOUT_S = 5.0
-AGAIN_TIMEOUT_S = 2.0  # how long a try to connect again waits for the connection, and again for the first answer [s]
 LONGEST_PERIOD_S = 0.025  # of the control loop, so that pauses of the desired tool frame are seen [s]
-BRAKING_S = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
 
 
