@@ -21,9 +21,9 @@ from tools.reference.syntax import dotted
 ROOT = Path(__file__).parents[1]
 LAYER = {
     "kuka_msgs": 0, "reflex_msgs": 0, "rig_msgs": 0, "grasp_msgs": 0,
-    "rig_description": 0,
+    "iiwa_kinematics": 0, "rig_description": 1,
     "common": 1,
-    "iiwa_kinematics": 2, "kst": 2, "leap_motion": 2, "reflex": 2, "apriltag_ros": 2,
+    "kst": 2, "leap_motion": 2, "reflex": 2, "apriltag_ros": 2,
     "kuka_control": 3, "leap_kuka": 3, "leap_hand": 3, "vision": 3, "grasping": 3,
     "leap_rig": 4, "rig_simulation": 4,
 }  # fmt: skip

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the URDF files and meshes of this package from its tables. A test compares them with what is checked in."""
+"""Writes the URDF files of this package from its tables. A test compares them with what is checked in."""
 
 from __future__ import annotations
 
@@ -7,18 +7,10 @@ import sys
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(PACKAGE / "src"))
+sys.path[:0] = [str(PACKAGE / "src"), str(PACKAGE.parent / "iiwa_kinematics" / "src")]
 
-from rig_description.files import all_files  # noqa: E402
-
-
-def main() -> None:
-    """Writes every file."""
-    for name, text in all_files().items():
-        path = PACKAGE / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-
+from rig_description.urdf import all_files  # noqa: E402
 
 if __name__ == "__main__":
-    main()
+    for name, text in all_files().items():
+        (PACKAGE / name).write_text(text, encoding="utf-8")

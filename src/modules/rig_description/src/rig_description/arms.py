@@ -1,8 +1,8 @@
-"""The two arms in numbers: joints, limits, masses. Lengths in m, angles in degrees as the data sheets give them.
+"""Masses, torques and shapes of the two arms; lengths, ranges and speeds are those of iiwa_kinematics. Lengths in m.
 
-Sources: geometry and dynamics from the client of the KUKA Sunrise Toolbox; ranges, speeds and torques from KUKA's data
-sheets (LBR iiwa 7 R800, LBR iiwa 14 R820). The torques of the 7 R800 are quoted second-hand: check them against the
-data sheet before anything relies on them.
+Sources: dynamics from the client of the KUKA Sunrise Toolbox, torques from KUKA's data sheets (LBR iiwa 7 R800, LBR
+iiwa 14 R820). The torques of the 7 R800 are quoted second-hand: check them against the data sheet before anything
+relies on them.
 
 A link's frame is its frame of the modified Denavit-Hartenberg table, but for link 7, whose frame stays at the wrist:
 the 0.126 m to the arm's flange and the media flange follow as a fixed joint.
@@ -14,19 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from iiwa_kinematics.robot_model import WRIST_LINK_7, RobotModel, robot_model
 from rig_description.rigid_body import Body, cylinder, turned
 
 ALPHA_DEG = (0, -90, 90, 90, -90, -90, 90)
 """Turn of joint i's axis about the x axis of the frame before: modified Denavit-Hartenberg (Craig), all a = 0."""
-RANGE_DEG = (170, 120, 170, 120, 170, 120, 175)
-"""Joints turn by plus and minus this."""
-WRIST_TO_FLANGE = 0.126
-"""From the wrist, where axes 5, 6, 7 meet, to the face of the arm's own flange."""
-MEDIA_FLANGES = {
-    **dict.fromkeys(("MF_elektrisch", "MF_pneumatisch", "MF_IO_pneumatisch"), 0.035),
-    "MF_touch_pneumatisch": 0.061,
-}
-"""Heights of the media flanges."""
 MEDIA_FLANGE_RADIUS = 0.050
 MEDIA_FLANGE_DENSITY = 1350.0
 """No source gives a mass: half the density of aluminium [kg m^-3], for a part that is half hollow."""
@@ -45,12 +37,10 @@ class Dynamics:
 class ArmDescription:
     """One type of arm."""
 
-    name: str  # as in the parameter kuka/robot
-    lengths: tuple[float, float, float]  # base to shoulder, shoulder to elbow, elbow to wrist [m]
+    model: RobotModel  # lengths, ranges, speeds
     # Height of the seam of links 0 and 1 above the base, and how far beyond the shoulder and the elbow the seams at
     # joints 3 and 5 lie [m]; they shape the links and have no influence on the motion
     seams: tuple[float, float, float]
-    speeds_deg: tuple[int, ...]  # [deg/s], shape (7,)
     torques: tuple[int, ...]  # [Nm], shape (7,)
     mass: float  # of the whole arm without media flange [kg]
     dynamics: Dynamics  # masses as published
@@ -60,6 +50,11 @@ class ArmDescription:
     twisted: bool
     unusable: dict[int, str]  # why links (1 to 7) get mass properties of their shape instead of the published ones
     masses: dict[int, float]  # masses that are not the published ones, by link (1 to 7) [kg]
+
+    @property
+    def lengths(self) -> tuple[float, float, float]:
+        """Base to shoulder, shoulder to elbow, elbow to wrist [m]."""
+        return self.model.base_shoulder, self.model.shoulder_elbow, self.model.elbow_wrist
 
 
 # After Hayat et al., from CAD.
@@ -99,10 +94,8 @@ _DYNAMICS_14_R820 = Dynamics(
 )
 ARMS = {
     "LBR7R800": ArmDescription(
-        name="LBR7R800",
-        lengths=(0.340, 0.400, 0.400),
+        model=robot_model("LBR7R800", "MF_elektrisch"),
         seams=(0.150, 0.210, 0.210),
-        speeds_deg=(98, 98, 100, 130, 140, 180, 180),
         torques=(176, 176, 110, 110, 110, 40, 40),
         mass=23.9,
         dynamics=_DYNAMICS_7_R800,
@@ -115,10 +108,8 @@ ARMS = {
         masses={7: 0.35432},
     ),
     "LBR14R820": ArmDescription(
-        name="LBR14R820",
-        lengths=(0.360, 0.420, 0.400),
+        model=robot_model("LBR14R820", "MF_elektrisch"),
         seams=(0.1575, 0.2045, 0.1845),
-        speeds_deg=(85, 85, 100, 75, 130, 135, 135),
         torques=(320, 320, 176, 176, 110, 40, 40),
         mass=29.9,
         dynamics=_DYNAMICS_14_R820,
@@ -166,7 +157,7 @@ def tube(arm: ArmDescription, link: int) -> tuple[float, np.ndarray, np.ndarray]
         (0.080, (0, -0.04, -0.080), (0, -0.02, high)),
         (0.072, (0, -0.01, high - fore), (0, -0.045, 0.0)),
         (0.070, (0, 0, -0.070), (0, 0, 0.078)),
-        (0.048, (0, 0, 0.078), (0, 0, WRIST_TO_FLANGE)),
+        (0.048, (0, 0, 0.078), (0, 0, WRIST_LINK_7)),
     )[link]
     R = upright(link).T
     return radius, R @ np.array(bottom, dtype=float), R @ np.array(top, dtype=float)

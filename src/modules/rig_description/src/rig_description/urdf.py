@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from math import pi, radians
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from numpy.typing import ArrayLike
 
+from iiwa_kinematics.robot_model import FLANGE_HEIGHTS, WRIST_LINK_7
 from rig_description import arms, hand
 from rig_description.rigid_body import Body, cylinder
 from rig_description.shapes import COLOURS, LOOK, Disc, arm_trim, hand_trim, media_flange
@@ -36,7 +38,7 @@ def urdf(robot: str, flange: str, ring: bool = False) -> str:
 
     `ring`: the ring of the marker board is clamped between flange and connector. Raises KeyError for unknown names.
     """
-    arm, height = arms.ARMS[robot], arms.MEDIA_FLANGES[flange]
+    arm, height = arms.ARMS[robot], FLANGE_HEIGHTS[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
     table = ET.SubElement(root, "link", name="kuka/base_frame")
     _shown(table, _box((-TABLE_HALF, -TABLE_HALF, -TABLE_THICKNESS), (TABLE_HALF, TABLE_HALF, 0.0)), "table")
@@ -51,22 +53,28 @@ def urdf(robot: str, flange: str, ring: bool = False) -> str:
     return minidom.parseString(ET.tostring(root)).toprettyxml(indent="  ", encoding="utf-8").decode()
 
 
+def all_files() -> dict[str, str]:
+    """Returns the text of every URDF file by its path below the package's folder."""
+    variants = itertools.product(arms.ARMS, FLANGE_HEIGHTS, (False, True))
+    return {f"urdf/{file_name(*variant)}": urdf(*variant) for variant in variants}
+
+
 def _arm(root: ET.Element, arm: arms.ArmDescription) -> None:
     for number in range(8):
         link = _link(root, f"kuka/link_{number}", arms.link_body(arm, number), _cylinder(*arms.tube(arm, number)))
         R = arms.upright(number).T
         if number < 7:
             roll = np.arctan2(R[2, 1], R[1, 1])
-            _shown(link, _mesh(f"{arm.name.lower()}/link_{number}", roll))
+            _shown(link, _mesh(f"{arm.model.name.lower()}/link_{number}", roll))
         _discs(link, arm_trim(arm, number), R)
     _joint(root, "kuka/base", "kuka/base_frame", "kuka/link_0")
-    for number, alpha, reach, speed, torque in zip(
-        range(1, 8), arms.ALPHA_DEG, arms.RANGE_DEG, arm.speeds_deg, arm.torques
-    ):
+    model = arm.model
+    limits = zip(model.lower, model.upper)
+    for number, alpha, limit, speed, torque in zip(range(1, 8), arms.ALPHA_DEG, limits, model.max_speed, arm.torques):
         ends = f"kuka/link_{number - 1}", f"kuka/link_{number}"
         rpy = (radians(alpha), 0.0, 0.0)
         joint = _joint(root, f"kuka/joint_{number}", *ends, xyz=arms.origin_in_parent(arm, number), rpy=rpy)
-        _movable(joint, (0, 0, 1), (radians(-reach), radians(reach)), radians(speed), torque)
+        _movable(joint, (0, 0, 1), limit, speed, torque)
 
 
 def _flange(root: ET.Element, name: str, height: float) -> None:
@@ -74,7 +82,7 @@ def _flange(root: ET.Element, name: str, height: float) -> None:
     shape = arms.MEDIA_FLANGE_RADIUS, np.array([0.0, 0.0, -height]), np.zeros(3)
     link = _link(root, "kuka/flange", cylinder(mass, *shape), _cylinder(*shape))
     _discs(link, media_flange(name, 1e3 * height), np.eye(3))
-    _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, arms.WRIST_TO_FLANGE + height))
+    _joint(root, "kuka/media_flange", "kuka/link_7", "kuka/flange", xyz=(0, 0, WRIST_LINK_7 + height))
 
 
 def _ring(root: ET.Element) -> None:

@@ -18,9 +18,8 @@ from common.frames import BASE, FLANGE_MEASURED
 from common.mounting import mounting_field
 from common.ros.conversions import stamped_transform
 from common.ros.service_calls import listens
-from iiwa_kinematics import ptp_velocity, robot_model
+from iiwa_kinematics import FLANGE_HEIGHTS, ROBOTS, ptp_velocity, robot_model
 from kst import JointLimits, KstClient, KstError, PtpLimits, PtpProgress, ServerBusy, read_joints, run_ptp
-from rig_description.arms import ARMS, MEDIA_FLANGES
 from rig_description.hand import CONNECTOR_LENGTH, RING_LENGTH, finger_balls
 from vision.calibration.arm_model import JOINTS, ArmModel
 from vision.ros.calibration.calibration_setup import StoreConfig
@@ -35,8 +34,8 @@ LIMITS = PtpLimits(arrived=np.radians(0.2))
 class ArmAddress:
     """The arm, its mounting, and the address of its server; the names are those of the parameters under kuka/."""
 
-    robot: str = choice(*ARMS, doc="the arm")
-    flange: str = choice(*MEDIA_FLANGES, doc="its media flange")
+    robot: str = choice(*ROBOTS, doc="the arm")
+    flange: str = choice(*FLANGE_HEIGHTS, doc="its media flange")
     ip: str = text(doc="address of the robot's controller")
     port: int = integer(low=1, high=65535, doc="TCP port of the toolbox server")
     mounting: np.ndarray = mounting_field()

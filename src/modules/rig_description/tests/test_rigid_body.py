@@ -1,4 +1,4 @@
-"""Laws of solids, surfaces and rigid bodies; published mass properties are used exactly where they can be true."""
+"""Laws of rigid bodies; published mass properties are used exactly where they can be true."""
 
 from __future__ import annotations
 
@@ -9,15 +9,6 @@ from hypothesis import strategies as st
 
 from rig_description.arms import ARMS, link_body, published, tube
 from rig_description.rigid_body import Body, box, cylinder, joined, turned
-from rig_description.solids import blend, block, common_part, cut, drum, rod, surface
-
-points = st.lists(st.floats(-60, 60), min_size=3, max_size=3).map(np.array)
-BALL = rod((0, 0, 0), (0, 0, 1e-6), 20.0, 20.0)
-
-
-def volume(mesh) -> float:
-    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
-    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
 
 
 def fault(body: Body) -> str | None:
@@ -36,36 +27,6 @@ def fault(body: Body) -> str | None:
     if least + middle <= greatest * (1.0 + 1e-9):
         return f"the principal moments {least:.4g}, {middle:.4g}, {greatest:.4g} kg m^2 break the triangle inequality"
     return None
-
-
-def test_surface_of_a_ball():
-    mesh = surface(BALL, (-30, -30, -30), (30, 30, 30), 4.0)
-    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 20.0, atol=1e-3)
-    np.testing.assert_allclose(mesh.normals, mesh.vertices / 20.0, atol=1e-2)
-    assert volume(mesh) == pytest.approx(4.0 / 3.0 * np.pi * 20.0**3, rel=0.03)
-    assert len(mesh.vertices) - 1.5 * len(mesh.triangles) + len(mesh.triangles) == 2
-
-
-def test_volume_of_a_block_with_a_hole():
-    solid = cut(1.0, block((-30, -20, -10), (30, 20, 10), 1.0), drum(2, -20.0, 20.0, 10.0, edge=1.0))
-    mesh = surface(solid, (-36, -26, -16), (36, 26, 16), 2.0)
-    assert volume(mesh) == pytest.approx(60 * 40 * 20 - np.pi * 10**2 * 20, rel=0.02)
-    assert len(mesh.vertices) - 1.5 * len(mesh.triangles) + len(mesh.triangles) == 0
-
-
-@pytest.mark.parametrize("low", [(-15, -30, -30), (40, 40, 40)], ids=["cut off", "beside"])
-def test_solid_outside_its_box_is_refused(low):
-    with pytest.raises(ValueError):
-        surface(BALL, low, (60, 60, 60), 5.0)
-
-
-@given(points)
-def test_union_holds_both_and_common_part_is_in_both(p):
-    other = block((-5, -40, -40), (40, 5, 40), 2.0)
-    both, one = blend(5.0, BALL, other)(p), common_part(5.0, BALL, other)(p)
-    assert both <= min(BALL(p), other(p)) + 1e-9
-    assert one >= max(BALL(p), other(p)) - 1e-9
-    assert cut(5.0, BALL, other)(p) >= max(BALL(p), -other(p)) - 1e-9
 
 
 masses = st.floats(0.01, 50.0)
