@@ -56,6 +56,14 @@ def test_a_custom_home_and_other_tolerances(plotter, tmp_path):
     assert "<svg" in (tmp_path / "w.svg").read_text()
 
 
+def test_a_file_of_what_differs(plotter, tmp_path):
+    path = tmp_path / "overrides.yaml"
+    path.write_text("z_lower_limit: 0.9\n")
+    done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
+    assert done.returncode == 1
+    assert "z_lower_limit (0.9 m)" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
+
+
 def test_all_faults_of_a_bad_workspace_are_said(plotter, tmp_path):
     path = params_file(tmp_path, center_line=[0, 0, 1], z_lower_limit=0.9, time_out=-1.0)
     done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)

@@ -59,7 +59,7 @@ def _run(options: argparse.Namespace) -> None:
 def _values(options: argparse.Namespace) -> tuple[dict, str]:
     """Returns the parameters, and what stands before their keys in messages."""
     if not options.from_server:
-        return read_yaml(options.params or shipped(DEFAULT_PARAMS)), ""
+        return {**read_yaml(shipped(DEFAULT_PARAMS)), **(read_yaml(options.params) if options.params else {})}, ""
     try:
         return parameters("kuka"), "kuka/"
     except NoParameters as error:
@@ -111,7 +111,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     source = parser.add_mutually_exclusive_group()
     source.add_argument(
-        "--params", type=Path, metavar="FILE.yaml", help=f"parameters of a controller; default: the {DEFAULT_PARAMS}"
+        "--params",
+        type=Path,
+        metavar="FILE.yaml",
+        help=f"parameters of a controller, or those that differ from {DEFAULT_PARAMS}",
     )
     source.add_argument("--from-server", action="store_true", help="take the parameters under kuka/ of the ROS master")
     parser.add_argument("--save", type=Path, metavar="FILE.png", help="save the picture instead of opening a window")
