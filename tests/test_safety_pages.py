@@ -49,7 +49,7 @@ def test_every_row_of_the_campaign_shows_something_of_a_hazard_and_passed():
 
 def test_the_figures_are_those_of_the_code_and_the_configuration():
     from iiwa_kinematics.ptp_speed import PTP_M_PER_S
-    from kuka_control.loop.algorithms import SPEED_MARGIN
+    from kuka_control.numbers import SPEED_MARGIN
     from leap_kuka.numbers import MAX_SILENCE_S
 
     kuka = yaml.safe_load((ROOT / "src/kuka_control/config/kuka_params_rt.yaml").read_text())

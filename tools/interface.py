@@ -22,7 +22,7 @@ import rospy
 import rosservice
 from tf2_msgs.msg import TFMessage
 
-from kuka_control.loop.goal_stream import FULL_SPEED_HZ, HOLD_HZ, RESUME_HZ
+from kuka_control.numbers import FULL_SPEED_HZ, HOLD_HZ, RESUME_HZ
 from tools.reference import markdown
 from tools.reference.sources import REFERENCE
 from tools.running_parts import PARTS, Part, running

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kuka_control.model.clock_offset import DRIFT, WIDTH_S, ClockOffset, OffsetMeasurement
-from kuka_control.model.desired_frame import MAX_OFFSET_S
+from kuka_control.numbers import MAX_OFFSET_S
 
 CLOCK = 1.7e9
 PAUSE_S = 0.037

@@ -13,10 +13,11 @@ from loop_world import DT, HOME, Q_ASIDE, SLOW, World, ptp, rig, shifted
 from test_robot_shape import signed_distances
 
 from bench.simulated import SimulatedRig
+from common.modes import Mode
 from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx
 from iiwa_kinematics import Kinematics
-from kuka_control.limits.collision import NOISE_M, SOFT_M, CollisionGuard, _Posture
+from kuka_control.limits.collision import NOISE_M, CollisionGuard, _Posture
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop import algorithms
@@ -26,8 +27,8 @@ from kuka_control.loop.transitions import State
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.obstacles import ConvexBody, ConvexShape, obstacles_from
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import Mode
 from kuka_control.model.target import MotionScaling, check_tool_pose
+from kuka_control.numbers import SOFT_M
 
 CONFIG, RIG = rig(RealTimeConfig, collision_guard=True)
 MODEL, ARM = RIG.model, RIG.kinematics

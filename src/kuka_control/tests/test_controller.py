@@ -10,7 +10,8 @@ import pytest
 
 from kst import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
 from kuka_control.loop.commands import Inputs, Servo, StartPtp, StartServo, Step, StopServo, Wait
-from kuka_control.loop.controller import MAX_MISSED, MISSING_S, OFF_S, WARN_EVERY_S, Controller
+from kuka_control.loop.controller import WARN_EVERY_S, Controller
+from kuka_control.numbers import MAX_MISSED, MISSING_S, OFF_S
 
 Q = np.zeros(7)
 GOAL, PTP = Servo(Q), StartPtp(Q, 0.1)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from common.poses import pose, translation
 from common.rotations import rotation_about
-from kuka_control.model.desired_frame import HANDOVER_S, ChainWatch, FrameSources
+from kuka_control.model.desired_frame import ChainWatch, FrameSources
+from kuka_control.numbers import HANDOVER_S
 
 BASE, LEAP, TOOL = "kuka/base_frame", "leap_motion/virtual_frame", "kuka/tool_frame/desired"
 

@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.config import parse
-from kuka_control.limits.motion_limits import ARM_S, GAP_S, LEAD_RAD, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import ARM_S, LEAD_RAD, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import ShapeLimits
 from kuka_control.limits.speed_change import GuardedRoom
 from kuka_control.loop.algorithms import motion_limits
-from kuka_control.loop.goal_stream import LOST_S, TOLERANCE_RAD, is_jump
+from kuka_control.loop.goal_stream import TOLERANCE_RAD, is_jump
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig
+from kuka_control.numbers import GAP_S, LOST_S
 
 SPEEDS = np.radians([98.0, 98.0, 100.0, 130.0, 140.0, 180.0, 180.0])
 ACCELERATION = 12.0 * SPEEDS / SPEEDS[0]

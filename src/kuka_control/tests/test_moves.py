@@ -10,6 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from loop_world import DT, HOME, SLOW, World, planner, rig, shifted
 
+from common.modes import Mode
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.limits import line_plan
@@ -21,7 +22,6 @@ from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MoveGoal, MoveState
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
-from kuka_control.model.switches import Mode
 
 CONFIGURATION, RIG = rig(RealTimeConfig)
 PLANNER = planner(RealTimeConfig)

@@ -12,11 +12,12 @@ import pytest
 from loop_world import rig
 from point_speeds import point_speeds
 
-from kuka_control.limits.motion_limits import GAP_S, MotionLimits
+from kuka_control.limits.motion_limits import MotionLimits
 from kuka_control.limits.moving_arm import ShapeLimits
 from kuka_control.loop import algorithms
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.robot_shape import Opening
+from kuka_control.numbers import GAP_S
 
 CONFIG, RIG = rig(RealTimeConfig)
 PACE = RIG.model.max_speed / np.min(RIG.model.max_speed)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 from loop_world import DT, HOME, Q_ASIDE, World, out_of_reach_and_back, rig, shifted
 
+from common.modes import Mode
 from common.poses import pose, translation
 from kst import ReplyTimeout
 from kuka_control.limits.collision import PathCheck
@@ -30,7 +31,6 @@ from kuka_control.loop.transitions import (
     transitions_among,
 )
 from kuka_control.model.config import PtpConfig, RealTimeConfig
-from kuka_control.model.switches import Mode
 
 STATES = {RealTimeConfig: REAL_TIME_STATES, PtpConfig: PTP_STATES}
 INFEASIBLE = pose(HOME.T_base_tool[:3, :3], (-0.3, 0.3, 0.4))

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.loop.goal_stream import CONTINUED_S, FADE_S, TargetMotion
+from kuka_control.loop.goal_stream import TargetMotion
+from kuka_control.numbers import CONTINUED_S, FADE_S
 
 UPPER = np.radians([170.0, 120.0, 170.0, 120.0, 170.0, 120.0, 175.0])
 SKEW = 1.7e9

@@ -15,8 +15,9 @@ from iiwa_kinematics import Kinematics
 from iiwa_kinematics.robot_model import ROBOTS, robot_model
 from kuka_control.limits.motion_limits import MotionLimits
 from kuka_control.limits.moving_arm import JointState, MovingPoints, ShapeLimits
-from kuka_control.limits.speed_change import SLACK_M, GuardedRoom, SpeedChange, StoppingGuard
+from kuka_control.limits.speed_change import GuardedRoom, SpeedChange, StoppingGuard
 from kuka_control.model.workspace import Workspace
+from kuka_control.numbers import SLACK_M
 from rig_description.hand import finger_balls
 
 DT = 0.004

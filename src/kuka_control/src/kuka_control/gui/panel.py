@@ -28,7 +28,7 @@ from python_qt_binding.QtWidgets import (
 from common.operator_rows import SILENT, Row
 from kuka_control.gui.panel_rows import OperatorRows
 from kuka_control.gui.panel_state import PanelState, Tone, factor_text
-from kuka_control.model.switches import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
+from kuka_control.numbers import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
 
 GREEN = "#2e9e44"
 RED = "#c62828"

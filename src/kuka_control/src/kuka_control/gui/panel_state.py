@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from kuka_control.model.switches import SCALING_DEFAULT
+from kuka_control.numbers import SCALING_DEFAULT
 
 ABSENT_S = 1.5  # without a status for this long the controller counts as absent [s]
 

@@ -17,14 +17,16 @@ from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchr
 
 from kuka_control.limits.moving_arm import STOPPING, JointState, MovingPoints, ShapeLimits
 from kuka_control.model.workspace import Workspace
-from kuka_control.numbers import NEAR_LIMIT, QUICK, SLACK_M
+from kuka_control.numbers import SLACK_M
 
 if TYPE_CHECKING:  # without a collision guard its library is not loaded
     from kuka_control.limits.collision import CollisionGuard
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
 FASTEST = 3  # at so many of them, the first ones, the arm's speed is checked too: later it mostly falls
+NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
 MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
+QUICK = 0.999  # fraction of the speed limit up to which an upper bound of the speed replaces that check
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
 HALVINGS = 5  # bisections of the fraction of the desired velocity that can be kept

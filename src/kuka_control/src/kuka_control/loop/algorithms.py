@@ -17,7 +17,6 @@ from kuka_control.limits.speed_change import GuardedRoom
 from kuka_control.loop.commands import Servo, Wait
 from kuka_control.loop.control_loop import ControlLoop, Cycle, Fired, LoopSettings, Outcome
 from kuka_control.loop.goal_stream import (
-    HOLD_HZ,
     SETTLED_RAD,
     TOLERANCE_RAD,
     GoalStream,
@@ -34,11 +33,10 @@ from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.target import TargetChain
-from kuka_control.numbers import SPEED_MARGIN, TEST_MOTIONS
+from kuka_control.numbers import HOLD_HZ, SPEED_MARGIN, TEST_MOTIONS
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard
-
 
 
 @dataclass(frozen=True)
@@ -240,8 +238,6 @@ class PtpLoop(ControlLoop[PtpSettings]):
 
 RANGE_MARGIN_RAD = float(np.radians(0.1))
 """Servo goals keep this distance to the ends of the joint ranges, where the robot's controller would end servo mode."""
-
-
 
 
 def real_time_loop(config: RealTimeConfig, rig: Rig) -> RealTimeLoop:

@@ -8,10 +8,11 @@ from typing import Union
 
 import numpy as np
 
+from common.modes import Mode
 from kuka_control.loop.moves import MoveProgress, ProgramMotion
 from kuka_control.loop.transitions import Action, State, Trigger
 from kuka_control.model.desired_frame import DesiredFrame
-from kuka_control.model.switches import Mode, SwitchState
+from kuka_control.model.switches import SwitchState
 from kuka_control.model.target import MotionScaling, Target
 
 

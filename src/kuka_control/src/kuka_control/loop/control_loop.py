@@ -27,7 +27,7 @@ from kuka_control.limits.moving_arm import GuardError
 from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
-from kuka_control.loop.own_motions import ANNOUNCED_S, TAKEN_OVER, OwnMotions, too_far
+from kuka_control.loop.own_motions import TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Trait, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, until_anew
@@ -35,7 +35,7 @@ from kuka_control.model.robot_shape import REACH, Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
-from kuka_control.numbers import BLOCKED_S, EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
+from kuka_control.numbers import ANNOUNCED_S, BLOCKED_S, EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard, PathCheck

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from common.modes import Mode
 from kst import ConnectionLost, KstError, MotionInterrupted, MotionRefused, ReplyTimeout, WrongMode
 from kuka_control.loop.arm import NO_READING, WAIT_S, Arm
 from kuka_control.loop.commands import (
@@ -32,7 +33,7 @@ from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.ptp_contact import touched
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import Mode, Stays
+from kuka_control.model.switches import Stays
 from kuka_control.numbers import FIRST_PAUSE_S, LONGEST_PAUSE_S, MAX_MISSED, MISSING_S, NAMED_S, OFF_S
 
 REMIND_S = 30.0  # period of the warnings that the robot is still out of reach [s]

@@ -15,12 +15,22 @@ import numpy as np
 from common.frame_rate import FrameRate
 from common.poses import read_only
 from common.rotations import rotation_angle
-from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.loop.servo_law import LtsGoals
 from kuka_control.loop.tracking import TrackingMonitor
 from kuka_control.loop.transitions import Trigger
 from kuka_control.model.desired_frame import RATE_WINDOW_S, DesiredFrame
-from kuka_control.numbers import CONTINUED_S, FADE_S, FULL_SPEED_HZ, HOLD_HZ, LONGEST_STALL_S, LOST_S, RESUME_HZ, TOLERANCE_M
+from kuka_control.numbers import (
+    CONTINUED_S,
+    FADE_S,
+    FULL_SPEED_HZ,
+    GAP_S,
+    HOLD_HZ,
+    LONGEST_STALL_S,
+    LOST_S,
+    RESUME_HZ,
+    TOLERANCE_M,
+)
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
 CYCLE_S = 0.01  # time in which the arm has to cross such a gap: one cycle of the stream [s]

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from kuka_control.limits.line_plan import LinePlan
-from kuka_control.limits.motion_limits import GAP_S, LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.loop.goal_stream import GoalStreamSettings, ServoStream
-from kuka_control.numbers import NO_PROGRESS_S
+from kuka_control.numbers import GAP_S, NO_PROGRESS_S, PROGRESS_S
 
 BEHIND_RAD = (0.001, 0.004)  # how far a goal is behind the plan when the plan begins to slow down, and waits [rad]
 RESUMES_S = 0.25  # the plan reaches its pace again in this time [s]
-PROGRESS_S = 0.02  # of the plan [s]; a line that does not come so far
 
 
 class LineStream(ServoStream):

@@ -9,6 +9,7 @@ from enum import Enum
 
 import numpy as np
 
+from common.modes import Mode
 from common.poses import read_only
 from iiwa_kinematics import Kinematics, arm_points
 from kuka_control.limits.line_plan import LineLimits, LinePlan, MoveRefused, plan_line
@@ -16,7 +17,6 @@ from kuka_control.loop.transitions import TRANSITIONS, Trigger
 from kuka_control.model.desired_frame import rejection_reason
 from kuka_control.model.joint_configurations import range_faults
 from kuka_control.model.rig import Rig
-from kuka_control.model.switches import Mode
 from kuka_control.model.target import MotionScaling, check_tool_pose
 
 LEAST_PTP, LEAST_LINE_M_PER_S = 0.01, 0.005

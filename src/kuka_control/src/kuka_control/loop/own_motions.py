@@ -11,8 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from kuka_control.loop.transitions import State
-from kuka_control.model.desired_frame import FOREIGN_PAUSE_S
-from kuka_control.numbers import ANNOUNCED_S
+from kuka_control.numbers import ANNOUNCED_S, FOREIGN_PAUSE_S
 
 AGAIN_S = 10.0  # a PTP motion that nobody asked for is not repeated within this time [s]
 NEAR_M, NEAR_RAD = 0.3, math.radians(45.0)  # and only if it is not farther from the tool at home

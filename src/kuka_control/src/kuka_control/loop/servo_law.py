@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from common.poses import read_only
-from kuka_control.limits.motion_limits import GAP_S
+from kuka_control.numbers import GAP_S
 
 REACH_RAD = 0.07  # a: the greatest step of the loop in one cycle [rad]
 WIDTH_RAD = 0.0525  # b: a distance of this size gives a step of 63 % of the reach [rad]

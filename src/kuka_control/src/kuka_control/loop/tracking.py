@@ -9,11 +9,12 @@ import numpy as np
 
 from kst import PtpApproach
 from kuka_control.loop.commands import Event
-from kuka_control.numbers import FAR_S, FASTER, HELD_AT_ENDS_S, HELD_AT_GOAL_S, HELD_S, LAST_GOALS_S, SAMPLES, STILL_S, UNKNOWN_S
+from kuka_control.numbers import FAR_S, FASTER, HELD_AT_ENDS_S, HELD_AT_GOAL_S, HELD_S, LAST_GOALS_S, STILL_S, UNKNOWN_S
 
 FAR_RAD = float(np.radians(20.0))  # goal and joint are too far apart (full speed lags about half of it behind)
 AWAY_RAD = float(np.radians(0.5))  # distance between goal and measured joint that an arm in servo mode always works off
 STILL_RAD = float(np.radians(0.02))  # joints that moved less than this stand still
+SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm
 CYCLE_S = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
 
 
@@ -138,8 +139,6 @@ class TrackingMonitor:
         if now - self._far_since > FAR_S and self._far_samples > SAMPLES:
             return f"joint {1 + errors.index(worst)} is {np.degrees(worst):.1f} deg behind its goal"
         return None
-
-
 
 
 AT_GOAL_RAD = float(np.radians(0.1))  # joints this near to the goal are there

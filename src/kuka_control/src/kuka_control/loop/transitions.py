@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from kuka_control.model.switches import Mode
+from common.modes import Mode
 
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from kuka_control.model.desired_frame import MAX_OFFSET_S
+from kuka_control.numbers import MAX_OFFSET_S
 
 SECOND_S = 1.0  # an answer says the other clock's whole second
 WIDTH_S = 0.25  # an offset that is known to this is known

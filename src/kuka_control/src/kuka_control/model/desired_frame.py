@@ -18,7 +18,15 @@ from common.frame_rate import FrameRate
 from common.poses import check_pose, inverse
 from common.rotations import UNIT_TOLERANCE, rotation_angle
 from common.stream_pause import NEW_STREAM_PAUSE_S
-from kuka_control.numbers import FOREIGN_PAUSE_S, HANDOVER_S, MAX_DISTANCE_M, MAX_OFFSET_S, MAX_SKEW_S, PAUSE_PERIODS, REFUSING_S, REPEATED_S, STALLED_S, STANDS_S, UNCONNECTED_S
+from kuka_control.numbers import (
+    FOREIGN_PAUSE_S,
+    HANDOVER_S,
+    MAX_DISTANCE_M,
+    MAX_SKEW_S,
+    PAUSE_PERIODS,
+    REFUSING_S,
+    STALLED_S,
+)
 
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]

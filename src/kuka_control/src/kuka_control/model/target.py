@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from common.modes import Mode
 from common.poses import pose, read_only
 from common.rotations import rotation_angle
 from iiwa_kinematics import Kinematics, approached, tilted
 from kuka_control.model.desired_frame import rejection_reason
-from kuka_control.model.switches import Mode
 from kuka_control.model.workspace import Infeasible, Workspace
 
 MAX_DEVIATION_RAD = float(np.radians(45.0))  # an orientation further from the desired one than this is not followed

@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import ArmFrames
+from common.modes import Mode
 from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
@@ -34,9 +35,10 @@ from kuka_control.loop.controller import Controller, ReconnectSupervisor
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig, neighbours
 from kuka_control.model.joint_configurations import named_configurations
 from kuka_control.model.rig import Rig
-from kuka_control.model.switches import Mode, Switches
+from kuka_control.model.switches import Switches
 from kuka_control.model.target import MotionScaling
 from kuka_control.model.tool_load import wrench_at_tool
+from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
 from kuka_control.ros.arm_placement import placed_beside_others
 from kuka_control.ros.desired_tool import DesiredTool
 from kuka_control.ros.guard_view import GuardView, HandOpening
@@ -45,7 +47,6 @@ from kuka_control.ros.panel_process import control_panel
 from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, running, shipped
 from kuka_control.ros.services import Services, offer_tool_check
 from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePublisher, publish_workspace
-from kuka_control.numbers import AGAIN_TIMEOUT_S, BRAKING_S, PROBE_S, TIMEOUT_S
 
 NAMED_POSITIONS = "joint_configurations.yaml"
 PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_kuka, wait this long for the others [s]

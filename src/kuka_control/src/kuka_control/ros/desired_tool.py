@@ -35,16 +35,13 @@ from common.ros.conversions import pose_from_transform
 from common.ros.raw_tf import RawTfMessage, RawTransform
 from kuka_control.model.desired_frame import (
     ABSENT_S,
-    MAX_OFFSET_S,
-    REPEATED_S,
-    STANDS_S,
-    UNCONNECTED_S,
     ChainWatch,
     DesiredFrame,
     FrameSources,
     skew_fault,
     transform_fault,
 )
+from kuka_control.numbers import MAX_OFFSET_S, REPEATED_S, STANDS_S, UNCONNECTED_S
 from kuka_control.ros.other_clock import NodeClock
 
 REMIND_S = 5.0

@@ -15,7 +15,7 @@ import rospy
 from common import clock
 from common.ros.service_calls import MasterLost, ask_master
 from kuka_control.model.clock_offset import ClockOffset, OffsetMeasurement
-from kuka_control.model.desired_frame import MAX_OFFSET_S
+from kuka_control.numbers import MAX_OFFSET_S
 
 AGAIN_S = 5.0  # shortest time between two measurements because of stamps that are off [s]
 RENEW_S = 60.0  # a clock that differs is measured again after this time [s]

@@ -10,9 +10,10 @@ import rospy
 
 from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
+from common.modes import Mode
 from common.ros.conversions import message_from_pose, pose_in
 from kuka_control.model.rig import Rig
-from kuka_control.model.switches import Mode, Switches, SwitchReply
+from kuka_control.model.switches import Switches, SwitchReply
 from kuka_control.model.target import MotionScaling, check_tool_pose, refused, seed
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setPayload, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
