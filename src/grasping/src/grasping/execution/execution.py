@@ -217,7 +217,6 @@ class Execution:
 
     @property
     def running(self) -> bool:
-        """Whether an execution has begun and not ended."""
         return self.state not in (IDLE, OVER)
 
     def start(self, T_base_above: np.ndarray, now: float) -> None:
@@ -259,7 +258,6 @@ class Execution:
         return None
 
     def end(self, sentence: str) -> ExecutionOutcome:
-        """Ends the execution before its grasp is decided."""
         return self._over(self._watch.give_up(sentence), False, sentence)
 
     def _arrived(self, T_base_tool: np.ndarray) -> bool:

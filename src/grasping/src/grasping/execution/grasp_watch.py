@@ -39,7 +39,6 @@ class GraspWatchConfig:
     patience: float = number("s", above=0.0, high=600.0, doc="longest time from closing to lifting")
 
     def faults(self) -> list[str]:
-        """Returns what no single value can be blamed for."""
         if self.open_angle > self.closed_angle:
             return [f"open_angle is {self.open_angle:g} and must not be above closed_angle, {self.closed_angle:g}."]
         return []

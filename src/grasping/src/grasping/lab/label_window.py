@@ -50,7 +50,6 @@ class LabelWindow(QWidget):
 
     @property
     def grasps(self) -> list[GraspRectangle]:
-        """The grasps of the image that is shown."""
         return list(self._grasps)
 
     def _open(self, number: int) -> None:
@@ -93,25 +92,21 @@ class LabelWindow(QWidget):
         return float(np.clip(column, 0.0, w - 1.0)), float(np.clip(row, 0.0, h - 1.0))
 
     def _drawn(self) -> GraspRectangle | None:
-        """Returns the grasp that is being drawn."""
         if self._start is None:
             return None
         a, b = self._in_image(self._start), self._in_image(self._end)
         return GraspRectangle.between(a, b, self._breadth) if math.dist(a, b) >= SHORTEST_PX else None
 
     def mousePressEvent(self, event) -> None:
-        """The first finger."""
         if event.button() == Qt.LeftButton and not self._fault:
             self._start = self._end = QPointF(event.pos())
 
     def mouseMoveEvent(self, event) -> None:
-        """The second finger follows the mouse."""
         if self._start is not None:
             self._end = QPointF(event.pos())
             self.update()
 
     def mouseReleaseEvent(self, event) -> None:
-        """The grasp is made."""
         if event.button() != Qt.LeftButton or self._start is None:
             return
         self._end = QPointF(event.pos())
@@ -121,7 +116,6 @@ class LabelWindow(QWidget):
         self.update()
 
     def wheelEvent(self, event) -> None:
-        """Changes the breadth of the next grasp."""
         steps = event.angleDelta().y() / 120.0
         self._breadth = float(np.clip(self._breadth * BREADTH_STEP**steps, SHORTEST_PX, 200.0))
         self.update()

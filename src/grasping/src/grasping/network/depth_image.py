@@ -100,7 +100,6 @@ class PlaneFound(NamedTuple):
 
 def best_plane(rays: np.ndarray, depth: np.ndarray, noise: float) -> PlaneFound | None:
     """Returns the plane that most pixels lie in, None if there are too few; the same pixels give the same plane.
-
     `rays`: of the pixels, x, y, 1, shape (n, 3); `depth`: shape (n,) [m], finite and positive; `noise`: standard
     deviation of the inverse depth [1/m].
     """

@@ -44,7 +44,6 @@ class Maps(NamedTuple):
     width: np.ndarray  # opening [px]
 
     def at(self, row: int, column: int) -> Peak:
-        """Returns the grasp at a pixel."""
         return Peak(row, column, *(float(m[row, column]) for m in self))
 
 

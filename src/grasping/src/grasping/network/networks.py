@@ -156,11 +156,9 @@ def shuffled_transpose(
     x: torch.Tensor, weight: torch.Tensor, bias: torch.Tensor | None, stride: int = 3
 ) -> torch.Tensor:
     """Returns the transposed convolution, whose kernel is 9 x 9 or 5 x 5 and whose stride 3 or 2, by a convolution and
-    a pixel shuffle.
-
-    With stride s, output row s q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row s m + r: for each
-    remainder r a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, k, k), `bias` (o,): (n, o, s h + k - s,
-    s w + k - s).
+    a pixel shuffle. With stride s, output row s q + r is the sum over m = 0, 1, 2 of input row q - m times kernel row s
+    m + r: for each remainder r a convolution with three taps. `x` (n, i, h, w), `weight` (i, o, k, k), `bias` (o,): (n,
+    o, s h + k - s, s w + k - s).
     """
     i, o, k = weight.shape[:3]
     kernel = _remainders(weight, stride).permute(1, 2, 3, 0, 4, 5).reshape(stride * stride * o, i, 3, 3)

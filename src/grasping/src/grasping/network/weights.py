@@ -113,9 +113,8 @@ def checked_sha256(data: bytes, wanted: str | None) -> str:
 
 
 def filled(network: Network, name: str, state: dict[str, torch.Tensor]) -> Network:
-    """Returns the network with the weights of a state dict, ready to be evaluated.
-
-    Raises WeightsError if the state dict is not of such a network, here called `name`, or not finite.
+    """Returns the network with the weights of a state dict, ready to be evaluated. Raises WeightsError if the state
+    dict is not of such a network, here called `name`, or not finite.
     """
     wanted = network.state_dict()
     if state.keys() != wanted.keys():
@@ -186,9 +185,8 @@ def _collect(into: dict[str, np.ndarray], path: str, item: Any) -> None:
 
 
 def torch_state(data: bytes) -> dict[str, torch.Tensor]:
-    """Returns the state dict of a torch file, of the checkpoint or of the whole model in it.
-
-    Raises WeightsError if it holds neither, or torch cannot read it with the pickle given here.
+    """Returns the state dict of a torch file, of the checkpoint or of the whole model in it. Raises WeightsError if it
+    holds neither, or torch cannot read it with the pickle given here.
     """
     try:
         # Of the records asks torch's own reader: another one may see others in a malformed archive.

@@ -113,7 +113,6 @@ class GraspPipeline:
         self._last = -np.inf
 
     def reset(self) -> None:
-        """Forgets all images."""
         self._last = -np.inf
         for step in (self._views, self._average, self._tracker):
             if step is not None:

@@ -51,7 +51,6 @@ def refined_peaks(
     widest: float = np.inf,
 ) -> list[RefinedPeak]:
     """Returns the preferred grasps, best first, `distance` rows or columns apart; None as `threshold`: the best alone.
-
     `maps`: smoothed by `SMOOTHING`; `certainty`: length of GGCNN's (cos, sin), shape of the maps; `widest`: opening of
     the hand [m].
     """

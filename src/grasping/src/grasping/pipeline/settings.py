@@ -108,9 +108,8 @@ SECTIONS = {name: schema for name, schema in get_type_hints(GgcnnSettings).items
 
 
 def settings_from(values: Mapping[str, Any], prefix: str = "") -> GgcnnSettings:
-    """Returns the configuration in a mapping of ggcnn.yaml, with tool_pose.yaml as its section `tool`.
-
-    Raises ConfigError with the faults of all sections.
+    """Returns the configuration in a mapping of ggcnn.yaml, with tool_pose.yaml as its section `tool`. Raises
+    ConfigError with the faults of all sections.
     """
     faults: list[str] = []
     read: dict[str, Any] = {"main": parse_part(GgcnnConfig, values, prefix, faults, others=SECTIONS)}

@@ -53,7 +53,6 @@ class ToolPoseConfig:
     )
 
     def faults(self) -> list[str]:
-        """Names what no single field can check."""
         low, high = self.preferred_opening
         if low < high:
             return []
@@ -115,7 +114,6 @@ class LimitsConfig:
     z: np.ndarray = vector(2, "m", low=-5.0, high=5.0, doc="least and largest z")
 
     def faults(self) -> list[str]:
-        """Names what no single field can check."""
         faults = [
             f"{name} is {list(getattr(self, name))}, but the least must be below the largest."
             for name in "xyz"
@@ -130,8 +128,7 @@ def rejection_reason(
     T_camera_grasp: np.ndarray, T_base_grasp: np.ndarray | None, width: float, opening: float, limits: LimitsConfig
 ) -> str:
     """Returns why a grasp is rejected, a clause about the grasp; empty if it is accepted. Poses: shape (4, 4) [m], the
-    one in
-    kuka/base_frame unchecked if None. `width`: opening that the grasp needs; `opening`: widest of the hand [m].
+    one in kuka/base_frame unchecked if None. `width`: opening that the grasp needs; `opening`: widest of the hand [m].
     """
     depth = T_camera_grasp[2, 3]
     if not limits.nearest <= depth <= limits.farthest:

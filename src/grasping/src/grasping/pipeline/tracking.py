@@ -39,7 +39,6 @@ class MapAverage:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets all maps."""
         self._averages: tuple[np.ndarray, np.ndarray] | None = None
 
     def step(self, output: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, bool]:
@@ -174,7 +173,6 @@ class GraspTracker:
 
 class PoseFilter:
     """Median, then exponential filter, of position, finger line, approach and opening; jumps are not believed at once.
-
     The finger line turns about the approach without a direction: cosine and sine of twice its angle are filtered.
     """
 

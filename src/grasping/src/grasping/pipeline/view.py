@@ -118,13 +118,11 @@ class TableView:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the table."""
         self._place: _Place | None = None
 
     def step(self, depth: np.ndarray, camera: CameraModel) -> GraspView:
-        """Returns the view of a depth image, shape (h, w) [m].
-
-        Raises NoView if the window does not fit or holds no reading, no table is seen, or nothing stands on it.
+        """Returns the view of a depth image, shape (h, w) [m]. Raises NoView if the window does not fit or holds no
+        reading, no table is seen, or nothing stands on it.
         """
         crop = _window(depth, self._crop)
         rays = self._rays.of(camera)

@@ -131,7 +131,6 @@ def of_kind(kinds: Mapping[str, Preference], name: str) -> Preference:
 
 
 def _prefix(number: int) -> str:
-    """Returns what precedes the names of a kind's arrays."""
     return f"{number}/"
 
 

@@ -161,10 +161,9 @@ def half_turn(angles: Angles) -> Angles:
 def log_posterior(
     weights: np.ndarray, seen: Sequence[np.ndarray], offsets: Sequence[np.ndarray], meant: Sequence[np.ndarray]
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Returns the logarithm of the weights' posterior, but for a constant, its gradient and its negative Hessian.
-
-    Of each choice: `seen`: features of its n candidates, shape (n, d); `offsets`: their worth without weights, shape
-    (n,); `meant`: how probably each is the choice, shape (n,), sum at most 1.
+    """Returns the logarithm of the weights' posterior, but for a constant, its gradient and its negative Hessian. Of
+    each choice: `seen`: features of its n candidates, shape (n, d); `offsets`: their worth without weights, shape (n,);
+    `meant`: how probably each is the choice, shape (n,), sum at most 1.
     """
     value, gradient, hessian = -0.5 * float(weights @ weights), -weights, np.eye(len(weights))
     for x, base, target in zip(seen, offsets, meant):

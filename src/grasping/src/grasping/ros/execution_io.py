@@ -68,7 +68,6 @@ class ExecutionInputs:
         return None if status is None else ControllerState(status.control_on, status.mode, status.reason)
 
     def observe(self) -> ExecutionObservation:
-        """Returns the observed state of the rig."""
         hand = self._fresh(self._hand)
         return ExecutionObservation(
             clock=rospy.get_time(),
@@ -104,7 +103,6 @@ class ExecutionInputs:
 
 
 def proposals_from(message: GraspList, now: rospy.Time) -> ProposalList:
-    """Returns the proposals of a message."""
     grasps = [_proposal(grasp) for grasp in message.grasps]
     return ProposalList((now - message.header.stamp).to_sec(), grasps, message.reason)
 
@@ -149,7 +147,6 @@ class ExecutionDisplay:
         self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
 
     def publish(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
-        """Publishes an outcome."""
         message = GraspOutcome(episode=outcome.episode, proposal=grasp, held=outcome.held, reason=outcome.reason)
         message.header.frame_id = BASE
         message.header.stamp = rospy.Time.now()

@@ -43,7 +43,6 @@ class ExecutionArmConfig(ToolConfig):
     mounting: np.ndarray = mounting_field()
 
     def faults(self) -> list[str]:
-        """Returns what no single value can be blamed for."""
         return super().faults() + ([] if np.any(self.center_line) else ["center_line is the zero vector."])
 
 
@@ -68,7 +67,6 @@ class ExecutionNode:
         rospy.on_shutdown(lambda: self._end("The node grasp_execution ended."))
 
     def spin(self) -> None:
-        """Runs the execution until ROS shuts down."""
         while not rospy.is_shutdown():
             with while_running(), self._lock:
                 outcome = self._execution.step(self._inputs.observe(), clock.monotonic())
@@ -194,5 +192,4 @@ def _run() -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("grasp_execution", _run)

@@ -131,7 +131,6 @@ class GgcnnNode:
         Diagnostics("ggcnn", self._diagnose)
 
     def run(self) -> None:
-        """Works until ROS shuts down."""
         reported_silence = 0.0
         while not rospy.is_shutdown():
             image = self._stream.newest(WAIT_S)
@@ -290,5 +289,4 @@ def _run() -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("ggcnn", _run, disposable=True)

@@ -131,5 +131,4 @@ def _camera_info() -> CameraInfo | None:
 
 
 def main() -> None:
-    """Runs the program."""
     run("grasp_picture", _run)

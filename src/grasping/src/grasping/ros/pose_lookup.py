@@ -50,9 +50,8 @@ class PoseLookup:
             return None
 
     def at(self, frame: str, stamp: rospy.Time, wait: float = 0.0) -> np.ndarray:
-        """Returns T_base_frame, shape (4, 4) [m], at a moment; waits for it, `wait` [s] at most.
-
-        Raises tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose in metres.
+        """Returns T_base_frame, shape (4, 4) [m], at a moment; waits for it, `wait` [s] at most. Raises
+        tf2_ros.TransformException if tf does not know it, ValueError if it is not a pose in metres.
         """
         found = self._buffer.lookup_transform(BASE, frame, stamp, rospy.Duration(wait))
         return check_near(pose_from_transform(found.transform))

@@ -25,7 +25,6 @@ def package_folder() -> Path:
 
 
 def own_yaml(name: str) -> dict[str, Any]:
-    """Returns the mapping in a file of this package's folder config."""
     return yaml.safe_load((package_folder() / "config" / name).read_text(encoding="utf-8"))
 
 
@@ -43,7 +42,6 @@ def load_network(config: NetworkConfig) -> Loaded:
 
 def load_refinement(name: str, rig: Origin) -> dict[str, Preference]:
     """Returns the preferences in a weight file by kind of object; one of this package must have the hash in its list.
-
     Raises RigError if it is missing, has another hash, holds something else, or was not learned on such a rig.
     """
     path = _path(name)

@@ -42,7 +42,6 @@ class Collector:
 
     @property
     def waiting(self) -> int:
-        """How many frames wait for their label."""
         return len(self._buffer)
 
     def went_back(self, now: float) -> bool:
@@ -71,13 +70,11 @@ class Collector:
         return self._buffer.add(frame, optics)
 
     def stream(self, active: bool) -> None:
-        """The stream of the operator's hand runs or not."""
         if active and not self.teleop and not self._executing:
             self._begin()
         self.teleop = active
 
     def executing(self, active: bool) -> None:
-        """A proposal is being executed or not."""
         if active and not self._executing:
             self._begin()
         self._executing = active

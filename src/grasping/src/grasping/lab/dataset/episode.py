@@ -126,7 +126,6 @@ class Episode:
     """Desired tool that an operator held at the grasp, shape (4, 4) [m]; NaN: the grasp was not shown, but made."""
 
     def __len__(self) -> int:
-        """Returns how many frames there are."""
         return len(self.stamp)
 
     @property
@@ -150,7 +149,6 @@ class Episode:
         return np.linalg.norm(self.T_base_tool_measured[:, :3, 3] - self.T_base_tool_closed[:3, 3], axis=1)
 
     def frame(self, i: int) -> EpisodeFrame:
-        """Returns frame i."""
         row, column, *rest = self.peak[i].tolist()
         peak, poses = Peak(round(row), round(column), *rest), (self.T_base_camera[i], self.T_base_grasp)
         return EpisodeFrame(self.camera, self.crop, self.depth[i], self.maps[i], peak, *poses, self.opening)

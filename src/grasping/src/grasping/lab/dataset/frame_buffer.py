@@ -130,9 +130,8 @@ class KeptFrames(NamedTuple):
 
 
 def on_hand(p_base: np.ndarray, T_base_tool: np.ndarray, config: FrameBufferConfig) -> bool:
-    """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame.
-
-    If GGCNN's grasp does, it took the robot for an object: its map does not tell where an operator grasps.
+    """Returns whether a point, shape (3,) [m], may lie on the hand or the arm behind it, both in the base frame. If
+    GGCNN's grasp does, it took the robot for an object: its map does not tell where an operator grasps.
     """
     x, y, z = T_base_tool[:3, :3].T @ (p_base - T_base_tool[:3, 3])
     return bool(z < config.hand_reach and np.hypot(x, y) < config.hand_radius)
@@ -148,7 +147,6 @@ class FrameBuffer:
         self._optics: Optics | None = None
 
     def __len__(self) -> int:
-        """Returns how many frames wait."""
         return len(self._frames)
 
     def due(self, stamp: float) -> bool:

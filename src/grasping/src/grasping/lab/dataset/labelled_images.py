@@ -116,9 +116,8 @@ class LabelledFolder(NamedTuple):
 
 
 def read_depth(path: Path) -> np.ndarray:
-    """Returns a depth image, shape (h, w) [m], of a file: 16-bit in millimetres, floating-point in metres.
-
-    Raises RigError if the file is not a depth image, or not in these units.
+    """Returns a depth image, shape (h, w) [m], of a file: 16-bit in millimetres, floating-point in metres. Raises
+    RigError if the file is not a depth image, or not in these units.
     """
     try:
         if path.suffix.lower() == ".npy":
@@ -222,7 +221,6 @@ def write_grasps(path: Path, grasps: Iterable[GraspRectangle]) -> None:
 
 
 def label_file(image: Path) -> Path:
-    """Returns the label file of an image."""
     return image.with_name(image.stem + SUFFIX)
 
 
@@ -302,9 +300,8 @@ def in_network_image(grasp: GraspRectangle, crop: Crop) -> GraspRectangle:
 
 def sample(image: LabelledImage, side: int) -> Sample:
     """Returns the network's image of a window of `side` pixels and its labels: as published, the middle third of each
-    rectangle is a grasp, the first one where several overlap; nothing else is.
-
-    Raises RigError if there is no reading in the window, or none of the grasps.
+    rectangle is a grasp, the first one where several overlap; nothing else is. Raises RigError if there is no reading
+    in the window, or none of the grasps.
     """
     depth = image.checked_depth()
     crop = crop_around(image.grasps, depth.shape, side)

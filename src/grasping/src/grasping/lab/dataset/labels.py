@@ -82,9 +82,8 @@ def map_pixel(pixel: np.ndarray, crop: Crop, side: int) -> tuple[float, float]:
 
 
 def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
-    """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3).
-
-    Raises ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction.
+    """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3). Raises
+    ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction.
     """
     x, y, z = R[:, 2]
     across = np.hypot(x, y)

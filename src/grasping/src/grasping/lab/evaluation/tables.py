@@ -26,7 +26,6 @@ PARTS: dict[str, Callable[[Row], bool]] = {
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Returns a table in Markdown."""
     lines = (header, ["---"] * len(header), *rows)
     return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
@@ -78,7 +77,6 @@ def differences(rows: Sequence[Row], methods: Sequence[str], networks: Iterable[
 
 
 def failures(rows: Sequence[Row], methods: Iterable[str]) -> str:
-    """Returns how many grasps failed for each reason."""
     lines = []
     for method in methods:
         reasons = [row["reason"] for row in rows if row["method"] == method]

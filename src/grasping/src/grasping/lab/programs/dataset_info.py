@@ -62,7 +62,6 @@ def offsets(episode: Episode) -> list[OffsetStatistics]:
 
 
 def episodes_table(entries: list[Entry]) -> str:
-    """Returns one line an episode."""
     rows = [
         (e.name, e.metadata.object, e.metadata.operator, e.metadata.source, e.frames, f"{e.span:.1f}",
          "yes" if e.held else "no", f"{1e-6 * e.size:.1f}", e.metadata.fingerprint[:SHORT])

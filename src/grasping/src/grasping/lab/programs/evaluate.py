@@ -75,12 +75,10 @@ class FailureTask(NamedTuple):
 
 @lru_cache(maxsize=8)
 def network(file: Path, precision: str) -> MapNetwork:
-    """Returns the network of a weight file."""
     return frozen(weights.load(file.read_bytes()).network, precision=precision)
 
 
 def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
-    """Returns the best grasp of a network."""
     output = infer(network(trained.file, trained.precision), image.input)
     found = maps.smoothed(output, image.valid, NETWORK_SMOOTHING)
     if trained.tool is not None:
@@ -90,7 +88,6 @@ def network_grasp(image: NetworkImage, trained: Trained) -> maps.Peak:
 
 
 def try_scene(task: Task) -> list[dict]:
-    """Returns the rows of all methods for one scene."""
     of, chosen = chosen_grasps(task)
     row = {"scene": task.number, "objects": len(of.view.scene.objects)}
     judged = {name: trials.judge(of, peak, task.conditions) for name, peak in chosen.items()}
@@ -119,12 +116,10 @@ def export_scene(task: Task) -> dict:
 
 
 def object_count(number: int) -> int:
-    """Returns how many objects lie in a scene."""
     return 1 if number % 2 == 0 else 3 + number // 2 % 3
 
 
 def chosen_grasps(task: Task) -> tuple[trials.TrialScene, dict[str, maps.Peak | None]]:
-    """Returns a scene and what each method chooses in it."""
     _prepare_process()
     of = trials.situation(task.split, task.number, object_count(task.number), task.conditions)
     found = {name: network_grasp(of.image, trained) for name, trained in task.trained.items()}
@@ -132,7 +127,6 @@ def chosen_grasps(task: Task) -> tuple[trials.TrialScene, dict[str, maps.Peak | 
 
 
 def failed_grasp(task: FailureTask) -> sheets.FailedGrasp:
-    """Returns what the sheet shows of a failed grasp."""
     _prepare_process()
     row, number = task.row, task.row["scene"]
     seen = view(task.split, number, object_count(number))
@@ -148,7 +142,6 @@ def _prepare_process() -> None:
 
 
 def report(folder: Path, split: str, rows: list[dict], networks: list[str], processes: int) -> None:
-    """Writes tables and pictures of the results."""
     methods = [ORACLE, *networks]
     drawn = networks or methods
     made = [
@@ -172,7 +165,6 @@ def report(folder: Path, split: str, rows: list[dict], networks: list[str], proc
 
 
 def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
-    """Writes the file of --export."""
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
     path.write_text(json.dumps({"schema": EXPORT_SCHEMA, "scenes": scenes}) + "\n")
@@ -204,7 +196,6 @@ def evaluate(folder: Path, tasks: Sequence[Task], processes: int) -> list[dict]:
 
 
 def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
-    """Returns the program's arguments."""
     add = parser.add_argument
     add("folder", type=Path, nargs="?", help="where the results go")
     add("--scenes", type=whole(1, 10**9), default=300, help="how many")

@@ -116,7 +116,6 @@ def grasps(frame: EpisodeFrame, of: Candidates, known: Preference) -> dict[str, 
 
 
 def rows(group: Group, lifts: LiftModel | None, lift: bool) -> Iterator[dict]:
-    """Yields the lines of a group's test episodes."""
     known = train_refinement.preference(train_refinement.lessons(group.few))._replace(lifts=lifts)
     for named in group.test:
         lesson = train_refinement.lesson(named.episode)

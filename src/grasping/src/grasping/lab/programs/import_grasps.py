@@ -44,7 +44,6 @@ class Shards:
             self.write()
 
     def write(self) -> None:
-        """Writes what was not written yet."""
         if self._samples:
             write_shard(self._folder / f"{self._name}_{self.written:06d}.npz", self._samples, self._settings)
             self.written += len(self._samples)

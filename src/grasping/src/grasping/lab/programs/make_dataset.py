@@ -49,9 +49,8 @@ def make_all(
     processes: int,
     unit: str,
 ) -> None:
-    """Makes the folder and each file in it with a progress bar; what was made by an earlier run stays.
-
-    If a folder or file cannot be written, the program ends with one sentence.
+    """Makes the folder and each file in it with a progress bar; what was made by an earlier run stays. If a folder or
+    file cannot be written, the program ends with one sentence.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,7 +108,6 @@ def check_settings(paths: Iterable[Path], wanted: LabelSettings) -> None:
 
 
 def checked_scene(task: tuple[str, int, LabelSettings]) -> dict[str, object]:
-    """Returns one scene of --check."""
     _prepare_process()
     return label_check.scene_grasps(*task)
 

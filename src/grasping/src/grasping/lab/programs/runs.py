@@ -50,8 +50,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _one_of(values: Mapping[str, Value]) -> Callable[[str], Value]:
-    """Returns a type of argparse for these texts."""
-
     def read(text: str) -> Value:
         if text not in values:
             raise argparse.ArgumentTypeError(f"{text!r} is not one of {', '.join(values)}")
@@ -89,7 +87,6 @@ def opened(folder: Path, wanted: str, anew: bool) -> dict[str, Any] | None:
 
 
 def save(value: object, path: Path) -> None:
-    """Writes a torch file whole or not at all."""
     part = path.with_suffix(".part")
     torch.save(value, part)
     part.replace(path)
@@ -114,7 +111,6 @@ def train(
     weights: Callable[[nn.Module], object],
 ) -> None:
     """Trains to the last step; every `every` steps it validates and writes a checkpoint and the curves. `settings`:
-
     what settings.json says, with the training's identity; `saved`: the checkpoint of `opened`; `data`: for training and
     for validation; `weights`: returns the content of weights.pt, of the mean network that validates best so far.
     """

@@ -39,7 +39,6 @@ class Named(NamedTuple):
 
     @property
     def objects(self) -> set[str]:
-        """What was grasped."""
         return {thing.strip() for thing in self.episode.metadata.object.split(",") if thing.strip()}
 
 
@@ -51,9 +50,8 @@ class Lesson(NamedTuple):
 
 
 def read_episodes(folder: Path, only: Iterable[str] = (), without: Iterable[str] = ()) -> list[Named]:
-    """Returns the episodes in and below a folder, ordered by name; `only` (if any) and `without` name objects.
-
-    Raises RigError if there is no such episode, or a file is not one.
+    """Returns the episodes in and below a folder, ordered by name; `only` (if any) and `without` name objects. Raises
+    RigError if there is no such episode, or a file is not one.
     """
     found = []
     for path in tqdm(sorted(folder.rglob("*" + store.SUFFIX)), unit="episode", desc="read"):
@@ -78,9 +76,8 @@ def by_kind(named: Sequence[Named], only: Iterable[str] = ()) -> dict[str, list[
 
 
 def origin_of(named: list[Named], mixed: bool = False) -> Origin:
-    """Returns the rig of all episodes; if `mixed`, what differs among several rigs is unknown.
-
-    Raises RigError for several views or an unknown one, and for several rigs if they must not be mixed.
+    """Returns the rig of all episodes; if `mixed`, what differs among several rigs is unknown. Raises RigError for
+    several views or an unknown one, and for several rigs if they must not be mixed.
     """
     views = sorted({n.episode.view for n in named})
     if len(views) > 1 or views[0] not in VIEWS:
@@ -109,7 +106,6 @@ def lesson(episode: Episode) -> Lesson | None:
 
 
 def lessons(named: Iterable[Named]) -> list[Lesson]:
-    """Returns what episodes teach."""
     found = (lesson(n.episode) for n in named)
     return [one for one in found if one is not None]
 
@@ -124,9 +120,8 @@ def preference(of: Iterable[Lesson], outcomes: Iterable[Lesson] = ()) -> Prefere
 def learned_by_kind(
     kinds: Mapping[str, Iterable[Named]], outcomes: Iterable[Named] = ()
 ) -> dict[str, tuple[Preference, int]]:
-    """Returns of each kind what its episodes teach, and how many do; `outcomes`: of others.
-
-    Raises RigError if there is no such episode.
+    """Returns of each kind what its episodes teach, and how many do; `outcomes`: of others. Raises RigError if there is
+    no such episode.
     """
     others, found = lessons(outcomes), {}
     for name, named in kinds.items():

@@ -73,7 +73,6 @@ class GraspCollection:
         rospy.loginfo("Episodes go to %s.", setup.folder)
 
     def close(self) -> None:
-        """Writes the decided episodes and reports the undecided frames."""
         with self._lock:
             if self._collector.waiting:
                 rospy.loginfo("%d frames that no grasp labelled are dropped.", self._collector.waiting)
@@ -164,7 +163,6 @@ class GraspCollection:
             rospy.logwarn("Time went back: the frames before are dropped.")
 
     def _store(self, finished: Finished | None) -> None:
-        """Makes an episode of a finished grasp."""
         if finished is None:
             return
         grasp, frames, setup = finished.grasp, finished.frames, self._setup
@@ -225,5 +223,4 @@ def _run() -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("grasp_collection", _run, disposable=True)

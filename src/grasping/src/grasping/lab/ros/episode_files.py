@@ -51,7 +51,6 @@ class EpisodeFiles:
 
     @property
     def waiting(self) -> int:
-        """How many episodes the disk did not take so far."""
         return len(self._packed)
 
     @property

@@ -150,7 +150,6 @@ class Enters:
 
 
 def main() -> None:
-    """Entry point of the script."""
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description=__doc__)
     add = parser.add_argument
     add("object", help="name of the thing")

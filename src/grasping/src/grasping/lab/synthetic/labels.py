@@ -55,9 +55,8 @@ class Labels(NamedTuple):
 
 
 def grasps(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper, directions: int = 12) -> Grasps:
-    """Returns the score and opening of a grasp at each cell, `cell` [m] wide, for each direction.
-
-    `surface` and `table` are depths, of what a parallel view sees and of the bare table, shape (n, n) [m].
+    """Returns the score and opening of a grasp at each cell, `cell` [m] wide, for each direction. `surface` and `table`
+    are depths, of what a parallel view sees and of the bare table, shape (n, n) [m].
     """
     margin = int(gripper.opening / cell)
     return in_directions(surface, table, margin, directions, lambda s, t: _along_rows(s, t, cell, gripper))

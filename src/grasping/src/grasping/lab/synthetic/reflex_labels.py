@@ -134,7 +134,6 @@ def _nearest(occupied: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _slope(ends: np.ndarray, row: np.ndarray, start: np.ndarray, contact: np.ndarray) -> np.ndarray:
     """Returns the tangent of the angle between faces and fingers at contacts, seen from above, on the straighter side.
-
     `ends`: column of the first thing that a finger meets from column `start` of a row.
     """
     beside = [np.abs(ends[row + k, start] - contact) for k in (-SLOPE_CELLS, SLOPE_CELLS)]

@@ -71,9 +71,8 @@ def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def shadow(depth: np.ndarray) -> np.ndarray:
-    """Returns where the projector, `BASELINE_M` to the left, does not shine, shape as `depth`, bool.
-
-    A point is dark when one to its left in the same row lies further right in the projector's image.
+    """Returns where the projector, `BASELINE_M` to the left, does not shine, shape as `depth`, bool. A point is dark
+    when one to its left in the same row lies further right in the projector's image.
     """
     in_projector = np.arange(depth.shape[1]) + FOCAL_PX * BASELINE_M / depth
     return np.maximum.accumulate(in_projector, axis=1) > in_projector + 1e-6
@@ -185,7 +184,6 @@ def hand_grasps(
 
 
 def sample(seen: SceneView, settings: LabelSettings = DEFAULT_LABELS) -> Sample:
-    """Returns the network's image of a scene and its labels."""
     image = depth_image.prepare(seen.observed, depth_image.Crop(0, 0, depth_image.CROP_SIDE))
     of_hand = hand_grasps(seen, settings)
     label = of_hand.in_image(labels.best(of_hand.found))

@@ -149,9 +149,8 @@ def table_depth(camera: SceneCamera, cell: float, side: int) -> np.ndarray:
 def _cast(
     model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, side: int
 ) -> np.ndarray:
-    """Returns how many times its direction each ray goes until it meets something, shape (side, side).
-
-    MuJoCo 3.2 loses some objects straight above and below the eye, so a copy of the world is turned until down is x.
+    """Returns how many times its direction each ray goes until it meets something, shape (side, side). MuJoCo 3.2 loses
+    some objects straight above and below the eye, so a copy of the world is turned until down is x.
     """
     turned = mujoco.MjData(model)
     turned.qpos[:] = data.qpos

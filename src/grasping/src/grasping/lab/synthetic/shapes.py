@@ -28,22 +28,18 @@ Shape = Tuple[Geom, ...]  # an object: its primitives in its own frame
 
 
 def box(rng: np.random.Generator) -> Shape:
-    """A box with one side a gripper can span."""
     return (Geom("box", (rng.uniform(0.008, 0.04), rng.uniform(0.01, 0.06), rng.uniform(0.01, 0.06))),)
 
 
 def cylinder(rng: np.random.Generator) -> Shape:
-    """An upright can or a disc."""
     return (Geom("cylinder", (rng.uniform(0.01, 0.04), rng.uniform(0.01, 0.07))),)
 
 
 def capsule(rng: np.random.Generator) -> Shape:
-    """A rod with round ends."""
     return (Geom("capsule", (rng.uniform(0.009, 0.03), rng.uniform(0.01, 0.06))),)
 
 
 def ellipsoid(rng: np.random.Generator) -> Shape:
-    """An egg or a pebble."""
     return (Geom("ellipsoid", tuple(rng.uniform(0.014, 0.042, 3))),)
 
 
@@ -60,7 +56,6 @@ def tee(rng: np.random.Generator) -> Shape:
 
 
 def dumb_bell(rng: np.random.Generator) -> Shape:
-    """A bar with a weight at each end."""
     bar, half, r = rng.uniform(0.008, 0.015), rng.uniform(0.025, 0.05), rng.uniform(0.02, 0.038)
     ends = [Geom("sphere", (r,), (x, 0.0, 0.0)) for x in (-half, half)]
     return (Geom("cylinder", (bar, half), (0.0, 0.0, 0.0), ALONG_X), *ends)
@@ -73,7 +68,6 @@ def ring(rng: np.random.Generator) -> Shape:
 
 
 def bottle(rng: np.random.Generator) -> Shape:
-    """A body with a neck."""
     r, h, neck = rng.uniform(0.022, 0.038), rng.uniform(0.03, 0.06), rng.uniform(0.4, 0.6)
     return Geom("cylinder", (r, h)), Geom("cylinder", (neck * r, 0.4 * h), (0.0, 0.0, 1.4 * h))
 
@@ -99,13 +93,11 @@ def mug(rng: np.random.Generator) -> Shape:
 
 
 def hammer(rng: np.random.Generator) -> Shape:
-    """A handle with a heavy head across its end."""
     half, grip, head = rng.uniform(0.05, 0.075), rng.uniform(0.009, 0.014), rng.uniform(0.025, 0.04)
     return Geom("cylinder", (grip, half), (0.0, 0.0, 0.0), ALONG_X), Geom("box", (0.014, head, 0.014), (half, 0.0, 0.0))
 
 
 def cross(rng: np.random.Generator) -> Shape:
-    """Two bars across each other."""
     a, b, w, h = rng.uniform(0.035, 0.06), rng.uniform(0.03, 0.06), rng.uniform(0.008, 0.018), rng.uniform(0.01, 0.025)
     return Geom("box", (a, w, h)), Geom("box", (w, b, h))
 

@@ -144,7 +144,6 @@ def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
 
 
 def cell_features(seen: samples.SceneView) -> CellFeatures:
-    """Returns what an operator sees of a scene."""
     n, camera = len(seen.surface), seen.camera
     c = CELL_M * (np.arange(n) - 0.5 * (n - 1))
     x, y = np.meshgrid(c, c)

@@ -139,7 +139,6 @@ class NetworkTraining:
 
 class NetworkTrainer:
     """A grasp network in training, from the weights of `start` or from random ones; it takes the `Images` of `device`.
-
     `step` counts its steps; `mean` is the same network with the running mean of the weights, usable at any time.
     """
 
