@@ -14,7 +14,7 @@ from table_scene import CAMERA, depth_picture, looking_at
 
 from common.config import parse
 from common.poses import check_pose, inverse
-from grasping.network.depth_image import GATE_SD, NETWORK_SIDE, ROUNDS, TRIPLES, best_plane, prepare
+from grasping.network.depth_image import NETWORK_SIDE, best_plane, prepare
 from grasping.pipeline import view as view_module
 from grasping.pipeline.projection import ApproachConfig, surface_normal
 from grasping.pipeline.view import CameraView, CropConfig, NoView, TableConfig, TableView
@@ -160,32 +160,6 @@ def test_a_plane_is_found_among_a_third_of_outliers(n, distance, seed):
     assert 0.6 < plane.share < 0.8
 
 
-def plain_plane(rays, depth, noise):
-    """The search written out: the triples, their least clipped sum, and least squares."""
-    inverse, gate = 1.0 / depth, GATE_SD * noise
-    picks = np.random.default_rng(0).integers(0, len(depth), (TRIPLES, 3))
-    picks = picks[np.abs(np.linalg.det(rays[picks])) > 1e-9]
-    planes = np.linalg.solve(rays[picks], inverse[picks][..., None])[..., 0]
-    a = planes[np.argmin(np.minimum(np.abs(planes @ rays.T - inverse), gate).sum(axis=1))]
-    for _ in range(ROUNDS):
-        inside = np.abs(rays @ a - inverse) < gate
-        a = np.linalg.lstsq(rays[inside], inverse[inside], rcond=None)[0]
-    return a, np.mean(np.abs(rays @ a - inverse) < gate)
-
-
-@settings(max_examples=40)
-@given(normals, st.floats(0.4, 2.0), st.integers(20, 3000), st.floats(0.02, 1.0), st.integers(0, 1000))
-def test_the_plane_is_that_of_the_search_written_out(n, distance, count, extent, seed):
-    random = np.random.default_rng(seed)
-    rays = np.column_stack([random.uniform(-0.3, 0.3, (count, 2)) * extent, np.ones(count)])
-    depth = 1.0 / (rays @ (n / np.linalg.norm(n) / distance) + 0.002 * random.normal(size=count))
-    outliers = int(count * random.uniform(0.0, 0.6))
-    depth[:outliers] = random.uniform(0.3, 3.0, outliers)
-    found, (a, share) = best_plane(rays, depth, 0.003), plain_plane(rays, depth, 0.003)
-    np.testing.assert_allclose(found.a, a, atol=1e-7)
-    assert found.share == share
-
-
 @settings(max_examples=8)
 @given(places, st.integers(0, 1000))
 def test_the_heights_are_those_of_all_readings_one_by_one(place, seed):
@@ -209,23 +183,6 @@ def test_the_heights_are_those_of_all_readings_one_by_one(place, seed):
     closed = cv2.morphologyEx(wanted, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     wanted = np.where(wanted > 0.0, wanted, closed)
     np.testing.assert_array_equal(view.depth, np.float32(c["distance"]) - wanted)
-
-
-@settings(max_examples=6)
-@given(places, st.floats(0.0, 0.04), st.integers(0, 1000))
-def test_the_view_is_that_of_a_search_in_every_image(place, step, seed):
-    random, boxes = np.random.default_rng(seed), [BOX, (-0.1, -0.1, 0.3, (0.2, 0.15, 0.2))]
-    views, searching = table_view(), table_view()
-    for _ in range(4):
-        depth = depth_picture(looking_at(place, (0.0, 0.0, 0.0)), boxes)
-        depth += (0.002 * random.normal(size=depth.shape)).astype(np.float32)
-        found = views.step(depth, CAMERA)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(view_module, "same_plane", lambda *_: None)
-            wanted = searching.step(depth, CAMERA)
-        np.testing.assert_array_equal(found.T_camera_view, wanted.T_camera_view)
-        np.testing.assert_array_equal(found.depth, wanted.depth)
-        place = np.add(place, step * random.normal(size=3))
 
 
 def test_too_few_pixels_and_pixels_in_a_row_make_no_plane():

@@ -26,7 +26,6 @@ from grasping.network.depth_image import (
     best_plane,
     centre_crop,
     prepare,
-    same_plane,
 )
 
 STRIDE = 6  # pixels of the camera's image, in rows and columns, to one in which the table is looked for
@@ -150,8 +149,6 @@ class TableView:
         middle = rays[crop.row + crop.side // 2, crop.column + crop.side // 2].astype(float)
         made_for = (camera.K.tobytes(), camera.D.tobytes(), depth.shape, crop)
         place = self._place if self._place is not None and self._place.made_for == made_for else None
-        if place is not None and self._stays(same_plane(place.table, seen_rays, seen_depth, c.noise), place, middle):
-            return place
         table = best_plane(seen_rays, seen_depth, c.noise)
         if table is None or table.share < c.min_share:
             share = 0.0 if table is None else table.share
@@ -171,15 +168,6 @@ class TableView:
             nearest = np.where(turned[2] > 0.0, (c.distance - c.min_height + ROUNDED - shift[2]) / turned[2], np.inf)
         self._place = _Place(made_for, table, T, turned, shift, nearest.astype(np.float32))
         return self._place
-
-    def _stays(self, table: PlaneFound | None, place: _Place, middle: np.ndarray) -> bool:
-        """Returns whether the view stays because most pixels lie in its table as they show it: no other plane holds as
-        many. `middle`: direction of the window's middle, shape (3,).
-        """
-        c = self._config
-        if table is None or table.share <= max(0.5, c.min_share):
-            return False
-        return self._same(place.table, table) and _slope(table, middle) <= c.max_slope
 
     def _same(self, known: PlaneFound, table: PlaneFound) -> bool:
         turned = np.degrees(np.arccos(np.clip(table.direction @ known.direction, -1.0, 1.0)))
