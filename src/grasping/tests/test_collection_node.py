@@ -219,24 +219,6 @@ def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(rig,
     assert "could not be written until the end" in process.log_path.read_text()
 
 
-def test_killed_before_the_next_grasp_it_loses_no_grasp(rig, start, status, folder):
-    process = start()
-    rig.say("/leap_kuka/stream", stream(True))
-    rig.perform(grasp())
-    (first,) = files(folder)
-    content = first.read_bytes()
-    clock.sleep(STATUS_S)
-    assert int(status()["frames_waiting"]) > 0, "a frame waits for the next grasp"
-    process.send_signal(signal.SIGKILL)
-    assert os.listdir(folder) == [first.name]
-    start()
-    assert status()["message"] == "0 episodes, 0 held"
-    rig.perform(grasp())
-    assert len(files(folder)) == 2
-    assert first.read_bytes() == content
-    assert all(decode(file.read_bytes()).held for file in files(folder))
-
-
 def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder):
     def says(sentence):
         clock.sleep(STATUS_S + 2 * IMAGE_EVERY * TICK_S)  # at 5 Hz, every second image is looked at

@@ -23,7 +23,6 @@ from grasping.network.depth_image import Crop
 from grasping.network.maps import Peak
 from grasping.pipeline.projection import project_grasp as grasp_at
 from grasping.pipeline.settings import overlaid, rig_configuration, settings_from
-from grasping.pipeline.tool_pose import ToolPoseConfig, grasp_in_tool, tool_pose
 from grasping.pipeline.view import CameraView, CropConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -325,17 +324,6 @@ def test_a_network_that_says_nothing_finite_is_refused():
     view = CameraView(CropConfig(400, 0)).step(np.full((480, 640), 0.8, np.float32), CAMERA)
     with pytest.raises(ValueError, match="not finite"):
         look(lambda _: torch.full((1, 4, 300, 300), torch.nan), view, GGCNN.steps(UP))
-
-
-@pytest.mark.parametrize("closing_angle", [0.0, 30.0, -90.0])
-def test_the_grasp_in_the_tool_is_the_inverse_of_the_tool_of_a_grasp(closing_angle):
-    values = {**yaml.safe_load((CONFIG / "tool_pose.yaml").read_text()), "closing_angle": closing_angle}
-    config = parse(ToolPoseConfig, {**values, "approach": "grasp"})
-    T_base_tool = tool_pose(DOWN, config, DOWN[:3, :3])
-    T = T_base_tool @ grasp_in_tool(config)
-    np.testing.assert_allclose(T[:3, 3], DOWN[:3, 3], atol=1e-12)
-    np.testing.assert_allclose(abs(T[:3, 0] @ DOWN[:3, 0]), 1.0, atol=1e-12)
-    np.testing.assert_allclose(T[:3, 2], DOWN[:3, 2], atol=1e-12)
 
 
 def test_the_configuration_changes_with_each_of_its_parts_and_with_nothing_else():

@@ -121,9 +121,7 @@ def test_a_grasp_that_is_held_and_lifted():
     "goes_on, held, closed, reason",
     [
         (lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), False, True, "did not both feel something"),
-        (lambda t: t.run(1.0, hand=hand(1.6, load=150.0)).lift(0.06).run(2.0), True, True, "felt something"),
         (lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), False, True, "opened before the tool was lifted"),
-        (lambda t: t.run(1.0, hand=FULL).lift(0.06).run(0.5).run(0.5, hand=OPEN), False, True, "held long enough"),
         (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NONE, hold_reason="it was lost"), False, True, "it was lost"),
         (lambda t: t.run(0.1, hold=NONE, hold_reason="it was lost"), False, False, "no longer followed: it was lost."),

@@ -222,7 +222,7 @@ def test_a_grasp_from_the_proposal_to_the_label(ros, rig, asked):
 
 
 def test_what_is_refused(rig, node):
-    rig.control_on, rig.not_held = False, "The tool is not held: a hand is followed."
+    rig.not_held = "The tool is not held: a hand is followed."
     node.start()
     clock.sleep(2 * KNOWN_S)
 
@@ -230,9 +230,6 @@ def test_what_is_refused(rig, node):
         clock.sleep(KNOWN_S)
         assert str(node.ask("execute")).startswith(sentence)
 
-    refused("Control of the arm is off.")
-    rig.control_on, rig.grasps, rig.why_none = True, [], "no peak"
-    refused("No grasp is proposed: no peak.")
     rig.grasps, rig.out_of_reach = [rig.grasp(3, reachable=False), rig.grasp(4)], "The outer sphere would move it."
     refused("The outer sphere would move it.")
     rig.out_of_reach = ""

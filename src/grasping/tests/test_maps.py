@@ -77,17 +77,6 @@ def test_peaks_come_best_first_and_apart():
     assert (highest(maps).row, highest(maps).column) == (2, 50)
 
 
-@given(st.integers(0, 10**6), st.integers(2, 12))
-@settings(max_examples=20)
-def test_peaks_are_maxima_and_keep_their_distance(seed, distance):
-    quality = gaussian(np.random.default_rng(seed).random((80, 80), dtype=np.float32), 2.0)
-    found = peaks(Maps(quality, quality, quality), 50, distance, 0.0)
-    for i, p in enumerate(found):
-        near = quality[p.row - distance : p.row + distance + 1, p.column - distance : p.column + distance + 1]
-        assert near.max() == quality[p.row, p.column]
-        assert all(max(abs(p.row - q.row), abs(p.column - q.column)) > distance for q in found[:i])
-
-
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 6))
 @settings(max_examples=30)
 def test_peaks_are_those_of_a_maximum_over_the_whole_image(seed, distance, count):

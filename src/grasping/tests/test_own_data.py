@@ -85,18 +85,6 @@ def test_images_of_one_thing_fall_into_one_split():
     assert 0.1 < sum(kind == "validation" for kind in splits.values()) / len(splits) < 0.3
 
 
-def test_an_image_that_cannot_be_used_is_named_and_left_out(images, tmp_path, monkeypatch, capsys):
-    source = tmp_path / "source"
-    source.mkdir()
-    for name in ("bar_0.png", "bar_0.grasps.json"):
-        (source / name).write_bytes((images / name).read_bytes())
-    cv2.imwrite(str(source / "blind.png"), np.zeros((480, 640), np.uint16))
-    (source / "blind.grasps.json").write_bytes((images / "bar_1.grasps.json").read_bytes())
-    call(monkeypatch, import_grasps, source, tmp_path / "shards", "--validation", "0")
-    streams = capsys.readouterr()
-    assert "Left out: blind: the depth image holds no reading" in streams.err and "1 left out." in streams.out
-
-
 def test_images_in_float_millimetres_are_refused_and_the_shards_before_stay(
     images, shards, tmp_path, monkeypatch, capsys
 ):

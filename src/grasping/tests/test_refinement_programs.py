@@ -9,13 +9,13 @@ import itertools
 import json
 import pickle
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_programs import call
 
 from common.errors import RigError
 from grasping.lab.dataset import store
@@ -31,11 +31,6 @@ from grasping.refinement.refinement_file import Origin, content
 WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
 NUMBERS = (0, 1, 2, 3, 4)
 WHO = ("high", "middle", ANYBODIES[1])
-
-
-def call(monkeypatch, program, *arguments):
-    monkeypatch.setattr(sys, "argv", [program.__name__, *map(str, arguments)])
-    program.main()
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import multiprocessing.dummy
-import sys
 from types import SimpleNamespace
 
 import cv2
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from height_maps import boxes_on_table
+from test_programs import call
 
 from grasping.lab.evaluation import label_check
 from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
@@ -195,11 +195,6 @@ def test_a_checked_grasp_lies_on_an_object_and_is_the_same_for_both_hands():
     assert T[0][2, 3] > labels.LOWEST_OBJECT_M
     best = next(g for g in reflex["grasps"] if g["method"] == label_check.BEST)
     assert 0.3 < best["peak"]["quality"] <= 1.0 and 0.0 < best["width"] <= 2.0 * HAND.preshape + 1e-6
-
-
-def call(monkeypatch, program, *arguments):
-    monkeypatch.setattr(sys, "argv", [program.__name__, *map(str, arguments)])
-    program.main()
 
 
 def make(folder, split, hand, first=0):

@@ -95,23 +95,6 @@ def test_after_a_pause_what_was_missed_is_not_made_up_for():
     assert len(taken) in (60, 61) and np.diff(taken).min() >= 0.5 / 30.0
 
 
-@pytest.mark.parametrize("jitter", [0.0, 0.004])
-def test_a_thousand_maps_of_a_camera_at_30_hz_take_67_s_and_a_thousand_poses_33_s(jitter):
-    session, random = ShownGrasp(1000, 1000, MAPS_HZ, POSES_HZ), np.random.default_rng(0)
-    one, maps, poses = frame(0.0), [], []
-    for k in range(3000):
-        stamp = 1.7e9 + k * CAMERA_S + random.uniform(-jitter, jitter)
-        if session.phase is Phase.MAPS and session.due(stamp):
-            session.add_map(one._replace(stamp=stamp), OPTICS)
-            maps.append(stamp)
-    for stamp in maps[-1] + np.arange(1.0, 60.0, 0.007):
-        if session.phase is Phase.POSES and session.due(stamp):
-            poses.append(session.add_pose(stamp, tool(GRASP_Z))[1].time)
-    assert session.phase is Phase.DONE and len(maps) == len(poses) == 1000
-    assert maps[-1] - maps[0] == pytest.approx(67.0, abs=0.5)
-    assert poses[-1] - poses[0] == pytest.approx(33.0, abs=0.5)
-
-
 def test_another_camera_drops_the_maps_before_it():
     session = ShownGrasp(3, 1, 1.0, 1.0)
     session.add_map(frame(0.0), OPTICS)

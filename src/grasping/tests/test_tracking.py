@@ -80,13 +80,6 @@ def test_what_moves_slowly_is_noticed_too():
     assert any(steps)
 
 
-def test_a_weight_of_one_is_no_average():
-    average, depth = MapAverage(averaging(weight=1.0)), np.full((60, 60), 0.7, np.float32)
-    average.step(maps(), depth)
-    newest = maps()
-    np.testing.assert_allclose(average.step(newest, depth)[0], newest, atol=1e-6)
-
-
 @given(st.integers(0, 1000), st.integers(1, 9))
 def test_the_median_is_numpys(seed, count):
     values = list(np.random.default_rng(seed).normal(size=(count, 9)))
