@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterable
 from dataclasses import asdict, fields
 from datetime import datetime, timezone
 from typing import Any, NoReturn
@@ -26,11 +26,12 @@ from grasping.lab.dataset.episode import NOWHERE, SOURCES, Episode, Metadata, to
 from grasping.network.depth_image import NETWORK_SIDE, Crop
 
 SCHEMA = 2
-MAGIC, ENCRYPTED, PACKED = b"PK\3\4", 0x1, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""How an archive begins; the bit of a file's flags that says that it is encrypted; how numpy packs files."""
+MAGIC = b"PK\3\4"  # how an archive begins
+DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, SyntaxError, EOFError, MemoryError,
+          ValueError, RuntimeError, KeyError, OSError)  # fmt: skip
+"""What numpy raises for a damaged archive, whose headers may say anything."""
 FAST = 1  # level of compression: a third of the time of numpy's level, files 6 % larger
 ARRAY = ".npy"
-META = f"meta{ARRAY}"
 PREFIX, SUFFIX = "episode_", ".npz"
 NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
 LAYOUT = {  # type and shape of each array; n frames, `side` of the crop, m rows of a map
@@ -115,9 +116,12 @@ def encode(episode: Episode) -> bytes:
 
 def decode(data: bytes) -> Episode:
     """Returns the episode in a file's content; raises DatasetError if it is torn, of another schema, or no episode."""
-    files = _files(data)
-    meta = _meta(files)
-    arrays = _arrays(files, LAYOUT if meta["schema"] == SCHEMA else [name for name in LAYOUT if name not in SINCE_2])
+    arrays = _read(data)
+    meta = _meta(arrays)
+    wanted = LAYOUT.keys() if meta["schema"] == SCHEMA else LAYOUT.keys() - SINCE_2
+    if arrays.keys() != wanted or not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        odd = ", ".join(sorted(arrays.keys() ^ wanted)) or "an array"
+        raise DatasetError(f"Not an episode of its schema: {odd} missing or unknown.")
     arrays = {**dict.fromkeys(SINCE_2, NOWHERE), **arrays}
     _check(arrays)
     for array in arrays.values():
@@ -146,28 +150,23 @@ def decode(data: bytes) -> Episode:
     )
 
 
-def _files(data: bytes) -> dict[str, bytes]:
-    """Returns the files of the archive, each as its checksum says it was written."""
+def _read(data: bytes) -> dict[str, Any]:
+    """Returns the arrays of the archive, each as its checksum says it was written."""
     if not MAGIC.startswith(data[: len(MAGIC)]):
         raise DatasetError("Not an episode: the file is not an archive.")
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            for file in archive.infolist():
-                if file.flag_bits & ENCRYPTED or file.compress_type not in PACKED:
-                    raise zipfile.BadZipFile(f"{file.filename} is packed in another way")
-            return {file.filename: archive.read(file) for file in archive.infolist()}
-    # The last two are raised where the archive's list of files is damaged: unknown versions, places before its start.
-    except (zipfile.BadZipFile, zlib.error, NotImplementedError, ValueError) as error:
-        raise DatasetError(f"The file is torn or damaged: {error}.") from None
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except DAMAGE as error:
+        raise DatasetError(f"The file is torn or damaged: {' '.join(str(error).split())}.") from None
 
 
-def _meta(files: dict[str, bytes]) -> dict[str, Any]:
+def _meta(arrays: dict[str, Any]) -> dict[str, Any]:
     """Returns the metadata, after the schema was checked."""
-    if META not in files:
+    if "meta" not in arrays:
         raise DatasetError("Not an episode: the file has no metadata.")
-    text = str(_array(META, files[META]))
     try:
-        meta = json.loads(text, parse_constant=_refuse)
+        meta = json.loads(str(arrays["meta"]), parse_constant=_refuse)
     except (ValueError, RecursionError):
         raise DatasetError("Not an episode: the file's metadata are not JSON.") from None
     if not isinstance(meta, dict) or "schema" not in meta:
@@ -179,22 +178,6 @@ def _meta(files: dict[str, bytes]) -> dict[str, Any]:
 
 def _refuse(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON")
-
-
-def _arrays(files: dict[str, bytes], names: Iterable[str]) -> dict[str, np.ndarray]:
-    """Returns the arrays of these names, unchecked; DatasetError if the file has others."""
-    wanted = {f"{name}{ARRAY}": name for name in names}
-    if files.keys() != wanted.keys():
-        odd = ", ".join(sorted(name.replace(ARRAY, "") for name in files.keys() ^ wanted.keys()))
-        raise DatasetError(f"Not an episode of its schema: {odd} missing or unknown.")
-    return {wanted[name]: _array(name, data) for name, data in files.items()}
-
-
-def _array(name: str, data: bytes) -> np.ndarray:
-    try:
-        return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)  # type: ignore[no-untyped-call]
-    except (ValueError, SyntaxError, tokenize.TokenError, MemoryError) as error:  # a damaged header may say anything
-        raise DatasetError(f"Not an episode: {name}: {' '.join(str(error).split())}.") from None
 
 
 def _check(arrays: dict[str, np.ndarray]) -> None:
