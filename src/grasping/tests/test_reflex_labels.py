@@ -13,7 +13,6 @@ import torch
 from height_maps import boxes_on_table
 from test_programs import call
 
-from grasping.lab.evaluation import label_check
 from grasping.lab.programs import find_grasps, make_dataset, train_ggcnn
 from grasping.lab.synthetic import labels, reflex_labels, samples, scene
 from grasping.lab.synthetic.samples import LabelSettings
@@ -178,7 +177,7 @@ def test_the_map_lies_along_the_vertical_below_a_tilted_camera():
     n = samples.CELLS
     row, column = np.mgrid[:n, :n]
     cells = labels.Labels(above.position[2] - of_hand.surface, row, column, np.ones((n, n), bool))
-    height = label_check.heights(seen, of_hand)
+    height = make_dataset.heights(seen, of_hand)
     label = of_hand.in_image(cells)
     on_object = height > 0.01
     visible = on_object & (label.quality > 0.0)
@@ -187,13 +186,13 @@ def test_the_map_lies_along_the_vertical_below_a_tilted_camera():
 
 
 def test_a_checked_grasp_lies_on_an_object_and_is_the_same_for_both_hands():
-    parallel, reflex = (label_check.scene_grasps("train", 5, LabelSettings(hand)) for hand in (PARALLEL, REFLEX))
+    parallel, reflex = (make_dataset.scene_grasps("train", 5, LabelSettings(hand)) for hand in (PARALLEL, REFLEX))
     assert parallel["mjcf"] == reflex["mjcf"]
-    tried = [next(g for g in one["grasps"] if g["method"] == label_check.RANDOM) for one in (parallel, reflex)]
+    tried = [next(g for g in one["grasps"] if g["method"] == make_dataset.RANDOM) for one in (parallel, reflex)]
     T = np.array([g["T_world_grasp"] for g in tried])
     np.testing.assert_allclose(T[0], T[1], atol=0.02)  # the angle of a direction is the same within the tilt
     assert T[0][2, 3] > labels.LOWEST_OBJECT_M
-    best = next(g for g in reflex["grasps"] if g["method"] == label_check.BEST)
+    best = next(g for g in reflex["grasps"] if g["method"] == make_dataset.BEST)
     assert 0.3 < best["peak"]["quality"] <= 1.0 and 0.0 < best["width"] <= 2.0 * HAND.preshape + 1e-6
 
 
@@ -269,7 +268,7 @@ def test_grasps_to_be_checked_go_to_a_file(tmp_path, monkeypatch):
     call(monkeypatch, make_dataset, "--check", file, "--hand", REFLEX, "--split", "validation", "--scenes", "2")
     content = json.loads(file.read_text())
     assert content["schema"] == 2 and [one["scene"] for one in content["scenes"]] == [0, 1]
-    assert {g["method"] for one in content["scenes"] for g in one["grasps"]} == {label_check.RANDOM, label_check.BEST}
+    assert {g["method"] for one in content["scenes"] for g in one["grasps"]} == {make_dataset.RANDOM, make_dataset.BEST}
 
 
 def test_weights_say_which_hand_they_are_for(tmp_path):

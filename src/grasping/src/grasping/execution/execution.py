@@ -1,9 +1,5 @@
-"""The execution of a proposed grasp: the choice of the grasp, or why it is refused, and what happens then.
-
-    approaching -> waiting_for_hand -> operator -> over
-
-Every execution that was started ends in exactly one outcome. Nothing here moves the arm: leap_kuka holds the tool above
-the grasp for a hand, and an operator does the rest.
+"""The execution of a proposed grasp: why it is refused, what happens then, and how it ends, in exactly one outcome.
+Nothing here moves the arm: leap_kuka holds the tool above the grasp for a hand, and an operator does the rest.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Detects from the hand's state and the tool's height when an operator grasped something, and whether it was held.
 
-The fingers have closed when the thumb and a finger beside it are bent and none moves any more. Then the tool has to be
-lifted: the hand holds something if the thumb and a finger still feel it a moment after the tool is up.
-A finger feels something if a taxel is pressed more than when the hand was last open, so that drift has no effect, or if
-its motor pulls harder than the finger's springs need where it is bent as much and holds nothing.
+The fingers have closed when thumb and a finger are bent and none moves any more; the hand holds something if both still
+feel it a moment after the tool is up: a taxel pressed more than when the hand was last open, so that drift has no
+effect, or a motor that pulls harder than the finger's springs need.
 """
 
 from __future__ import annotations

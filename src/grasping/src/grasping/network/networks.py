@@ -1,10 +1,9 @@
 """GG-CNN and GG-CNN2 of Morrison, Corke and Leitner (RSS 2018; GG-CNN2 is the later, wider-sighted kind).
 
-The layer names are those of the published files, so that those load. For the CPU's sake the four heads are one
-convolution, and GG-CNN's last transposed convolution, three quarters of the time in its plain form, is an ordinary one
-at a third of the size followed by a pixel shuffle. The outputs are the same to rounding.
-Input: shape (n, 1, h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality
-(about 0 to 1), cos and sin of twice the grasp's angle, and the opening in units of `maps.WIDTH_SCALE_PX`.
+The layers have the names of the published files. For the CPU's sake the heads are one convolution, and GG-CNN's last
+transposed convolutions are ordinary ones and a pixel shuffle; the outputs are the same to rounding. Input: shape (n, 1,
+h, w), depth less its mean, in [-1, 1] [m]. Output: shape (n, 4, h, w), the maps `MAPS`: quality (about 0 to 1), cos and
+sin of twice the grasp's angle, and the opening in units of `maps.WIDTH_SCALE_PX`.
 """
 
 from __future__ import annotations

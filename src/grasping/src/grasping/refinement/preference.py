@@ -1,11 +1,9 @@
 """What an operator would take among the candidates that are likely to be lifted, and how sure that is.
 
-The probability of a lift is a constraint: a candidate whose probability is below both `SAFE` and that of GG-CNN's best
-one, less `MOST_LOST`, is never chosen, however much the operator likes it; nor is one with another line than GG-CNN's
-unless it is, but for `MOST_LOST`, as probably lifted as that best one. What is chosen takes over the operator's
-turn and tilt as far as the constraint lets it. The constant miss is known to be one and is not copied. Among the
-candidates that are left the favourite is the one with most of the expected choices near it: one that is liked alone is
-worth less than a place that is liked. Without episodes the favourite is GG-CNN's best candidate, as GG-CNN has it.
+A candidate whose lift is less probable than `SAFE` and than GG-CNN's best one less `MOST_LOST` is never chosen; nor is
+one with another line, unless it is as probable but for `MOST_LOST`. The operator's turn and tilt are taken over as far
+as that lets them; the constant miss is not copied. The favourite is the candidate with most of the expected choices
+near it; without episodes it is GG-CNN's best, unchanged.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Weight files of the refinement: a torch state dict with a description of the rig that it was trained on.
+"""Weight files of the refinement: a torch state dict of preferences by kind of object, and the rig of their training.
 
-A file holds the preferences of one or more kinds of object, each learned from episodes of its own.
-A refinement fits one first network, view, crop, table and hand: another first network has other maps, another hand
-lifts other things, and in another view the operator stands elsewhere. So a file is refused where they differ. Values
-that a file does not contain are not compared.
+A refinement fits one first network, view, crop, table and hand; a file is refused where they differ. Values that a file
+does not contain are not compared.
 """
 
 from __future__ import annotations

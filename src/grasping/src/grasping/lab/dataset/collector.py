@@ -1,8 +1,7 @@
 """Decides when an episode begins and ends: takes frames, hand, stream and proposals; returns finished grasps.
 
-An episode of free teleoperation begins with the operator's stream, one of a confirmed proposal with the approach to it:
-what was seen before may lie elsewhere by now. It ends when it is known whether the closed fingers held something; then
-no frame is kept until the hand opens and leaves the object where the next grasp will find it.
+An episode begins with the operator's stream or the approach of a proposal and ends when it is known whether the closed
+fingers held something; then no frame is kept until the hand opens where the next grasp will find the object.
 """
 
 from __future__ import annotations

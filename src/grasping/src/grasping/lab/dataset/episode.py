@@ -1,8 +1,7 @@
 """An episode of the dataset: what the camera and the network saw before an operator grasped something, and that grasp.
 
-Its frames end with one closing of the fingers and share its label, known only in hindsight and fixed in
-`kuka/base_frame`: where the tool was then, and whether the hand lifted something. They are near duplicates of each
-other: split training and test data by episode, never by frame.
+Its frames share one label, known in hindsight: where the tool was when the fingers closed, and whether they held
+something. They are near duplicates: split training and test data by episode, never by frame.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
-"""The recorded part of a view, and the frames that wait for the grasp which will label them: thinned, bounded.
-
-A frame is kept when the tool has moved since the last one; frames of a tool at rest would be duplicates. What is too
-old or too many when the fingers close is dropped, oldest first: an episode needs the approach, not its prehistory.
+"""The frames that wait for the grasp which will label them. A frame is kept when the tool has moved since the last one;
+what is too old or too many when the fingers close is dropped, oldest first.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 """Depth images with grasp rectangles: folders of Cornell, of Jacquard, and of the user's own; and their training maps.
 
 A grasp rectangle is the place of a parallel gripper in an image (Jiang, Moseson and Saxena, ICRA 2011): its middle, the
-line through both fingers, their distance, and the length of a finger across that line. The user's own folder holds
-depth images and, beside NAME.png (16 bit, millimetres), NAME.npy or NAME.tiff (metres), a file NAME.grasps.json:
-
-    {"schema": 1, "grasps": [{"row": 210.5, "column": 318.0, "angle": 0.4, "opening": 62.0, "breadth": 25.0}]}
-
-with pixels of the image and radians, anticlockwise from its horizontal, for the line through the fingers.
+line through both fingers, their distance, and the length of a finger across that line. The format of the user's own
+label files is in docs/handbook/own-objects.md.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Where a parallel gripper can take hold of what lies on the table: antipodal grasps in slices of a height map.
 
 For each direction the map is turned until the jaws close along the rows. The map cut at the height of the finger tips
-shows what they meet: the contacts, whether the fingers have room, and the surface's normals there, which must lie in
-the friction cone, both in the cut and upwards: a ball held above its equator slips out. The camera's axis is the
-approach. Angles follow the image: from its horizontal, anticlockwise, modulo pi.
+shows the contacts, the room for the fingers, and the normals, which must lie in the friction cone, also upwards: a ball
+held above its equator slips out. Angles follow the image: from its horizontal, anticlockwise, modulo pi.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Where the rig's ReFlex hand can take hold of what lies on the table: two fingers against the thumb, from above.
 
-The hand comes down half closed, its tips `Hand.preshape` from the grasp's line, and closes until all three fingers
-press. The map, of what lies there as seen along the vertical, is turned until the fingers close along the rows and cut
-at the height of the tips' pads: in the strip of each finger the first thing from outside is its contact. A grasp holds
-when thumb and fingers meet opposite faces; where one finger or both pass beside the object, the thumb turns it, or
-pushes it between them. A label stands for the line, not for the side of the thumb, so it is worth the worse of both.
+The hand comes down half closed and closes until all fingers press. In the map, turned until they close along the rows
+and cut at the height of the tips' pads, the first thing in the strip of each finger is its contact. A grasp holds when
+thumb and fingers meet opposite faces. A label stands for the line, not for the side of the thumb: the worse of both.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""Simulated operators who grasp, and episodes of them in the very form of the recorded ones.
+"""Simulated operators who grasp, and episodes of them in the form of the recorded ones; no person was measured.
 
-They stand in for teleoperating operators where none is at hand; whatever was found with them is to be called simulated.
-Each sees the exact labels and chooses by rules of its own (`OPERATORS`), not always alike (`whim`), and grasps beside
-the chosen place by a constant bias and a tremor. Line through the fingers, opening and lean depend on the height, and
-the hand leans with the surface and away from the operator, who sits below the image. How people do it, nobody has
-measured here.
-Whether the thing was held says the physics: the parallel gripper of `evaluation.lifting` goes to the grasp, as wide
-open as the operator opens the hand (the recorded fingers' angles say so), and lifts.
+Each sees the exact labels, chooses by rules of its own (`OPERATORS`), not always alike (`whim`), and grasps beside the
+chosen place by a constant bias and a tremor. The hand leans with the surface and away from the operator, who sits below
+the image. Whether the thing was held says the physics of `evaluation.lifting`, the gripper as wide open as the hand.
 """
 
 from __future__ import annotations
