@@ -34,7 +34,8 @@ means over 20 ms. They are the largest from the fault to the end of the row, rec
 is caught up with by the drives, at up to 17.2 rad/s²; over 80 ms no row may exceed 14.5 rad/s².
 
 *virtual* is the reaction time in virtual time, in which tests run the rows, too (`python -m campaign.run --virtual`):
-it is exact, and judged there. On the real rig it depends on the machine.
+it is exact, and judged there. On the real rig it depends on the machine. What the rig said is in
+docs/campaign.json.
 """
 CATALOGUE = 83  # faults; a row has the number of its fault
 
@@ -81,20 +82,19 @@ def page(entries: dict[int, Row], results: dict[str, dict], times: dict[str, flo
     lines = [
         HEAD.format(catalogue=CATALOGUE, rows=len(entries)),
         "| row | fault | reaction | result | time [s] | virtual [s] | joint speed | "
-        "acceleration [rad/s²] | tool [m/s] | named by |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "acceleration [rad/s²] | tool [m/s] |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for number, entry in entries.items():
         result = _rounded(results[str(number)]) if str(number) in results else None
         if result is None:
-            cells = ["not run", "", _time(times.get(str(number))), "", "", "", ""]
+            cells = ["not run", "", _time(times.get(str(number))), "", "", ""]
         else:
             cells = [
                 result["result"],
                 _time(result.get("reaction_s")),
                 _time(times.get(str(number))),
                 *(f"{result.get(key, 0.0):.2f}" for key in ("joint_speed", "joint_acceleration", "tool_speed")),
-                _quoted(result.get("named", "")),
             ]
         lines.append("| " + " | ".join([str(number), entry.fault, " ".join(entry.expected.reactions), *cells]) + " |")
     notes = [f"- Row {entry.number}: {entry.instead}" for entry in entries.values() if entry.instead]
@@ -113,11 +113,6 @@ def page(entries: dict[int, Row], results: dict[str, dict], times: dict[str, flo
 
 def _time(seconds: float | None) -> str:
     return "" if seconds is None else f"{seconds:.2f}"
-
-
-def _quoted(text: str) -> str:
-    text = " ".join(text.replace("|", "/").replace("<", "‹").replace(">", "›").split())
-    return text if len(text) <= 140 else f"{text[:139]}…"
 
 
 def _rounded(result: dict) -> dict:

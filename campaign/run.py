@@ -28,7 +28,7 @@ from campaign.trial import Row
 from tools.options import is_written, new_file, new_folder, number
 
 ROOT = Path(__file__).parents[1]
-RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "handbook" / "campaign.md"
+RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "reference" / "campaign.md"
 TIMES = ROOT / "docs" / "campaign-times.json"  # reaction times in virtual time
 START_S, ROW_S = 240.0, 180.0
 """Longest waits [s], for a rig and for a row, on a busy machine."""

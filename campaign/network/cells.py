@@ -125,11 +125,8 @@ def page(results: Mapping[str, dict]) -> str:
             result = results.get(f"{wire}:{condition}", {"result": "not run"})
             lines.append(f"| {each.title} | " + " | ".join(figures(result)) + " |")
         lines.append("")
-    known = {name: results[name] for name in CELLS if name in results}
-    said = [f"- {name}: {result['said']}" for name, result in known.items() if result.get("said")]
-    faults = [f"- {name}: {fault}" for name, result in known.items() for fault in result["faults"]]
-    notes = [("What the rig said", said), ("Faults", faults)]
-    return "\n".join([*lines, *(text for title, texts in notes if texts for text in (f"## {title}", "", *texts, ""))])
+    faults = [f"- {name}: {fault}" for name in CELLS for fault in results.get(name, {}).get("faults", ())]
+    return "\n".join([*lines, *(["## Faults", "", *faults, ""] if faults else [])])
 
 
 PAGE = f"""# Bad networks
@@ -149,7 +146,7 @@ page; `make networks ONLY=arm:loss_5` runs a cell, `ONLY=arm` a wire, `ONLY=loss
 A cell fails if a limit is exceeded, the robot stops itself, a node dies, or the arm never follows again. The limits:
 0.95 of the joint speeds, a tool speed of 0.71 m/s, and an acceleration of 14.5 rad/s² over 80 ms. For less time the
 robot's own drives hurry behind a late goal, at up to 17.2 rad/s². The queue in front of 256 kbit/s holds 32 kB, which
-is a second.
+is a second. What the rig said is in docs/bad-networks.json.
 """
 
 

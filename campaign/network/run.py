@@ -15,7 +15,7 @@ from campaign.network.wire import ROOT, in_own_network
 from campaign.run import INTERRUPTED, Campaign
 from tools.options import is_written, new_file, number
 
-RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "handbook" / "bad-networks.md"
+RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "reference" / "bad-networks.md"
 
 
 def main(argv: list[str] | None = None) -> int:
