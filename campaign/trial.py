@@ -65,6 +65,7 @@ class Row:
     spoils: bool = False  # whether the rig is of no use afterwards
     argued: str = ""  # page of docs/decisions which says why the reaction differs from the catalogue's
     real: str = ""  # what of the operating system it needs; else it runs in virtual time, too (simulated.rig)
+    hazards: tuple[int, ...] = ()  # lines of the safety case whose measures it shows
 
 
 ROWS: dict[int, Row] = {}

@@ -74,7 +74,8 @@ def test_docker_and_podman_ignore_the_same():
 def test_nothing_runs_as_root_or_with_all_rights():
     users = [words[0] for name, *words in INSTRUCTIONS if name == "USER"]
     assert users and "root" not in users
-    pages = [ROOT / "README.md", ROOT / "docs" / "handbook" / "installation.md"]
+    handbook = ROOT / "docs" / "handbook"
+    pages = [ROOT / "README.md", handbook / "installation.md", handbook / "installation-elsewhere.md"]
     assert not any("--privileged" in page.read_text() for page in pages)
 
 

@@ -154,6 +154,7 @@ def test_the_table_names_every_file_that_listens():
     assert named == listening
 
 
+@pytest.mark.hazard(22)
 def test_by_default_everything_of_ours_listens_on_loopback():
     for name in ("demo", "rig", "leap_rig", "simulated_devices"):
         text = (ROOT / f"src/leap_rig/launch/{name}.launch").read_text()

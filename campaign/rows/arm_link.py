@@ -22,7 +22,7 @@ SLOW_LINK_M_S = 0.15
 
 
 @row(1, "Arm TCP reset by peer", "DL", within=1.5, named_by="out of reach|connection", operator=True,
-     limits=ROBOT_BRAKES, dangerous="the commonest end of a link, in the middle of a motion")  # fmt: skip
+     limits=ROBOT_BRAKES, dangerous="the commonest end of a link, in the middle of a motion", hazards=(7,))  # fmt: skip
 def reset(trial):
     trial.follow()
     trial.fault("arm", "cut", duration=1.5)
@@ -32,7 +32,7 @@ def reset(trial):
 
 
 @row(2, "Arm half-open TCP (cable out, no FIN)", "HD", within=1.5, named_by="not answered for", operator=True,
-     dangerous="no end of file says that the link is gone")  # fmt: skip
+     dangerous="no end of file says that the link is gone", hazards=(7,))  # fmt: skip
 def half_open(trial):
     trial.follow()
     trial.fault("arm", "half_open", duration=3.0)
@@ -42,7 +42,7 @@ def half_open(trial):
 
 
 @row(8, "Controller in protective stop", "DL", within=0.8, named_by="safety stop", operator=True, limits=ROBOT_BRAKES,
-     dangerous="a person is touched")  # fmt: skip
+     dangerous="a person is touched", hazards=(2, 8))  # fmt: skip
 def protective_stop(trial):
     trial.follow()
     trial.begins()
@@ -77,7 +77,8 @@ def believed_again(trial):
 
 
 @row(16, "Measured joints far from commanded", "DL", within=1.2, named_by="joint . is at .* deg", operator=True,
-     limits=ROBOT_BRAKES, dangerous="goals made from wrongly measured joints make the arm jump")  # fmt: skip
+     limits=ROBOT_BRAKES, dangerous="goals made from wrongly measured joints make the arm jump",
+     hazards=(8,))  # fmt: skip
 def shifted(trial):
     rig = trial.rig
     trial.follow()
@@ -112,7 +113,7 @@ def shifted(trial):
 
 @row(17, "Measured joints frozen while commanded moves", "DL", within=1.2, named_by="stands still although",
      operator=True, limits=ROBOT_BRAKES,
-     dangerous="the arm moves on unseen, and a goal at the frozen joints would pull it back")  # fmt: skip
+     dangerous="the arm moves on unseen, and a goal at the frozen joints would pull it back", hazards=(8,))  # fmt: skip
 def frozen(trial):
     rig = trial.rig
     trial.follow()
@@ -128,7 +129,7 @@ def frozen(trial):
 
 # The goals end in the middle of a motion, which the robot's drives brake.
 @row(3, "Arm server accepts but never answers", "DL", within=1.8, named_by="not answered|does not answer",
-     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+     operator=True, limits=ROBOT_BRAKES, hazards=(7,))  # fmt: skip
 def never_answers(trial):
     rig = trial.rig
     trial.follow()
@@ -148,7 +149,7 @@ def never_answers(trial):
 
 # With slower answers fewer goals leave, and the robot's drives bring the arm to each of them as fast as they may.
 @row(4, "Answer split over several reads / two answers in one read", "", within=1.0, variant="shipped/arm",
-     limits=ROBOT_BRAKES)  # fmt: skip
+     limits=ROBOT_BRAKES, hazards=(7,))  # fmt: skip
 def torn(trial):
     rig = trial.rig
     trial.follow()
@@ -187,7 +188,7 @@ def moves_on(trial, when: str, seconds: float) -> None:
 
 # Fewer goals leave, as in row 4; the reaction is to the garbage that comes instead of every answer, 2 s later.
 @row(5, "Garbage or binary in an answer", "DL", within=9.0, named_by="answer is left out|not answered|is missing",
-     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+     operator=True, limits=ROBOT_BRAKES, hazards=(7,))  # fmt: skip
 def garbage(trial):
     rig = trial.rig
     trial.follow()
@@ -205,7 +206,7 @@ def garbage(trial):
 
 # The goals end in the middle of a motion, as in row 3.
 @row(6, "Late answer to an earlier command", "", within=1.0, named_by="not answered|No answer in time",
-     limits=ROBOT_BRAKES)  # fmt: skip
+     limits=ROBOT_BRAKES, hazards=(7,))  # fmt: skip
 def late(trial):
     rig = trial.rig
     heard = []
@@ -246,7 +247,7 @@ def angles(message) -> list[float]:
     return [getattr(message, f"joint_{k}") for k in range(1, 8)]
 
 
-@row(7, 'Arm answers "nak"', "RL", within=3.0, named_by="refused", operator=True, still=True)
+@row(7, 'Arm answers "nak"', "RL", within=3.0, named_by="refused", operator=True, still=True, hazards=(7,))
 def refused(trial):
     rig = trial.rig
     assert rig.control(True).success
@@ -263,7 +264,7 @@ def refused(trial):
 
 
 @row(9, "Emergency stop, later released", "DL", within=0.8, named_by="safety stop", operator=True, limits=ROBOT_BRAKES,
-     dangerous="after the release the arm must not catch up with a hand that has moved on")  # fmt: skip
+     dangerous="after the release the arm must not catch up with a hand that has moved on", hazards=(8,))  # fmt: skip
 def emergency_stop(trial):
     rig = trial.rig
     trial.follow()
@@ -281,7 +282,7 @@ def emergency_stop(trial):
 
 
 @row(10, "Application restarted on the pad", "DL", within=1.5, named_by="out of reach|application has ended",
-     operator=True, limits=ROBOT_BRAKES)  # fmt: skip
+     operator=True, limits=ROBOT_BRAKES, hazards=(1,))  # fmt: skip
 def restarted(trial):
     trial.follow()
     trial.fault("arm", "restarted", duration=2.0)
@@ -295,7 +296,7 @@ def restarted(trial):
      instead="no part of the rig has a command of the velocity mode (src/modules/kst/tests/test_codec.py), so no speed "
      "can be left behind; provoked is the loss of the link in position servo, and the row looks whether the arm stands "
      "and whether the robot was ever in another servo mode.",
-     dangerous="a speed that nobody takes back moves the arm until something stops it")  # fmt: skip
+     dangerous="a speed that nobody takes back moves the arm until something stops it", hazards=(7,))  # fmt: skip
 def no_velocity_mode(trial):
     rig = trial.rig
     trial.follow()
@@ -311,7 +312,7 @@ def no_velocity_mode(trial):
     trial.check("no other servo mode was asked for", not foreign, foreign[:1])
 
 
-@row(12, "60 s accept window missed", "R", within=30.0, named_by="start MatlabToolboxServer", still=True)
+@row(12, "60 s accept window missed", "R", within=30.0, named_by="start MatlabToolboxServer", still=True, hazards=(7,))
 def missed_window(trial):
     rig = trial.rig
     rig.arm.ask("fault", name="window", value=1.0)  # instead of 60 s
@@ -327,7 +328,7 @@ def missed_window(trial):
 
 
 @row(13, "Round-trip time spikes to 200 ms", "", within=1.0, named_by="not answered for", limits=ROBOT_BRAKES,
-     argued="lost-robot.md")  # fmt: skip
+     argued="lost-robot.md", hazards=(3,))  # fmt: skip
 def spikes(trial):
     rig = trial.rig
     trial.follow()
@@ -345,7 +346,7 @@ def spikes(trial):
 
 
 @row(14, "1 % / 10 % loss, reordering, 50 ms jitter", "", within=1.0, variant="shipped/arm", limits=ROBOT_BRAKES,
-     dangerous="bursts of late goals could make the arm faster than its limits")  # fmt: skip
+     dangerous="bursts of late goals could make the arm faster than its limits", hazards=(3,))  # fmt: skip
 def bad_link(trial):
     rig = trial.rig
     trial.follow()
@@ -374,7 +375,15 @@ def bad_link(trial):
 
 
 # No limit of the stream's 12 rad/s^2: on a busy machine too few goals leave.
-@row(15, "Nagle / delayed ACK stalls", "", within=1.0, limits=ROBOT_BRAKES, real="the options are the kernel's")
+@row(
+    15,
+    "Nagle / delayed ACK stalls",
+    "",
+    within=1.0,
+    limits=ROBOT_BRAKES,
+    real="the options are the kernel's",
+    hazards=(7,),
+)
 def nagle(trial):
     rig = trial.rig
     trial.follow()

@@ -20,7 +20,7 @@ PLANNED = Limits(joint_speed=0.3, tool_speed=0.45)
 
 @row(54, "Axis convention or scale file wrong", "R", within=3.0, named_by="axes are mirrored|millimetres", still=True,
      argued="axes-of-the-tracker.md",
-     dangerous="an arm that moves to the wrong side, or ten times as far")  # fmt: skip
+     dangerous="an arm that moves to the wrong side, or ten times as far", hazards=(10,))  # fmt: skip
 def wrong_axes(trial):
     rig = trial.rig
     trial.check("control is on", rig.control(True).success)
@@ -43,7 +43,15 @@ def wrong_axes(trial):
     rig.wait_for_modes("servo")
 
 
-@row(55, "Engage while hand moves fast", "R", within=6.0, named_by="moves too fast for a start", still=True)
+@row(
+    55,
+    "Engage while hand moves fast",
+    "R",
+    within=6.0,
+    named_by="moves too fast for a start",
+    still=True,
+    hazards=(21,),
+)
 def fast_hand(trial):
     rig = trial.rig
     trial.check("control is on", rig.control(True).success)
@@ -59,7 +67,7 @@ def fast_hand(trial):
     rig.wait(lambda: rig.stream_state == "running", "the hand to be followed once it is slow")
 
 
-@row(56, "Engage with target far away", "", limits=PLANNED)
+@row(56, "Engage with target far away", "", limits=PLANNED, hazards=(1,))
 def far_target(trial):
     rig = trial.rig
     home = rig.arm.now.T_base_tool[:3, 3]

@@ -77,7 +77,7 @@ def stays_on_the_turn(trial, what, T_start, axis, least, most, since):
     trial.check(f"the tool turns: {what}", way > 0.5 * (most - least), f"only by {math.degrees(way):.1f} deg")
 
 
-@row(22, "Angle wrap at +-pi (A/B/C Euler)", "", limits=NO_SPIN)
+@row(22, "Angle wrap at +-pi (A/B/C Euler)", "", limits=NO_SPIN, hazards=(11,))
 def wrap(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     turn = turning(T_home, UP, math.radians(90.0), 8.0)
@@ -125,7 +125,7 @@ def wrap(trial):
     followed(trial, "the arm follows a hand that turns over 180 deg and back")
 
 
-@row(23, "Euler singularity B = +-90 deg", "", limits=NO_SPIN)
+@row(23, "Euler singularity B = +-90 deg", "", limits=NO_SPIN, hazards=(11,))
 def singularity(trial):
     """The round trip within 1e-9 is test_codec.py::test_poses_survive_the_wire_units_even_at_the_euler_singularity."""
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
@@ -181,7 +181,15 @@ def pose_b(T):
     return math.asin(max(-1.0, min(1.0, -T[2, 0])))
 
 
-@row(24, "tf frame missing at start", "R", within=2.0, named_by="nobody publishes where that is", still=True)
+@row(
+    24,
+    "tf frame missing at start",
+    "R",
+    within=2.0,
+    named_by="nobody publishes where that is",
+    still=True,
+    hazards=(10,),
+)
 def missing(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -198,7 +206,7 @@ def missing(trial):
 
 
 @row(25, "tf stale (publisher died)", "HD", within=2.0, operator=True,
-     dangerous="a chain of frames looks whole while one of them is of the past")  # fmt: skip
+     dangerous="a chain of frames looks whole while one of them is of the past", hazards=(10,))  # fmt: skip
 def stale(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -215,7 +223,7 @@ def stale(trial):
 
 
 @row(26, "tf jump (re-calibration while running)", "DL", within=1.0, named_by="jumped by", operator=True,
-     dangerous="the tool would leap to where the new calibration says it should be")  # fmt: skip
+     dangerous="the tool would leap to where the new calibration says it should be", hazards=(10,))  # fmt: skip
 def jump(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -240,7 +248,7 @@ def jump(trial):
 
 
 @row(27, "Two publishers of the same frame", "L", within=1.0, named_by="both publish", operator=True,
-     dangerous="the desired tool alternates between two places at the rate of the frames")  # fmt: skip
+     dangerous="the desired tool alternates between two places at the rate of the frames", hazards=(10,))  # fmt: skip
 def two_publishers(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -259,7 +267,7 @@ def two_publishers(trial):
         rig.watch(2.0)
 
 
-@row(28, "tf extrapolation into the future", "H", within=1.0)
+@row(28, "tf extrapolation into the future", "H", within=1.0, hazards=(10,))
 def extrapolation(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -287,7 +295,7 @@ def extrapolation(trial):
 
 
 @row(29, "Stamps in the future / past by > 0.5 s (clock skew)", "R", within=1.0, still=True, variant=SHIFTED,
-     named_by="its stamp is [0-9.]+ s (ahead|behind)")  # fmt: skip
+     named_by="its stamp is [0-9.]+ s (ahead|behind)", hazards=(10,))  # fmt: skip
 def skew(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     T = translation(0.0, 0.0, 0.05) @ T_home
@@ -325,7 +333,7 @@ def skew(trial):
 
 
 @row(30, "ROS time goes backwards (bag loop)", "DL", within=1.0, named_by="went back by", operator=True,
-     variant=SIMULATED)  # fmt: skip
+     variant=SIMULATED, hazards=(10,))  # fmt: skip
 def backwards(trial):
     trial.follow()
     trial.begins()
@@ -336,7 +344,7 @@ def backwards(trial):
     trial.rig.wait(lambda: trial.rig.count("leap_kuka", "frames") > counted, "diagnostics of the time after", 5.0)
 
 
-@row(31, "Wall clock stepped by NTP", "", variant=SHIFTED)
+@row(31, "Wall clock stepped by NTP", "", variant=SHIFTED, hazards=(10,))
 def stepped(trial):
     rig = trial.rig
     trial.follow()
@@ -359,7 +367,7 @@ def stepped(trial):
 
 
 @row(32, "use_sim_time true and no /clock", "R", within=15.0, named_by="nobody publishes /clock", still=True,
-     variant=SIMULATED)  # fmt: skip
+     variant=SIMULATED, hazards=(10,))  # fmt: skip
 def no_clock(trial):
     rig, nodes = trial.rig, (CONTROLLER, TELEOP, DRIVER)
     rig.clock.pause(True)
@@ -394,7 +402,8 @@ def pick_ups(rig):
 
 @row(82, "Frames slower than the time-out, or interrupted", "R", within=1.0,
      named_by="comes only every 0.25 s, but time_out is 0.2 s",
-     dangerous="the arm would go there and back for ever, by motions that the PC cannot stop")  # fmt: skip
+     dangerous="the arm would go there and back for ever, by motions that the PC cannot stop",
+     hazards=(4,))  # fmt: skip
 def slow_frames(trial):
     rig, T = trial.rig, translation(0.0, 0.0, 0.05) @ trial.rig.arm.now.T_base_tool
     assert rig.control(True).success
@@ -412,7 +421,13 @@ def slow_frames(trial):
         trial.says("asked for only after 10 s: it waits")
 
 
-@row(83, "Frames come already when control goes on", "", dangerous="the arm moves as soon as control is switched on")
+@row(
+    83,
+    "Frames come already when control goes on",
+    "",
+    dangerous="the arm moves as soon as control is switched on",
+    hazards=(1,),
+)
 def early_frames(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     far, near = (translation(0.0, 0.0, z) @ T_home for z in (-0.35, 0.1))

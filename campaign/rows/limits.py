@@ -86,7 +86,7 @@ def stays_in_servo(trial) -> None:
 
 
 @row(57, "Target outside workspace box", "", named_by="opening angle", limits=HURRIES,
-     dangerous="the workspace keeps the tool away from what stands around the arm")  # fmt: skip
+     dangerous="the workspace keeps the tool away from what stands around the arm", hazards=(14,))  # fmt: skip
 def outside_the_workspace(trial):
     rig = trial.rig
     trial.follow(sway=False)
@@ -116,7 +116,7 @@ def outside_the_workspace(trial):
     stays_in_servo(trial)
 
 
-@row(58, "Box smaller than current pose / box edited live", "", argued="limits-at-the-start.md")
+@row(58, "Box smaller than current pose / box edited live", "", argued="limits-at-the-start.md", hazards=(14,))
 def workspace_changed(trial):
     rig = trial.rig
     low = {"z_upper_limit": 0.45}
@@ -162,7 +162,7 @@ def workspace_changed(trial):
         trial.check("the tool stays in the smaller workspace", 0.44 < highest < 0.45 + BEYOND_M, f"{highest:.3f} m")
 
 
-@row(59, "Target out of reach (elbow straight)", "", within=3.0, named_by="out of the arm's reach")
+@row(59, "Target out of reach (elbow straight)", "", within=3.0, named_by="out of the arm's reach", hazards=(15,))
 def out_of_reach(trial):
     rig = trial.rig
     trial.follow(sway=False)
@@ -184,7 +184,7 @@ BEFORE_SINGULAR = np.radians([-45.0, 10.0, 0.0, -115.0, 0.0, 15.0, 0.0])
 AFTER_SINGULAR = np.radians([-37.0, 12.0, 0.0, -113.0, 0.0, -15.0, 0.0])
 
 
-@row(60, "Near singularity", "", limits=HURRIES)
+@row(60, "Near singularity", "", limits=HURRIES, hazards=(15,))
 def near_singular(trial):
     rig = trial.rig
     trial.follow(sway=False)
@@ -224,7 +224,7 @@ def near_singular(trial):
     trial.check("the tool stays on the line", max(beside) < 5e-3, max(beside))
 
 
-@row(61, "Joint limit reached", "")
+@row(61, "Joint limit reached", "", hazards=(15,))
 def joint_limit(trial):
     rig = trial.rig
     R_base_tool = rotation_about(2, np.radians(120.0)) @ np.diag([-1.0, 1.0, -1.0])  # joint 7 at -162 deg
@@ -268,7 +268,7 @@ SLACK_M = 2e-3  # measured joints may be within the margin by this: drives follo
 
 
 @row(62, "Self-collision / table / hand mount predicted", "H", within=6.0, named_by="collision guard",
-     dangerous="the arm would break what stands around it, or itself")  # fmt: skip
+     dangerous="the arm would break what stands around it, or itself", hazards=(16,))  # fmt: skip
 def collision(trial):
     # It rests late: it slides along the wall until it is as near to the hand as it may be.
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
@@ -310,7 +310,7 @@ def _press_against(trial) -> None:
     trial.check("the arm stands", rig.arm.way(start) < 1e-3, rig.arm.way(start))
 
 
-@row(63, "IK fails or flips branch", "H", within=4.0, named_by="The arm keeps its joints")
+@row(63, "IK fails or flips branch", "H", within=4.0, named_by="The arm keeps its joints", hazards=(15,))
 def no_solution(trial):
     rig = trial.rig
     trial.follow(sway=False)

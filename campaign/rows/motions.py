@@ -20,7 +20,7 @@ MOST_N = 250.0  # with which an arm that touched a body at a quarter of its spee
 AWAY = np.radians([-20.0, 35.0, 0.0, -70.0, 0.0, 75.0, 20.0])  # joints within the workspace
 
 
-@row(64, "PTP requested while streaming, and vice versa", "R", named_by="A program may move the arm")
+@row(64, "PTP requested while streaming, and vice versa", "R", named_by="A program may move the arm", hazards=(12,))
 def motion_while_following(trial):
     rig, program, another = trial.rig, trial.rig.moves(), trial.rig.moves()
     trial.follow()
@@ -56,7 +56,7 @@ def motion_while_following(trial):
 
 
 @row(65, "PTP never reports done", "L", within=12.0, named_by="does not continue, 0.0 deg are left", operator=True,
-     argued="ptp-motions.md")  # fmt: skip
+     argued="ptp-motions.md", hazards=(4,))  # fmt: skip
 def end_of_motion_is_not_reported(trial):
     rig, program = trial.rig, trial.rig.moves()
     assert rig.control(True).success
@@ -79,7 +79,7 @@ def end_of_motion_is_not_reported(trial):
 
 
 @row(66, "PTP cancelled / pre-empted", "", named_by="cancelled", argued="ptp-motions.md",
-     dangerous="who cancels a motion expects the arm to stop")  # fmt: skip
+     dangerous="who cancels a motion expects the arm to stop", hazards=(4,))  # fmt: skip
 def cancelled(trial):
     rig, program = trial.rig, trial.rig.moves()
     assert rig.control(True).success
@@ -122,7 +122,7 @@ def cancelled(trial):
 
 @row(81, "A body in the way of a PTP motion", "L", within=0.5, named_by="touched something on its way to home",
      operator=True, variant="seeing",
-     dangerous="the PC cannot stop such a motion, and no guard knows of the body")  # fmt: skip
+     dangerous="the PC cannot stop such a motion, and no guard knows of the body", hazards=(4,))  # fmt: skip
 def post_on_the_way_home(trial):
     rig = trial.rig
     world = ControlClient("127.0.0.1", int(rig.argument("world_port")), PATIENCE_S)

@@ -24,7 +24,7 @@ def follows(trial: Trial) -> bool:
     return moves and {mode for when, mode, _ in list(rig.statuses) if when > trial.begins()} <= set(FOLLOWING)
 
 
-@row(74, "GUI closed or frozen", "", real="the panel's window and its event loop are Qt's")
+@row(74, "GUI closed or frozen", "", real="the panel's window and its event loop are Qt's", hazards=(9,))
 def panel(trial):
     """The hand is what holds the arm, not the panel: docs/decisions/control-panel.md."""
     rig = trial.rig
@@ -55,7 +55,7 @@ def panel(trial):
     rig.wait_for_modes("returning", "home")
 
 
-@row(75, "GUI double click / out-of-order service calls", "D", within=1.0, operator=True)
+@row(75, "GUI double click / out-of-order service calls", "D", within=1.0, operator=True, hazards=(12,))
 def service_calls(trial):
     rig = trial.rig
     trial.follow()
@@ -129,7 +129,7 @@ def starts_not(trial: Trial, *command: str) -> str:
     return text
 
 
-@row(76, "Bad parameter (negative, string, unit)", "R", within=30.0, named_by="tcp_speed is -1")
+@row(76, "Bad parameter (negative, string, unit)", "R", within=30.0, named_by="tcp_speed is -1", hazards=(13,))
 def bad_parameters(trial):
     rig = trial.rig
     trial.follow()
@@ -146,7 +146,7 @@ def bad_parameters(trial):
 
 
 @row(77, "Limits raised at run time", "R", within=60.0, named_by="tcp_speed is 5",
-     argued="limits-at-the-start.md")  # fmt: skip
+     argued="limits-at-the-start.md", hazards=(13,))  # fmt: skip
 def limits_raised(trial):
     rig = trial.rig
     with trial.controller(tcp_speed=0.1):
@@ -175,7 +175,7 @@ def limits_raised(trial):
     trial.check("control is off after the start", not rig.status.control_on)
 
 
-@row(78, "Ctrl-C / SIGTERM / launch shutdown", "HS", within=1.0, spoils=True)
+@row(78, "Ctrl-C / SIGTERM / launch shutdown", "HS", within=1.0, spoils=True, hazards=(9,))
 def interrupted(trial):
     rig = trial.rig
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -218,7 +218,7 @@ def ends_in_order(trial: Trial) -> None:
      instead="The machine that runs the campaign keeps its power. What the robot sees of a power cut is provoked: its "
      "wire falls silent without a word, then all processes of the rig are killed at once. The simulated controller "
      "does what the published one does: it holds the last goal. Brakes and cabinet are the arm's own.",
-     dangerous="no program is left to do anything")  # fmt: skip
+     dangerous="no program is left to do anything", hazards=(9,))  # fmt: skip
 def power_cut(trial):
     rig = trial.rig
     trial.follow()

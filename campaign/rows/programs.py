@@ -37,7 +37,7 @@ def pause(rig, node: str, seconds: float) -> None:
 
 
 @row(33, "roscore killed", "D", within=1.5, named_by="ROS master .* is gone", operator=True,
-     spoils=True, dangerous="no service reaches the controller any more")  # fmt: skip
+     spoils=True, dangerous="no service reaches the controller any more", hazards=(9,))  # fmt: skip
 def master_killed(trial):
     rig = trial.rig
     trial.follow()
@@ -60,7 +60,7 @@ def master_killed(trial):
     trial.check("the arm is at home", rig.mode == "home", rig.mode)
 
 
-@row(34, "roscore restarted", "DS", within=1.5, named_by="started anew", operator=True, spoils=True)
+@row(34, "roscore restarted", "DS", within=1.5, named_by="started anew", operator=True, spoils=True, hazards=(9,))
 def master_restarted(trial):
     rig = trial.rig
     trial.follow()
@@ -89,7 +89,7 @@ def master_restarted(trial):
 
 
 @row(35, "Any of our nodes killed (-9)", "H", within=1.5, named_by=f"{CONTROLLER}.*process has died", operator=True,
-     limits=ROBOT_BRAKES, spoils=True, dangerous="a program that crashed sends no stop")  # fmt: skip
+     limits=ROBOT_BRAKES, spoils=True, dangerous="a program that crashed sends no stop", hazards=(9,))  # fmt: skip
 def node_killed(trial):
     rig = trial.rig
     trial.follow()
@@ -119,7 +119,7 @@ def node_killed(trial):
 
 
 @row(36, "Node started twice (same name)", "DS", within=10.0, named_by="new node registered with same name",
-     operator=True, dangerous="two controllers, each with goals of its own")  # fmt: skip
+     operator=True, dangerous="two controllers, each with goals of its own", hazards=(9,))  # fmt: skip
 def started_twice(trial):
     rig = trial.rig
     trial.follow()
@@ -148,7 +148,7 @@ def started_twice(trial):
 
 
 @row(37, "Two command sources at once", "R", within=10.0, named_by="A program may move the arm at home",
-     dangerous="a program moves the arm while a person steers it")  # fmt: skip
+     dangerous="a program moves the arm while a person steers it", hazards=(12,))  # fmt: skip
 def two_sources(trial):
     rig = trial.rig
     trial.follow()
@@ -175,7 +175,7 @@ def two_sources(trial):
     trial.check("no hand moved the arm meanwhile", by_program[: by_program.index("holding")] == ["moving"], by_program)
 
 
-@row(38, "Subscriber queue builds up", "H", within=0.8, limits=ROBOT_BRAKES)
+@row(38, "Subscriber queue builds up", "H", within=0.8, limits=ROBOT_BRAKES, hazards=(9,))
 def queue_builds_up(trial):
     rig = trial.rig
     ages: list[float] = []
@@ -221,7 +221,7 @@ def queue_builds_up(trial):
             connection.close()
 
 
-@row(39, "Callback raises", "D", within=4.0, named_by="bad callback|no tracking frames", operator=True)
+@row(39, "Callback raises", "D", within=4.0, named_by="bad callback|no tracking frames", operator=True, hazards=(9,))
 def callback_raises(trial):
     rig = trial.rig
     trial.killed.add(f"/{TELEOP}")
@@ -247,7 +247,7 @@ def callback_raises(trial):
     rig.end_program(node)
 
 
-@row(40, "Control tick overrun", "", limits=ROBOT_BRAKES)
+@row(40, "Control tick overrun", "", limits=ROBOT_BRAKES, hazards=(9,))
 def tick_overrun(trial):
     """Each cycle of 10 ms takes 60 ms: the goals start from rest after each, so the arm all but stands."""
     rig = trial.rig
@@ -269,7 +269,7 @@ def tick_overrun(trial):
 
 
 @row(41, "GC / swap / CPU starvation 300 ms", "H", within=0.7, limits=ROBOT_BRAKES,
-     dangerous="nothing on the PC can act while the PC does not run")  # fmt: skip
+     dangerous="nothing on the PC can act while the PC does not run", hazards=(9,))  # fmt: skip
 def starvation(trial):
     rig = trial.rig
     trial.follow()
@@ -307,7 +307,7 @@ exec rosrun leap_rig record.py {folder}/run --reserve 65536
 
 
 @row(42, "Disk full while recording", "", named_by="No space left on device",
-     real="the disk is one of the kernel's, mounted for it")  # fmt: skip
+     real="the disk is one of the kernel's, mounted for it", hazards=(9,))  # fmt: skip
 def disk_full(trial):
     rig = trial.rig
     trial.follow()

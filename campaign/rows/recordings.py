@@ -30,7 +30,7 @@ def replay(trial, folder: Path) -> Any:
 
 @row(80, "Replay of a recording on another robot/tool", "R", within=60.0,
      named_by="this is not the robot of the recording",
-     dangerous="the path was free for another robot, another tool and other limits")  # fmt: skip
+     dangerous="the path was free for another robot, another tool and other limits", hazards=(23,))  # fmt: skip
 def replay_on_another_robot(trial):
     rig = trial.rig
     with tempfile.TemporaryDirectory() as folder:

@@ -41,7 +41,7 @@ def opens(trial) -> None:
     trial.rig.wait(lambda: max(angles(trial)[:3]) < 0.15, "the fingers to open", 10.0)
 
 
-@row(67, "Hand (gripper) unplugged", "", named_by="state of the robot hand is unknown")
+@row(67, "Hand (gripper) unplugged", "", named_by="state of the robot hand is unknown", hazards=(17,))
 def unplugged(trial):
     rig = trial.rig
     grips(trial, 0.4)
@@ -64,7 +64,7 @@ def unplugged(trial):
 
 
 @row(68, "Hand motor overload / hot", "", named_by="Motor f1 is overloaded",
-     dangerous="fingers that keep closing crush what they hold, or a person's fingers")  # fmt: skip
+     dangerous="fingers that keep closing crush what they hold, or a person's fingers", hazards=(17,))  # fmt: skip
 def overloaded(trial):
     rig = trial.rig
     grips(trial, 0.4)
@@ -85,7 +85,7 @@ def overloaded(trial):
     stays_in_servo(trial)
 
 
-@row(69, "Tactile sensor stuck / drift", "", named_by="index is not closed further")
+@row(69, "Tactile sensor stuck / drift", "", named_by="index is not closed further", hazards=(17,))
 def taxel_stuck(trial):
     rig = trial.rig
     grips(trial, 0.4)

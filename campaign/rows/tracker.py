@@ -72,7 +72,7 @@ def sees_another_hand(trial, fault, says, value=None):
     trial.recovers()
 
 
-@row(43, "Tracker service not running", "R", within=10.0, named_by="No Leap service answers", still=True)
+@row(43, "Tracker service not running", "R", within=10.0, named_by="No Leap service answers", still=True, hazards=(6,))
 def not_running(trial):
     rig = trial.rig
     trial.killed.add(f"/{DRIVER}")
@@ -94,30 +94,38 @@ def not_running(trial):
     rig.wait_for_modes("servo")
 
 
-@row(44, "Tracker unplugged while tracking", "D", within=1.6, named_by="unplugged|no tracking frames", operator=True)
+@row(
+    44,
+    "Tracker unplugged while tracking",
+    "D",
+    within=1.6,
+    named_by="unplugged|no tracking frames",
+    operator=True,
+    hazards=(6,),
+)
 def unplugged(trial):
     loses_its_hand(trial, "unplugged", 2.5, away=4.0, says="unplugged|no tracking frames")
 
 
 @row(45, "Hand leaves the volume", "D", within=1.6, named_by="was lost", operator=True,
-     dangerous="the commonest end of a stream, in any motion")  # fmt: skip
+     dangerous="the commonest end of a stream, in any motion", hazards=(5,))  # fmt: skip
 def hand_leaves(trial):
     loses_its_hand(trial, "hand_lost", 2.0, away=3.5, says="was lost")
 
 
 @row(46, "Hand re-appears with a new id elsewhere", "D", within=1.6, named_by="was lost", operator=True,
-     dangerous="an arm that goes to where the new hand is")  # fmt: skip
+     dangerous="an arm that goes to where the new hand is", hazards=(5,))  # fmt: skip
 def hand_elsewhere(trial):
     sees_another_hand(trial, "hand_moved", "out of the box and back in", value=100.0)
 
 
-@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True)
+@row(47, "Left/right hand swapped", "D", within=1.6, named_by="was lost", operator=True, hazards=(5,))
 def swapped(trial):
     sees_another_hand(trial, "hand_swapped", "left hand .*out of the box and back in")
 
 
 @row(48, "Second hand or another person appears", "D", within=1.6, named_by="was lost", operator=True,
-     dangerous="an arm that follows a person who does not expect it")  # fmt: skip
+     dangerous="an arm that follows a person who does not expect it", hazards=(5,))  # fmt: skip
 def another_person(trial):
     rig = trial.rig
     follow_up_and_down(trial)
@@ -144,7 +152,7 @@ def glitches(sizes):
     return [{axis: hand[axis] + sign * size} for size in sizes for axis, sign in signs.items()]
 
 
-@row(49, "One-frame outlier of 20 cm", "")
+@row(49, "One-frame outlier of 20 cm", "", hazards=(6,))
 def outliers(trial):
     rig = trial.rig
     trial.follow(sway=False)
@@ -176,13 +184,13 @@ def outliers(trial):
 
 
 @row(50, "Tracker frozen: same frame repeated", "D", within=1.6, named_by="came twice|repeats frame|no tracking frames",
-     operator=True)  # fmt: skip
+     operator=True, hazards=(6,))  # fmt: skip
 def frozen(trial):
     loses_its_hand(trial, "frozen", 2.5, away=4.0)
 
 
 @row(51, "Tracker rate drops to 10 Hz", "H", within=1.0, named_by="frames per second",
-     dangerous="between two frames nobody sees the hand, and the arm moves on")  # fmt: skip
+     dangerous="between two frames nobody sees the hand, and the arm moves on", hazards=(6,))  # fmt: skip
 def low_rate(trial):
     rig, leap = trial.rig, trial.rig.leap
     rig.follow(right=-0.08)
@@ -219,7 +227,7 @@ def capped(trial, since, rate):
     trial.check(f"at {rate:g} Hz the tool keeps below {cap:.2f} m/s", speed <= cap, f"{speed:.3f} m/s")
 
 
-@row(52, "Bursts: 0 then 10 frames at once", "D", within=2.0, named_by="no tracking frame", operator=True)
+@row(52, "Bursts: 0 then 10 frames at once", "D", within=2.0, named_by="no tracking frame", operator=True, hazards=(3,))
 def bursts(trial):
     rig, leap = trial.rig, trial.rig.leap
     trial.follow()
@@ -248,6 +256,6 @@ def bursts(trial):
 
 
 @row(53, "Confidence low / sunlight", "D", within=1.6, named_by="confidence", operator=True,
-     argued="poorly-seen-hand.md")  # fmt: skip
+     argued="poorly-seen-hand.md", hazards=(6,))  # fmt: skip
 def low_confidence(trial):
     loses_its_hand(trial, "low_confidence", 2.0, away=3.5, stands=0.6, says="confidence is 0.0")

@@ -35,7 +35,8 @@ def hand_at(x: float, y: float, z: float, **fields: float) -> Human:
 
 
 @row(18, "NaN or infinity in any input", "R", within=2.0, named_by="finite", still=True,
-     dangerous="a number that compares as neither too large nor too small passes every limit")  # fmt: skip
+     dangerous="a number that compares as neither too large nor too small passes every limit",
+     hazards=(11,))  # fmt: skip
 def not_finite(trial):
     hostile.at_home_and_while_following(trial, [
         by_frames("a desired tool at NaN", "not finite", Frame((NAN, *HOME[1:], *DOWN))),
@@ -70,7 +71,7 @@ def garbled(trial) -> None:
 
 
 @row(19, "Huge but finite value (1e9, mm vs m mix-up)", "R", within=2.0, named_by="metres|millimetres|outside",
-     still=True)  # fmt: skip
+     still=True, hazards=(11,))  # fmt: skip
 def huge(trial):
     millimetres = tuple(1e3 * x for x in HOME)
     hostile.at_home_and_while_following(trial, [
@@ -100,7 +101,7 @@ def scaled(trial) -> None:
     trial.rig.leap.ask("fault", name="scaled", on=False)
 
 
-@row(20, "Quaternion not unit / zero", "R", within=2.0, named_by="instead of 1", still=True)
+@row(20, "Quaternion not unit / zero", "R", within=2.0, named_by="instead of 1", still=True, hazards=(11,))
 def quaternions(trial):
     zero, long, half = (0.0,) * 4, tuple(1.5 * x for x in DOWN), tuple(0.998 * x for x in DOWN)
     attacks = [
@@ -121,7 +122,7 @@ def quaternions(trial):
     trial.check("a quaternion within 1e-3 is normalised", almost.success, almost.message)
 
 
-@row(21, "Non-rigid matrix (scale, mirror)", "R", within=4.0, named_by="mirrored", still=True)
+@row(21, "Non-rigid matrix (scale, mirror)", "R", within=4.0, named_by="mirrored", still=True, hazards=(11,))
 def not_rigid(trial):
     """Matrices come as axes of the tracker, and as the tool's pose with the controller's parameters."""
     rig = trial.rig

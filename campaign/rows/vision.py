@@ -73,7 +73,7 @@ def refused(trial, reason: str) -> None:
     trial.check("it is refused for this reason", reason in answer.message, answer.message)
 
 
-@row(70, "Camera stream stops", "R", variant="seeing", within=10.0, named_by="depth camera is silent")
+@row(70, "Camera stream stops", "R", variant="seeing", within=10.0, named_by="depth camera is silent", hazards=(23,))
 def camera_stops(trial):
     rig = trial.rig
     with contextlib.closing(Proposals(trial)) as proposals:
@@ -99,7 +99,7 @@ def camera_stops(trial):
 
 
 @row(72, "Network model output NaN / empty depth", "R", variant="seeing", within=10.0, still=True,
-     named_by="no grasp|not finite|depth")  # fmt: skip
+     named_by="no grasp|not finite|depth", hazards=(23,))  # fmt: skip
 def useless_images(trial):
     import torch  # takes seconds to load
 
@@ -135,7 +135,7 @@ def _restart_network(trial, **parameters: str) -> None:
 
 
 @row(73, "Grasp proposal stale when accepted", "R", variant="seeing", within=10.0, still=True,
-     named_by=r"newest proposal is \d+\.\d s old")  # fmt: skip
+     named_by=r"newest proposal is \d+\.\d s old", hazards=(23,))  # fmt: skip
 def stale_proposal(trial):
     rig = trial.rig
     with contextlib.closing(Proposals(trial)) as proposals:
@@ -214,7 +214,7 @@ class Board:
 @row(71, "AprilTag ambiguous/moved", "R", within=20.0, named_by="Nothing was stored",
      instead="a whole calibration has the robot to itself, so no rig runs beside it; what it refuses, with residuals, "
      "is tested with the program (test_calibrate_program.py). Here the running rig's camera pose is stored from "
-     "detections that a board on the arm would give")  # fmt: skip
+     "detections that a board on the arm would give", hazards=(23,))  # fmt: skip
 def board_that_is_ambiguous(trial):
     rig = trial.rig
     with tempfile.TemporaryDirectory() as folder, contextlib.closing(Board(rig)) as board:

@@ -225,6 +225,7 @@ def test_the_best_grasp_is_executed_and_no_other_in_its_place():
     assert isinstance(choose(ExecutionRequest(ProposalList(0.3, [unknown, best]), HOME, False, CONFIG.fresh)), Refusal)
 
 
+@pytest.mark.hazard(23)
 @pytest.mark.parametrize(
     "proposals, controller, followed, sentence",
     [
@@ -254,6 +255,7 @@ def test_what_is_refused(proposals, controller, followed, sentence):
     assert choose(ExecutionRequest(proposals, controller, followed, CONFIG.fresh)) == Refusal(sentence)
 
 
+@pytest.mark.hazard(23)
 @given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5))
 def test_the_tool_waits_upright_above_the_grasp_turned_as_near_to_home_as_it_can(angle, tilt):
     T_base_grasp = pose(rotation_about(2, angle) @ DOWN @ rotation_about(1, tilt), (0.5, 0.1, 0.2))

@@ -46,6 +46,7 @@ def test_the_flange_carries_the_tool_the_finger_tips_and_what_is_held():
             assert 0.1 < np.linalg.norm(np.subtract(tip, knuckle)) + radius <= reach + 1e-3
 
 
+@pytest.mark.hazard(3)
 @arms
 @settings(max_examples=20)
 @given(seed=seeds)
@@ -97,6 +98,7 @@ def test_no_point_is_faster_on_a_line(seed):
     assert np.max(speeds) <= 1.002 * limits.speed < config.tcp_speed
 
 
+@pytest.mark.hazard(4)
 @pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 @settings(max_examples=40)
 @given(seed=seeds)

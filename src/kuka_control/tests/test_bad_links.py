@@ -32,6 +32,7 @@ LINKS = {
 }
 
 
+@pytest.mark.hazard(7)
 @pytest.mark.parametrize("link", [pytest.param("1 % loss", marks=pytest.mark.long), "20 +- 10 ms", "both"])
 def test_goals_keep_their_pace_on_a_bad_link_hold_in_a_stall_and_brake(following, link):
     if link == "20 +- 10 ms":

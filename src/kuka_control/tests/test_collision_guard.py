@@ -172,6 +172,7 @@ def path(waypoints):
     return targets
 
 
+@pytest.mark.hazard(16)
 @settings(max_examples=6, deadline=None)
 @given(
     st.lists(obstacles(spread=0.3), min_size=2, max_size=5),
@@ -403,6 +404,7 @@ def test_at_no_opening_is_a_finger_nearer_than_its_reach(opening, around, up):
     assert fingers_to(ball, opening) >= fingers_to(ball, None) - 2.0 * NOISE_M
 
 
+@pytest.mark.hazard(16)
 @settings(max_examples=8, deadline=None)
 @given(postures, postures, obstacles(middle=np.zeros(3), spread=0.9), st.lists(openings, min_size=2, max_size=4))
 def test_a_motion_that_starts_is_free_for_fingers_that_move_on_the_way(start, goal, post, moved):
@@ -417,6 +419,7 @@ def test_a_motion_that_starts_is_free_for_fingers_that_move_on_the_way(start, go
         assert distance([post], start + s * (goal - start), opening) >= MARGIN - 2.0 * NOISE_M
 
 
+@pytest.mark.hazard(4)
 def test_a_motion_into_a_post_is_refused_by_name_and_one_out_of_it_allowed():
     q = joints(0.2)
     assert "wall" in path_fault(guard(WALL), HOME.q, q)
@@ -531,6 +534,7 @@ def orbit(post, radius, speed, sway, turn):
     return tool
 
 
+@pytest.mark.hazard(16)
 @settings(max_examples=6, deadline=None)
 @example("lts", 1.33, 0.13, 0.27, 0.07, 0.64)
 @example("none", 1.3, 0.14, 0.32, 0.09, 0.36)

@@ -29,6 +29,7 @@ def test_the_arm_goes_home_slowly_at_the_start_and_waits_there(schema):
     assert world.modes == ["homing", "home"]
 
 
+@pytest.mark.hazard(26)
 @both
 def test_exit_goes_to_zero_and_ends(schema):
     world = World(schema).at_home()
@@ -109,6 +110,7 @@ def test_the_stamp_of_a_frame_goes_out_once_with_its_goal():
     assert len(stamps) == len(set(stamps)) == 25
 
 
+@pytest.mark.hazard(9)
 def test_silence_for_the_time_out_sends_the_arm_home_fast():
     world = World().following()
     world.run(0.19)
@@ -143,6 +145,7 @@ def test_frames_during_a_motion_are_disregarded_and_only_a_new_one_counts():
     assert reached(world, shifted(0.05, 0.0, 0.0))
 
 
+@pytest.mark.hazard(15)
 def test_a_jump_in_the_stream_is_picked_up_anew():
     world = World().following()
     world.run(3.0, shifted(0.08, 0.0, 0.0))
@@ -394,6 +397,7 @@ def test_stale_and_future_frames_do_not_move_the_arm(skew):
     assert world.arm.commands == [] and sum("0.7" in e and "refused" in e for e in world.events) == 1
 
 
+@pytest.mark.hazard(8)
 @pytest.mark.parametrize("off_s", [0.0, 1.0])
 def test_a_safety_stop_is_found_held_and_latched(off_s):
     world = World().following()
@@ -536,6 +540,7 @@ def test_a_stream_that_ran_when_control_went_on_does_not_count(schema):
     assert reached(world, shifted(0.05, 0.0, 0.05))
 
 
+@pytest.mark.hazard(1)
 @settings(max_examples=15)
 @given(
     st.lists(st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.05, 0.15, 0.3])), min_size=1, max_size=6),
@@ -646,6 +651,7 @@ def test_frames_below_20_a_second_are_not_followed_until_they_come_faster():
     assert [command[0] for command in world.arm.commands] == ["stop_servo", "ptp", "start_servo"], "it counts as a jump"
 
 
+@pytest.mark.hazard(6)
 @pytest.mark.parametrize("frames", ["4 a second", "10 a second", "in pairs", "5 a second, control on in mid-stream"])
 def test_however_slow_frames_come_the_tool_does_not_follow_them(frames):
     world = World(time_out=1.0).at_home()

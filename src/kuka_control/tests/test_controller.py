@@ -163,6 +163,7 @@ def test_a_lost_link_is_named_within_200_ms_and_so_is_its_return():
     assert cycles.controller.missed == cycles.controller.holds == 1
 
 
+@pytest.mark.hazard(9)
 @pytest.mark.parametrize(("in_servo", "off"), [(True, OFF_S), (False, 2.0 * OFF_S)])
 def test_a_long_silence_switches_control_off(in_servo, off):
     cycles = Cycles(GOAL)

@@ -222,6 +222,7 @@ def test_the_life_of_the_real_time_controller(ros, robot, run):
     assert node.moved_through() == ["homing", "home", "pick_up", "servo", "returning", "home", "zero", "stopped"]
 
 
+@pytest.mark.hazard(2)
 def test_a_safety_stop_is_latched_and_nothing_lurches_when_it_is_released_and_the_emergency_exit_ends_at_once(
     ros, robot, start
 ):
@@ -516,6 +517,7 @@ def test_the_ptp_controller(ros, robot, start):
 SEVERAL = {"opening_angle": 190, "velocity_ptp_fast": "fast", "unknown": 1, "center_line": [1, 0, 0.5]}
 
 
+@pytest.mark.hazard(13)
 @pytest.mark.parametrize(
     "executable, changes, words",
     [

@@ -5,6 +5,7 @@ chain that was calibrated anew from a hand that moves.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,6 +26,7 @@ def test_one_node_for_each_frame_is_no_conflict(gaps):
         assert sources.conflict(TOOL, now) is None
 
 
+@pytest.mark.hazard(10)
 @given(st.floats(0.001, HANDOVER_S / 2.01), st.integers(2, 20))
 def test_two_that_alternate_are_named_from_the_first_word_of_the_second(gap, count):
     sources = FrameSources()

@@ -213,6 +213,7 @@ def refused(world, words):
     assert words in world.progress.sentence
 
 
+@pytest.mark.hazard(12)
 def test_the_operator_must_have_switched_control_on():
     world = at_home()
     world.control_on = False
@@ -220,6 +221,7 @@ def test_the_operator_must_have_switched_control_on():
     assert world.state is State.HOME
 
 
+@pytest.mark.hazard(12)
 def test_a_program_waits_while_frames_come():
     world = at_home()
     world.ask("aside")

@@ -91,6 +91,7 @@ def test_nothing_moves_while_control_is_off_or_for_an_invalid_goal(robot, client
     np.testing.assert_allclose(robot.joints, start, atol=1e-9)
 
 
+@pytest.mark.hazard(24)
 def test_the_weight_of_the_hand_and_of_a_payload_is_no_contact(ros, node):
     contact = ros.record("kuka/joint_torques_contact", jointTorquesExternal)
     external = ros.record("kuka/joint_torques_external", jointTorquesExternal)

@@ -89,6 +89,7 @@ def elsewhere(virtual_graph, monkeypatch):
     return Elsewhere
 
 
+@pytest.mark.hazard(10)
 @pytest.mark.parametrize("ahead", [-1.0, 1.0, -0.55, 30.0, 3600.0])
 def test_frames_of_this_machine_that_are_steadily_late_or_ahead_are_never_followed(virtual_graph, ahead):
     stream = Stream()

@@ -116,6 +116,7 @@ OwnAccord.TestCase.settings = settings(max_examples=25, stateful_step_count=8, d
 TestOwnAccord = OwnAccord.TestCase
 
 
+@pytest.mark.hazard(4)
 @both
 @pytest.mark.parametrize("period", [0.21, 0.25, 0.5, 1.0, 6.0])
 def test_a_stream_slower_than_its_time_out_is_named_with_both_figures_and_not_followed(schema, period):
@@ -181,6 +182,7 @@ def test_a_near_stream_that_runs_already_is_announced_and_picked_up_slowly(schem
     assert reached(world, NEAR)
 
 
+@pytest.mark.hazard(1)
 @both
 def test_a_far_stream_that_runs_already_is_refused_with_both_figures(schema):
     world = World(schema).at_home()
@@ -321,6 +323,7 @@ def test_no_target_jumps_when_the_factor_changes_while_the_arm_follows(changes):
     assert np.all(speed <= 0.9 * world.rig.model.max_speed + 1e-9)
 
 
+@pytest.mark.hazard(1)
 @both
 def test_a_new_factor_alone_moves_nothing_and_counts_from_the_centre_again_at_home(schema):
     world = World(schema).at_home()

@@ -125,6 +125,7 @@ def test_with_0_nothing_is_asked_for():
     assert world.arm.mode == "ptp" and world.arm.ranges is None
 
 
+@pytest.mark.hazard(4)
 @both
 @pytest.mark.parametrize("torques", [PUSH, None])
 def test_a_contact_is_latched_with_joint_and_torque_and_no_motion_follows(schema, torques):

@@ -24,6 +24,7 @@ def speeds(world):
     return found
 
 
+@pytest.mark.hazard(4)
 @pytest.mark.parametrize(
     "schema, fast", [(RealTimeConfig, ("velocity_ptp_slow", "velocity_ptp_fast")), (PtpConfig, ("velocity_ptp",))]
 )

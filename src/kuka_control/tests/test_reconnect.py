@@ -57,6 +57,7 @@ def observation(desired=None, **switches):
     return Observation(np.zeros(7), Inputs(desired, switches=SwitchState(**switches)))
 
 
+@pytest.mark.hazard(7)
 def test_nothing_moves_until_control_is_switched_on(supervisor, loops):
     supervisor.connected()
     for i in range(50):

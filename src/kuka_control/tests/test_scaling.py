@@ -15,6 +15,7 @@ positions = st_numpy.arrays(float, 3, elements=st.floats(-2.0, 2.0))
 factors = st.floats(0.1, 1.5)
 
 
+@pytest.mark.hazard(21)
 @given(positions, positions, factors)
 def test_the_way_from_the_centre_is_scaled(position, centre, factor):
     np.testing.assert_allclose(scaled(position, centre, factor) - centre, factor * (position - centre), atol=1e-12)

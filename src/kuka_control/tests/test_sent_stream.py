@@ -114,6 +114,7 @@ def used(rng, in_workspace):
     return worst, beyond, outside
 
 
+@pytest.mark.hazard(3)
 @pytest.mark.parametrize("in_workspace", [False, True], ids=["at joint limits", "at the workspace's bounds"])
 @pytest.mark.parametrize("seed", range(8))
 def test_the_sent_stream_keeps_every_limit(seed, in_workspace):

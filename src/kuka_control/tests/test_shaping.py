@@ -77,6 +77,7 @@ def goal_speeds(rig):
     return np.diff(rig.goals, axis=0) / DT
 
 
+@pytest.mark.hazard(3)
 @pytest.mark.parametrize(("server", "servo_law", "speed"), [
     ("lts", "none", 0.5), ("lts", "none", 1.5), ("lts", "lts", 1.0), ("lts", "lts", 1.5), ("none", "none", 1.5),
 ])  # fmt: skip
@@ -146,6 +147,7 @@ def home_degrees():
     return np.degrees(SimulatedRig().rig.home.q).tolist()
 
 
+@pytest.mark.hazard(15)
 @pytest.mark.parametrize(("servo_law", "where"), [
     *(("none", where) for where in HARD),
     *(("lts", where) for where in ("wrist and shoulder stretched", "hand turned to its limit", "over the shoulder")),

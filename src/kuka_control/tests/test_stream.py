@@ -69,6 +69,7 @@ def test_neither_refused_frames_nor_a_stall_begin_a_new_stream(unseen):
     assert stream.number == 0
 
 
+@pytest.mark.hazard(10)
 @pytest.mark.parametrize("skew, side", [(-0.6, "behind"), (0.6, "ahead of"), (-1.6e9, "behind")])
 def test_old_and_future_stamps_are_refused_with_the_measured_skew_once(skew, side):
     stream = DesiredStream()

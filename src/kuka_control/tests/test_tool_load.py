@@ -37,6 +37,7 @@ ARMS = {name: simulated(name) for name in MOUNTINGS}
 LOADS = {name: replace(rig(RealTimeConfig)[1].load, up=rotation_of_mounting(rpy)[2]) for name, rpy in MOUNTINGS.items()}
 
 
+@pytest.mark.hazard(24)
 @given(st.sampled_from(list(MOUNTINGS)), poses)
 def test_an_arm_at_rest_that_nothing_touches_shows_no_torques(mounting, q):
     arm, load = ARMS[mounting], LOADS[mounting]

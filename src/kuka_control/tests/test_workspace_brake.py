@@ -305,6 +305,7 @@ def feasible(T, shift):
     return x - y > 0.1 and z > 0.02
 
 
+@pytest.mark.hazard(14)
 @settings(max_examples=4)
 @given(st.lists(shifts, min_size=2, max_size=6), st.floats(0.2, 1.5), st.sampled_from([74.0, 115.0]))
 def test_whatever_the_hand_does_the_goals_stay_in_the_workspace(moves, speed, rate):

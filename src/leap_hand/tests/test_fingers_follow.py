@@ -169,6 +169,7 @@ def test_the_hand_alone_follows_whatever_the_parameter_says():
     assert Player(hand_only=True, fingers_follow=STEERING).step(shown()).state is GripperState.FOLLOWING
 
 
+@pytest.mark.hazard(17)
 @pytest.mark.parametrize("left, place, both", [(True, 0.3, True), (True, 0.3, False), (False, 0.015, True)])
 def test_another_hand_that_steers_takes_the_fingers_over_where_they_are(left, place, both):
     play = Player(hand_only=False)

@@ -40,6 +40,7 @@ def over(pressure, load):
     return pressure > PRESSURE or load > LOAD
 
 
+@pytest.mark.hazard(17)
 @given(st.lists(moment, min_size=2, max_size=30))
 def test_a_finger_that_presses_never_closes_further_and_never_more_than_commanded(moments):
     limit = ForceLimit(CONFIG)

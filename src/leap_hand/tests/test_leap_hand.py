@@ -136,6 +136,7 @@ def test_open_and_closed_hands():
     np.testing.assert_allclose(play.step(hand_with(delta=50.0)).command, np.radians([0, 0, 0, 40]), atol=1e-12)
 
 
+@pytest.mark.hazard(18)
 @pytest.mark.parametrize(
     "hands, word", [((), "no hand"), ((dataclasses.replace(hand_with(), fingers=None),), "five fingers")]
 )
@@ -157,6 +158,7 @@ def test_without_a_grip_hold_the_hand_opens_at_once():
     assert play.step().state == GripperState.OPEN
 
 
+@pytest.mark.hazard(18)
 @given(*[st.lists(st.floats(0.0, 1.0), min_size=3, max_size=3)] * 2, st.booleans(), st.booleans())
 def test_each_finger_keeps_its_grip_after_the_clutch_until_the_operators_comes_near(held, after, clutched, off):
     """From any grip to any other: within 15 % of its range it follows, and then for good."""

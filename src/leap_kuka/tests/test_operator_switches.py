@@ -78,6 +78,7 @@ def test_of_two_second_hands_none_may_be_unclear(sample, clutch, grab, confidenc
     assert (switch.pressed != clutch) == moves
 
 
+@pytest.mark.hazard(21)
 @given(
     st.lists(
         st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.0, 0.3, -0.3, math.nan]), st.floats(0.01, 0.4)),

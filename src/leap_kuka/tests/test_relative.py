@@ -102,6 +102,7 @@ def test_a_hand_works_its_way_by_the_clutch(rig, sample, stop):
     assert play.teleop.counts.kept == 4 and play.teleop.counts.clutched == 4 * ("clutched" in stop)
 
 
+@pytest.mark.hazard(21)
 def test_a_fast_hand_does_not_go_on_until_it_is_slow(rig, sample):
     play = rig(hold_time=60.0).engaged(sample())
     play.device(clutched=True)

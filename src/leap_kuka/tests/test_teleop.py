@@ -172,6 +172,7 @@ def test_after_missing_frames_the_same_hand_steers_on_from_where_it_was(play, sa
     assert play.teleop.counts.streams == 1 and play.teleop.counts.id_changes == (frames > 0)
 
 
+@pytest.mark.hazard(5)
 @pytest.mark.parametrize(
     "other",
     [{"id": 13, "position": (0.05, 0.35, 0.0)}, {"is_left": True}, {"id": 13, "yaw": 25.0}, {"id": 13, "roll": 25.0}],
@@ -262,6 +263,7 @@ def test_an_outlier_makes_no_step(play, sample):
     assert play.teleop.counts.samples_left_out == 1
 
 
+@pytest.mark.hazard(11)
 @pytest.mark.parametrize("field", ["palm", "direction", "normal"])
 def test_numbers_that_are_not_finite_never_go_on(play, sample, field):
     play.steps(10, sample())

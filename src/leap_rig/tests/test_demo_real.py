@@ -101,6 +101,7 @@ def listening(pids: set[int]) -> set[tuple[str, str, str]]:
     return found
 
 
+@pytest.mark.hazard(22)
 @pytest.mark.real
 def test_a_scripted_hand_moves_arm_and_hand_until_ctrl_c_and_nothing_is_left_behind(demo, wait_until, tmp_path):
     process = demo(**WITHOUT_WORLD, leap_args="--frame-rate 60 --figure line --size 40")

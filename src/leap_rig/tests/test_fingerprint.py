@@ -67,6 +67,7 @@ def test_what_a_controller_says_it_started_with_is_its_configuration(kuka, tmp_p
     assert started_with(kuka) == (kuka, {})
 
 
+@pytest.mark.hazard(23)
 @pytest.mark.parametrize("key", ["tool_length", "mounting", "center_line", "z_lower_limit", "tcp_speed", "joint_jerk"])
 def test_what_differs_is_named_with_both_values(kuka, key):
     value = kuka.get(key, [0.0, 0.0, 0.0])
@@ -107,6 +108,7 @@ def test_every_parameter_is_compared_or_left_out_on_purpose():
     }  # fmt: skip
 
 
+@pytest.mark.hazard(23)
 def test_no_parameter_that_is_left_out_moves_a_joint_elsewhere_on_a_recorded_path(kuka):
     """The tool's path alone does not say where the elbow goes."""
     others = {

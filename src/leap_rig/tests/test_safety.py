@@ -54,6 +54,7 @@ def highest_share_of_joint_speed(samples) -> float:
     return max(float(np.max(np.abs(sample.v) / FULL_SPEED)) for sample in samples)
 
 
+@pytest.mark.hazard(1)
 def test_control_is_off_until_it_is_switched_on(rig):
     goals = rig.arm.now.goals
     angles = np.array(rig.robot_hand.ask("state")["angles"])
@@ -73,6 +74,7 @@ def test_control_is_off_until_it_is_switched_on(rig):
     rig.wait(lambda: rig.arm.way() > 0.05, "the arm to move")
 
 
+@pytest.mark.hazard(21)
 def test_a_hand_starts_only_inside_the_box_level_and_well_seen(rig):
     assert rig.control(True).success
     for at, reason in (
@@ -95,6 +97,7 @@ def test_a_hand_starts_only_inside_the_box_level_and_well_seen(rig):
     rig.wait(lambda: rig.stream_state == "waiting", "the end of the stream of a badly seen hand")
 
 
+@pytest.mark.hazard(1)
 def test_a_hand_that_is_found_in_the_box_starts_nothing_and_one_that_comes_in_does(rig):
     rig.hand.show()
     rig.wait(lambda: rig.stream_state == "running", "a first stream")
@@ -110,6 +113,7 @@ def test_a_hand_that_is_found_in_the_box_starts_nothing_and_one_that_comes_in_do
     rig.wait(lambda: rig.desired, "the desired tool frames of a hand that comes in")
 
 
+@pytest.mark.hazard(6)
 def test_outliers_make_no_step_and_each_angle_is_clipped_by_itself(rig):
     T_home = rig.arm.now.T_base_tool
     rig.follow(yaw=60.0)
@@ -164,6 +168,7 @@ def unlimited_controller(rig):
     rig.set(shaping="ruckig", servo_law="auto", collision_guard=True)
 
 
+@pytest.mark.hazard(8)
 def test_after_a_fast_tool_the_arm_stands_until_control_goes_off_and_on_and_follows_again(rig, unlimited_controller):
     """Row 8 of the campaign is the stop by an external torque."""
     rig.follow(right=-0.08)
@@ -199,6 +204,7 @@ def test_after_a_fast_tool_the_arm_stands_until_control_goes_off_and_on_and_foll
     assert rig.arm.now.stops == stops + 1
 
 
+@pytest.mark.hazard(5)
 def test_a_lost_hand_sends_the_arm_home_and_another_one_is_picked_up_without_a_jump(rig):
     home = rig.arm.now.q
     rig.follow(right=-0.08)
@@ -272,6 +278,7 @@ def test_without_a_hand_the_arm_goes_home_again(rig):
     rig.wait_for_modes("returning", "home")
 
 
+@pytest.mark.hazard(19)
 @pytest.mark.parametrize("hangs", [False, True], ids=["it answers", "it hangs"])
 def test_the_emergency_stop_ends_the_controller_and_the_arm_stands(rig, hangs, monkeypatch):
     """The button of the control panel calls the service, and kills a controller that does not answer."""

@@ -162,6 +162,7 @@ class Page:
         self._socket.close()
 
 
+@pytest.mark.hazard(20)
 def test_a_hand_in_the_headset_moves_the_desired_tool_until_the_headset_is_taken_off(virtual_graph, monkeypatch):
     plain = SimpleNamespace(server=lambda: None, fingerprint=lambda: "")  # websockets' client has no TLS on wires
     monkeypatch.setattr("vision.ros.stereo.web_node.own_certificate", lambda _: plain)

@@ -305,6 +305,7 @@ def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
         web.close()
 
 
+@pytest.mark.hazard(20)
 @pytest.mark.long
 @pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
 def test_the_page_shows_images_and_their_age_and_paints_each_eye_its_own_half(ros, wait_until, tmp_path):

@@ -431,6 +431,7 @@ def test_modes_that_exclude_each_other(server, connect):
         assert caught.value.mode is KstMode.PTP
 
 
+@pytest.mark.hazard(11)
 @pytest.mark.parametrize(
     "q", [[math.nan] * 7, [math.inf] + [0.0] * 6, [0.0] * 6, [0.0, 2.2, 0.0, 0.0, 0.0, 0.0, 0.0], [600.0] * 7, None]
 )

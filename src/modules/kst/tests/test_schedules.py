@@ -206,6 +206,7 @@ def test_every_motion_is_counted_once_and_to_its_end(seed):
     assert ended == server.motions
 
 
+@pytest.mark.hazard(4)
 @pytest.mark.parametrize("seed", range(150))
 def test_a_motion_that_meets_something_is_interrupted_once_and_never_sent_again(seed):
     """With acknowledgements that are late, lost or overtaken, late last words, starts that are wiped, and freezes."""

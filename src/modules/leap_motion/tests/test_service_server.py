@@ -285,6 +285,7 @@ class TestOtherMachines:
         clock.sleep(SOON_S)
         return raw
 
+    @pytest.mark.hazard(22)
     def test_are_served_by_tls_with_the_code_and_a_listener_learns_neither_code_nor_hands(self):
         client = self.client(fingerprint=":".join(re.findall("..", OWN.fingerprint().upper())))
         assert client.next_frame(1.0) is not None and client.status.link is LeapLink.STREAMING

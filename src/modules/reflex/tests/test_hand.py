@@ -183,6 +183,7 @@ def test_contact_is_strictly_above_the_threshold(shipped, above, touched):
     assert {*map(type, angles)} == {float}, "numpy's own numbers print as np.float64(2.5)"
 
 
+@pytest.mark.hazard(17)
 def test_only_the_overloaded_finger_is_loosened(bench):
     b = bench().calibrated()
     b.command(2.0, 1.5, 1.8, 0.5)

@@ -32,7 +32,7 @@ from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening, arm_bodies, hand_bodies, table
 from kuka_control.numbers import APPROACH_M_S2, ARM_M, LAG_S, SAMPLED_M, SOFT_M
 
-# What each distance means: table in docs/handbook/limits.md.
+# What each distance means: table in docs/handbook/collision-guard.md.
 GAIN_PER_S = 20.0  # greatest approach speed per distance, near the end of an approach [1/s]
 NOISE_M = 1e-6  # error of the library's distances [m]
 TOUCHING_M = 1e-9  # bodies whose nearest points are nearer touch [m]
