@@ -5,11 +5,15 @@ from __future__ import annotations
 import contextlib
 import socket
 import struct
+import sys
+from pathlib import Path
 
 import pytest
 
 from common import clock
 from simulated.wires import DELAY_S, Socket, Wires
+
+sys.path.append(str(Path(__file__).parent))  # where simulated_wire is
 
 HOME = "-0.7854_0.5236_0.0_-1.39626_0.0_1.22173_0.0_\n"
 

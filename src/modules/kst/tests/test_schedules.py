@@ -6,15 +6,14 @@ The wire is that of the published server: two threads, each of which answers in 
 from __future__ import annotations
 
 import contextlib
-import heapq
-import itertools
 import random
 
 import numpy as np
 import pytest
+from simulated_wire import SimulatedWire
 
 from kst.client import KstClient, KstMode
-from kst.codec import Feedback, ToolTransform, parse_reply
+from kst.codec import Feedback, ToolTransform
 from kst.errors import ConnectionLost, MotionInterrupted, MotionRefused, ReplyTimeout
 from kst.limits import LBR_IIWA_LIMITS
 from kst.session import ARRIVED_RAD, KstSession, KstTiming
@@ -26,7 +25,7 @@ RANGES = np.full((7, 1), 10.0) * (-1.0, 1.0)
 CLOCK = 1e-6  # joint 1 of the model turns so slowly [rad/s] that the arm stands still, but tells the time
 
 
-class Server:
+class Server(SimulatedWire):
     """The published server with a clock of its own, as a transport.
 
     `busy`: time before a motion begins, with its acknowledgement, which answers of the reader thread overtake by
@@ -36,22 +35,19 @@ class Server:
     """
 
     def __init__(self, rng, busy=0.0, overtaken=0.001, final=0.001, wiped=0, frozen=(), loss=0.0, duration=1.0):
+        super().__init__()
         self.meets = 1.0
-        self.now = 1000.0
         self.rng, self.busy, self.overtaken, self.final, self.wiped = rng, busy, overtaken, final, wiped
         self.frozen = frozen
         self.loss, self.duration, self.lasts = loss, duration, duration
-        self.sent, self.refused, self.motions = [], [], 0
+        self.refused, self.motions = [], 0
         self.start, self.goal, self.began = np.zeros(7), np.zeros(7), -np.inf
-        self.servo = self.lost = self.ended_by_peer = self.ended = False
-        self._next, self._count, self._wire = np.zeros(7), itertools.count(), []
+        self.servo = self.ended = False
+        self._asked = np.zeros(7)
 
     def joints(self, now):
         part = np.clip((now - self.began) / max(self.lasts, 1e-9), 0.0, 1.0)
         return self.start + part * (self.goal - self.start)
-
-    def monotonic(self):
-        return self.now
 
     def alive_at(self, now):
         for begin, end in self.frozen:
@@ -59,7 +55,7 @@ class Server:
         return now
 
     def send(self, line, timeout):
-        self._check()
+        self.check()
         word, numbers = line.split("_")[0], [float(x) for x in line.split("_")[1:] if x.strip("extJ")]
         self.sent.append((self.now, word))
         now = self.alive_at(self.now + 0.0005)
@@ -69,7 +65,7 @@ class Server:
         elif word == "getPin3":
             self._say("1", now, self.loss)
         elif word == "jp":
-            self._next = np.array(numbers)
+            self._asked = np.array(numbers)
             self._say("done", now, self.loss)
         elif word in ("doPTPinJS", "doPTP!inJS"):
             self._move(now, self.meets if word == "doPTP!inJS" else 1.0)
@@ -93,7 +89,7 @@ class Server:
         self.motions, self.lasts = self.motions + 1, part * self.duration
         begin = self.alive_at(now + self.busy)
         self.start, self.began = self.joints(now), begin
-        self.goal = self.start + part * (self._next - self.start)
+        self.goal = self.start + part * (self._asked - self.start)
         if self.overtaken is not None:
             self._say("done", begin + self.overtaken)
         last = "done" if part == 1.0 else "interrupted"
@@ -101,43 +97,7 @@ class Server:
 
     def _say(self, text, at, loss=0.0):
         if self.rng.random() >= loss:
-            heapq.heappush(self._wire, (at, next(self._count), text))
-
-    def receive(self, deadline):
-        self._check()
-        if self._wire and self._wire[0][0] <= max(deadline, self.now):
-            at, _, text = heapq.heappop(self._wire)
-            self.now = max(self.now, at)
-            return parse_reply(text.encode())
-        self.now = max(self.now, deadline)
-        return None
-
-    def waiting(self):
-        self._check()
-        replies = []
-        while self._wire and self._wire[0][0] <= self.now:
-            replies.append(parse_reply(heapq.heappop(self._wire)[2].encode()))
-        return replies
-
-    def pause(self, duration):
-        self.now += duration
-
-    def give_up(self, reason):
-        self.lost = True
-        self._check()
-
-    def reopen(self):
-        self.lost = False
-
-    def end_writing(self):
-        pass
-
-    def close(self):
-        pass
-
-    def _check(self):
-        if self.lost:
-            raise ConnectionLost("given up")
+            self.put(text, at)
 
 
 def connected(server):

@@ -6,16 +6,16 @@ All in simulated time. The numbers of an answer tell its goal and its kind.
 from __future__ import annotations
 
 import contextlib
-from collections import deque
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from simulated_wire import SimulatedWire
 
 from kst.client import KstClient, KstMode
-from kst.codec import Feedback, ToolTransform, parse_reply
+from kst.codec import Feedback, ToolTransform
 from kst.errors import ConnectionLost, MotionRefused, ReplyTimeout, UnexpectedReply
 from kst.limits import LBR_IIWA_LIMITS
 from kst.session import LEAST_WINDOW_S, MAX_OPEN, KstSession, KstTiming
@@ -26,23 +26,19 @@ CODE = {"getJointsPositions": 1, "jpJP": 1, "jpExT": 2, "jpMT": 3}
 STREAMED = [feedback for feedback in Feedback if feedback is not Feedback.NOTHING]
 
 
-class Server:
+class Server(SimulatedWire):
     """The reader thread of the server behind a wire, as a transport: it answers in order, after `delay` [s]."""
 
     def __init__(self):
-        self.now, self.delay, self.stalled_until = 1000.0, 0.0005, 0.0
-        self.sent, self.drop, self.answers = [], False, deque()
-        self.lost = self.ended_by_peer = False
-
-    def monotonic(self):
-        return self.now
+        super().__init__()
+        self.delay, self.drop, self._last = 0.0005, False, 0.0
 
     def say(self, text):
-        due = max(self.now + self.delay, self.answers[-1][0] if self.answers else 0.0)
-        self.answers.append((due, text))
+        self._last = max(self.now + self.delay, self._last)
+        self.put(text, self._last)
 
     def send(self, line, timeout):
-        self._check()
+        self.check()
         word = line.split("_")[0]
         self.sent.append((self.now, word))
         n = len(self.sent)
@@ -53,42 +49,6 @@ class Server:
             self.say(f"{n}_{CODE[word]}_0_0_0_0_0_")
         elif word != "end":
             self.say(texts.get(word, "done"))
-
-    def receive(self, deadline):
-        self._check()
-        due = max(self.answers[0][0], self.stalled_until) if self.answers else np.inf
-        if due <= max(deadline, self.now):
-            self.now = max(self.now, due)
-            return parse_reply(self.answers.popleft()[1].encode())
-        self.now = max(self.now, deadline)
-        return None
-
-    def waiting(self):
-        self._check()
-        replies = []
-        while self.answers and max(self.answers[0][0], self.stalled_until) <= self.now:
-            replies.append(parse_reply(self.answers.popleft()[1].encode()))
-        return replies
-
-    def pause(self, duration):
-        self.now += duration
-
-    def give_up(self, reason):
-        self.lost = True
-        self._check()
-
-    def reopen(self):
-        pass
-
-    def end_writing(self):
-        pass
-
-    def close(self):
-        self.lost = True
-
-    def _check(self):
-        if self.lost:
-            raise ConnectionLost("given up")
 
 
 def a_client(server, timing=TIMING):

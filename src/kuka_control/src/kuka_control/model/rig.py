@@ -17,7 +17,7 @@ from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.robot_shape import Opening, enclosing_ball, finger_tips
 from kuka_control.model.target import TargetChain
 from kuka_control.model.tool_load import ToolLoad
-from kuka_control.model.workspace import LiftedWorkspace, Workspace
+from kuka_control.model.workspace import Workspace
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Rig:
 
 def workspace_of(config: ControllerConfig, lifted: bool = False) -> Workspace:
     """Returns the workspace that a configuration describes; `lifted`: its bounds do not act."""
-    return (LiftedWorkspace if lifted else Workspace)(
+    return Workspace(
         center_line=config.center_line,
         opening_angle=float(np.radians(config.opening_angle)),
         z_lower=config.z_lower_limit,
@@ -103,6 +103,7 @@ def workspace_of(config: ControllerConfig, lifted: bool = False) -> Workspace:
         inner_sphere=config.inner_sphere_limit,
         outer_sphere=config.outer_sphere_limit,
         joint_2_height=robot_model(config.robot, config.flange).base_shoulder,
+        lifted=lifted,
     )
 
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import ClassVar, Sequence
+from typing import Sequence
 
 import numpy as np
 
@@ -117,8 +117,6 @@ class Workspace:
         ConfigError: the settings describe no workspace; it lists every fault.
     """
 
-    lifted: ClassVar[bool] = False  # whether its bounds do not act
-
     center_line: np.ndarray  # horizontal, from the base axis to the middle, shape (3,); its length does not matter
     opening_angle: float  # between the two side planes, which are vertical and contain the base axis [rad]
     z_lower: float  # lowest height [m]
@@ -126,9 +124,10 @@ class Workspace:
     inner_sphere: float  # least distance from the origin of joint 2 [m]
     outer_sphere: float  # greatest distance from the origin of joint 2 [m]
     joint_2_height: float  # height of the origin of joint 2 (RobotModel.base_shoulder) [m]
+    lifted: bool = False  # whether its bounds do not act: any position is passed on; centre and home stay
 
     def __post_init__(self) -> None:
-        faults = workspace_faults(**vars(self))
+        faults = workspace_faults(**{name: value for name, value in vars(self).items() if name != "lifted"})
         if faults:
             raise ConfigError(faults)
         object.__setattr__(self, "center_line", read_only(self.center_line))
@@ -184,6 +183,8 @@ class Workspace:
             ValueError: the position is not three finite numbers.
         """
         position = _position(position)
+        if self.lifted:
+            return Constrained(position, ())
         x, y, z = position.tolist()
         # Along center_line and, horizontally, to its left.
         c, s = math.cos(self.heading), math.sin(self.heading)
@@ -212,17 +213,6 @@ class Workspace:
         if not bounds:
             return Constrained(position, ())
         return Constrained(read_only([c * along - s * left, s * along + c * left, z]), tuple(bounds))
-
-
-@dataclass(frozen=True, eq=False)
-class LiftedWorkspace(Workspace):
-    """A workspace whose bounds do not act; centre and home stay."""
-
-    lifted: ClassVar[bool] = True
-
-    def constrain(self, position: np.ndarray) -> Constrained:
-        """Returns the position, shape (3,) [m], whatever it is; ValueError: it is not three finite numbers."""
-        return Constrained(_position(position), ())
 
 
 def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5) -> list[np.ndarray]:
