@@ -14,7 +14,9 @@ from golden.chain import SWITCHED_ON, Run
 from leap_motion.service import wire
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "leap"
-TAKEN = Path(__file__).parent / "runs"  # parts of recorded runs of the simulated rig (golden/take.py)
+TAKEN = Path(__file__).parent / "runs"
+"""Parts of recorded runs of the simulated rig, JSON: `frames` [time of receipt [s], the tracker's text] with the first
+one at FIRST_S, `switched` and `settings` as of a Run. The recordings' reader is leap_rig.recording."""
 FIRST_S = 0.4  # the first frame comes so long after the begin, when the arm is at home
 ASIDE_MM = (400.0, 0.0, 0.0)  # from where the hands come in before, which the recordings do not show
 

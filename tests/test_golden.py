@@ -121,19 +121,3 @@ def test_writing_and_reading_changes_nothing(tmp_path):
     again.write("other", tmp_path)
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
 
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["nowhere", "x", "0", "1"], "There is no recording nowhere"),
-        (["nowhere", "../x", "0", "1"], "is no name"),
-        (["nowhere", "x", "nan", "1"], "is not a number"),
-        ([], "required"),
-    ],
-)
-def test_a_part_that_cannot_be_taken_is_refused_in_a_sentence(capsys, arguments, said):
-    from golden import take
-
-    with pytest.raises(SystemExit) as ended:
-        take.main(arguments)
-    assert said in f"{capsys.readouterr().err}{ended.value.code}"
