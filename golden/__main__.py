@@ -15,7 +15,6 @@ PICTURES = Path(__file__).resolve().parents[1] / "build" / "golden"
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Entry point of the program."""
     argparse.ArgumentParser(prog="python -m golden", description=__doc__).parse_args(argv)
     try:
         renew()
@@ -25,7 +24,6 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def renew() -> None:
-    """Renews all recordings that are on this machine."""
     for name, make in RUNS.items():
         try:
             new = stored(PureChain(World(make())).run())

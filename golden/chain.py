@@ -89,7 +89,6 @@ class Trace:
     _said: dict[str, str] = field(default_factory=dict)
 
     def say(self, now: float, who: str, what: str) -> None:
-        """Adds a change of who's state."""
         if self._said.get(who) != what:
             self._said[who] = what
             self.events.append(f"{now - BEGIN_S:.3f} {who}: {what}")
@@ -116,7 +115,6 @@ class LaggingArm(Arm):
         self.read()
 
     def tick(self) -> None:
-        """Moves for one cycle."""
         self.sent = None
         if self._velocity is None:
             for _ in range(SERVO_STEPS):
@@ -222,7 +220,6 @@ class World:
 
     @property
     def feedback(self) -> FingerFeedback:
-        """What the robot hand measures: nothing presses."""
         return FingerFeedback(tuple(self.fingers[:3].tolist()), ((0.0,) * 9,) * 3, (0.0,) * 3)
 
     def measured_tool(self) -> np.ndarray:
@@ -272,13 +269,11 @@ class PureChain:
         self._plausible = PlausibleHands(HandBounds())
 
     def run(self) -> Trace:
-        """Plays the run to its end."""
         while self._world.advance(self):
             self.cycle()
         return self._world.trace
 
     def cycle(self) -> None:
-        """Runs a cycle of the controller."""
         world, trace = self._world, self._world.trace
         self._loop.open_hand(world.opening)
         step = self._controller.cycle(Inputs(self._newest, CLOCK_S + world.now, world.switches), world.now)
@@ -331,7 +326,6 @@ class PureChain:
         self._carry_out(self._hand.silence(now), now)
 
     def feel(self, now: float) -> None:
-        """Takes what the fingers feel."""
         self._force_limit.update(self._world.feedback, now)
 
     def _status(self, now: float) -> None:

@@ -71,7 +71,6 @@ def coming_in(frames: tuple[tuple[float, str], ...]) -> tuple[tuple[float, str],
 
 
 def taken(path: Path) -> Run:
-    """Returns a part of a recorded run."""
     content = json.loads(lzma.decompress(path.read_bytes()))
     switched = sorted((*SWITCHED_ON, *map(tuple, content["switched"])), key=lambda switch: switch[0])
     return Run(name_of(path), coming_in(tuple(map(tuple, content["frames"]))), tuple(switched), content["settings"])

@@ -44,7 +44,6 @@ class Stored:
     events: tuple[str, ...]
 
     def write(self, name: str, folder: Path = FOLDER) -> None:
-        """Writes the files of a recording."""
         counts = {f"{kind}_counts": count for kind, count in self.counts.items()}
         np.savez_compressed(folder / f"{name}.npz", **self.means, **counts)
         (folder / f"{name}.txt").write_text("".join(f"{event}\n" for event in self.events))
@@ -60,7 +59,6 @@ class Stored:
 
 
 def stored(trace: Trace) -> Stored:
-    """Returns what is stored of a trace."""
     means, counts = {}, {}
     for kind, size in BLOCK.items():
         samples = np.array(getattr(trace, kind)).reshape(-1, SHAPE[kind])
@@ -79,7 +77,6 @@ def _mean(block: np.ndarray, given: np.ndarray) -> np.ndarray:
 
 
 def differing(kind: str, old: Stored, new: Stored, tolerance: dict[str, float] = TOLERANCE) -> np.ndarray:
-    """Returns the numbers of the blocks that differ."""
     a, b = old.means[kind], new.means[kind]
     n = min(len(a), len(b))
     same = old.counts[kind][:n] == new.counts[kind][:n]

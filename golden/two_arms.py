@@ -52,7 +52,6 @@ class PhysicalArm(Arm):
         self.read()
 
     def tick(self) -> None:
-        """Lets a cycle pass, if this arm drives the time."""
         self.sent = None
         if self._step is not None:
             for _ in range(round(CYCLE_S / STEP_S)):
@@ -100,7 +99,6 @@ class Side(World):
 
     @property
     def opening(self) -> Opening:
-        """The joints of the robot hand."""
         state = self.robot_hand.state()
         return Opening(tuple(state["proximal"]), tuple(state["distal"]), state["angles"][3])
 
@@ -160,7 +158,6 @@ class TwoArms:
         self._cycles = 0
 
     def step(self) -> None:
-        """Lets a cycle of the controllers pass."""
         texts = []
         while self._next.time <= self.now:
             texts.append(self._next.text)
@@ -179,7 +176,6 @@ class TwoArms:
         self.now += CYCLE_S
 
     def switch_on(self) -> None:
-        """Switches control of both arms and of both robot hands on."""
         for name, side in self.sides.items():
             for _, what, value in SWITCHED_ON:
                 side.switch(self.chains[name], what, value)
@@ -194,7 +190,6 @@ class TwoArms:
         return self.arms.placements[side].T_world_base @ self.robots[side].tool
 
     def following(self, side: str) -> bool:
-        """Returns whether the arm of a side follows its hand."""
         return self.sides[side].mode.value == "servo"
 
 

@@ -76,7 +76,6 @@ class HandConfig:
         return np.radians([getattr(self, f"{finger}_robot") for finger in FINGERS])
 
     def faults(self) -> list[str]:
-        """Returns what is wrong with the combination of the values."""
         return [
             f"{finger}_human is {getattr(self, f'{finger}_human').tolist()} deg, "
             "but open and closed must differ by 1 deg at least."

@@ -1,8 +1,8 @@
-"""Stops a finger of the robot hand from closing further when it presses: gentle to a cup, firm enough to lift it.
+"""Stops a finger of the robot hand from closing further when it presses.
 
-A finger is limited once one of its taxels or its motor's load exceeds the limit, until all of them have fallen below a
-fraction of it. A limited finger may open but not close further. While the state of the robot hand is unknown, all
-fingers are limited. Angles are those of the commands [rad], 0 = open; the spread has no taxels and is not limited.
+A finger is limited once a taxel or its motor's load exceeds the limit, until all have fallen below a fraction of it: it
+may open but not close further. Without a state of the robot hand all fingers are limited. Angles of commands [rad], 0 =
+open; the spread is not limited.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """Measures how far a person opens and closes the hand, for the finger mapping.
 
-The person holds the hand open and closed in turn, at their own pace. A phase ends as soon as the hand has been still
-for HOLD_S, with the medians of its angles. Open and closed come twice; if the two repetitions differ, they come again.
-
-The less open and the less closed of the repetitions, each a margin inwards, become [open, closed]: what the person does
-with ease reaches both ends of the robot's range. A finger that moves by less than MIN_RANGE keeps its own open end and
-gets a range as wide as the default's: the robot's finger opens for certain, and closes only by the part of this width
-that the person's moves. The spread starts where neither the open nor the closed hand spreads the robot hand, with the
-width of the default. Angles are in degrees.
+The person holds the hand open and closed twice in turn; a phase ends when the hand was still for HOLD_S, with the
+medians of its angles [deg]. Repetitions that differ come again. The less open and the less closed one, each a margin
+inwards, become [open, closed]. A finger that moves by less than MIN_RANGE_DEG keeps its own open end and gets the width
+of the default; the spread starts where neither hand spreads the robot hand.
 """
 
 from __future__ import annotations
@@ -83,7 +79,6 @@ class HandWizard:
 
     @property
     def failed(self) -> str:
-        """Why no further repetition helps, or empty."""
         if len(self._levels[CLOSED]) < MAX_REPETITIONS or self.done:
             return ""
         return f"{self._difference()} Start again and hold the hand alike each time."
@@ -102,7 +97,6 @@ class HandWizard:
         return self.look(now)
 
     def look(self, now: float) -> WizardStep:
-        """Returns what the person reads `now` [s]."""
         silence = self._watch.silence(now)
         hint = f"{silence[0].upper()}{silence[1:]}: is the Leap running?" if silence else self._hint
         counted = len(self._levels[OPEN]) + len(self._levels[CLOSED])
@@ -189,7 +183,6 @@ class HandWizard:
         return ""
 
     def result(self) -> HandCalibration:
-        """Returns the calibration; only when `done`."""
         opened = np.min(self._levels[OPEN][-REPETITIONS:], axis=0)
         closed = np.max(self._levels[CLOSED][-REPETITIONS:], axis=0)
         least = np.min(self._levels[CLOSED][-REPETITIONS:], axis=0)

@@ -1,17 +1,12 @@
 """From tracking frames to commands of the robot hand: whom it follows, flexion, mapping, and when to open.
 
-Arm and robot hand have one owner: the hand that leap_kuka has locked, by id and side (`steered_by`), as long as it goes
-on reporting that. While it reports no such hand, or where no leap_kuka ever reported, any hand in view may move the
-fingers alone, by the same lock without a box (common.hand_tracking.HandLock). With `fingers_follow: steering` and an
-arm none does.
+Arm and robot hand have one owner: the hand that leap_kuka has locked (`steered_by`), while it goes on reporting that.
+Without one any hand in view may move the fingers, by the same lock without a box; with `fingers_follow: steering` none.
 
-The hand opens when gripper control is off. It opens when the hand that it follows is missing, lacks a finger or has
-invalid numbers, or when there is none: but only `grip_hold` after the last good frame, by default as long as the arm
-waits for its hand, or as long as leap_kuka says so: while it keeps the tool for the next relative engagement, a held
-object must not fall. Until it has opened no other hand moves the fingers, and after an engagement none that was in view
-at that time. At an engagement each finger keeps its command until the operator's finger comes near it, if a grip was
-kept or another hand moved the fingers. Another hand in view changes nothing. Without a usable frame it opens once,
-after MAX_SILENCE_S.
+The hand opens when gripper control is off, and `grip_hold` after the last good frame of the hand that it follows, or as
+long as leap_kuka keeps the tool: a held object must not fall. Until it has opened no other hand moves the fingers, and
+after an engagement none that was in view then. At an engagement each finger keeps its command until the operator's
+comes near it, if a grip was kept or another hand moved the fingers. Silence opens it once, after MAX_SILENCE_S.
 """
 
 from __future__ import annotations

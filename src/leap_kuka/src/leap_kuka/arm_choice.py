@@ -1,7 +1,6 @@
 """Which of several arms the operator's hand steers, by request or by the region of the Leap's view that the hand is in.
 
-An arm that is not chosen holds its tool, or waits at home. `BOTH`: each arm is steered by the hand of its side.
-Positions in the Leap frame [m].
+An arm that is not chosen holds its tool, or waits at home. Positions in the Leap frame [m].
 """
 
 from __future__ import annotations

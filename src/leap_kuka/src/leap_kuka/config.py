@@ -71,7 +71,6 @@ class LeapConfig:
     )
 
     def faults(self) -> list[str]:
-        """Returns what is wrong with the combination of the values."""
         faults = []
         if self.clutch != NONE and self.engagement != RELATIVE:
             faults.append(f"clutch is {self.clutch}, but needs the engagement relative.")
@@ -108,7 +107,6 @@ class ArmPlacement(ToolConfig):
     )
 
     def faults(self) -> list[str]:
-        """Returns what is wrong with the combination of the values."""
         faults = super().faults()
         if self.center_line[2] != 0.0:
             faults.append(f"center_line is {self.center_line.tolist()}, but its z must be zero.")

@@ -1,7 +1,7 @@
-"""The side of the base on which a desired tool is feasible: in front of it, along the centre line, and above its foot.
+"""The side of the base on which a desired tool is feasible: in front of it, and above its foot, else the controller
+ends.
 
-A controller that gets a tool behind the base or below its foot ends. So a hand that is drawn back, or put down, takes
-the tool to a border before that, along which the tool slides. The workspace inside has bounds of its own.
+A hand that is drawn back or put down takes the tool to a border before that, along which it slides.
 """
 
 from __future__ import annotations

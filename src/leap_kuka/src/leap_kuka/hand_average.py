@@ -1,17 +1,12 @@
 """The hand frame of one hand over its newest samples, without outliers, filtered against tremor.
 
-The hand frame has x along the hand, z out of the palm, and y completes it; the same for left and right hands. All
-vectors are in the Leap frame: x to the user's right, y up, z towards the user; metres.
+The hand frame has x along the hand, z out of the palm, and y completes it, for left and right hands alike. Vectors are
+in the Leap frame [m]. The window is in seconds, so that a slow tracker adds no delay: `size` samples at the nominal
+rate, at least two. Its mean gives the confidence, and the frame unless there is a filter (hand_filter.py); above
+FILTER_SIZE samples the filter's results are averaged over the rest of the window.
 
-The window is in seconds, so that a slow tracker does not add delay: `size` samples at the nominal rate. It holds `size`
-samples at most, and two at least. Its mean is the confidence of the hand, and its frame unless there is a filter
-(hand_filter.py); a hand that turns too fast for this mean has no frame with a filter either. A filter smooths as it is
-up to FILTER_SIZE samples; of more samples, its results are averaged over the time by which the window is longer.
-
-An outlier is a palm that moves more than 20 mm from one frame to the next, and faster than 2 m/s over a longer gap, or
-0.3 m/s over one of more than 0.1 s, or a hand with invalid numbers (docs/handbook/wire-protocols.md, "Tracker: Leap
-service"). The frame does not change while outliers come in. After MAX_LEFT_OUT of them in a row the hand counts as
-lost.
+An outlier is a palm that moves more than 20 mm between two frames, and faster than 2 m/s over a longer gap, or 0.3 m/s
+over one of more than 0.1 s, or a hand with invalid numbers. After MAX_LEFT_OUT outliers in a row the hand is lost.
 """
 
 from __future__ import annotations
@@ -74,7 +69,6 @@ class HandAverage:
         self.left_out = 0
 
     def reset(self) -> None:
-        """Forgets all samples."""
         self._samples.clear()
         self._newest.clear()
         self._first = None
@@ -82,7 +76,6 @@ class HandAverage:
 
     @property
     def count(self) -> int:
-        """Number of samples in the mean."""
         return len(self._samples)
 
     @property
@@ -215,7 +208,6 @@ def hand_rotation(direction: Sequence[float] | np.ndarray, normal: Sequence[floa
 
 
 def _is_frame(vectors: Sequence[float]) -> bool:
-    """Returns whether direction and normal of nine numbers are long enough, and far enough from parallel."""
     direction, normal = vectors[3:6], vectors[6:9]
     lengths = math.hypot(*direction), math.hypot(*normal)
     return min(lengths) >= MIN_MEAN_LENGTH and abs(_dot(direction, normal)) <= MAX_COSINE * lengths[0] * lengths[1]

@@ -1,12 +1,9 @@
 """Filters of palm, direction and normal of one hand against tremor and noise of the tracker.
 
-A sample is nine numbers: the palm [m], then the unit vectors of direction and normal, all in the Leap frame. No rule
-depends on an axis or on the origin, so a hand that is turned and shifted gives the result turned and shifted. Direction
-and normal of a result are near unit length; hand_average.py makes a rotation of them.
-
-`OneEuro` is a low-pass whose cutoff rises with the speed (Casiez, Roussel, Vogel, 1 Euro Filter, CHI 2012). `Kalman`
-models the tremor beside the motion, so it removes tremor and hardly delays the motion. docs/handbook/hand-filter.md
-compares them with the mean.
+A sample is nine numbers in the Leap frame: the palm [m], then the unit vectors of direction and normal. A hand that is
+turned and shifted gives the result turned and shifted. `OneEuro` is a low-pass whose cutoff rises with the speed
+(Casiez, Roussel, Vogel, 1 Euro Filter, CHI 2012). `Kalman` models the tremor beside the motion, so it hardly delays the
+motion (docs/handbook/hand-filter.md).
 """
 
 from __future__ import annotations
@@ -58,7 +55,6 @@ class OneEuro:
         self._speeds: list[float] = []
 
     def reset(self) -> None:
-        """Forgets all samples."""
         self._time = None
 
     def step(self, sample: Sequence[float], now: float) -> Sequence[float]:
@@ -90,7 +86,6 @@ class Kalman:
         self._parts = (PALM, MotionKalman(PALM_MOTION)), (ORIENTATION, MotionKalman(ORIENTATION_MOTION))
 
     def reset(self) -> None:
-        """Forgets all samples."""
         for _, part in self._parts:
             part.reset()
 
@@ -115,7 +110,6 @@ class MotionKalman:
         self._covariance: tuple[float, ...] = ()
 
     def reset(self) -> None:
-        """Forgets all samples."""
         self._time = None
 
     def step(self, sample: Sequence[float], now: float) -> list[float]:

@@ -1,8 +1,6 @@
 """Where a tool stays that an engagement leaves while the arm is behind it: no motion may follow that the hand did not
-ask for, and none by PTP.
-
-The measured tool is believed only near the desired one, or where it was just before; it shifts the kept tool by no more
-than the bounds below. Positions are where the controller's scaling brings them.
+ask for. The measured tool is believed only near the desired one; positions are where the controller's scaling brings
+them.
 """
 
 from __future__ import annotations

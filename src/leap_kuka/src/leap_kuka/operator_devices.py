@@ -1,13 +1,9 @@
 """From a pedal, key, gamepad or service to hold-to-enable and clutch: events in, two switches out.
 
-A Linux input device (a USB pedal is a keyboard) sends `struct input_event`s. The side on which the tool stays (enabling
-released, clutch pressed) acts at once, the other after `debounce`. A device that is not there, or lost events, is on
-that side: it has released enabling and pressed its clutch, if it has a key or button for it. From then on a button that
-is down at the start enables only after a release, and the clutch stays pressed until it was pressed and released once,
-or cleared by the service.
-
-Any of the sources enables or clutches, but the service enables only where no device is there to do it: a program cannot
-stand in for a foot. Times are seconds of a monotonic clock.
+The side on which the tool stays (enabling released, clutch pressed) acts at once, the other after `debounce`. A device
+that is not there, or lost events, is on that side; afterwards a button that is down enables only after a release, and
+the clutch stays pressed until it was pressed and released once, or cleared by the service. Any source enables or
+clutches, but the service enables only where no device does: a program cannot stand in for a foot. Times are monotonic.
 """
 
 from __future__ import annotations
@@ -55,7 +51,6 @@ class OperatorInputConfig:
     )
 
     def faults(self) -> list[str]:
-        """Returns what is wrong with the combination of the values."""
         names = {"enable_key": self.enable_key, "clutch_key": self.clutch_key}
         given = {name: key for name, key in names.items() if key}
         faults = [
@@ -81,12 +76,10 @@ class Button:
         self._raw, self._since = False, -math.inf
 
     def set(self, pressed: bool, now: float) -> None:
-        """Sets whether it is pressed."""
         if pressed != self._raw:
             self._raw, self._since = pressed, now
 
     def pressed(self, now: float) -> bool:
-        """Returns the debounced state."""
         return self._raw if self._raw != self._slow or now - self._since >= self._debounce else not self._slow
 
 

@@ -1,18 +1,15 @@
 """Hold-to-enable and clutch of the operator: by a device on leap_kuka/operator_input, or by the second hand.
 
-Each switch has a safe side, on which the tool stays: enabling released, clutch pressed. It acts at once; the other side
-acts after DEBOUNCE_S. What is lost goes to the safe side and stays there until the operator has used it again:
+Each switch has a safe side, on which the tool stays: enabling released, clutch pressed. It acts at once, the other side
+after DEBOUNCE_S. What is lost goes to the safe side until the operator has used it again:
 
-enabling device: silence is a release; afterwards and at the start, only a press after a release counts.
+enabling device: silence is a release; afterwards and at the start only a press after a release counts.
 clutch device: silence is a press, and ends the engagement.
-a message of either that is refused for its stamp acts to the safe side only.
-second hand that enables: out of view or without confidence it has released. Seen again after more than GAP_S, only an
-opened hand that closes counts.
-second hand that clutches: out of view it stays as it was, so a clutched tool stays.
+a refused message acts to the safe side only.
+second hand that enables: out of view or unsure it has released; after more than GAP_S it must open and close.
+second hand that clutches: out of view it stays as it was.
 
-Where one hand steers several arms, one that is not chosen (arm_choice.py) stays likewise.
-
-Times are seconds of a monotonic clock.
+An arm that is not chosen (arm_choice.py) stays likewise. Times are seconds of a monotonic clock.
 """
 
 from __future__ import annotations
@@ -94,7 +91,6 @@ class DeviceSwitches:
         return not self._devices or any(device.silent(now) for device in self._devices.values())
 
     def enabled(self, now: float) -> bool:
-        """Returns whether all programs enable."""
         return bool(self._devices) and all(device.enabled(now) for device in self._devices.values())
 
 

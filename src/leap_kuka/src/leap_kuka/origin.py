@@ -1,11 +1,9 @@
 """What a stream starts from: which pose of the tool belongs to which pose of the hand.
 
-Yaw, pitch and roll of the hand count from an orientation of its own, and the tool turns by them. Absolute: they count
-from a level hand of the stream's heading, for which the tool is as at home, and the virtual Leap stands under the
-centre of the workspace. Where such a stream takes a held tool over, the virtual Leap is shifted, and turned about the
-vertical, such that palm and heading match it; what is left, the tilt of the hand at its start, fades out in FADE_S.
-Relative: they count from the orientation of the hand at the start, about its own axes then, so a level hand need not
-mean a tool that points down; the virtual Leap is shifted such that the palm is at the tool.
+Absolute: the hand's angles count from a level hand of the stream's heading, for which the tool is as at home. A held
+tool that is taken over shifts and turns the virtual Leap so that palm and heading match; the tilt that is left fades
+out in FADE_S. Relative: they count from the hand's orientation at the start, and the virtual Leap is shifted such that
+the palm is at the tool.
 """
 
 from __future__ import annotations

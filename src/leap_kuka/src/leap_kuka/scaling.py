@@ -22,7 +22,6 @@ class Scaling:
 
     @property
     def fault(self) -> str | None:
-        """What is wrong with it, or None."""
         if 0.0 < self.factor < math.inf and bool(np.all(np.isfinite(self.offset))):
             return None
         return f"the controller's scaling factor is {self.factor:g}, with the offset {self.offset.tolist()} m"
@@ -34,9 +33,8 @@ class Scaling:
         return self.centre + self.factor * (position - self.centre) + self.offset
 
     def unscaled(self, T_base_tool: np.ndarray) -> np.ndarray:
-        """Returns the desired tool that the controller scales to the given one, shapes (4, 4).
-
-        Raises ValueError for a pose that is none, or an invalid factor.
+        """Returns the desired tool that the controller scales to the given one, shapes (4, 4); ValueError: not a pose,
+        or an invalid factor.
         """
         check_pose(T_base_tool)
         if self.fault:

@@ -1,17 +1,10 @@
 """From tracking frames to the desired tool frame of the arm: lock on a hand, filter, start gate, virtual Leap, tool.
 
-One object composes the steps. A stream is one engagement of one hand (common.hand_tracking.HandLock). Poses are in the
-frame of the virtual Leap, which has the same coordinates as the real Leap's frame; `T_base_virtual` is its pose in the
-robot's base frame; metres and radians.
-
-Where leap/hand names a side, the other hands steer nothing; as second hand, which clutches or enables, they count. Of
-several arms one may be chosen for any hand (arm_choice.py): the tools of the others stay, as with the clutch.
-
-While no hand steers, a program may hold the tool at a pose for a hand that then starts from there (tool_hold.py).
-
-The table of engagement.py says what follows when something happens. Absolute and relative streams differ in their
-origin (origin.py): a relative one starts where the tool is. When it stops, the tool is kept, for hold_time from the
-time on when the clutch is released and enabling pressed.
+A stream is one engagement of one hand (common.hand_tracking.HandLock); engagement.py has the table of what follows when
+something happens. Poses are in the frame of the virtual Leap; `T_base_virtual` is its pose in the robot's base; metres
+and radians. Where leap/hand names a side, other hands steer nothing, but may clutch or enable. Absolute and relative
+streams differ in their origin (origin.py); a relative one starts where the tool is, and when it stops the tool is kept
+for hold_time. While no hand steers, a program may hold the tool for the next one (tool_hold.py).
 """
 
 from __future__ import annotations
@@ -74,16 +67,12 @@ CanReach = Callable[[np.ndarray, bool], "str | None"]
 
 
 class ArmTeleop:
-    """The chain of steps with its state.
+    """The chain of steps with its state; ConfigError: the interaction box would reach into the Leap.
 
-    `box` is the interaction box in the Leap frame, `T_tool_flange` the pose of the flange in the tool frame, shape
-    (4, 4), and `counts` has the events since the start. `can_reach` returns why the arm cannot come to a desired tool
-    frame, shape (4, 4) [m], or None: it is asked last before a stream `starts`, and every REACH_LOOK_S while it runs.
-    `measured_tool` returns the measured T_base_tool, shape (4, 4) [m], or raises ValueError with what is wrong with it;
-    a relative stream needs it.
-
-    Raises:
-        ConfigError: the interaction box would reach into the Leap.
+    `box` is the interaction box in the Leap frame, `T_tool_flange` the flange in the tool frame, shape (4, 4), `counts`
+    the events since the start. `can_reach` returns why the arm cannot come to a desired tool frame, shape (4, 4) [m],
+    or None: it is asked before a stream `starts`, and every REACH_LOOK_S while one runs. `measured_tool` returns
+    T_base_tool, shape (4, 4) [m], or raises ValueError; a relative stream needs it.
     """
 
     def __init__(
@@ -281,7 +270,6 @@ class ArmTeleop:
         self._mean = self._measured = None
 
     def _update_switches(self, frame: TrackingFrame, hand: TrackedHand | None, stamp: float, now: float) -> None:
-        """Updates enabling and clutch, which are not by the hand that steers."""
         owner, switches = self._lock.owner, self.switches
         number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
@@ -316,7 +304,6 @@ class ArmTeleop:
         return pose(T[:3, :3], self._scaling.scaled(T[:3, 3]))
 
     def _follow(self, hand: TrackedHand, stamp: float, now: float) -> None:
-        """Adds a sample of the followed hand to the mean, and starts or steers with it."""
         self._name = hand.name
         left_out = self._average.add(hand, stamp)
         if not left_out:
@@ -341,7 +328,6 @@ class ArmTeleop:
             self._forget_hand()
 
     def _try_start(self, mean: MeanHand, now: float) -> None:
-        """Starts a stream if all conditions are met."""
         resumes = self._state is EngagementState.PAUSED
         obstacles = self._obstacles(resumes, now)
         faults = self._gate.faults(mean, obstacles, resumes)
@@ -382,7 +368,6 @@ class ArmTeleop:
         self._fire(EngagementTrigger.SEEN, now)
 
     def _keep_tool(self, reason: Reason) -> None:
-        """Says why the tool does not follow the hand in this frame."""
         self._reason, self._obstacle = reason, reason.text
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, Reason]:
@@ -460,7 +445,6 @@ class ArmTeleop:
         return reason
 
     def _begin(self, origin: StreamOrigin, mean: MeanHand) -> None:
-        """Lets tool and hand start from an origin."""
         self._origin = origin
         self._attitude = SteadyAttitude(origin.turn(mean.T_leap_hand[:3, :3]), 0.0, self._limits)
 

@@ -1,24 +1,17 @@
 """The pose of the virtual Leap in the robot's base frame, and the desired orientation of the tool.
 
-The virtual Leap stands upright in the world, below the centre of the workspace. It is turned about its vertical axis so
-that one horizontal direction of the real Leap frame, the heading, points forward: along the centre line. A heading is
-the angle psi [rad] of a horizontal direction (sin psi, 0, -cos psi) in the Leap frame: 0 points along -z, away from the
-user, and positive turns to the right.
+The virtual Leap stands upright below the centre of the workspace, turned so that the heading points along the centre
+line. A heading is the angle psi [rad] of a horizontal direction (sin psi, 0, -cos psi) in the Leap frame: 0 points away
+from the user, positive turns to the right.
 
-The tool has the attitude of the hand, with each angle clipped.
-The reference hand lies flat and points away from the user: x = -z_leap, z = -y_leap (down), hence y = x_leap (right).
-The attitude of a hand is R_reference_hand = Rz(yaw) Ry(pitch) Rx(roll): positive yaw points right, positive pitch up
-and positive roll lowers the right side. (The tracker's own roll has the opposite sign.)
+The tool has the attitude of the hand, R_reference_hand = Rz(yaw) Ry(pitch) Rx(roll), with each angle clipped: positive
+yaw points right, positive pitch up, positive roll lowers the right side (the tracker's own roll is the opposite). The
+reference hand lies flat and points away: x = -z_leap, y = x_leap, z = -y_leap. Yaw counts from the heading at the
+start.
 
-Yaw is relative to the heading of the hand at the start of the stream, not to the Leap's -z axis, so that a hand that
-comes in at a large yaw does not start clipped. Pitch and roll do not depend on the heading.
-
-During a stream the angles are continuous: those of each frame are the ones nearest to the frame before, so a palm that
-turns up past 180 deg stays at the limit that it reached. An angle is never clipped for ever: as soon as the hand is
-within UPRIGHT, where each orientation has one triple of angles, that triple counts, however the hand got there. Near a
-pitch of 90 deg, where yaw and roll are noise, they stay (STANDS, SURE). And the
-tool never turns by more than MAX_GAIN times the turn of the hand, also where the angles themselves jump: near a pitch
-of 90 deg, and when a triple is replaced.
+During a stream the angles are continuous, the nearest to those of the frame before, so a palm that turns past 180 deg
+stays at its limit; within UPRIGHT the one triple of the orientation counts. Near a pitch of 90 deg, where yaw and roll
+are noise, they stay (STANDS, SURE). The tool never turns by more than MAX_GAIN times the turn of the hand.
 """
 
 from __future__ import annotations

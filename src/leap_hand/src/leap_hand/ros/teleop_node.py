@@ -135,7 +135,6 @@ class HandTeleopNode:
 
 
 def finger_feedback(hand: Hand) -> FingerFeedback:
-    """Returns the feedback in a message of the robot hand."""
     motors = hand.motor[: len(FEELING)]
     return FingerFeedback(
         angles=tuple(motor.joint_angle for motor in motors),
@@ -201,5 +200,4 @@ def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> N
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("leap_hand_node", lambda: start(private_config(NodeConfig)))

@@ -77,7 +77,6 @@ def arm_choice(arms: Sequence[str]) -> ArmChoice | None:
 
 
 def start(choice: ArmChoice, subscribe: Subscribe = subscribe) -> None:
-    """Chooses until ROS shuts down."""
     ArmChoiceNode(choice, subscribe)
     while not rospy.is_shutdown():
         clock.sleep(WATCH_PERIOD_S)
@@ -91,5 +90,4 @@ def _run() -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("arm_choice", _run)

@@ -44,9 +44,9 @@ class DelayMonitor:
         return {name: "" if value is None else f"{1e3 * value:.0f}" for name, value in zip(names, numbers)}
 
     def _take(self, message: rospy.AnyMsg) -> None:
-        """Takes a message of tf, as bytes. Each publisher has a thread here, which rests: the messages that came
-        meanwhile are then read at once, at a fraction of the cost. Where this process subscribes to tf for something
-        else, too, it does not, since rospy calls both in this thread.
+        """Takes a message of tf, as bytes. Each publisher has a thread here, which rests, so that several messages are
+        read at once; not where this process subscribes to tf for something else, which rospy calls in the same
+        thread.
         """
         publisher, now = message._connection_header["callerid"], clock.monotonic()
         callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks

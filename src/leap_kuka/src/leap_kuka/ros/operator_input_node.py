@@ -43,7 +43,6 @@ class OperatorInputNode:
             rospy.Service(service, SetBool, lambda request, name=name: self._on_request(name, request))
 
     def run(self) -> None:
-        """Publishes until ROS shuts down."""
         while not rospy.is_shutdown():
             self._read()
             self._publish()
@@ -135,5 +134,4 @@ def _run() -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("operator_input_node", _run)

@@ -38,17 +38,14 @@ class Repetition:
         self._published_at = 0.0
 
     def changed(self, result: TeleopResult) -> bool:
-        """Returns whether the result brings a change."""
         return self._published is None or self._key(self._published) != self._key(result)
 
     def due(self, result: TeleopResult) -> bool:
-        """Returns whether the result is due at a flush."""
         if self._published is None or clock.monotonic() - self._published_at >= self._period:
             return True
         return self._text(self._published) != self._text(result)
 
     def done(self, result: TeleopResult) -> None:
-        """Notes that the result is published."""
         self._published, self._published_at = result, clock.monotonic()
 
 
@@ -76,7 +73,6 @@ class TeleopReport:
 
     @property
     def text(self) -> tuple[int, str, str]:
-        """Level, reason and state for diagnostics."""
         result = self._newest
         if result is None:
             return DiagnosticStatus.WARN, "starting", StreamState.WAITING.value
@@ -147,7 +143,6 @@ def _switched_and_steered(result: TeleopResult) -> tuple:
 
 
 def state_message(result: TeleopResult, engagement: str, enabling_needed: bool) -> TeleopState:
-    """Returns the message of leap_kuka/state."""
     message = TeleopState(engagement=engagement, state=_state(result), reason=result.reason, follows=result.follows)
     message.header.stamp = rospy.Time.now()
     if result.owner is not None:

@@ -186,5 +186,4 @@ def start(subscribe: Subscribe = subscribe, of: str = "") -> None:
 
 
 def main() -> None:
-    """Runs the node until ROS shuts down."""
     run("leap_kuka_node", start)

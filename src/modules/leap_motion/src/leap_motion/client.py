@@ -1,8 +1,7 @@
 """WebSocket client of the Leap service: always the newest frame, and always a sentence about the link.
 
-A thread reads every message as it comes and keeps only the newest frame, because a queue of frames would be delay. The
-caller's thread decodes the frame. The service sends frames at about 110 Hz, also without hands, so silence is a fault.
-Nothing persists over a reconnect: the client sends the policy messages again.
+A thread keeps only the newest message, as a queue would be delay; the caller's thread decodes it. The service sends
+frames at about 110 Hz, also without hands, so silence is a fault. After a reconnect the policies are sent again.
 """
 
 from __future__ import annotations
@@ -139,7 +138,6 @@ class LeapClient:
 
     @property
     def status(self) -> LeapStatus:
-        """The present state of the link."""
         with self._changed:
             status, unusable = self._status, self._unusable
         if status.link is not LeapLink.STREAMING or unusable is None or self._monotonic() - unusable[0] <= UNUSABLE_S:
@@ -149,7 +147,6 @@ class LeapClient:
 
     @property
     def counts(self) -> LeapCounts:
-        """The counts so far."""
         with self._changed:
             return copy.deepcopy(self._counts)
 

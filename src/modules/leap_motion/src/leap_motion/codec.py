@@ -1,21 +1,13 @@
 """Text on the WebSocket of the Leap service to records; millimetres end here.
 
-The first message of a connection is the header; later messages with the key `event` are events, the others frames.
-Fields that control depends on must be present, finite and plausible, or the frame is refused with a reason; a hand with
-such a fault is left out alone, with its reason, and the others stay. Unknown fields are ignored, and fields that some
-services leave out have defaults:
+The first message is the header; later ones with the key `event` are events, the others frames. What control depends on
+must be present, finite and plausible, or the frame, or the hand alone, is refused with a reason. Unknown fields are
+ignored. Missing ones: a metacarpal without carpPosition starts at the knuckle; without btipPosition the last bone ends
+at tipPosition; without bases z comes from the joints and x is near the palm's; no elbow, wrist or armBasis: no arm; id
+of a finger: 10 * id of the hand + type; velocity, sphere, widths, grab and pinch: zero.
 
-| missing | default |
-| --- | --- |
-| carpPosition | the metacarpal starts at the knuckle and has no length, as the thumb's always has |
-| btipPosition | the last bone ends at tipPosition, as it does in the early frames without this field |
-| bases | z of each bone from its two joints, x as near to the palm's x axis as that allows |
-| elbow, wrist, armBasis | no arm |
-| id of a finger | 10 * id of the hand + type |
-| velocity, sphere, widths, grab, pinch | zero |
-
-Handedness is taken from `type`: some services write right-handed bases for left hands. The knuckles must agree with it,
-and be as far apart as a person's: else the tracker's axes or units are not those of a Leap.
+Handedness is `type`: some services write right-handed bases for left hands. The knuckles must agree with it and be as
+far apart as a person's.
 """
 
 from __future__ import annotations
@@ -263,7 +255,6 @@ def _fingers(
 
 
 def _joints(pointable: dict) -> list:
-    """Returns the five joints of a finger."""
     mcp, tip = _field(pointable, "mcpPosition"), _field(pointable, "tipPosition")
     carp, btip = pointable.get("carpPosition", mcp), pointable.get("btipPosition", tip)
     return [carp, mcp, _field(pointable, "pipPosition"), pointable["dipPosition"], btip]

@@ -33,7 +33,6 @@ class LeapBone:
 
     @property
     def center(self) -> np.ndarray:
-        """Midpoint, shape (3,) [m]."""
         return 0.5 * (self.start + self.end)
 
 
@@ -105,7 +104,6 @@ class LeapFrame:
 
     @property
     def finger_count(self) -> int:
-        """Number of fingers of all hands."""
         return sum(len(hand.fingers) for hand in self.hands)
 
     def hand(self, side: str) -> LeapHand | None:

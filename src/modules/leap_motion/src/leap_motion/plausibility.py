@@ -1,21 +1,13 @@
-"""Leaves out what no hand does: fingers whose bones are impossible, that move in the palm faster than a person's, or
-that are in the wrong order; and hands whose palm does not fit the fingers, turns too fast, or changes its side.
+"""Leaves out what no hand does: fingers with impossible bones, speeds or order, hands whose palm does not fit the
+fingers, turns too fast, or changes its side.
 
-A finger or hand that is left out is missing from the frame, as one that the tracker does not see: who follows it keeps
-the newest plausible command for as long as for a hand that is lost. What came out plausible last is the measure for
-`hold` at most; then a hand is new. So a hand that moved on while it was left out comes back soon, and a hand that
-becomes another one within a frame is out of view for longer than any engagement outlives its hand.
-
-A hand whose id changes while it stays in its place is the same hand: trackers number a hand anew that they had lost for
-a frame.
-
-All is judged in palm axes, and by the common scale of the hand's bones: a hand may move, and change its size, at will.
-How far a palm may move is leap_kuka's to say (hand_average.py).
+What is left out is missing from the frame, as if not seen. What was plausible last is the measure for `hold` at most;
+then a hand is new. A hand whose id changes in its place is the same hand. All is judged in palm axes and by the common
+scale of the hand's bones; how far a palm may move is leap_kuka's to say (hand_average.py).
 
 Sources: lengths, Buryanov and Kotiuk, Proportions of Hand Segments, Int. J. Morphol. 28(3), 2010: bones of fingers of
 16 to 46 mm in the mean, metacarpals of up to 68 mm. Speeds, Darling, Cole and Abbs, Kinematic variability of grasp
-movements, Exp. Brain Res. 73, 1988: the fastest grasps take 0.1 s, with a bell-shaped speed; a finger tip of a large
-hand goes 0.2 m meanwhile, so its speed is 4 m/s at most. Recorded hands: docs/handbook/wire-protocols.md.
+movements, Exp. Brain Res. 73, 1988: the fastest grasps take 0.1 s, so a finger tip goes 4 m/s at most.
 """
 
 from __future__ import annotations
@@ -208,7 +200,6 @@ def _misplaced(types: list[int], knuckles: np.ndarray, counted: np.ndarray) -> n
 
 
 def _norms(vectors: np.ndarray) -> np.ndarray:
-    """Returns the lengths of vectors, shape (..., 3)."""
     return np.sqrt(np.einsum("...i,...i", vectors, vectors))
 
 

@@ -1,9 +1,7 @@
 """Where a tracker stands: the rigid transform T_desk_leap from the tracker's own axes to those of the desk.
 
-The desk's axes are like the Leap's: x to the user's right, y up, z towards the user; their origin is that of the points
-that the person shows, such as the centre of the sheet. The person touches each point with the tip of the index finger:
-a tip can be put on a mark within some 3 mm, while the centre of the palm is a point of the tracker's hand model. All
-points are touched alike, so half the finger's thickness (FINGER_M) is the same everywhere. Metres and radians.
+The desk's axes are like the Leap's, with the origin of the points that the person shows and touches with the tip of the
+index finger: it can be put on a mark within some 3 mm; half the finger's thickness (FINGER_M) is the same everywhere.
 """
 
 from __future__ import annotations
@@ -136,7 +134,6 @@ def check_fit(found: PointFit, names: Sequence[str], limit: float, scale_limit: 
 
 
 def turn_deg(T: np.ndarray) -> float:
-    """Returns the angle of the rotation of a pose, shape (4, 4) [deg]."""
     return float(np.degrees(np.arccos(np.clip(0.5 * (np.trace(T[:3, :3]) - 1.0), -1.0, 1.0))))
 
 

@@ -125,7 +125,6 @@ class LeapSocket(contextlib.AbstractContextManager):
                 self._read(deadline)
 
     def _greet(self, tls: _Tls, fingerprint: str, deadline: float) -> None:
-        """Opens TLS with the service that has the fingerprint."""
         while not tls.shake():
             self._socket.sendall(tls.outgoing())
             data = self._receive(deadline)

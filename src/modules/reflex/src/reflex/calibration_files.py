@@ -43,7 +43,6 @@ class CalibrationFiles:
         return path
 
     def _read(self, record: type[Calibration]) -> tuple[Calibration, bool]:
-        """Returns one calibration, and whether it was saved for this hand."""
         path = self.folder / record.FILE
         try:
             saved = path.exists()

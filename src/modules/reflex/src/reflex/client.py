@@ -111,18 +111,15 @@ class ReflexHand:
 
     @property
     def status(self) -> HandStatus:
-        """What the hand does now."""
         with self._lock:
             return self._logic.state(self._monotonic())
 
     @property
     def listening(self) -> bool:
-        """Whether the receive thread runs."""
         return self._thread.is_alive()
 
     @property
     def calibrated(self) -> bool:
-        """Whether the zeros of the fingers are those of this hand."""
         with self._lock:
             return self._logic.calibrated
 

@@ -1,8 +1,7 @@
 """Raw counts of the ReFlex TakkTile hand to angles, speeds and loads of its joints.
 
-A motor's joint angle is the turn of its tendon spool [rad], 0 = open: for a finger the sum of proximal and distal
-flexion. Motors in the order f1, f2, f3, preshape; f2 and preshape are mounted the other way round: closing lowers their
-position. Constants as in the maker's driver, where pi is entered as 3.141596.
+A motor's joint angle is the turn of its tendon spool [rad], 0 = open. Motors in the order f1, f2, f3, preshape; closing
+lowers the position of f2 and preshape. Constants as in the maker's driver, where pi is entered as 3.141596.
 """
 
 from __future__ import annotations
@@ -90,5 +89,4 @@ def closing_load(motor: int, raw: int) -> int:
 
 
 def all_joint_angles(raw: Sequence[int], zeros: Sequence[float] | np.ndarray) -> tuple[float, ...]:
-    """Returns the joint angles [rad] of the four motors."""
     return tuple(joint_angle(i, raw[i], zeros[i]) for i in range(4))

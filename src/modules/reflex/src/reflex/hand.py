@@ -1,8 +1,8 @@
 """The hand as one state machine: packets and requests go in, packets to send and readings come out.
 
-Pure: every call takes the time `now` [s, monotonic] and returns a HandUpdate; it sends, saves and logs nothing. Angles
-are joint angles [rad] of the motors f1, f2, f3, preshape; 0 is open. A target goes only to a hand that sends packets,
-has torque and whose angles fit its calibration. Everything else is refused with a sentence.
+Pure: each call takes the time `now` [s, monotonic] and returns a HandUpdate. Angles are joint angles [rad] of f1, f2,
+f3, preshape; 0 is open. A target goes only to a hand that sends packets, has torque and whose angles fit its
+calibration.
 """
 
 from __future__ import annotations
@@ -119,7 +119,6 @@ class HandLogic:
         self._clear()
 
     def state(self, now: float) -> HandStatus:
-        """Returns the state of the hand at `now`."""
         if not self.link.alive(now):
             return HandStatus.SILENT if self.link.heard() else HandStatus.WAITING
         if not self._torque:
@@ -275,7 +274,6 @@ class HandLogic:
         self._new_offsets: TactileOffsets | None = None
 
     def _result(self, refusal: str = "", reading: HandReading | None = None) -> HandUpdate:
-        """Returns what happened since the last result."""
         zeros, offsets = self._new_zeros, self._new_offsets
         update = HandUpdate(tuple(self._send), tuple(self._notes), refusal, reading, zeros, offsets)
         self._clear()
@@ -296,7 +294,6 @@ class HandLogic:
         return (found[0] or self.silence(now)) if found else ""
 
     def _ask(self, request: HandRequest, now: float) -> HandUpdate:
-        """Keeps a request for the next packet."""
         refusal = self._refused(request, now)
         if not refusal:
             self._requests[request] = now

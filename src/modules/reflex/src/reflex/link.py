@@ -59,7 +59,6 @@ class PacketFilter:
         self.counts = PacketCounts()
 
     def heard(self) -> bool:
-        """Whether a packet ever came."""
         return self._last is not None
 
     def alive(self, now: float) -> bool:

@@ -57,9 +57,9 @@ class MotorSpeedChange:
 
 
 class EffortGuard:
-    """Protects the fingers: loosens an overloaded motor, closes a hot one no further, leaves the others alone. A motor
-    with too much effort gets a bound just before its measured angle. The bound stays until a command turns back from
-    it, so that a stream of commands that still ask for more does not squeeze again and again. Joint angles in rad.
+    """Protects the fingers: loosens an overloaded motor, closes a hot one no further. Such a motor gets a bound just
+    before its measured angle, which stays until a command turns back from it, so that it is not squeezed again and
+    again [rad].
     """
 
     def __init__(self, settings: HandSettings) -> None:
@@ -67,24 +67,20 @@ class EffortGuard:
         self.reset()
 
     def reset(self) -> None:
-        """Removes all bounds."""
         self._low = [0.0] * 4
         self._high = [float(most) for most in self._settings.travel]
         self._overloaded, self._hot = [False] * 4, [False] * 4
 
     @property
     def overloaded(self) -> tuple[str, ...]:
-        """Overloaded motors."""
         return tuple(compress(MOTORS, self._overloaded))
 
     @property
     def hot(self) -> tuple[str, ...]:
-        """Hot motors."""
         return tuple(compress(MOTORS, self._hot))
 
     @property
     def bounded(self) -> tuple[str, ...]:
-        """Motors whose goals are bounded."""
         limits = zip(MOTORS, self._low, self._high, self._settings.travel)
         return tuple(name for name, low, high, most in limits if low > 0 or high < most)
 
@@ -149,7 +145,6 @@ class MotorGoals:
 
     @property
     def changing_speed(self) -> bool:
-        """Whether a change of speed is under way."""
         return self._change is not None
 
     def reset(self) -> None:

@@ -22,7 +22,6 @@ class Access:
 
     @property
     def code(self) -> str:
-        """What admits the next headset."""
         return self._check.code
 
     def wait(self, address: str, now: float) -> float:

@@ -1,8 +1,7 @@
 """Where the virtual Leap stands in the headset's room, and the joints of a hand in its axes.
 
-Both have y up; x of the Leap points to the right of the person, z towards them. The room is a WebXR reference space
-(local-floor or local) [m], the Leap's joints are in millimetres. A heading is the angle [rad] about the vertical from
--z of the room to where the person looks, positive to the left.
+Both have y up. The room is a WebXR reference space [m], the Leap's joints are in millimetres. A heading is the angle
+[rad] about the vertical from -z of the room to where the person looks, positive to the left.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The conversation with a headset's page, on a WebSocket that the server of the page has accepted.
 
-The page first sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a sentence}
-and the end. One headset drives at a time. Then the page sends a message for each frame of the headset (`hand_stream`),
-and each is answered: {"leap": [x, y, z, heading] or null, "note": a sentence, ...scene}. The page sends no more while
-several answers are missing, so nothing waits in a queue. {"away": true} says that nobody looks: headset taken off,
-page without focus. Then, and when the page falls silent or is gone, the tracker counts as unplugged.
+The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a sentence} and
+the end. One headset drives at a time. Each of its frames is answered: {"leap": [x, y, z, heading] or null, "note": a
+sentence, ...scene}; it sends no more while several answers are missing. {"away": true}, silence and the end of the page
+count as an unplugged tracker.
 """
 
 from __future__ import annotations

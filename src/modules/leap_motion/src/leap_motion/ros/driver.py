@@ -67,7 +67,6 @@ class LinkReport:
             log("%s", f"{status.sentence} {WITHOUT_HARDWARE}" if absent else status.sentence)
 
     def diagnostics(self) -> tuple[int, str, dict[str, object]]:
-        """Returns level, sentence and counts for /diagnostics."""
         status, counts = self._checked_status(), self._client.counts
         values = {
             "state": status.link.value,
@@ -162,5 +161,4 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
 
 
 def main() -> None:
-    """Entry point of the script."""
     run("leap_driver", lambda: start(private_config(DriverConfig)))

@@ -54,7 +54,6 @@ class DriverConfig:
         return HandBounds(**{name: getattr(self, name) for name in BOUNDS})
 
     def faults(self) -> list[str]:
-        """Returns contradictions between fields."""
         fault = wire_fault(self.host, self.code, self.fingerprint, self.trust_network)
         return [] if fault is None else [fault]
 

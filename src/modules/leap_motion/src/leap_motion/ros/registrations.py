@@ -32,7 +32,6 @@ class TrackerRegistration:
     simulated: bool | None = simulated_field()
 
     def faults(self) -> list[str]:
-        """Returns what no single field can check."""
         faults = []
         try:
             moment(self.date)

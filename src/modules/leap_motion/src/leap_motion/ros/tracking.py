@@ -1,7 +1,5 @@
-"""From the topic leap_motion/leap_device to tracking frames.
-
-Of a message as `leap_motion.ros.human` writes it, only what a tracking frame holds is read; of any other one, such as
-the published C++ driver's, genpy reads all fields first.
+"""From the topic leap_motion/leap_device to tracking frames: of our own driver's messages only what they hold is read,
+of any other one genpy reads all fields.
 """
 
 from __future__ import annotations
@@ -94,7 +92,6 @@ class ReceivedHuman(Human):
         )
 
     def frame(self, now: rospy.Time) -> TrackingFrame:
-        """Returns the tracking frame, if the message arrived at the ROS time `now`."""
         return TrackingFrame(self.frame_id, (now - self.stamp).to_sec(), self.hands)
 
 

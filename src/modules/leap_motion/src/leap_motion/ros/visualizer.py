@@ -48,5 +48,4 @@ class Visualizer:
 
 
 def main() -> None:
-    """Entry point of the script."""
     run("leap_motion_visualizer", lambda: Visualizer(private_config(VisualizerConfig)).run())

@@ -35,7 +35,6 @@ class ConnectionLimits:
         return True
 
     def leave(self, address: str) -> None:
-        """Ends a connection that was counted."""
         machine = _machine(address)
         self._of[machine] -= 1
         if not self._of[machine]:

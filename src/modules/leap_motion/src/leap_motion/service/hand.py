@@ -62,12 +62,10 @@ class ReportedHand:
 
     @property
     def grab(self) -> float:
-        """Grab strength, 0 open to 1 fist."""
         return min(max((math.degrees(self.curl) - 60.0) / 95.0, 0.0), 1.0)
 
     @property
     def pinch(self) -> float:
-        """Pinch strength, 0 open to 1 thumb on a finger."""
         away = self.tips[1:] - self.tips[0]
         distance = math.sqrt((away * away).sum(axis=1).min())
         return min(max((65.5 - distance) / 43.7, 0.0), 1.0)

@@ -63,11 +63,10 @@ class LeapClientLink:
 class LeapService(SocketService):
     """Sends the offered frames to all clients; port 0 takes any free one, see the attributes.
 
-    A `host` that is no loopback address opens `secure_port` to other machines, by TLS with a `certificate`: they know
-    its fingerprint, and are served at /v6.json?code=CODE only. `port` is this machine's in any case. A web page is
-    served if this machine served it: else any page that somebody opens here would see the hands, and take every second
-    frame of a "gemini".
-    Raises LeapServiceError if a port is taken, or such a host has no code or certificate.
+    A `host` that is no loopback address opens `secure_port` to other machines, by TLS with a `certificate`; they are
+    served at /v6.json?code=CODE only. Only a web page of this machine is served: any other would see the hands, and
+    take every second frame of a "gemini". Raises LeapServiceError if a port is taken, or such a host has no code or
+    certificate.
     """
 
     def __init__(
@@ -102,7 +101,6 @@ class LeapService(SocketService):
 
     @property
     def clients(self) -> int:
-        """How many clients are connected."""
         return len(self._clients)
 
     def offer(self, *frames: str) -> None:
@@ -132,7 +130,6 @@ class LeapService(SocketService):
             client.notify(wire.device_event(client.version, self._service, self._serial, attached))
 
     def _listen(self, host: str, port: int, certificate: Certificate | None = None) -> tuple[str, int]:
-        """Opens a port; returns its address."""
         try:
             tls = certificate and certificate.server()
             listener = listen(host, port)

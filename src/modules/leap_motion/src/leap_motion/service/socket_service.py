@@ -67,7 +67,6 @@ class SocketService(ABC):
         self._loop = asyncio.new_event_loop()
 
     def run(self) -> None:
-        """Serves until `stop` is called."""
         try:
             self._loop.run_until_complete(self._serve())
             self._loop.run_until_complete(_end_tasks())
@@ -84,7 +83,6 @@ class SocketService(ABC):
         self._doors.append((BoundedListener(listener, limits), tls))
 
     def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
-        """Calls an action in the thread of the loop."""
         with contextlib.suppress(RuntimeError):  # the service has ended
             self._loop.call_soon_threadsafe(action, *arguments)
 
@@ -187,7 +185,6 @@ class CountedSocket:
         self._accepted, self._ended, self._open = accepted, ended, True
 
     def close(self) -> None:
-        """As of a socket."""
         self._accepted.close()
         if self._open:
             self._open = False

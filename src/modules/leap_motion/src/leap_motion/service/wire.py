@@ -90,7 +90,6 @@ class Frame(NamedTuple):
         return self.marked.replace(_ID, str(frame_id), 1).replace(_TIMESTAMP, str(timestamp), 1)
 
     def with_ids(self, added: int) -> Frame:
-        """Returns the frame with the ids of hands, and accordingly of fingers, raised."""
         return frame_from(with_ids(json.loads(self.marked), added))
 
 
@@ -138,7 +137,6 @@ def reflected(message: dict, normal: Sequence[float], point: Sequence[float]) ->
 
 
 def _changed(message: dict, place: Callable[[Any], list], vector: Callable[[Any], list]) -> dict:
-    """Returns the frame with each position and each direction changed."""
     changes = {**dict.fromkeys(POSITIONS, place), **dict.fromkeys(DIRECTIONS, vector)}
 
     def changed(part: dict) -> dict:

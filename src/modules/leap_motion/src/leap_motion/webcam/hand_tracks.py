@@ -1,8 +1,7 @@
 """Which hands a webcam's frames show, and what of them can be trusted.
 
-A hand is reported from its third frame on, keeps its id while it is tracked, and gets a new one after it was lost. A
-hand that cannot be trusted is withheld, so that the stream ends; `FrameHands.remark` says why. Before its neutral pose
-is taken a hand has confidence 0, with which no arm follows it.
+A hand is reported from its third frame on and keeps its id while it is tracked. One that cannot be trusted is withheld,
+and `FrameHands.remark` says why. Before its neutral pose is taken its confidence is 0, with which no arm follows it.
 """
 
 from __future__ import annotations
@@ -103,7 +102,6 @@ class HandTracks:
 
     @property
     def centred(self) -> bool:
-        """Whether the position of the box is known."""
         return self._centred
 
     def step(self, seen: Sequence[SeenHand], brightness: float, now: float) -> FrameHands:

@@ -71,7 +71,6 @@ class NeutralPose:
         self._samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
 
     def forget(self) -> None:
-        """Forgets the pose; it is taken anew."""
         self.level = None
         self._samples.clear()
 

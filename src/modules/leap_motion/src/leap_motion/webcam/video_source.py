@@ -42,7 +42,6 @@ class VideoSource(abc.ABC):
         self._thread = threading.Thread(target=self._run, name="video", daemon=True)
 
     def start(self) -> None:
-        """Begins to read."""
         self._thread.start()
 
     def newest(self, timeout: float) -> VideoImage | None:

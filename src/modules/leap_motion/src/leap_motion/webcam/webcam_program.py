@@ -84,7 +84,6 @@ class WebcamTracker:
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._service.run, self._track)]
 
     def start(self) -> None:
-        """Begins to serve."""
         self._source.start()
         for thread in self._threads:
             thread.start()
@@ -98,12 +97,10 @@ class WebcamTracker:
             thread.join(2.0)
 
     def renew(self) -> None:
-        """Takes the neutral pose anew."""
         self._renew = True
 
     @property
     def alive(self) -> bool:
-        """Whether all threads run."""
         return all(thread.is_alive() for thread in self._threads)
 
     def _track(self) -> None:
@@ -265,7 +262,6 @@ def _folder() -> Path:
 
 
 def _width(options: argparse.Namespace) -> float:
-    """Returns the palm width [mm]."""
     if not options.person:
         return options.palm_width
     path = _palm_file(options.person)
@@ -288,7 +284,6 @@ def _source(options: argparse.Namespace) -> VideoSource:
 
 
 def _lenses(options: argparse.Namespace) -> Any:
-    """Returns a function from the shape of an image to the lens."""
     if options.camera_info is None:
         return lambda shape: lens_of_view(math.radians(options.fov), shape)
     try:

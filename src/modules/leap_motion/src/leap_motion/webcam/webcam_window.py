@@ -36,14 +36,12 @@ class WebcamWindow(QWidget):
         self._timer.start(REFRESH_MS)
 
     def keyPressEvent(self, event) -> None:
-        """N and Escape."""
         if event.key() == Qt.Key_N:
             self._renew()
         elif event.key() == Qt.Key_Escape:
             self.close()
 
     def paintEvent(self, _event) -> None:
-        """Draws the newest view."""
         view, painter = self._view(), QPainter(self)
         painter.setRenderHint(QPainter.Antialiasing)
         painter.fillRect(self.rect(), QColor("#14181c"))

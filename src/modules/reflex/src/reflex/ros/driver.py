@@ -124,7 +124,6 @@ class HandDriver:
 
 
 def hand_message(reading: HandReading) -> Hand:
-    """Returns the message of reflex_takktile/hand_state."""
     fingers = [
         Finger(
             proximal=reading.proximal[i],

@@ -28,7 +28,6 @@ class HandAddresses:
         ]
 
     def settings(self) -> HandSettings:
-        """Returns the settings of the state machine."""
         values = {field.name: getattr(self, field.name) for field in fields(HandSettings)}
         vectors = {name: tuple(value.tolist()) for name, value in values.items() if hasattr(value, "tolist")}
         return HandSettings(**{**values, **vectors})
