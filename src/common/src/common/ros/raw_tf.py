@@ -27,9 +27,14 @@ def data_of(message: rospy.AnyMsg) -> bytes:
     return message._buff
 
 
+def connection_of(message: genpy.Message) -> dict[str, str]:
+    """Returns the header of the connection that a message came by: callerid, type, md5sum, message_definition, ..."""
+    return message._connection_header
+
+
 def publisher_of(message: genpy.Message) -> str:
     """Returns the name of the node that published a message."""
-    return message._connection_header["callerid"]
+    return connection_of(message)["callerid"]
 
 
 def encoded(*names: str) -> bytes:

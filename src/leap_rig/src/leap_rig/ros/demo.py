@@ -24,6 +24,7 @@ from roslaunch.pmon import ProcessListener
 
 from common import clock
 from common.errors import RigError
+from common.modes import FOLLOWS_TOOL
 from common.ros import master
 from common.ros.node import check_folder, end_closed_servers, join
 from common.ros.service_calls import ServiceFailed, call
@@ -43,7 +44,6 @@ TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated operator pla
 EXIT_TIMEOUT_S = 60.0
 LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
 NO_TRACKER = "none"  # a node of the user's own moves the arm
-AT_HOME_OR_LATER = ("home", "pick_up", "servo")
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups", "hand_over")
 OF_ONE_ARM = {
     "tracker": "leap", "world": "true", "recording": "", "offset": "0 0 0", "rounds": "1", "mounting": "",
@@ -357,7 +357,7 @@ def wait_for_end(
     first = next(iter(listeners.values()))
     try:
         deadline = clock.monotonic() + READY_TIMEOUT_S
-        while late := [arm for arm, listener in listeners.items() if listener.mode not in AT_HOME_OR_LATER]:
+        while late := [arm for arm, listener in listeners.items() if listener.mode not in FOLLOWS_TOOL]:
             if deaths.sentences:
                 return "death"
             if clock.monotonic() > deadline:

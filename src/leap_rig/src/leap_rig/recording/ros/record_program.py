@@ -25,6 +25,7 @@ from common.command_line import real
 from common.errors import RigError
 from common.ros.files import file_hash
 from common.ros.node import join, run_program
+from common.ros.raw_tf import connection_of, data_of
 from common.stored_time import utc
 from leap_motion.ros.registrations import registration_file
 from leap_rig.recording.fingerprint import address, fingerprint, started_with
@@ -141,11 +142,11 @@ def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
     kinds: dict[tuple[str, str], MessageKind] = {}
 
     def take(message: rospy.AnyMsg) -> None:
-        header = message._connection_header
+        header = connection_of(message)
         key = header["md5sum"], header.get("latching", "0")
         if key not in kinds:
             kinds[key] = MessageKind(header["type"], header["message_definition"], key[0], key[1] == "1")
-        inbox.put(topic, kinds[key], message._buff)
+        inbox.put(topic, kinds[key], data_of(message))
 
     return rospy.Subscriber(topic, rospy.AnyMsg, take, buff_size=READ_BYTES)
 

@@ -15,14 +15,16 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames, frame_name
-from common.hand_tracking import LEFT, RIGHT
+from common.modes import Mode
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
+from common.ros.raw_tf import data_of, encoded
+from common.teleop_record import teleop_record
 from leap_motion.ros.tracking import ReceivedPalms
 from leap_rig.report.recorder import Recorder
 from reflex_msgs.msg import Hand
-from rig_msgs.msg import ObjectStates
+from rig_msgs.msg import ObjectStates, TeleopState
 
 STAGE_TIME = struct.Struct("<7I")
 """A TimeReference as `StageTimes` writes it, up to its source: seq, stamp, length of the empty frame_id, time_ref,
@@ -38,20 +40,17 @@ class RigListener:
         self.recorder = recorder
         self._of = of = f"{arm}/" if arm else ""
         self._base, self._desired, self._commanded = map(ArmFrames(arm), (BASE, TOOL_DESIRED, TOOL_COMMANDED))
-        self._encoded = {
-            name: tuple(struct.pack("<I", len(form)) + form.encode() for form in (name, f"/{name}"))
-            for name in (self._desired, self._commanded)
-        }
+        self._encoded = {name: (encoded(name), encoded(f"/{name}")) for name in (self._desired, self._commanded)}
         self.mode = ""
         self.sentences: deque[str] = deque()  # of the tutorial, not yet shown
-        self._owner: tuple[str, str] | None = None  # number and side of the hand that steers
+        self._owner: tuple[int, bool] | None = None  # id of the hand that steers, and whether it is a left one
         self._lock = clock.Lock()
         self._T_flange_tool: np.ndarray | None = None
         self._subscribers: list[rospy.Subscriber] = []
         self._frames: dict[str, bytes] = {}  # the newest tf message with each of the tool's frames
         for topic, kind, callback, queue in (
             *((topic, rospy.AnyMsg, self._locked(self._stage), 500) for topic in {STAGE_TIMES, of + STAGE_TIMES}),
-            (f"{of}leap_kuka/stream", DiagnosticStatus, self._locked(self._stream), 50),
+            (f"{of}leap_kuka/state", TeleopState, self._locked(self._teleop), 50),
             ("/diagnostics", DiagnosticArray, self._locked(self._diagnostics), 50),
             (f"{of}simulation/status", DiagnosticStatus, self._locked(self._simulation), 10),
             ("/tf", rospy.AnyMsg, self._locked(self._transforms), 100),
@@ -88,28 +87,29 @@ class RigListener:
             if now >= due:
                 due = max(due + period, now)
                 with self._lock:
-                    callback(kind().deserialize(message._buff))
+                    callback(kind().deserialize(data_of(message)))
 
         return run
 
     def _stage(self, message: rospy.AnyMsg) -> None:
-        _, stamp_s, stamp_ns, _, done_s, done_ns, length = STAGE_TIME.unpack_from(message._buff)
-        stage = message._buff[STAGE_TIME.size : STAGE_TIME.size + length].decode()
+        data = data_of(message)
+        _, stamp_s, stamp_ns, _, done_s, done_ns, length = STAGE_TIME.unpack_from(data)
+        stage = data[STAGE_TIME.size : STAGE_TIME.size + length].decode()
         self.recorder.stage(stage, stamp_s + 1e-9 * stamp_ns, done_s + 1e-9 * done_ns)
 
-    def _stream(self, message: DiagnosticStatus) -> None:
-        values = _values(message)
-        self._owner = values.get("hand_id", ""), values.get("hand_side", "")
-        self.recorder.stream(values.get("state") == "running", message.message, clock.monotonic())
+    def _teleop(self, message: TeleopState) -> None:
+        record = teleop_record(message)
+        self._owner = record.owner
+        self.recorder.stream(record.running, record.reason, clock.monotonic())
 
     def _palm(self, human: ReceivedPalms) -> None:
         for hand in human.hands:
-            if self._following and (str(hand.id), LEFT if hand.is_left else RIGHT) == self._owner:
+            if self._following and (hand.id, hand.is_left) == self._owner:
                 self.recorder.palms.add(human.stamp.to_sec(), hand.palm.tolist())
 
     @property
     def _following(self) -> bool:
-        return self.mode == "servo" and (self.recorder.streaming or not self.recorder.teleoperated)
+        return self.mode == Mode.SERVO and (self.recorder.streaming or not self.recorder.teleoperated)
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -149,9 +149,10 @@ class RigListener:
 
     def _transforms(self, message: rospy.AnyMsg) -> None:
         """Keeps the messages that are needed, as bytes: to read all of them costs more than all else here."""
-        for frame, encoded in self._encoded.items():
-            if any(form in message._buff for form in encoded):
-                self._frames[frame] = message._buff
+        data = data_of(message)
+        for frame, forms in self._encoded.items():
+            if any(form in data for form in forms):
+                self._frames[frame] = data
 
     def _fresh(self, frame: str) -> np.ndarray | None:
         """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old.
