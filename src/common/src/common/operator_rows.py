@@ -11,6 +11,7 @@ from enum import Enum
 OLD_ROWS_S = 1.5  # rows that are older no longer hold [s]
 TEXT, TICKS, BARS = "text", "ticks", "bars"  # kinds of rows
 NOTHING = "-"
+ARM = "Arm"  # name of the row of the arm's controller, which the control panel shows in another place
 
 
 class RowTone(Enum):

@@ -25,7 +25,7 @@ from python_qt_binding.QtWidgets import (
     QWidget,
 )
 
-from common.operator_rows import SILENT, Row
+from common.operator_rows import ARM, SILENT, Row
 from kuka_control.gui.panel_rows import OperatorRows
 from kuka_control.gui.panel_state import PanelState, Tone, factor_text
 from kuka_control.numbers import SCALING_DEFAULT, SCALING_MAX, SCALING_MIN
@@ -211,7 +211,7 @@ class ControlPanel(QWidget):
 
     def show_rows(self, rows: tuple[Row, ...] = SILENT) -> None:
         """Shows the rows of the operator's view; whatever they are, the rest of the panel stays where it is."""
-        self.operator.show_rows(tuple(row for row in rows if row.name != "Arm"))  # which `status` says
+        self.operator.show_rows(tuple(row for row in rows if row.name != ARM))  # which `status` says
 
     def _arrange(self) -> None:
         scale_ends = QHBoxLayout()

@@ -14,7 +14,7 @@ from typing import Any, Callable, TypeVar
 
 from common.config import flag, number
 from common.modes import Mode
-from common.operator_rows import BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
+from common.operator_rows import ARM, BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
 from common.teleop_record import WAITING, TeleopRecord
 from leap_rig.operator.cues import Cue
 
@@ -102,7 +102,7 @@ class OperatorView:
         return (
             self._row("Hand", hand, now, _hand),
             self._row("Start", hand, now, _start, TICKS),
-            self._row("Arm", arm, now, _arm),
+            self._row(ARM, arm, now, _arm),
             self._row("Limits", arm, now, lambda record: _limits(record, self._fresh(hand, now))),
             self._row("Guard", GuardedPair, now, _guard),
             self._row("Fingers", GripView, now, _fingers, BARS),
