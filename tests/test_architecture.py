@@ -159,6 +159,9 @@ class TestTime:
     """Time and threads come from common.clock, so that a simulation can put its own in place of them."""
 
     def test_comes_from_the_clock(self):
+        """Reported in https://github.com/ros/ros_comm/pull/1083, https://github.com/ros/ros_comm/issues/485: rospy's
+        timers end when a bag begins anew. Tried: all nodes.
+        """
         files = {"/".join(path.parts[-3:]): path for path in FILES}
         assert all(any(file.endswith(edge) for file in files) for edge in TIMED_EDGES)
         others = {name: path for name, path in files.items() if not name.endswith(tuple(TIMED_EDGES))}
@@ -363,7 +366,11 @@ def test_a_class_name_means_one_thing():
 
 
 def test_subscribers_of_images_have_room_for_several():
-    """rospy drops all but the newest only among those that it has read: with its own room images become ever older."""
+    """rospy drops all but the newest only among those that it has read: with its own room images become ever older.
+
+    Reported in https://github.com/ros/ros_comm/issues/536: with rospy's own buffer images become ever older.
+    Tried: all subscribers of images.
+    """
     calls = [(path, node) for path in FILES for node in nodes_of(path) if isinstance(node, ast.Call)]
     images = [(path, call) for path, call in calls if dotted(call.func).endswith("Subscriber")
               and any(dotted(part) == "Image" for part in call.args)]  # fmt: skip

@@ -93,18 +93,6 @@ def private_schemas(code: str) -> set[str]:
     return {name for name in found if name[:1].isupper()}
 
 
-def test_the_tests_of_the_field_reports_exist():
-    rows = (sources.ROOT / "docs" / "decisions" / "field-reports.md").read_text().splitlines()[6:]
-    assert len(rows) > 30
-    for row in rows:
-        report, *_, test = [cell.strip() for cell in row.strip("|").split(" | ")]
-        assert re.search(r"\(https://github\.com/[\w.-]+/[\w.-]+/(issues|pull)/\d+\)", report), row
-        if "::" in test:
-            package, file, name = re.fullmatch(r"`(\w+)/(test_\w+\.py)::(test_\w+)`", test).groups()
-            (path,) = [*sources.ROOT.glob(f"src/**/{package}/tests/{file}"), *sources.ROOT.glob(f"{package}/{file}")]
-            assert re.search(rf"def {name}\(", path.read_text()), row
-
-
 def test_every_picture_says_where_it_comes_from():
     folder = pages.ROOT / "docs" / "pictures"
     said = (folder / "README.md").read_text()

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from tools import docs_hooks, pictures
-from tools.reference import launch_files, markdown, parameters
+from tools.reference import field_reports, launch_files, markdown, parameters
 from tools.reference.sources import ROOT
 
 
@@ -27,6 +27,20 @@ def test_markdown_sees_nothing_of_its_own_in_text():
 def test_comments_are_found_by_the_keys_that_lead_there():
     text = "# head\na: 1  # first\nb:\n  c: '#no'  # second\n  d:\n    e: 2\nf: 3  # third\n"
     assert parameters._comments(text) == {("a",): "first", ("b", "c"): "second", ("f",): "third"}
+
+
+def test_reports_are_found_in_docstrings():
+    code = '''def test_x():
+    """One.
+
+    Reported in https://github.com/a/b/issues/1, https://github.com/a/b/pull/22: it
+    fails. Tried: a file. Reported in https://github.com/c/d.e/issues/3: no. Tried: it.
+    """
+'''
+    first, second = field_reports.reports(code)
+    assert first[0] == "test_x" and first[2:] == ("it fails.", "a file") and second[2:] == ("no.", "it")
+    assert field_reports.links(first[1]).startswith("[b#1](https://github.com/a/b/issues/1), [b#22](")
+    assert field_reports.page().count("| [") > 60
 
 
 def test_a_fixed_argument_is_no_argument(tmp_path):

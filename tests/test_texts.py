@@ -63,7 +63,11 @@ def test_the_fields_are_found():
 
 @pytest.mark.parametrize(("module", "schema", "key", "kind"), FIELDS)
 def test_each_text_of_each_schema(module, schema, key, kind, tmp_path):
-    """In a file it is what is written there; from the parameter server too, or the sentence says to quote it."""
+    """In a file it is what is written there; from the parameter server too, or the sentence says to quote it.
+
+    Reported in https://github.com/ros2/launch_ros/issues/384: the text 123E5 becomes a number. Tried: each text
+    parameter with such values, in yaml.
+    """
     whole = getattr(importlib.import_module(module), schema)
     (field,) = (one for one in dataclasses.fields(whole) if one.name == key)
     alone = dataclasses.make_dataclass("Alone", [(key, str, dataclasses.field(metadata=field.metadata))], frozen=True)
@@ -120,6 +124,9 @@ class Whole:
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in NO_YAML + NO_PARAMETER])
 def test_a_private_parameter_on_the_command_line_is_the_text_until_it_is_set_again(virtual_graph, name):
+    """Reported in https://github.com/ros/ros_comm/issues/1339, https://github.com/ros/ros_comm/issues/1153: a serial
+    number on the command line is no text, whatever the quotes. Tried: `_serial:=0042`.
+    """
     read = []
 
     def main():

@@ -16,6 +16,9 @@ pytestmark = pytest.mark.ros
 
 
 def test_no_frame_goes_out_twice_with_one_stamp(virtual_graph):
+    """Reported in https://github.com/ros/geometry2/issues/467, https://github.com/heuristicus/spot_ros/issues/142:
+    repeated stamps flood each listener with warnings. Tried: a camera that repeats its images.
+    """
     got, broadcaster = virtual_graph.record("/tf", TFMessage), FreshBroadcaster()
     clock.sleep(0.1)
 
@@ -34,5 +37,9 @@ def test_no_frame_goes_out_twice_with_one_stamp(virtual_graph):
 
 @pytest.mark.parametrize(("parent", "child"), [("", "tag"), ("camera", ""), ("camera", "camera")])
 def test_frames_that_no_listener_takes_are_refused(parent, child):
+    """Reported in https://github.com/NVIDIA-ISAAC-ROS/isaac_ros_apriltag/issues/20,
+    https://github.com/AprilRobotics/apriltag_ros/issues/152: images without a frame_id. Tried: that header,
+    `publish_tf`.
+    """
     with pytest.raises(ValueError, match="frame_id"):
         stamped_transform(np.eye(4), parent, child, rospy.Time(1))

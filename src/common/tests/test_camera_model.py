@@ -132,6 +132,12 @@ def test_all_faults_of_a_calibration_are_reported_at_once():
     ],
 )
 def test_coefficients_that_drivers_give_are_taken(model, given, used):
+    """Reported in https://github.com/ros-perception/image_pipeline/issues/576: distortions have 4, 5 or 8 numbers.
+    Tried: camera_info with 4.
+    Reported in https://github.com/orbbec/OrbbecSDK_ROS2/issues/216: plumb_bob with 8 numbers, the last three 0.
+    Tried: that camera_info.
+    Reported in https://github.com/realsenseai/realsense-ros/issues/2640: D is empty. Tried: that camera_info.
+    """
     if used is None:
         with pytest.raises(ValueError, match="calibrate"):
             distortion(model, given)
@@ -140,6 +146,10 @@ def test_coefficients_that_drivers_give_are_taken(model, given, used):
 
 
 def test_a_calibration_of_melodics_calibrator_is_read(camera):
-    """It wrote camera_model instead of distortion_model."""
+    """It wrote camera_model instead of distortion_model.
+
+    Reported in https://github.com/ros-drivers/video_stream_opencv/issues/100: Melodic's calibrator writes
+    `camera_model`. Tried: that calibration file.
+    """
     melodic = {"camera_model" if key == "distortion_model" else key: value for key, value in XTION.items()}
     np.testing.assert_array_equal(from_calibration(melodic).D, camera.D)

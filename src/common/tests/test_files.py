@@ -34,7 +34,11 @@ def test_on_a_full_disk_the_old_file_stays_and_nothing_else(tmp_path, monkeypatc
 
 @pytest.mark.parametrize("text", ["%YAML:1.0\n---\ncamera_name: x\n", "a: [1,", "\tb: 1", "a: 1\na: 2\n", "a: 0x_"])
 def test_a_file_that_is_no_yaml_is_named(tmp_path, text):
-    """The first is what OpenCV's FileStorage writes."""
+    """The first is what OpenCV's FileStorage writes.
+
+    Reported in https://github.com/NVIDIA-AI-IOT/redtail/issues/52: OpenCV's own files begin with `%YAML:1.0`.
+    Tried: such a file.
+    """
     (tmp_path / "file.yaml").write_text(text)
     with pytest.raises(ConfigError, match="file.yaml is not yaml"):
         read_yaml(tmp_path / "file.yaml")

@@ -90,6 +90,9 @@ def test_a_hand_that_changes_its_side_is_another_hand():
     ],
 )  # fmt: skip
 def test_a_hand_with_a_new_id_is_the_owner_if_it_is_near_in_place_orientation_and_time(step, turn, missing, follows):
+    """Reported in https://github.com/logotype/LeapMotionAS3/issues/10: the id of a hand changes while it stays in
+    view. Tried: a new id in the same place.
+    """
     view = Frames()
     view.see(at(4, 0.0))
     view.lock.engage()

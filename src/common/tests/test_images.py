@@ -129,6 +129,11 @@ def test_camera_info_is_taken_as_image_geometry_does(changes, size, rectified, f
 
 @pytest.mark.parametrize(("changes", "size", "reason"), REFUSED)
 def test_camera_info_that_cannot_be_used_is_named(changes, size, reason):
+    """Reported in https://github.com/AprilRobotics/apriltag_ros/issues/3,
+    https://github.com/AprilRobotics/apriltag_ros/issues/28,
+    https://github.com/AprilRobotics/apriltag_ros/issues/79: camera_info of zeros: poses at the origin. Tried: K of
+    zeros.
+    """
     images, _ = messages()
     with pytest.raises(ValueError, match=reason):
         images.camera_model_from_info(info(**changes), size)
@@ -136,6 +141,10 @@ def test_camera_info_that_cannot_be_used_is_named(changes, size, reason):
 
 @pytest.mark.parametrize("D", [[0.1, -0.2, 0.003, -0.004, 0.05, 0.02, 0.03, 0.04], [0.1, -0.2, *[0.01] * 10]])
 def test_a_longer_distortion_is_that_of_opencv_and_comes_back_from_its_message(D):
+    """Reported in https://github.com/ros-perception/image_pipeline/issues/278,
+    https://github.com/ros-perception/image_common/issues/33: 8 numbers, `rational_polynomial`, under `cols: 5`.
+    Tried: that calibration file.
+    """
     import cv2
 
     images, stamp = messages()
@@ -158,6 +167,7 @@ def test_depth_in_metres_says_nan_where_there_is_none():
 
 
 def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():
+    """Reported in https://github.com/ros-naoqi/naoqi_driver/issues/77: depth comes as mono16 or 16UC1. Tried: mono16."""
     images, stamp = messages()
     colour = np.array([[[200, 20, 2]]], np.uint8)
     clear = np.insert(colour, 3, 255, axis=2)

@@ -337,6 +337,9 @@ run("twin", main)
 def test_a_log_ends_no_node(ros, start, processes, wait_until):
     """Neither on a full disk: no file may grow beyond 2 kB. Nor what an older node of the same name logs at its end: it
     is no reason for the master to end the newer one.
+
+    Reported in https://github.com/ros/ros_comm/issues/2018: of two nodes with one name both end. Tried: a node
+    started twice.
     """
     talkative = processes.start("bash", "-c", 'ulimit -f 2; exec "$0" -c "$1"', sys.executable, LOGGING)
     twins = []

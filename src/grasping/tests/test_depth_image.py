@@ -52,6 +52,9 @@ def test_crop_is_in_the_middle_and_moves_up():
 @settings(max_examples=15)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.5))
 def test_filling_touches_holes_only_and_stays_in_range(seed, share):
+    """Reported in https://github.com/BerkeleyAutomation/gqcnn/issues/26: large areas without depth spoil grasps.
+    Tried: images with holes.
+    """
     depth = scene(seed, share)[:90, :120]
     valid = np.isfinite(depth)
     filled = fill_holes(depth, valid)

@@ -64,6 +64,7 @@ def test_training_begins_with_a_weight_file_and_its_weights_are_of_the_same_netw
 
 
 def test_imported_shards_are_replaced_and_others_stay(images, shards, monkeypatch, capsys):
+    """Reported in https://github.com/dougsm/ggcnn/issues/49: few images: no model is written. Tried: three images."""
     names = sorted(path.name for path in shards.iterdir())
     assert names == ["train_own_000000.npz", "validation_own_000000.npz"]
     (shards / "train_000000.npz").write_bytes(b"of make_dataset")

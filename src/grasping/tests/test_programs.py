@@ -107,6 +107,9 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(program, tmp_path, monkeyp
     ],
 )
 def test_impossible_settings_of_a_training_are_refused_by_name(data, tmp_path, monkeypatch, capsys, option, value):
+    """Reported in https://github.com/dougsm/ggcnn/issues/14: a training ends by the shapes of its arrays. Tried:
+    `--side 61`, `--count 0`, `--network foo`, ....
+    """
     with pytest.raises(SystemExit) as end:
         call(monkeypatch, train_ggcnn, data, tmp_path / "run", option, value)
     last = capsys.readouterr().err.rstrip().splitlines()[-1]

@@ -36,6 +36,9 @@ def file(content, old: bool = False) -> bytes:
 @pytest.mark.parametrize("old", [True, False], ids=["old container", "zip container"])
 @pytest.mark.parametrize("whole", [True, False], ids=["whole model", "state dict"])
 def test_published_kinds_load(name, old, whole):
+    """Reported in https://github.com/dougsm/ggcnn/issues/30: a pickled model loads for its author alone. Tried: that
+    file.
+    """
     published = PUBLISHED[name]()
     loaded = weights.load(file(published if whole else published.state_dict(), old))
     assert loaded.name == name
@@ -56,6 +59,9 @@ def test_published_kinds_load(name, old, whole):
     ids=["checkpoint", "tutorial's checkpoint", "of several devices", "whole, of several devices", "float64"],
 )
 def test_what_other_training_programs_keep_loads(kept):
+    """Reported in https://github.com/pytorch/pytorch/issues/3805: checkpoints of several devices: keys begin with
+    `module.`. Tried: such files, and `state_dict` in a checkpoint.
+    """
     published = published_networks.GGCNN()
     loaded = weights.load(file(kept(published)))
     for key, value in published.state_dict().items():

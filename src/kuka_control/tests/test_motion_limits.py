@@ -124,6 +124,7 @@ def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):
 
 @given(cycles)
 def test_uneven_cycles_move_the_goal_by_their_time_and_a_gap_puts_it_at_rest(dts):
+    """Reported in https://github.com/IFL-CAMP/iiwa_stack/issues/284: jerky at low speeds. Tried: uneven cycles."""
     follower = limits()
     before, v, after_gap = REST, REST, False
     for dt in dts:

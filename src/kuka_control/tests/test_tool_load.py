@@ -40,6 +40,9 @@ LOADS = {name: replace(rig(RealTimeConfig)[1].load, up=rotation_of_mounting(rpy)
 @pytest.mark.hazard(24)
 @given(st.sampled_from(list(MOUNTINGS)), poses)
 def test_an_arm_at_rest_that_nothing_touches_shows_no_torques(mounting, q):
+    """Reported in https://github.com/IFL-CAMP/iiwa_stack/issues/228: the tool's weight counts as external torque.
+    Tried: an arm at rest with its hand.
+    """
     arm, load = ARMS[mounting], LOADS[mounting]
     arm.q = q
     left = arm.external_torques - load.torques(q)

@@ -55,6 +55,9 @@ def run(tmp_path):
 
 
 def test_rows_are_what_was_measured_and_what_was_commanded_next(run):
+    """Reported in https://github.com/huggingface/lerobot/issues/933: rows that are not `1/fps` apart. Tried: a run at
+    100 Hz.
+    """
     episode = training_episode(run, 20)
     t = episode.times - BEGIN
     assert episode.names == ARM + HAND and episode.state.shape == episode.action.shape == (len(t), 11)
@@ -78,6 +81,9 @@ def test_a_run_without_hand_or_without_joints(run):
 
 
 def test_images_are_red_first_whatever_their_padding():
+    """Reported in https://github.com/fictionlab/ros_aruco_opencv/pull/64: bgra8 images end the detector. Tried:
+    export of bgra8 images.
+    """
     data = bytes([1, 2, 3, 4, 5, 6, 0, 0] * 2)
     message = {"height": 2, "width": 2, "step": 8, "encoding": "bgr8", "data": data}
     np.testing.assert_array_equal(color_image(message), [[[3, 2, 1], [6, 5, 4]]] * 2)
@@ -190,7 +196,11 @@ def test_rows_need_a_time_at_which_all_is_measured(run):
 
 @pytest.mark.ros
 def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_path, monkeypatch):
-    """LeRobot raises at the first frame of another shape, when the dataset is half written."""
+    """LeRobot raises at the first frame of another shape, when the dataset is half written.
+
+    Reported in https://github.com/huggingface/lerobot/issues/1249: frames of another shape raise while the dataset
+    is written. Tried: images that change their size.
+    """
     from leap_rig.recording.lerobot_export import COLOR, export
 
     made, library = [], types.ModuleType("lerobot.datasets.lerobot_dataset")
@@ -226,6 +236,9 @@ def test_images_that_change_their_size_are_refused_before_a_dataset_is_made(tmp_
 
 @pytest.mark.parametrize("part", ["joint_times", "hand_times", "goal_times"])
 def test_a_clock_that_was_set_back_is_named_and_a_message_out_of_turn_is_not(run, part):
+    """Reported in https://github.com/huggingface/lerobot/issues/2163: times that go back inside an episode. Tried: a
+    clock set back by 0.5 s while a run was recorded.
+    """
     times = getattr(run, part)
     half = len(times) // 2
     training_episode(replace(run, **{part: np.r_[times[:half], times[half] - 0.02, times[half + 1 :]]}), 10)
@@ -359,6 +372,9 @@ def test_what_an_export_would_not_heed_is_refused(tmp_path, to, options):
 @pytest.mark.ros
 @pytest.mark.parametrize("fps", ["0", "-5", "nan", "29.97", "100000"])
 def test_an_impossible_rate_is_refused_at_once(tmp_path, capsys, fps):
+    """Reported in https://github.com/strands-labs/robots/pull/1666: fps of 2.7 or NaN lose the episode. Tried: `--fps
+    29.97`, `nan`.
+    """
     with pytest.raises(SystemExit):
         exported(tmp_path, lerobot=tmp_path / "set", fps=fps)
     assert "--fps" in capsys.readouterr().err

@@ -94,6 +94,9 @@ def test_another_reader_reads_it(tmp_path):
 
 
 def test_a_killed_recording_keeps_every_flushed_chunk_wherever_its_file_ends(tmp_path):
+    """Reported in https://github.com/ros/ros_comm/issues/1328: most of a bag that was cut off is lost. Tried: a
+    recording cut off anywhere.
+    """
     chunks, ends = [few(2, 9, first=10 * i) for i in range(3)], []
     writer = writer_in(tmp_path / "run")
     for chunk in chunks:
@@ -342,6 +345,9 @@ def test_a_full_disk_leaves_no_part_of_an_export(tmp_path, left):
 
 
 def test_an_export_without_a_message_is_refused_and_one_that_exists_stays(tmp_path):
+    """Reported in https://github.com/ros/ros_comm/issues/1099: an empty bag: traceback. Tried: an export without a
+    message.
+    """
     with pytest.raises(RecordingFault, match="no message"):
         write_mcap(tmp_path / "none.mcap", [], {})
     (tmp_path / "there.mcap").write_bytes(b"mine")

@@ -74,6 +74,9 @@ def session(tmp_path):
 
 
 def test_a_view_moves_nothing_and_ends_when_a_controller_starts(ros, session):
+    """Reported in https://github.com/ros/ros_comm/issues/706, https://github.com/ros-visualization/rqt_bag/issues/11:
+    latched topics are missing in the middle of a bag. Tried: a replay from the middle.
+    """
     tf, static = ros.record("/tf", TFMessage), ros.record("/tf_static", TFMessage)
     markers = ros.record("/kuka/workspace", MarkerArray)
     begin = rospy.Time.now()

@@ -190,6 +190,9 @@ def test_a_board_that_is_not_as_drawn_is_refused(calibrate, still_scene, tmp_pat
 
 
 def test_a_board_that_is_seen_nowhere(calibrate, scene, arm, tmp_path, monkeypatch):
+    """Reported in https://github.com/IFL-CAMP/easy_handeye/issues/51: the marker's frame does not exist: traceback.
+    Tried: a board that nobody sees.
+    """
     monkeypatch.setattr(calibrate_program, "FIRST_VIEWS", 2)
     scene.visible = False
     code, log = calibrate(*arm.options, "--yes")

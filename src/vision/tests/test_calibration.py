@@ -97,6 +97,9 @@ def test_a_good_calibration_is_accepted(config):
     "limit", ["max_rms_mm", "max_rms_deg", "max_point_sd_mm", "max_turn_sd_deg", "max_panel_mm", "max_panel_deg"]
 )
 def test_a_bad_calibration_is_rejected_with_the_reason(config, limit):
+    """Reported in https://github.com/moveit/moveit_calibration/issues/134: a far too wrong camera is accepted after
+    five samples. Tried: bad views.
+    """
     X, _, views = scene(3, 14, SD / 4)
     verdict = judge(views, X, replace(config, **{limit: 1e-4}))
     assert not verdict.accepted
@@ -121,7 +124,11 @@ def test_wrong_views_are_counted(config):
 )
 def test_a_wrong_size_or_focal_length_is_found(config, factors, key, percent):
     """Tags smaller than configured make everything appear larger; a focal length too great makes the board appear
-    farther away."""
+    farther away.
+
+    Reported in https://github.com/AprilRobotics/apriltag_ros/issues/84: distances off by a factor. Tried: wrong
+    size, wrong focal length.
+    """
     X, _, views = scene(3, 30, SD / 8)
     wrong = [
         replace(v, T_camera_board=pose(v.T_camera_board[:3, :3], factors * v.T_camera_board[:3, 3])) for v in views

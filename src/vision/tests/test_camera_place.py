@@ -99,6 +99,9 @@ def test_who_saw_the_live_pose_also_gets_the_stored_one_and_never_waits(ros, sce
 
 
 def test_a_stale_flange_gives_no_pose_and_detections_count_for_three_seconds(ros, scene):
+    """Reported in https://github.com/IFL-CAMP/easy_handeye/issues/144: tf extrapolates when a sample is taken. Tried:
+    a stale flange.
+    """
     scene.measured = False
     node = ros.run("vision", "camera_place_node.py", "_mode:=live")
     clock.sleep(0.2)

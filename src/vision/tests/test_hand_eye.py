@@ -56,6 +56,9 @@ def test_more_views_make_it_surer_and_points_near_the_board_are_surest():
 @settings(max_examples=8)
 @given(st.integers(0, 10**6), st.integers(1, 4))
 def test_wrong_views_are_left_out(seed, wrong):
+    """Reported in https://github.com/IFL-CAMP/easy_handeye/issues/13: the result changes with each sample. Tried:
+    turns about one axis; wrong views.
+    """
     X, Z, views = scene(seed, 12, SD)
     rng = np.random.default_rng(seed + 1)
     for i in range(wrong):  # a flipped board, or one that was moved
@@ -70,6 +73,10 @@ def test_wrong_views_are_left_out(seed, wrong):
 
 
 def test_turns_about_one_axis_are_refused():
+    """Reported in https://github.com/marcoesposito1988/easy_handeye2/issues/14: a robot that only shifts. Tried:
+    views without turns.
+    Reported in https://github.com/lagadic/vision_visp/issues/106: six samples of one pose. Tried: six equal views.
+    """
     X, Z, _ = scene(1)
     rng = np.random.default_rng(3)
     B = [pose(rotation_about(2, a), rng.uniform(-0.3, 0.3, 3)) for a in np.linspace(-1.2, 1.2, 12)]

@@ -78,7 +78,12 @@ def detector(**settings):
 )
 @pytest.mark.parametrize("decimate", [1.0, 4.0])
 def test_a_tag_whose_part_is_outside_the_image_has_no_pose_beside_the_truth(straight, tilt, side, decimate):
-    """The library finds such a tag with corners where the image ends: poses that are wrong by centimetres."""
+    """The library finds such a tag with corners where the image ends: poses that are wrong by centimetres.
+
+    Reported in https://github.com/AprilRobotics/apriltag/issues/375,
+    https://github.com/PhotonVision/photonvision/issues/1817: a tag that is partly outside the image is detected,
+    with wrong corners. Tried: tags over each edge.
+    """
     find, counted = detector(tag_decimate=decimate), 0
     for outside in (-40, -12, *range(-8, 12, 2), -3, -1, 1):
         middle = [outside * s + (half - 52.5) * s for half, s in zip((319.5, 239.5), side)]
@@ -104,6 +109,13 @@ def test_a_tag_whose_part_is_outside_the_image_has_no_pose_beside_the_truth(stra
     ],
 )
 def test_a_known_tag_that_does_not_count_is_named(straight, changed, sentence):
+    """Reported in https://github.com/AprilRobotics/apriltag/issues/56, https://github.com/openmv/openmv/issues/564:
+    mirrored images show no tag. Tried: a mirrored image.
+    Reported in https://github.com/AprilRobotics/apriltag_ros/issues/96: tags printed inverted. Tried: an inverted
+    image.
+    Reported in https://github.com/AprilRobotics/apriltag_ros/issues/11: two tags of one id disappear. Tried: that
+    image.
+    """
     image = render(straight, pose(FACING, (0.01, 0.02, 0.6)), [(0, 0.1, 0.0, 0.0)], 0.14)
     find = detector()
     seen = [find.detect(np.ascontiguousarray(changed(image)), straight, now) for now in (0.0, 1.0, LOOK_AGAIN_S)]
@@ -113,6 +125,9 @@ def test_a_known_tag_that_does_not_count_is_named(straight, changed, sentence):
 
 
 def test_wanted_duplicates_have_a_pose_each(straight):
+    """Reported in https://github.com/AprilRobotics/apriltag_ros/pull/137: `remove_duplicates: false` needs a pose for
+    each. Tried: that image.
+    """
     image = render(straight, pose(FACING, (0.0, 0.0, 0.6)), [(0, 0.1, -0.1, 0.0), (0, 0.1, 0.1, 0.0)], 0.34)
     found = detector(remove_duplicates=False).detect(image, straight, 0.0).targets
     assert sorted(round(float(target.pose.T_camera_tag[0, 3]), 2) for target in found) == [-0.1, 0.1]

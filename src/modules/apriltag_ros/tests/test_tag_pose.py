@@ -145,6 +145,9 @@ def test_what_has_no_pose_is_refused(camera, points):
 
 @pytest.mark.parametrize(("distance", "tilt"), [(0.6, 30.0), (1.0, 25.0), (1.4, 40.0)])
 def test_rendered_truth_through_a_distorting_lens(camera, bundle, distance, tilt):
+    """Reported in https://github.com/AprilRobotics/apriltag_ros/issues/106: bundles of tags of two sizes. Tried: such
+    a bundle.
+    """
     detector = TagDetector(detector_settings({"tag_threads": 1, "rectified": False}), (bundle,))
     for seed, azimuth in enumerate((0.5, 2.5, 4.5)):
         truth = view(distance, tilt, azimuth, turn=azimuth, x=0.1)

@@ -62,6 +62,9 @@ def test_connecting_attaches_the_tool_and_closing_says_end(server, takes):
 
 @pytest.mark.parametrize(("host", "seconds"), [("127.0.0.1", 0.0), ("192.0.2.1", 5.0)])
 def test_nobody_listens(wires, takes, host, seconds):
+    """Reported in https://github.com/jonaitken/KUKA-IIWA-API/issues/8: a firewall swallows the connection. Tried: an
+    address that is silent.
+    """
     with takes(seconds), pytest.raises(NoServer) as caught:
         KstClient.connect(host, 30001)
     assert caught.value.address == f"{host}:30001"
@@ -84,6 +87,10 @@ def test_an_open_port_that_stays_silent(server, takes):
 
 @pytest.mark.parametrize(("answer", "seconds"), [(b"", 3 * (WAITS.reply + 2 * WAITS.quiet)), (b"nak\n", 0.0)])
 def test_a_server_that_does_not_attach_the_tool(server, takes, answer, seconds):
+    """Reported in https://github.com/Modi1987/KST-Kuka-Sunrise-Toolbox/issues/4,
+    https://github.com/Modi1987/KST-Kuka-Sunrise-Toolbox/issues/15: connected, then the tool is not attached.
+    Tried: a server that does not.
+    """
     server.answers["TFtrans"] = answer
     with takes(WAITS.connect_settle + seconds), pytest.raises(ToolNotAttached):
         KstClient.connect("127.0.0.1", server.port)
@@ -197,6 +204,9 @@ def test_lights_during_a_motion_do_not_end_it(server, connect):
 
 
 def test_a_motion_that_does_not_end_in_time_names_the_joint_that_is_farthest(server, connect, takes):
+    """Reported in https://github.com/Modi1987/iiwaPy/issues/2: a motion waits for its end for ever. Tried: no second
+    `done`.
+    """
     client = connect()
     with takes(12.0), pytest.raises(ReplyTimeout, match=r"joint 4 .* 5\.73 deg"):
         client.ptp_joints(HOME + 0.1 * np.eye(7)[3], 0.25, timeout=12.0)
@@ -312,6 +322,9 @@ def test_a_tool_that_cannot_be_attached_again(server, connect):
 
 
 def test_the_servo_starts_where_the_arm_stands(server, connect, takes):
+    """Reported in https://github.com/IFL-CAMP/iiwa_stack/issues/212: the first goal is zero: the arm rushes there.
+    Tried: start of the servo.
+    """
     client = connect()
     with takes(WAITS.servo_start):
         client.start_joint_servo()
@@ -436,6 +449,9 @@ def test_modes_that_exclude_each_other(server, connect):
     "q", [[math.nan] * 7, [math.inf] + [0.0] * 6, [0.0] * 6, [0.0, 2.2, 0.0, 0.0, 0.0, 0.0, 0.0], [600.0] * 7, None]
 )
 def test_bad_joints_never_leave(server, connect, q):
+    """Reported in https://github.com/IFL-CAMP/iiwa_stack/issues/214: goals beyond the joint ranges end the
+    application. Tried: such goals.
+    """
     client = connect()
     with pytest.raises(BadJoints):
         client.start_ptp_joints(q, 0.25)

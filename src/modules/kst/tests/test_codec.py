@@ -41,6 +41,9 @@ angles = st.floats(-math.pi, math.pi)
     ],
 )
 def test_commands_are_spelled_as_the_server_reads_them(command, line, thread, answer):
+    """Reported in https://github.com/Modi1987/iiwaPy3/issues/8: a misspelt command gets no answer. Tried: all
+    commands.
+    """
     assert command == codec.KstCommand(line, ServerThread(thread), ReplyKind(answer))
 
 

@@ -94,6 +94,14 @@ def test_frames_arrive_with_the_stamp_of_their_receipt(start):
 
 
 def test_policy_messages_are_compact_in_order_and_sent_again(start):
+    """Reported in https://github.com/leapmotion/leapjs/issues/127: each reconnect asks for a lower protocol. Tried: a
+    service that ends.
+    Reported in https://github.com/leapmotion/leapjs/issues/159, https://github.com/leapmotion/leapjs/issues/171:
+    background and focus are lost on reconnect. Tried: a service that ends.
+    Reported in https://github.com/leapmotion/leapjs/pull/319: another program leaves the tracker in screen-top
+    mode. Tried: that mode, then our client.
+    """
+
     def ends(service, connection):
         greet(service, connection)
         connection.send(frame(1))
@@ -116,6 +124,9 @@ def test_policy_messages_are_compact_in_order_and_sent_again(start):
     ],
 )
 def test_a_wrong_first_message_is_refused_and_tried_again_ever_later(start, first, sentence):
+    """Reported in https://github.com/leapmotion/leapjs/issues/226: first messages without a version. Tried: a frame
+    first.
+    """
     tries = []
 
     def wrong(service, connection):
@@ -157,6 +168,9 @@ def test_no_header(start):
 
 
 def test_silence_is_a_fault_and_ends_with_the_next_frame(start):
+    """Reported in https://github.com/leapmotion/leapjs/issues/134: frames go on without a device. Tried: frames that
+    stop.
+    """
     pause = []
     _service, client = start(repeating(lambda number: None if pause else frame(number)))
     clock.sleep(0.5)

@@ -348,6 +348,9 @@ def test_a_service_says_that_it_is_simulated_or_it_is_not():
 
 
 def test_headers():
+    """Reported in https://github.com/leapmotion/leapjs/pull/168: services without their version. Tried:
+    `"serviceVersion": null`.
+    """
     assert read_header('{"version":6,"serviceVersion":"2.3.1+33747"}') == "2.3.1+33747"
     assert read_header('{"version":1}') == read_header('{"version":5,"serviceVersion":null}') == ""
     with pytest.raises(LeapProtocolError, match="protocol version '7'"):

@@ -114,6 +114,9 @@ def test_publishes_every_frame_and_says_what_it_counts(ros, wire):
 
 
 def test_unusable_frames_are_a_warning_and_a_missing_service_is_an_error():
+    """Reported in https://github.com/leapmotion/leapjs/issues/264, https://github.com/leapmotion/leapjs/issues/270:
+    today's tracking service has no WebSocket. Tried: nobody on 6437.
+    """
     levels = {}
     for link in LeapLink:
         client = SimpleNamespace(status=LeapStatus(link, "A sentence."), counts=LeapCounts())

@@ -165,6 +165,9 @@ def test_fields():
 
 
 def test_an_absent_hand_is_the_default_message():
+    """Reported in https://github.com/ros-drivers/leap_motion/issues/11: a hand that left keeps its values. Tried: a
+    frame without hands.
+    """
     assert serialised(convert(frame(PITCHED)).left_hand) == serialised(Hand())
 
 

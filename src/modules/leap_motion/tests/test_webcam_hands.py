@@ -77,6 +77,10 @@ def measured(hand, width=84.25):
 @given(angles, places, sides, st.floats(60.0, 110.0))
 @settings(max_examples=50, deadline=None)
 def test_a_hand_is_found_where_it_is(turn, place, side, width):
+    """Reported in https://github.com/google-ai-edge/mediapipe/issues/1374,
+    https://github.com/google-ai-edge/mediapipe/issues/4803: left and right are those of a mirror. Tried: a
+    mirrored hand.
+    """
     axes = rotation(turn) @ FACING
     hand = measured(seen(axes, place, side, width), width)
     assert_allclose(hand.palm, place, atol=0.5)

@@ -183,6 +183,9 @@ def test_a_film_slides_in_and_is_played_in_real_time_and_again_after_a_pause(vir
 
 @pytest.mark.parametrize("rate", [1.0, 1000.0])
 def test_a_film_whose_file_states_no_rate_of_a_camera_is_played_at_30_hz(virtual, tmp_path, rate):
+    """Reported in https://github.com/opencv/opencv-python/issues/322, https://github.com/opencv/opencv/pull/5600:
+    films state 1000, 90000 or NaN frames a second. Tried: such a film.
+    """
     source = FileSource(film(tmp_path / "a.avi", [np.full((48, 64, 3), 250, np.uint8)] * 5, rate), mirrored=False)
     source.start()
     taken = [source.newest(2.0) for _ in range(60)]

@@ -160,6 +160,9 @@ def test_a_hand_that_hears_no_commands_is_not_moved(wire, hand_of):
 
 
 def test_no_hand(hand_of):
+    """Reported in https://github.com/RightHandRobotics/reflex-ros-pkg/issues/43: the hand is not heard. Tried: no
+    packets.
+    """
     hand = hand_of(port=11334)
     hand.connect()
     clock.sleep(0.3)

@@ -98,6 +98,10 @@ def test_motors_that_do_not_move_end_by_time(make_settings):
 
 @pytest.mark.parametrize("motor", range(4))
 def test_a_servo_without_position_ends_it_and_nothing_is_sent(make_settings, motor):
+    """Reported in https://github.com/RightHandRobotics/reflex-ros-pkg/issues/36: servos that read 0 are driven too
+    far. Tried: a servo at 0.
+    """
+
     def unplug(hand, count):
         positions = list(hand.packet.positions)
         positions[motor] = 0

@@ -185,6 +185,9 @@ def test_contact_is_strictly_above_the_threshold(shipped, above, touched):
 
 @pytest.mark.hazard(17)
 def test_only_the_overloaded_finger_is_loosened(bench):
+    """Reported in https://github.com/RightHandRobotics/reflex-ros-pkg/pull/6: the preshape motor overloads first.
+    Tried: one overloaded motor.
+    """
     b = bench().calibrated()
     b.command(2.0, 1.5, 1.8, 0.5)
     b.run(2.0)
@@ -520,6 +523,9 @@ def test_a_command_of_another_length_is_refused_and_the_goals_stay(bench):
 
 
 def test_a_calibration_of_stuck_encoders_fails_and_drops_the_waiting_command(bench):
+    """Reported in https://github.com/RightHandRobotics/reflex-ros-pkg/issues/42: an encoder that sticks while fingers
+    are calibrated. Tried: stuck encoders.
+    """
     b = bench()
     b.run(0.3)
     before = b.device.state()["angles"]
