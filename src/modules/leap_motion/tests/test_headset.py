@@ -15,7 +15,6 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from common import clock
-from leap_motion.headset.access import DIGITS, Access
 from leap_motion.headset.hand_stream import SETTLE_S, HandStream
 from leap_motion.headset.placement import FROM_XR, placement, xr_hand
 from leap_motion.headset.transport import (
@@ -26,6 +25,7 @@ from leap_motion.headset.transport import (
     HandsEndpoint,
     Scene,
 )
+from leap_motion.service.access import CODE_DIGITS, HeadsetAccess
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
 from leap_motion.service.socket_service import SocketService, listen
 from simulated.wires import DELAY_S
@@ -259,7 +259,7 @@ class TestHandStream:
 
 class TestAccess:
     def test_a_code_is_good_once_and_its_key_for_ever_also_while_its_address_waits(self):
-        access = Access()
+        access = HeadsetAccess()
         code = access.code
         key = access.admit(code, HERE, 0.0)
         assert key and access.code != code
@@ -269,7 +269,7 @@ class TestAccess:
 
     @given(st.one_of(st.none(), st.text(), st.integers(), st.lists(st.integers())))
     def test_nothing_else_is_admitted(self, secret):
-        access = Access()
+        access = HeadsetAccess()
         if secret != access.code:
             assert access.admit(secret, HERE, 0.0) is None
 
@@ -314,7 +314,7 @@ class Rig:
 
     @property
     def code(self):
-        return [s for s in self.said if "code for" in s][-1].rstrip(".")[-DIGITS:]
+        return [s for s in self.said if "code for" in s][-1].rstrip(".")[-CODE_DIGITS:]
 
 
 @pytest.fixture
@@ -345,7 +345,7 @@ def leave(rig, connection):
 
 
 def wrong_code(rig):
-    return "0" * DIGITS if rig.code != "0" * DIGITS else "1" * DIGITS
+    return "0" * CODE_DIGITS if rig.code != "0" * CODE_DIGITS else "1" * CODE_DIGITS
 
 
 def message(t, hand=None):

@@ -304,6 +304,14 @@ class TestTracks:
         assert sure[change - 2 : change] == [None, None] and False in sure[:change]
         assert all(sure[change:])
 
+    def test_a_new_neutral_pose_turns_no_hand_that_steers(self):
+        tracks = HandTracks(placement(FRONT), 84.25)
+        before = run(tracks, held(), 45)[-1].hands[0]
+        tracks.renew()
+        found = run(tracks, held(), 60, 45)
+        assert not any(f.hands for f in found[:7])  # longer than an engagement outlives its hand
+        assert all(hand.id > before.id for f in found for hand in f.hands) and found[-1].hands
+
 
 class TestPalmWidth:
     @given(st.tuples(*[st.floats(-0.5, 0.5)] * 3), st.floats(65.0, 105.0))

@@ -18,9 +18,8 @@ from typing import NamedTuple, Protocol
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from leap_motion.headset.access import Access
 from leap_motion.headset.hand_stream import HandFrame, HandStream
-from leap_motion.service.access import ConnectionLimits
+from leap_motion.service.access import ConnectionLimits, HeadsetAccess
 from leap_motion.service.socket_service import SEND_S
 
 MAX_MESSAGE_BYTES = 16384  # longest message of a page; two hands take 3000
@@ -62,7 +61,7 @@ class HandsEndpoint:
     ) -> None:
         self._stream, self._served, self._scene, self._say = stream, served, scene, say
         self._say_code = say_code or say
-        self._access = Access()
+        self._access = HeadsetAccess()
         self._waiting = ConnectionLimits(MAX_WAITING, WAITING_OF_ADDRESS)
         self._driver: tuple[str, ServerConnection] | None = None
         self._placed_by = ""  # key of the headset whose box stands in the room

@@ -9,6 +9,7 @@ import hashlib
 import hmac
 import ipaddress
 import re
+import secrets
 from collections import Counter
 from collections.abc import Iterable
 from urllib.parse import urlsplit
@@ -16,6 +17,7 @@ from urllib.parse import urlsplit
 FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 300.0  # of an address after its first wrong code, and after many
 REMEMBERED_S = 3600.0  # an address that sent no wrong code for so long starts anew
 MAX_ADDRESSES = 1000  # that are remembered
+CODE_DIGITS = 8  # of a code for a headset
 HOST = re.compile(r"[\w.:%\[\]-]+", re.ASCII)
 
 
@@ -73,6 +75,45 @@ class AccessCode:
             del self._wrong[min(self._wrong, key=lambda each: self._wrong[each][1])]
         self._wrong[machine] = count, now + wait, guess
         return False
+
+
+class HeadsetAccess:
+    """Who may drive the robot over the network: whoever knows the code that stands on the rig's terminal.
+
+    A code is good for one headset, which gets a key for when its connection is lost; the next one needs the next code.
+    """
+
+    def __init__(self) -> None:
+        self._keys: set[str] = set()
+        self._check = AccessCode(_new_code())
+
+    @property
+    def code(self) -> str:
+        return self._check.code
+
+    def wait(self, address: str, now: float) -> float:
+        """Returns how long no code of an address is compared yet [s]."""
+        return self._check.wait(address, now)
+
+    def admit(self, secret: object, address: str, now: float) -> str | None:
+        """Returns the key of a page that sent the code, which is void then, or its key; None for one that sent neither.
+
+        A key, which nobody guesses, is good while its address waits.
+        """
+        text = secret if isinstance(secret, str) else ""
+        for key in self._keys:
+            if hmac.compare_digest(text.encode("utf-8", "replace"), key.encode()):
+                return key
+        if not self._check.accepts(text, address, now):
+            return None
+        self._check.code = _new_code()
+        key = secrets.token_urlsafe(16)
+        self._keys.add(key)
+        return key
+
+
+def _new_code() -> str:
+    return f"{secrets.randbelow(10**CODE_DIGITS):0{CODE_DIGITS}d}"
 
 
 def is_loopback(host: str) -> bool:
