@@ -15,7 +15,8 @@ from common.hand_tracking import ANY
 from common.operator_rows import OLD_ROWS_S
 from leap_hand.config import STEERING
 from leap_hand.flexion import map_angles
-from leap_hand.teleop import MAX_MISSING_S, NEAR, GripperState
+from leap_hand.numbers import MAX_MISSING_S, NEAR
+from leap_hand.teleop import GripperState
 
 CLOSED, HALF, OPEN = 40.0, 65.0, 85.0  # angles of the operator's fingers [deg]
 HANDS, AFTER = st.integers(0, 2), st.sampled_from([0, 1, 4, 25, 130])  # frames

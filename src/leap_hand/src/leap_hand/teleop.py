@@ -23,13 +23,10 @@ from common.poses import read_only
 from common.reasons import FOLLOWED, IN_VIEW, NO_HAND, NOT_SEEN
 from leap_hand.config import FINGERS, STEERING, HandConfig
 from leap_hand.flexion import flexion, map_angles
+from leap_hand.numbers import MAX_MISSING_S, MAX_SILENCE_S, NEAR
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 GRIPPER_OFF = "the control of the gripper is off"
-
-MAX_SILENCE_S = 0.5
-NEAR = 0.15  # of a finger's range: so near to the kept command the operator's finger takes over
-MAX_MISSING_S = 0.2  # longest time without the owner of a lock that is made here
 
 
 class GripperState(Enum):

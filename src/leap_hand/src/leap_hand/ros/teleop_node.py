@@ -22,6 +22,7 @@ from common.simulated import said_by
 from common.teleop_record import teleop_record
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
+from leap_hand.numbers import ANSWER_TIMEOUT_S, FIRST_STATE_S, SETTLING_S
 from leap_hand.ros.operators import operator_file
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
@@ -31,12 +32,8 @@ from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import TeleopState
 
 WATCH_PERIOD_S = 0.1
-FIRST_STATE_S = 2.0  # longest wait for the first state of the robot hand [s]
 FILES, OPERATOR = "files", "operator"  # under leap_hand/: the values of each file by itself, that of operator:= too
 CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
-ANSWER_TIMEOUT_S = 10.0
-SETTLING_S = 2.0
-"""Both services answer at once and the fingers move for up to two seconds; a command would fight the calibration."""
 
 
 class HandTeleopNode:

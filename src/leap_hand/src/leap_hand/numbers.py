@@ -1,0 +1,15 @@
+"""Numbers of the robot hand's teleoperation that a user or a reviewer must know; what a user may set is in config.py.
+
+Times in seconds of a monotonic clock. Those of the measurement of a person's hand are in hand_wizard.py.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+MAX_SILENCE_S: Final = 0.5  # without a usable frame for longer the hand opens, once
+MAX_MISSING_S: Final = 0.2  # longest time without the owner of a lock that is made here, as with the arm
+NEAR: Final = 0.15  # of a finger's range: so near to the kept command the operator's finger takes over
+FIRST_STATE_S: Final = 2.0  # longest wait for the first state of the robot hand
+ANSWER_TIMEOUT_S: Final = 10.0  # of the services that calibrate the robot hand
+SETTLING_S: Final = 2.0  # they answer at once and the fingers move on; a command would fight the calibration
