@@ -19,13 +19,13 @@ ROWS = (
 
 
 def draw(name: str, old: Stored, new: Stored, path: Path, tolerance: dict[str, float] = TOLERANCE) -> None:
-    """Draws both, beside them what is new less what was stored, and last the angle between the orientations. What
-    differs has a red background; the scale of the differences is their own, so that small ones are seen too.
+    """Draws both, and beside them what is new less what was stored, in a scale of its own. What differs has a red
+    background.
     """
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, plots = pyplot.subplots(len(ROWS) + 1, 2, figsize=(18, 14), constrained_layout=True, sharex="row")
+    figure, plots = pyplot.subplots(len(ROWS), 2, figsize=(18, 12), constrained_layout=True, sharex="row")
     for (both, apart), (kind, columns, label) in zip(plots, ROWS):
         pace = BLOCK[kind] * CYCLE_S if kind == "goals" else float(BLOCK[kind])
         a, b = old.means[kind][:, columns], new.means[kind][:, columns]
@@ -42,28 +42,7 @@ def draw(name: str, old: Stored, new: Stored, path: Path, tolerance: dict[str, f
         apart.set_ylabel("new less stored")
         for plot in (both, apart):
             plot.set_xlabel("time [s]" if kind == "goals" else "frame")
-    n = min(len(old.means["tools"]), len(new.means["tools"]))
-    angles = np.degrees([angle(a, b) for a, b in zip(old.means["tools"][:n, 3:], new.means["tools"][:n, 3:])])
-    plots[-1, 0].plot(BLOCK["tools"] * np.arange(n), angles, color="red")
-    plots[-1, 0].set_ylabel("tool, old to new [deg]")
-    plots[-1, 0].set_xlabel("frame")
-    plots[-1, 1].axis("off")
     figure.suptitle(f"{name}: stored (colours) and new (black, dashed); red where they differ")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=70)
     pyplot.close(figure)
-
-
-def angle(a: np.ndarray, b: np.ndarray) -> float:
-    """Returns the angle between two orientations by their first two columns, shape (6,) each [rad]; the means of a
-    block in which the tool turns are shorter than 1.
-    """
-    R, S = (_rotation(columns) for columns in (a, b))
-    return float(np.arccos(np.clip((np.trace(R.T @ S) - 1.0) / 2.0, -1.0, 1.0)))
-
-
-def _rotation(columns: np.ndarray) -> np.ndarray:
-    x = columns[:3] / np.linalg.norm(columns[:3])
-    z = np.cross(x, columns[3:])
-    z /= np.linalg.norm(z)
-    return np.column_stack([x, np.cross(z, x), z])

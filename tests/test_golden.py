@@ -103,16 +103,6 @@ def test_the_picture_marks_what_the_gate_says_differs(tmp_path, monkeypatch):
     assert asked == [1.0, 1.0, 2.0, 3.0] and (tmp_path / "run.png").stat().st_size > 1000
 
 
-def test_the_angle_of_the_picture_is_none_where_nothing_differs():
-    from golden.picture import angle
-
-    turned = [np.cos(0.1), np.sin(0.1), 0.0, -np.sin(0.1), np.cos(0.1), 0.0]
-    mean = np.mean([np.eye(3)[:2].ravel(), turned], axis=0)  # of a block in which the tool turns
-    assert angle(mean, mean) < 1e-6
-    assert angle(np.eye(3)[:2].ravel(), np.array(turned)) == pytest.approx(0.1)
-    assert angle(mean, np.array(turned)) == pytest.approx(0.05)
-
-
 def test_writing_and_reading_changes_nothing(tmp_path):
     trace = Trace([np.arange(9.0)] * 7, [np.full(4, np.nan)] * 7, [np.ones(7)], ["0.1 kuka: home", "0.2 kuka: servo"])
     stored(trace).write("run", tmp_path)
