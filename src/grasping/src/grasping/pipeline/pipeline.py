@@ -1,8 +1,7 @@
 """From depth images to grasps: view, network, averaging, refinement, maxima, projection, approach, limits, tracking.
 
-One object runs all steps, live and offline. The defaults of `PipelineSettings` are the offline use: no step remembers
-an earlier image, nothing is rejected, and the single best pixel is the grasp. Poses are in the camera's optical frame
-and, where the camera's pose is known, in kuka/base_frame. A result without grasps gives the reason.
+One object runs all steps, live and offline; the defaults of `PipelineSettings` are the offline use, without memory and
+limits. Poses are in the camera's optical frame and, where the camera's pose is known, in kuka/base_frame.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The image that the network gets, and where it was taken from: the camera's own, or one from above the table.
 
-The networks learned on images taken from above, and take the far edge of a table seen from the side for most graspable.
-So its depth image is drawn anew as a camera would see it that looks straight down on the table: each reading goes to
-where it lies, and what is not above the table becomes table.
+The networks learned on images from above, and take the far edge of a table seen from the side for most graspable. So
+the depth image is drawn anew from straight above: each reading goes where it lies, what is not above the table becomes
+table.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """The places of an image that can be grasped, and what can be seen of each: what taste and lifts are judged by.
 
-The level frame: its origin is the camera's optical centre, z points down across the table, x is the image's x axis laid
-into it, y points towards who stands below the image. A grasp along z has the axes of a grasp before a camera that looks
-straight down, whatever the camera's tilt. Where objects have a direction, features say so in the object's own axes: its
-long axis, its middle, its bulk (the thickest place of its outline) and which of its ends is the lighter one.
+The level frame: origin in the camera's optical centre, z down across the table, x the image's x axis laid into it, y
+towards who stands below the image. Features are in an object's own axes where it has some: its long axis, its middle,
+its bulk (the thickest place of its outline) and its lighter end.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """A conditional logit over the candidates of an image: which of them an operator takes, learned from choices.
 
-A candidate is worth its quality, times `SHARPNESS`, and what the operator likes about its features; the worths' softmax
-is the probability of the choice. The weights have normal priors about zero, so without episodes the order of the
-candidates is that of their quality, and a few episodes change only what they show clearly.
-An operator's grasp is a candidate, a constant miss and a tremor. Which candidate it was meant to be, nobody says: the
-expectation-maximisation takes each as far as it explains the grasp, and so tells taste from miss.
+A candidate's worth is its quality, times `SHARPNESS`, and what the operator likes about its features, with normal
+priors about zero. An operator's grasp is a candidate, a constant miss and a tremor; expectation-maximisation takes each
+candidate as far as it explains the grasp, and so tells taste from miss.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The collection of 2019: many maps of a thing while the arm stands at home, then many poses of the tool at its grasp.
 
-Each pose makes an episode with the maps of its turn: of M maps and P poses, pose i goes with maps i M / P to
-(i + 1) M / P, at least one. Its label is the desired tool, as in 2019; the measured one stands beside it. All of a
-session show one grasp of one thing; as data they count as little more than one.
+Of M maps and P poses, pose i makes an episode with maps i M / P to (i + 1) M / P, at least one. Its label is the
+desired tool, as in 2019. All of a session show one grasp of one thing; as data they count as little more than one.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def checked_scene(task: tuple[str, int, LabelSettings]) -> dict[str, Any]:
 
 
 def scene_grasps(split: str, number: int, settings: samples.LabelSettings) -> dict[str, Any]:
-    """Returns a scene, and as a file of grasps has them its best label, if any, and a random grasp: a pixel of an object
+    """Returns a scene as a file of grasps has it, with its best label, if any, and a random grasp: a pixel of an object
     and a direction that depend on the scene's number alone, so that labels of several hands are judged on the same.
     """
     seen = samples.view(split, number)
