@@ -21,6 +21,7 @@ from visualization_msgs.msg import MarkerArray
 
 from common.ros.conversions import message_from_pose, pose_from_message, pose_in, stamped_pose, stamped_transform
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
+from grasping.ros.execution_io import hand_measurement
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse, HoldTool
@@ -322,3 +323,14 @@ def test_diagnostics_say_which_inputs_do_not_come(ros, rig, node):
         rig.say_hold("none")
         clock.sleep(0.5)
     says(DiagnosticStatus.OK, "No grasp was executed yet.", after=0.1)
+
+
+def test_the_hand_is_measured_by_its_three_fingers():
+    message = Hand()
+    for i, motor in enumerate(message.motor):
+        motor.joint_angle, motor.load = 0.1 * i, 10.0 * i
+    message.finger[2].pressure[3] = 5.0
+    found = hand_measurement(message)
+    np.testing.assert_allclose(found.angles, (0.0, 0.1, 0.2), atol=1e-6)
+    np.testing.assert_allclose(found.loads, (0.0, 10.0, 20.0))
+    assert found.pressures.shape == (3, 9) and found.pressures[2, 3] == 5.0

@@ -209,6 +209,8 @@ def test_predictors_are_compared(every, tmp_path, monkeypatch):
     assert {r["lifted"] for r in rows} <= {"True", "False"}
     of = {m: {r["episode"]: r for r in rows if r["method"] == m} for m in evaluate_refinement.METHODS}
     for name in of[evaluate_refinement.ALONE]:
+        positions = [of[m][name]["position_mm"] for m in (evaluate_refinement.ALONE, evaluate_refinement.MISS)]
+        assert positions[0] != positions[1]
         # Without outcomes nothing constrains it.
         assert of["refinement"][name]["meant_mm"] == of["without constraint"][name]["meant_mm"]
     table = (results / "table.md").read_text()
