@@ -1,1 +1,1 @@
-"""The whole rig: bring-up, demo and the report of what a run did."""
+"""The whole rig: bring-up in `ros` (demo, leap_teleop), `operator` (view, sounds, tutorial), `report`, `recording`."""

@@ -15,10 +15,10 @@ from typing import Any, Callable, TypeVar
 from common.config import flag, number
 from common.modes import Mode
 from common.operator_rows import ARM, BARS, NOTHING, OLD_ROWS_S, TEXT, TICKS, Row, RowTone, fraction, stale
+from common.robot_hand import HAND
 from common.teleop_record import WAITING, TeleopRecord
 from leap_rig.operator.cues import Cue
 
-FINGERS = ("index", "middle", "thumb")
 CLOSED_RAD = 2.0  # about the angle of a finger on the palm
 DELAY_SILENCE_S = 5.0  # the delay from hand to arm is measured over seconds
 FAR_M = 100.0  # a pair at this distance is none
@@ -144,7 +144,7 @@ class OperatorView:
         *fingers, thumb = hand.touches
         text = "grips" if thumb and any(fingers) else "touches" if any(hand.touches) else "free"
         tone = RowTone.WARNING if 1.0 in bars else RowTone.NORMAL if text == "free" else RowTone.GOOD
-        return text, tone, FINGERS, bars
+        return text, tone, HAND.fingers, bars
 
     def _link(self, arm: ArmView) -> tuple[str, RowTone]:
         if not self._round_trips:
@@ -202,7 +202,7 @@ def _guard(guard: GuardedPair) -> tuple[str, RowTone]:
 
 def _fingers(hand: GripView) -> tuple:
     closed = tuple(fraction(angle / CLOSED_RAD) for angle in hand.angles)
-    return f"{100 * sum(closed) / len(closed):.0f} %", RowTone.NORMAL, FINGERS, closed
+    return f"{100 * sum(closed) / len(closed):.0f} %", RowTone.NORMAL, HAND.fingers, closed
 
 
 def _delay(delay: DelayView) -> tuple[str, RowTone]:

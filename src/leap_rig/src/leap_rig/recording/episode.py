@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from common import robot_hand
 from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.run import RecordedRun
 
@@ -14,7 +15,7 @@ LONGEST_S = 86400.0  # of an episode
 BACK_S = 0.05  # between two messages: time that goes back farther was set
 FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
 ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
-HAND = ("index", "middle", "thumb", "spread")
+HAND = robot_hand.HAND.motors
 CHANNELS = {"rgb8": (3, [0, 1, 2]), "bgr8": (3, [2, 1, 0]), "rgba8": (4, [0, 1, 2]), "bgra8": (4, [2, 1, 0])}
 """Encodings that can be exported: bytes of a pixel, and where among them its red, green and blue are."""
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from common.frames import FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_DESIRED
+from common.frames import FLANGE_DESIRED, HAND_FILTERED, TOOL_DESIRED
+from common.frames import HAND as HAND_FRAME
+from common.robot_hand import HAND
 
 RAW_FRAMES = "/leap_motion/raw_frames"
 SENT_GOALS = "/kuka/sent_goals"
 JOINTS = "/kuka/joint_positions"
-HAND_STATE = "/reflex_takktile/hand_state"
-HAND_COMMAND = "/reflex_takktile/radian_hand_command"
+HAND_STATE = f"/{HAND.state}"
+HAND_COMMAND, RAW_HAND_COMMAND = (f"/{topic}" for topic in HAND.commands)
 TF = "/tf"
 COLOR = "/camera/rgb/image_raw"
 DEPTH = "/camera/depth/image"
 
 INPUTS = (RAW_FRAMES, "/leap_kuka/operator_input", "/kuka/move/goal")
-COMMANDS = (SENT_GOALS, HAND_COMMAND, "/reflex_takktile/raw_hand_command", "/kuka/gripper_control")
+COMMANDS = (SENT_GOALS, HAND_COMMAND, RAW_HAND_COMMAND, "/kuka/gripper_control")
 STATES = (
     *(JOINTS, "/kuka/joint_torques_external", "/kuka/joint_torques_measured", "/kuka/flange_force"),
     *("/kuka/flange_torque", "/kuka/mode", "/kuka/status", "/kuka/guard", "/kuka/move/result", HAND_STATE),
@@ -31,7 +33,7 @@ CAMERA = {
     "color": (COLOR, "/camera/rgb/camera_info"),
     "rgbd": (COLOR, "/camera/rgb/camera_info", DEPTH, "/camera/depth/camera_info"),
 }
-DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND, HAND_FILTERED)
+DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND_FRAME, HAND_FILTERED)
 """Frames that steer an arm, or follow from one that does."""
 
 

@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from common import clock
 from common.config import choice, flag
 from common.frames import BASE, FLANGE_MEASURED
+from common.robot_hand import HAND, hand_state
 from common.ros.conversions import pose_from_transform
 from common.ros.params import private_config
 from common.ros.raw_tf import TransformSearch
@@ -36,7 +37,6 @@ from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus, TeleopState
 
 PERIOD_S = 0.1
-FINGERS = 3
 CLOSED_RAD = np.radians(100.0)  # of a finger of the closed robot hand: the least of leap_hand.yaml
 
 
@@ -60,7 +60,7 @@ class TutorialNode:
         for topic, kind, callback in (
             ("leap_kuka/state", TeleopState, self._on_state),
             ("kuka/status", KukaStatus, self._on_status),
-            ("reflex_takktile/hand_state", Hand, self._on_hand),
+            (HAND.state, Hand, self._on_hand),
             ("/tf", rospy.AnyMsg, self._on_transforms),
         ):
             rospy.Subscriber(topic, kind, callback, queue_size=10)
@@ -97,7 +97,7 @@ class TutorialNode:
         self._take(ArmRecord(message.mode, message.control_on, message.gripper_on, tuple(message.limited_by)))
 
     def _on_hand(self, message: Hand) -> None:
-        angles = [motor.joint_angle for motor in message.motor[:FINGERS]]
+        angles = hand_state(message).angles[: len(HAND.fingers)]
         self._take(FingersRecord(float(np.mean(angles)) / CLOSED_RAD))
 
     def _on_transforms(self, message: rospy.AnyMsg) -> None:

@@ -19,6 +19,7 @@ from common import clock
 from common.config import parse
 from common.frames import VIRTUAL_LEAP
 from common.hand_tracking import ANY, LEFT, RIGHT
+from common.robot_hand import HAND, hand_state
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
 from common.ros.params import arm_frames, private_config
@@ -90,7 +91,7 @@ class OperatorViewNode:
             self._subscribe("leap_kuka/state", TeleopState, lambda message: self._take(teleop_record(message))),
             self._subscribe("kuka/status", KukaStatus, self._record(ArmView)),
             self._subscribe("kuka/guard", GuardState, self._record(GuardedPair)),
-            self._subscribe("reflex_takktile/hand_state", Hand, self._grip),
+            self._subscribe(HAND.state, Hand, self._grip),
             rospy.Subscriber("/diagnostics", DiagnosticArray, self._diagnostics, queue_size=20),
         ]
 
@@ -111,9 +112,9 @@ class OperatorViewNode:
             self._view.take(record, clock.monotonic())
 
     def _grip(self, message: Hand) -> None:
-        angles = [motor.joint_angle for motor in message.motor[:3]]
-        touches = [any(finger.contact) for finger in message.finger]
-        self._take(GripView(angles, [finger.pressure for finger in message.finger], touches))
+        hand = hand_state(message)
+        angles = hand.angles[: len(HAND.fingers)].tolist()
+        self._take(GripView(angles, hand.pressures.tolist(), hand.contacts.any(axis=1).tolist()))
 
     def _diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -17,6 +17,7 @@ from common.config import parse
 from common.frames import BASE, TOOL_COMMANDED, TOOL_DESIRED, ArmFrames, frame_name
 from common.modes import Mode
 from common.mounting import ToolConfig
+from common.robot_hand import HAND, hand_state
 from common.ros.conversions import pose_from_message, pose_from_transform
 from common.ros.diagnostics import STAGE_TIMES
 from common.ros.raw_tf import data_of, encoded
@@ -59,7 +60,7 @@ class RigListener:
             (f"{of}simulation/scenario", DiagnosticStatus, self._locked(self._scenario), 10),
             ("leap_rig/tutorial", DiagnosticStatus, self._locked(self._tutorial), 10),
             (f"{of}kuka/mode", String, self._locked(self._mode), 50),
-            (f"{of}reflex_takktile/hand_state", rospy.AnyMsg, self._sampled(Hand, self._hand, 0.1), 1),
+            (of + HAND.state, rospy.AnyMsg, self._sampled(Hand, self._hand, 0.1), 1),
             ("leap_motion/leap_device", rospy.AnyMsg, self._sampled(ReceivedPalms, self._palm, 0.02), 1),
         ):
             self._subscribers.append(rospy.Subscriber(topic, kind, callback, queue_size=queue))
@@ -135,7 +136,7 @@ class RigListener:
         self.mode = message.data
 
     def _hand(self, message: Hand) -> None:
-        self.recorder.hand(np.array([motor.joint_angle for motor in message.motor]))
+        self.recorder.hand(hand_state(message).angles)
 
     def _flange(self, message: PoseStamped) -> None:
         if self._T_flange_tool is None:
