@@ -8,7 +8,10 @@ import pytest
 
 from tools.reference.sources import ROOT
 
-PAGES = sorted(ROOT / "docs" / "handbook" / f"{name}.md" for name in ("camera", "frames", "packages"))
+PAGES = sorted(
+    ROOT / "docs" / "handbook" / f"{name}.md"
+    for name in ("camera", "control-loops", "engagement", "fingers", "frames", "programs")
+)
 CODE = (
     *("src/**/src/**/*.py", "src/**/launch/*.launch", "src/**/config/**/*.yaml", "src/**/urdf/*.urdf"),
     "docs/reference/interface.md",  # the ROS graph, with names that the code composes

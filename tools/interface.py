@@ -44,6 +44,29 @@ Types: [messages and services](messages.md).
 The arm follows the frame `kuka/tool_frame/desired` if it comes {RESUME_HZ:g} times a second at least, and at full speed
 from {FULL_SPEED_HZ:g} on; what comes less often than {HOLD_HZ:g} times a second holds the arm
 ([a node that moves the arm](../handbook/extending.md#a-node-that-moves-the-arm)).
+
+| what types do not tell | content |
+|---|---|
+| `kuka/joint_positions`, `joint_states` | rad, 100 Hz; in servo mode the first comes with each goal |
+| `kuka/joint_torques_external`, `kuka/joint_torques_measured` | Nm, 25 Hz in servo mode |
+| `kuka/joint_torques_contact` | external torques without the tool's weight, Nm |
+| `kuka/flange_force`, `kuka/flange_torque` | N, Nm, at the tool point, in the flange's axes; `flange_force_raw`: with the weight |
+| `kuka/mode` | starting, homing, home, pick_up, servo, returning, zero, moving, holding, stopped |
+| `kuka/gripper_control` | whether the fingers follow; the service sets it |
+| `kuka/kuka_control` | switches control on or off; off: the arm goes home |
+| `kuka/scaling_factor` | 0.1 to 1.5 |
+| `kuka/exit_app`; `kuka/exit_app_emergency` | arm to zero, then exit; exit at once, nothing is sent |
+| `kuka/set_payload` | mass in the hand, 0 to 5 kg |
+| `leap_kuka/stream` | OK while the tool follows a hand, with the reason |
+| `leap_kuka/hold_tool` | holds the desired tool until a hand comes, 120 s at most; it must point down within 10 deg |
+| `leap_kuka/interaction_box` | green while the tool follows a hand and the arm can come, else amber with the reason |
+| `reflex_takktile/radian_hand_command` | index, middle, thumb (0 to 3.6), spread (0 to 1.75) [rad] |
+| `reflex_takktile/set_speed` | joint rad/s; switches torque on |
+| `ggcnn/out/command` | x, y, z [m], angle [rad], width [px], depth between the fingers [mm] |
+| `grasping/state` | idle, approaching, waiting_for_hand, person, over, with the reason |
+
+The controller uploads `kuka/ws_center`, `kuka/joints_home`, `kuka/rotation_home` (of the tool; a quaternion) and
+`kuka/running`: the parameters that it started with, which alone count for it.
 """
 
 

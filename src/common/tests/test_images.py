@@ -167,7 +167,9 @@ def test_depth_in_metres_says_nan_where_there_is_none():
 
 
 def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():
-    """Reported in https://github.com/ros-naoqi/naoqi_driver/issues/77: depth comes as mono16 or 16UC1. Tried: mono16."""
+    """Reported in https://github.com/ros-naoqi/naoqi_driver/issues/77: depth comes as mono16 or 16UC1. Tried:
+    mono16.
+    """
     images, stamp = messages()
     colour = np.array([[[200, 20, 2]]], np.uint8)
     clear = np.insert(colour, 3, 255, axis=2)
