@@ -14,14 +14,12 @@ from hypothesis import strategies as st
 from common.config import parse
 from common.poses import pose, translation
 from common.rotations import rotation_about
+from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.execution import (
     APPROACHING,
-    HELD,
     IDLE,
-    NONE,
     OVER,
     PERSON,
-    TAKEN,
     WAITING_FOR_HAND,
     ControllerState,
     Execution,
@@ -63,7 +61,7 @@ class Trial:
     def __init__(self):
         self.execution = Execution(CONFIG, WATCH, UP)
         self.now = 100.0
-        self.seen = ExecutionObservation(1.7e9, HOME, NONE, "no hand is seen", translation(0.4, 0.0, 0.5), OPEN)
+        self.seen = ExecutionObservation(1.7e9, HOME, NO_HOLD, "no hand is seen", translation(0.4, 0.0, 0.5), OPEN)
         self.outcomes = []
 
     def start(self):
@@ -123,8 +121,13 @@ def test_a_grasp_that_is_held_and_lifted():
         (lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), False, True, "did not both feel something"),
         (lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), False, True, "opened before the tool was lifted"),
         (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),
-        (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NONE, hold_reason="it was lost"), False, True, "it was lost"),
-        (lambda t: t.run(0.1, hold=NONE, hold_reason="it was lost"), False, False, "no longer followed: it was lost."),
+        (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NO_HOLD, hold_reason="it was lost"), False, True, "it was lost"),
+        (
+            lambda t: t.run(0.1, hold=NO_HOLD, hold_reason="it was lost"),
+            False,
+            False,
+            "no longer followed: it was lost.",
+        ),
         (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
         (lambda t: t.run(0.1, T_base_tool=None), False, False, "pose of the tool is unknown"),
         (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
@@ -164,7 +167,11 @@ def test_how_an_approach_ends(changes, seconds, reason):
 @pytest.mark.parametrize(
     "changes, seconds, reason",
     [
-        ({"hold": NONE, "hold_reason": "the tool is held no longer"}, 0.1, "for a hand: the tool is held no longer."),
+        (
+            {"hold": NO_HOLD, "hold_reason": "the tool is held no longer"},
+            0.1,
+            "for a hand: the tool is held no longer.",
+        ),
         ({"controller": ControllerState(True, "returning", "Home.")}, 0.1, "The arm left the grasp: Home."),
         ({}, 63.0, "No hand took over in time."),
     ],
@@ -199,7 +206,7 @@ controllers = st.sampled_from(
 )
 moments = st.tuples(
     controllers,
-    st.sampled_from([NONE, HELD, HELD, TAKEN, TAKEN]),
+    st.sampled_from([NO_HOLD, HELD, HELD, TAKEN, TAKEN]),
     st.sampled_from([ABOVE, None, translation(0.0, 0.0, 0.1) @ ABOVE]),
     st.sampled_from([OPEN, EMPTY, FULL, None]),
     st.floats(0.05, 40.0),

@@ -13,13 +13,13 @@ import numpy as np
 from common.config import number
 from common.modes import TO_DESIRED_TOOL, Mode
 from common.rotations import rotation_angle
+from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
 
 UNABLE = (Mode.STARTING, Mode.ZERO, Mode.STOPPED)  # modes in which the arm follows no desired tool frame
 AWAY = (Mode.RETURNING, Mode.HOMING, Mode.HOME)  # modes in which it leaves the desired tool frame
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
-NONE, HELD, TAKEN = "none", "held", "taken"  # leap_kuka's tool: not held, held for a hand, taken over by one
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ExecutionObservation:
 
     clock: float  # ROS time [s]
     controller: ControllerState | None  # None if the arm's controller is silent
-    hold: str  # HELD, TAKEN or NONE
+    hold: str  # HELD, TAKEN or NO_HOLD
     hold_reason: str  # leap_kuka's reason for its stream's state
     T_base_tool: np.ndarray | None  # measured tool, shape (4, 4) [m]; None if it is unknown
     hand: HandMeasurement | None  # state of the robot hand; None if it is unknown
@@ -236,7 +236,7 @@ class Execution:
             self._watch.reset()
             self._enter(PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
         elapsed, in_state = now - self._began, now - self._since
-        let_go = seen.hold == NONE and (self._held or elapsed > self._config.silence)
+        let_go = seen.hold == NO_HOLD and (self._held or elapsed > self._config.silence)
         facts = ExecutionFacts(seen, self._config, elapsed, in_state, let_go, self._followed)
         why = stop_sentence(self.state, facts)
         if why is not None:

@@ -17,9 +17,9 @@ from common.robot_hand import HAND, hand_state
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
 from common.ros.inputs import NodeInputs
 from common.ros.publishing import DirectPublisher
+from common.teleop_record import NO_HOLD
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.execution.execution import (
-    NONE,
     OVER,
     ControllerState,
     Execution,
@@ -48,7 +48,7 @@ class ExecutionInputs:
         self.grasps: GraspList | None = None  # the newest, None if none came yet
         self._controller: tuple[KukaStatus, float] | None = None
         self._hand: tuple[Hand, float] | None = None
-        self._hold, self._hold_reason, self.hand_followed = NONE, "leap_kuka has not published yet", False
+        self._hold, self._hold_reason, self.hand_followed = NO_HOLD, "leap_kuka has not published yet", False
         self._poses = PoseLookup()
         topics = {
             "ggcnn/out/grasps": (GraspList, self._on_grasps, 1),
@@ -98,7 +98,7 @@ class ExecutionInputs:
 
     def _on_stream(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}
-        self._hold, self._hold_reason = values.get("hold", NONE), message.message
+        self._hold, self._hold_reason = values.get("hold", NO_HOLD), message.message
         self.hand_followed = values.get("state") == "running"
 
 

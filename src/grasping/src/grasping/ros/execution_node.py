@@ -25,6 +25,7 @@ from common.ros.inputs import FaultLog
 from common.ros.node import run, while_running
 from common.ros.params import private_config, wait_for_param
 from common.ros.service_calls import call
+from common.teleop_record import HELD
 from grasping.execution import execution
 from grasping.execution.grasp_watch import GraspWatchConfig
 from grasping.pipeline.tool_pose import ToolPoseConfig
@@ -140,7 +141,7 @@ class ExecutionNode:
     def _on_cancel(self, _) -> TriggerResponse:
         with self._asking:
             if not self._end("The operator cancelled the execution."):
-                if self._inputs.observe().hold == execution.HELD:
+                if self._inputs.observe().hold == HELD:
                     self._let_go()
                 return TriggerResponse(True, "No grasp is being executed.")
         return TriggerResponse(True, "The execution is over; a hand that steers the arm keeps control.")

@@ -5,6 +5,7 @@ what is too old or too many when the fingers close is dropped, oldest first.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import MutableSequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -164,11 +165,8 @@ class FrameBuffer:
 
     def add(self, frame: KeptFrame, optics: Optics) -> bool:
         """Keeps a frame. Returns whether it had to drop those before it, because another camera took them."""
-        changed = bool(self._frames) and self._optics is not None and not same_optics(optics, self._optics)
-        if changed:
-            self._frames.clear()
+        changed = keep(self._frames, self._optics, frame, optics)
         self._optics = optics
-        self._frames.append(frame)
         return changed
 
     def clear(self) -> None:
@@ -181,6 +179,15 @@ class FrameBuffer:
         rows = [frame for frame in self._frames if until - self._config.longest <= frame.stamp <= until]
         self._frames.clear()
         return KeptFrames(self._optics, rows) if rows and self._optics is not None else None
+
+
+def keep(rows: MutableSequence[KeptFrame], before: Optics | None, frame: KeptFrame, optics: Optics) -> bool:
+    """Appends a frame to rows that were taken with the optics `before`; returns whether it had to drop them first."""
+    changed = bool(rows) and before is not None and not same_optics(optics, before)
+    if changed:
+        rows.clear()
+    rows.append(frame)
+    return changed
 
 
 def same_optics(a: Optics, b: Optics) -> bool:

@@ -11,7 +11,7 @@ from enum import Enum
 import numpy as np
 
 from grasping.execution.grasp_watch import ObservedGrasp
-from grasping.lab.dataset.frame_buffer import KeptFrame, KeptFrames, Optics, same_optics
+from grasping.lab.dataset.frame_buffer import KeptFrame, KeptFrames, Optics, keep
 
 REASON = "An operator held the tool there; nothing was lifted."
 
@@ -69,12 +69,9 @@ class ShownGrasp:
 
     def add_map(self, frame: KeptFrame, optics: Optics) -> bool:
         """Takes a map of the first phase. Returns whether those before, of another camera, were dropped."""
-        changed = self._optics is not None and not same_optics(optics, self._optics)
-        if changed:
-            self._rows.clear()
+        changed = keep(self._rows, self._optics, frame, optics)
         self._schedules[Phase.MAPS].take(frame.stamp)
         self._optics = optics
-        self._rows.append(frame)
         return changed
 
     def add_pose(self, stamp: float, T_base_tool: np.ndarray) -> tuple[KeptFrames, ObservedGrasp]:
