@@ -372,32 +372,34 @@ class ArmTeleop:
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, Reason]:
         """Returns the conditions of a start, apart from the hand's own, that are not met, with a reason each."""
-        found, held, switches = {}, self._state.held, self.switches
-        if not self._lock.came_in and not resumes:
-            text = "it was in the box already, or was found there; take it out of the box and back in"
-            found[CAME_IN] = Reason(text, (ReasonCode.IN_BOX_ALREADY,))
-        if switches.clutched or switches.lost:
-            found[RELEASED] = Reason(switches.lost or switches.stop or "", (ReasonCode.CLUTCHED,))
-        if switches.elsewhere:
-            found[CHOSEN] = Reason(switches.elsewhere, (ReasonCode.ELSEWHERE,))
-        if not switches.enabled:
-            found[ENABLED] = Reason("the enabling device is not pressed", (ReasonCode.NOT_ENABLED,))
-        pause = PAUSE_S + PAUSE_MARGIN_S
-        not_ready = ""
-        if not held and now - self._tool_at <= pause:
-            not_ready = f"the arm still waits for the hand before, {pause:g} s after its last frame"
-        elif not held and self._relative and self._mode != Mode.HOME:
-            not_ready = f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}"
-        elif self._relative and not self._control_on:
-            not_ready = "control of the arm is off"
-        elif self._relative and not now - self._status_at <= MAX_STATUS_AGE_S:
-            not_ready = "the arm's controller is silent"
-        if not_ready:
-            found[READY] = Reason(not_ready, (ReasonCode.ARM_NOT_READY,))
-        if self._slow:
-            text = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
-            found[RATE] = Reason(text, (ReasonCode.TRACKER_SLOW,))
-        return found
+        switches, not_ready = self.switches, self._not_ready(now)
+        came_in = "it was in the box already, or was found there; take it out of the box and back in"
+        rows = (  # condition, whether it is not met, sentence and code
+            (CAME_IN, not self._lock.came_in and not resumes, came_in, ReasonCode.IN_BOX_ALREADY),
+            (RELEASED, switches.clutched or switches.lost, switches.lost or switches.stop or "", ReasonCode.CLUTCHED),
+            (CHOSEN, switches.elsewhere, switches.elsewhere or "", ReasonCode.ELSEWHERE),
+            (ENABLED, not switches.enabled, "the enabling device is not pressed", ReasonCode.NOT_ENABLED),
+            (READY, not_ready, not_ready, ReasonCode.ARM_NOT_READY),
+            (RATE, self._slow, f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed", ReasonCode.TRACKER_SLOW),
+        )
+        return {condition: Reason(sentence, (code,)) for condition, unmet, sentence, code in rows if unmet}
+
+    def _not_ready(self, now: float) -> str:
+        """Returns why no hand may steer the arm yet, or an empty text; a held tool is there already."""
+        held, pause = self._state.held, PAUSE_S + PAUSE_MARGIN_S
+        rows = (
+            (
+                not held and now - self._tool_at <= pause,
+                f"the arm still waits for the hand before, {pause:g} s after its last frame",
+            ),
+            (
+                not held and self._relative and self._mode != Mode.HOME,
+                f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}",
+            ),
+            (self._relative and not self._control_on, "control of the arm is off"),
+            (self._relative and not now - self._status_at <= MAX_STATUS_AGE_S, "the arm's controller is silent"),
+        )
+        return next((sentence for unmet, sentence in rows if unmet), "")
 
     @property
     def _slowness(self) -> str:
