@@ -1,4 +1,4 @@
-"""Laws of the simulated arm's motions: profiles, paths, the servo's law and drives, kinematics from the URDF."""
+"""Laws of the simulated arm's motions: profiles, the servo's law and drives, kinematics from the URDF."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from common.poses import pose
-from common.rotations import rotation_from_zyx, zyx_from_rotation
+from common.rotations import rotation_from_zyx
 from rig_simulation.devices.sunrise.arm import FULL_SPEED_TIME_S, MOTION_FRACTION
-from rig_simulation.devices.sunrise.paths import Circle, JointMove, Line, SmoothStep, Unreachable, plan
+from rig_simulation.devices.sunrise.paths import JointMove, SmoothStep
 from rig_simulation.devices.sunrise.robot import Drives, Robot, lts_law, plain_law
 from rig_simulation.files import read_urdf
 
@@ -176,53 +176,6 @@ def test_the_jacobian_is_the_derivative_of_the_pose(q):
     twist = ROBOT.jacobian(q, TOOL) @ v
     assert_allclose(T[:3, :3] @ twist[:3], p_dot, atol=1e-6)
     assert_allclose(ROBOT.tool_speed(q, v, TOOL), np.linalg.norm(p_dot), atol=1e-6)
-
-
-def test_joint_angles_of_a_pose_nearby():
-    q = HOME + 0.1
-    solution = ROBOT.solve(ROBOT.flange(q) @ TOOL, TOOL, HOME)
-    assert_allclose(ROBOT.flange(solution), ROBOT.flange(q), atol=1e-8)
-    assert ROBOT.solve(pose(p=(2.0, 0.0, 0.0)), TOOL, HOME) is None
-
-
-def test_a_line_is_straight_keeps_its_speed_and_the_joint_limits():
-    start = ROBOT.flange(HOME) @ TOOL
-    end = start.copy()
-    end[:3, 3] += (0.05, 0.1, 0.1)
-    move = plan(Line(start, end), 0.2, ROBOT, TOOL, HOME, ACCELERATION)
-    q = np.array([move.at(t) for t in np.linspace(0.0, move.duration, 1001)])
-    points = np.array([(ROBOT.flange(x) @ TOOL)[:3, 3] for x in q])
-    along = (end - start)[:3, 3] / 0.15
-    assert_allclose(points - start[:3, 3], ((points - start[:3, 3]) @ along)[:, None] * along, atol=1e-5)
-    assert_allclose(points[-1], end[:3, 3], atol=1e-8)
-    speed = np.linalg.norm(np.diff(points, axis=0), axis=1) / (move.duration / 1000)
-    assert_allclose(speed.max(), 0.2, rtol=1e-2)
-    assert np.all(np.abs(np.diff(q, axis=0)) <= ROBOT.max_speed * move.duration / 1000 * 1.01)
-
-
-def test_a_circle_passes_its_three_points():
-    start = ROBOT.flange(HOME) @ TOOL
-    via, end = start.copy(), start.copy()
-    via[:3, 3] += (0.05, 0.05, 0.0)
-    end[:3, 3] += (0.1, 0.0, 0.0)
-    circle = Circle(start, via, end)
-    assert_allclose(circle.at(0.0), start, atol=1e-12)
-    assert_allclose(circle.at(0.5), via, atol=1e-12)
-    assert_allclose(circle.at(1.0), end, atol=1e-12)
-    assert_allclose(circle.length, np.pi * 0.05)
-    with pytest.raises(Unreachable):
-        Circle(start, 0.5 * (start + end), end)
-
-
-@pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, np.inf])
-def test_a_line_needs_a_speed(speed):
-    start = ROBOT.flange(HOME)
-    with pytest.raises(Unreachable):
-        plan(Line(start, start), speed, ROBOT, np.eye(4), HOME, ACCELERATION)
-
-
-def test_angles_of_the_controller_come_back():
-    assert_allclose(zyx_from_rotation(rotation_from_zyx(0.1, -0.2, 0.3)), [0.1, -0.2, 0.3])
 
 
 def test_a_description_without_the_arm_is_refused():

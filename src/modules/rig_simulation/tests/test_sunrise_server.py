@@ -6,21 +6,17 @@ import re
 import signal
 import socket
 import struct
-import threading
 
 import pytest
-from toolbox_client import ROBOT, ToolboxClient
+from toolbox_client import ToolboxClient
 
 from common import clock
 from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
-from rig_simulation.devices.sunrise import motions
-from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
+from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.java_text import MAX_LINE_BYTES, JavaLineSplitter
-from rig_simulation.devices.sunrise.paths import Unreachable
 from rig_simulation.devices.sunrise.program import main
 from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.devices.sunrise.server import ServerSettings, SunriseServer
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 from simulated.wires import DELAY_S
 
@@ -266,34 +262,3 @@ def test_a_machine_that_cannot_keep_up_answers_and_its_arm_moves_in_slow_motion(
     seconds = clock.monotonic() - begin
     assert sum(steps[before:]) == pytest.approx(seconds / 2.0, abs=0.02)
     assert state(server)["age"] == pytest.approx(LAG_S, abs=0.02), "what it is behind does not grow"
-
-
-@pytest.mark.real
-def test_a_line_that_takes_long_to_plan_does_not_hold_up_the_reader(monkeypatch):
-    go_on = threading.Event()
-
-    def plan(*_, **__):
-        go_on.wait(60.0)
-        raise Unreachable("far away")
-
-    monkeypatch.setattr(motions, "line", plan)
-    server = SunriseServer(SimulatedArm(ROBOT, ArmSettings()), ServerSettings(), "127.0.0.1", 0, 0)
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    with socket.create_connection((server.host, server.port), 60.0) as client, client.makefile("rw") as wire:
-
-        def say(line):
-            wire.write(f"{line}\n")
-            wire.flush()
-
-        say("doPTPinCS")
-        assert wire.readline() == "done\n", "the first word comes before the planning"
-        for _ in range(3):
-            say("getJointsPositions")
-            assert wire.readline().count("_") == 7
-        say("Eef_pos")
-        go_on.set()
-        assert wire.readline() == "nak\n"
-    server.stop()
-    thread.join(60.0)
-    assert not thread.is_alive()

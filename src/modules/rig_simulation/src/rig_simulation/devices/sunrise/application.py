@@ -11,50 +11,27 @@ from __future__ import annotations
 import dataclasses
 import math
 from functools import partial
-from typing import Callable, List, Optional, Protocol
+from typing import Callable, List, Optional
 
 import numpy as np
 
 from rig_simulation.devices.sunrise import java_text, motions
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.motions import Goals, finite, frame_from_pose, overwritten, pose_from_frame
-from rig_simulation.devices.sunrise.paths import PlannedMotion, Unreachable
+from rig_simulation.devices.sunrise.paths import JointMove, Unreachable
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 LAST_WORD_S = 0.016  # from the acceptance of a motion to its last word, at least; measured on the published server
 REFUSAL_S = 0.052  # from the acceptance of a motion to its refusal, likewise
 SERVO_START_S = 0.1  # from the answer to a start until the mode runs; goal: the present joints, earlier goals are lost
-IMPEDANCE_FRACTION = 0.1
-IMPEDANCE_MAX_TORQUE_NM = 10.0
-MAX_STIFFNESS = (5000.0, 300.0)
 INPUT_PINS = (3, 4, 10, 13, 16)
 OUTPUT_PINS = (1, 2, 11, 12)
 VERSIONS = ("1.7", "2019-03", "2019-05")
 """Versions of the server, newest last: 1.7 of 2018, and the two states of the LTS that differ on the wire."""
 
 Command = Callable[[List[str]], str]  # takes the words of a line behind its command; returns what to answer at once
-Planner = Callable[[SimulatedArm, Goals], Optional[PlannedMotion]]
+Planner = Callable[[SimulatedArm, Goals], Optional[JointMove]]
 Condition = Callable[[SimulatedArm], bool]
-
-
-class MotionPlan(Protocol):
-    """A motion that is being planned, as a Future of `concurrent.futures`."""
-
-    def done(self) -> bool:
-        """Returns whether `result` returns at once."""
-
-    def result(self) -> PlannedMotion | None:
-        """Returns the motion, None if the arm is at its target already; raises ValueError if it cannot be planned."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PlanWhenAsked:
-    """Plans where the result is asked for, which is at the next advance."""
-
-    result: Callable[[], PlannedMotion | None]
-
-    def done(self) -> bool:
-        return True
 
 
 @dataclasses.dataclass
@@ -66,8 +43,8 @@ class ControllerIO:
 
 
 class Application:
-    """Answers lines until `end` was received (`ended`). The `mode` is idle, ptp, servo, cartesian_servo, velocity_servo
-    or impedance_servo; a servo mode lasts from the answer to its start until the arm is at rest again.
+    """Answers lines until `end` was received (`ended`): of the toolbox's commands those that kst sends. The `mode` is
+    idle, ptp or servo, which lasts from the answer to its start until the arm is at rest again.
     """
 
     def __init__(
@@ -77,8 +54,7 @@ class Application:
         wiped_window: float = 0.0,  # time after an answer of the main thread in which its commands are lost [s]
         encoders: Callable[[np.ndarray], np.ndarray] = lambda q: q,  # true to reported angles, shape (7,) [rad]
         version: str = VERSIONS[-1],
-        # Begins to plan a motion; the function may be called in another thread
-        begin_plan: Callable[[Callable[[], PlannedMotion | None]], MotionPlan] = PlanWhenAsked,
+        refuses: Callable[[], bool] = lambda: False,  # whether every motion is refused
         ends_tacitly: Callable[[], bool] = lambda: False,  # whether the end of a motion is not answered
     ) -> None:
         self.mode = "idle"
@@ -88,21 +64,19 @@ class Application:
         self._wiped_window = wiped_window
         self._encoders = encoders
         self._version = version
-        self._begin_plan, self._ends_tacitly = begin_plan, ends_tacitly
+        self._refuses = refuses
+        self._ends_tacitly = ends_tacitly
         self._replies: list[str] = []
         self._reader_alive = self._main_alive = True
         self._main_answered = self._now = -np.inf
         self._goals = Goals()
-        self._plan: MotionPlan | None = None
-        self._accepted: Callable[[SimulatedArm], PlannedMotion | None] | None = None  # plans the motion to start
-        self._planned_from = arm.q
+        self._accepted: Callable[[SimulatedArm], JointMove | None] | None = None  # plans the motion to start
         self._refused = False  # the motion, and its last word is to come
         self._last_word = -math.inf  # not before this time [s]
         self._word, self._keeps_word = "", False  # the last line; whether a motion leaves it to the main thread
         self._break_when: Condition | None = None
         self._arrived: Condition = lambda _: True
         self._servo_starts: float | None = None
-        self._servo_stopping = False
         self._reader = self._reader_commands()
         self._main = self._main_commands()
         arm.attach(np.eye(4))
@@ -131,7 +105,7 @@ class Application:
 
     def abandon(self) -> None:
         """Stops motion and servo mode when the client is gone; the arm brakes."""
-        self._accepted = self._plan = None
+        self._accepted = None
         self._arm.break_motion()
         self._stop_servo()
 
@@ -167,7 +141,7 @@ class Application:
             self._begin_servo()
         self._arm.advance(now)
         if self._accepted is not None:
-            self._plan_motion(self._accepted)
+            self._start_motion(self._accepted)
         if self.mode == "ptp" and not self.in_motion and now >= self._last_word:
             self.mode = "idle"
             arrived = NAK if self._refused else DONE if self._arrived(self._arm) else INTERRUPTED
@@ -177,12 +151,8 @@ class Application:
                 self._answer_in_main(self._word, _words(self._word))
             else:
                 self._main_answered = now
-        elif self.mode.endswith("servo") and self._servo_starts is None and not self._arm.in_servo:
-            if self.mode == "impedance_servo" and not self._servo_stopping:
-                self._replies.append(DONE)
-            self._servo_stopping = True
-            if self._arm.resting:
-                self.mode = "idle"
+        elif self.mode == "servo" and self._servo_starts is None and not self._arm.in_servo and self._arm.resting:
+            self.mode = "idle"
 
     def _reader_commands(self) -> list[tuple[str, Command]]:
         arm, newest = self._arm, self._version == VERSIONS[-1]
@@ -192,19 +162,11 @@ class Application:
             "JP_": self._joints,
             **({"EEfP_": self._tool, "EEfFrelEEF_": self._force} if newest else {"EEfP_": self._force}),
         }
-        take_pose = self._refuse_goal if self._version == "1.7" else self._take_pose
         commands: list[tuple[str, Command]] = [
             ("end", self._end),
-            *((f"jp{suffix}", self._goal(self._take_joints, answer)) for suffix, answer in feedback.items()),
-            ("jp_", self._goal(self._take_joints, lambda: DONE)),
-            ("jf_", self._goal(self._take_joints, lambda: "")),
-            *((f"DcSeCar{suffix}", self._goal(take_pose, answer)) for suffix, answer in feedback.items()),
-            ("DcSeCar_", self._goal(self._take_pose, lambda: "")),
-            *((f"velJDC{s}", self._goal(self._take_speeds, feedback[s])) for s in ("ExT_", "MT_", "JP_", "EEfP_")),
-            ("velJDC_", self._goal(self._take_speeds, lambda: DONE)),
-            ("cArtixanPositionCirc1_", partial(self._keep_pose, "via")),
-            ("cArtixanPositionCirc2_", partial(self._keep_pose, "end")),
-            ("cArtixanPosition_", partial(self._keep_pose, "target")),
+            *((f"jp{suffix}", partial(self._take_goal, answer)) for suffix, answer in feedback.items()),
+            ("jp_", partial(self._take_goal, lambda: DONE)),
+            ("jf_", partial(self._take_goal, lambda: "")),
             ("stopDirectServoJoints", self._stop),
             ("getJointsPositions", self._joints),
             *((f"getPin{n}", lambda _: "1\n\n") for n in INPUT_PINS),
@@ -220,23 +182,13 @@ class Application:
             ("TFtrans", self._attach),
             ("jRelVel_", self._set_speed),
             ("doPTPinJS", lambda _: self._move(motions.joint_motion)),
-            ("doPTPinCSRelBase", lambda _: self._move(partial(motions.relative_line, along_tool=False))),
-            ("doPTPinCSRelEEF", lambda _: self._move(partial(motions.relative_line, along_tool=True))),
-            ("doPTPinCSCircle1", lambda _: self._move(motions.circle)),
-            ("doPTPinCS", lambda _: self._move(motions.line)),
             ("doPTP!inJS", self._guarded_joint_motion),
-            ("doPTP!inCS", self._guarded_line),
-            ("doPTP!CSCircle1", self._guarded_joint_motion),
-            ("startDirectServoJoints", lambda _: self._start_servo("servo")),
-            ("stDcEEf_", lambda _: self._start_servo("cartesian_servo")),
-            ("stVelDcJoint_", lambda _: self._start_servo("velocity_servo")),
-            ("startSmartImpedneceJoints", self._start_impedance),
+            ("startDirectServoJoints", self._start_servo),
             ("Torques_ext_J", lambda _: _line(arm.external_torques)),
             ("Torques_m_J", lambda _: _line(arm.measured_torques)),
             ("Eef_pos", self._tool),
             ("Eef_force", self._force),
             ("Eef_moment", lambda _: _line(arm.tool_moment)),
-            *((name, lambda _: DONE) for name in ("handGuiding", "preciseHandGuiding1", "preciseHandGuiding2")),
         ]
 
     def _joints(self, *_: list[str]) -> str:
@@ -248,70 +200,17 @@ class Application:
     def _force(self, *_: list[str]) -> str:
         return _line(self._arm.tool_force)
 
-    def _goal(self, take: Callable[[list[str]], bool], answer: Callable[[], str]) -> Command:
-        def command(words: list[str]) -> str:
-            reply = answer()
-            if not take(words):
-                self._reader_alive = False
-                return ""
-            self._io.goals += self._arm.in_servo
-            return reply
-
-        return command
-
-    def _take_joints(self, words: list[str]) -> bool:
+    def _take_goal(self, answer: Callable[[], str], words: list[str]) -> str:
+        reply = answer()
         try:
             self._goals.joints = goal = overwritten(self._goals.joints, words)
         except ValueError:
-            return False
-        if self._arm.in_servo and self.mode in ("servo", "impedance_servo"):
-            self._arm.goal = goal
-        return True
-
-    def _take_speeds(self, words: list[str]) -> bool:
-        speeds, valid = self._take_numbers(words, self._goals.speeds)
-        if speeds is not None:
-            self._goals.speeds = speeds
-            if self._arm.in_servo and self.mode == "velocity_servo":
-                self._arm.goal_speed = speeds
-        return valid
-
-    def _take_pose(self, words: list[str]) -> bool:
-        frame, valid = self._take_numbers(words, self._goals.servo)
-        if frame is not None:
-            self._goals.servo = frame
-            if self._arm.in_servo and self.mode == "cartesian_servo":
-                goal = None
-                if np.all(np.isfinite(frame)):
-                    goal = self._arm.robot.solve(pose_from_frame(frame), self._arm.T_flange_tool, self._arm.goal)
-                if goal is None:
-                    self._stop_servo()
-                else:
-                    self._arm.goal = goal
-        return valid
-
-    def _take_numbers(self, words: list[str], before: np.ndarray) -> tuple[np.ndarray | None, bool]:
-        """Returns None and False for too many words, which end the reader thread; an invalid number ends the mode."""
-        if len(words) > len(before):
-            return None, False
-        try:
-            return overwritten(before, words), True
-        except ValueError:
-            self._stop_servo()
-            return None, True
-
-    def _refuse_goal(self, _: list[str]) -> bool:
-        """Ends the mode, as version 1.7 does: it parses Cartesian goals that ask for an answer as joints."""
-        self._stop_servo()
-        return True
-
-    def _keep_pose(self, name: str, words: list[str]) -> str:
-        try:
-            setattr(self._goals, name, overwritten(getattr(self._goals, name), words))
-        except ValueError:
             self._reader_alive = False
             return ""
-        return DONE
+        if self._arm.in_servo:
+            self._arm.goal = goal
+            self._io.goals += 1
+        return reply
 
     def _stop(self, _: list[str]) -> str:
         self._stop_servo()
@@ -351,20 +250,12 @@ class Application:
         self._accepted = lambda arm: make(arm, goals)
         return DONE
 
-    def _plan_motion(self, make: Callable[[SimulatedArm], PlannedMotion | None]) -> None:
-        arm = self._arm
-        if self._plan is not None and self._plan.done() and not np.array_equal(self._planned_from, arm.q):
-            self._plan = None  # of an arm that backed off meanwhile
-        if self._plan is None:
-            self._planned_from = arm.q
-            self._plan = self._begin_plan(partial(make, arm.snapshot()))
-        if self._plan.done():
-            self._start_motion(self._plan)
-
-    def _start_motion(self, plan: MotionPlan) -> None:
-        self._accepted = self._plan = None
+    def _start_motion(self, make: Callable[[SimulatedArm], JointMove | None]) -> None:
+        self._accepted = None
         try:
-            motion = plan.result()
+            if self._refuses():
+                raise Unreachable("the motion is refused")
+            motion = make(self._arm)
         except ValueError:
             self._arm.attach(np.eye(4))
             self._refused = True
@@ -375,60 +266,32 @@ class Application:
 
     def _guarded_joint_motion(self, words: list[str]) -> str:
         target = self._goals.joints
-        return self._guarded(words, motions.joint_motion, lambda arm: motions.arrived_at_joints(arm, target))
-
-    def _guarded_line(self, words: list[str]) -> str:
-        target = self._goals.target
-        return self._guarded(words, motions.line, lambda arm: motions.arrived_at_pose(arm, pose_from_frame(target)))
-
-    def _guarded(self, words: list[str], make: Planner, arrived: Condition) -> str:
         ranges = finite(words).reshape(-1, 3)  # raises ValueError for an incomplete range, too
         if len(ranges) > 7:
             raise ValueError(f"{len(ranges)} ranges")
         unknown = [joint for joint in ranges[:, 0] if not 0 <= int(joint) <= 6]
 
-        def guarded(arm: SimulatedArm, goals: Goals) -> PlannedMotion | None:
+        def guarded(arm: SimulatedArm, goals: Goals) -> JointMove | None:
             if unknown:
                 raise Unreachable(f"there are no joints {unknown}")
-            return make(arm, goals) if len(ranges) else None
+            return motions.joint_motion(arm, goals) if len(ranges) else None
 
-        reply = self._move(guarded, motions.leaves_torque_ranges(ranges), arrived if len(ranges) else lambda _: True)
+        def arrived(arm: SimulatedArm) -> bool:
+            return not len(ranges) or motions.arrived_at_joints(arm, target)
+
+        reply = self._move(guarded, motions.leaves_torque_ranges(ranges), arrived)
         self._keeps_word = True  # the published server wipes the word before such a motion, not after it
         return reply
 
-    def _start_servo(self, mode: str) -> str:
-        self.mode = mode
-        self._servo_stopping = False
+    def _start_servo(self, _: list[str]) -> str:
+        self.mode = "servo"
         self._servo_starts = self._now + SERVO_START_S
         return DONE
 
-    def _start_impedance(self, words: list[str]) -> str:
-        numbers = finite(words)
-        if len(numbers) < 7:
-            raise ValueError
-        mass, stiffness = numbers[0], numbers[4:7]
-        refused = mass < 0.0 or np.any(stiffness < 0.0) or np.any(stiffness[:2] > MAX_STIFFNESS)
-        if refused or np.max(np.abs(self._arm.external_torques)) > IMPEDANCE_MAX_TORQUE_NM:
-            return self._move(lambda arm, goals: None)
-        return self._start_servo("impedance_servo")
-
     def _begin_servo(self) -> None:
         self._servo_starts = None
-        arm = self._arm
-        if self.mode == "servo":
-            arm.start_servo()
-            self._goals.joints = arm.goal
-        elif self.mode == "cartesian_servo":
-            arm.start_servo(law="none")
-            self._goals.servo = frame_from_pose(arm.tool)
-        elif self.mode == "velocity_servo":
-            arm.start_servo(integrates=True)
-            self._goals.speeds = arm.goal_speed
-        else:
-            # The published server does not reset the goal of joint 1 here: it stays what was sent last.
-            arm.start_servo(law="none", fraction=IMPEDANCE_FRACTION)
-            self._goals.joints = np.array([self._goals.joints[0], *arm.q[1:]])
-            arm.goal = self._goals.joints
+        self._arm.start_servo()
+        self._goals.joints = self._arm.goal
 
 
 def _words(line: str) -> list[str]:

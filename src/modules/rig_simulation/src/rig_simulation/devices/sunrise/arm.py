@@ -6,7 +6,6 @@ Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torque
 from __future__ import annotations
 
 import collections
-import copy
 import dataclasses
 from collections.abc import Callable
 from typing import Protocol
@@ -15,8 +14,8 @@ import numpy as np
 
 from common.poses import read_only
 from rig_description.hand import tool_body
-from rig_simulation.devices.sunrise.paths import PlannedMotion
-from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Law, Robot, plain_law
+from rig_simulation.devices.sunrise.paths import JointMove
+from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_TIME_S, Drives, Robot
 
 FULL_SPEED_TIME_S = 0.1  # time until a joint at its acceleration limit reaches full speed; the data sheet has none
 MOTION_FRACTION = 0.4  # of the acceleration limit for planned motions; the rest is reserved for braking on the path
@@ -52,8 +51,8 @@ class ArmEnvironment(Protocol):
 
 
 class SimulatedArm:
-    """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal` [rad] and
-    `goal_speed` [rad/s], shape (7,), are the last goals of the servo modes.
+    """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal`, shape
+    (7,) [rad], is the last goal of the servo mode.
     """
 
     def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
@@ -65,7 +64,7 @@ class SimulatedArm:
         self._v_before, self._last_dt = self.v, CYCLE_S
         self.T_flange_tool = np.eye(4)  # the attached tool
         self._tool = tool_body()  # what is on the flange
-        self.goal, self.goal_speed, self._last_goal_speed = np.zeros(7), np.zeros(7), np.zeros(7)
+        self.goal = np.zeros(7)
         self.safety_stop: str | None = None  # cause of the active safety stop
         self.stops = 0  # safety stops so far
         self.emergency_stop = False  # whether its button is pressed
@@ -77,8 +76,9 @@ class SimulatedArm:
             maxlen=HISTORY_STEPS
         )
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
-        self._servo: tuple[Law, Drives, bool] | None = None  # with whether the goal integrates `goal_speed`
-        self._motion: PlannedMotion | None = None
+        self._law = LAWS[settings.servo_law]
+        self.in_servo = False  # whether the servo mode runs
+        self._motion: JointMove | None = None
         self._break_when: Callable[[SimulatedArm], bool] | None = None
         self._motion_time, self._motion_rate = 0.0, 1.0
         self._breaking = False
@@ -109,8 +109,8 @@ class SimulatedArm:
             self._step_motion(self._motion, dt)
         elif self._backing_off:
             self._step_back(dt)
-        elif self._servo is not None and self.safety_stop is None:
-            self._step_servo(*self._servo, dt)
+        elif self.in_servo and self.safety_stop is None:
+            self._step_servo(dt)
         else:
             self._move(self._drives.brake(self.v, dt), dt)
         self._v_before, self._last_dt = v_before, dt
@@ -128,7 +128,7 @@ class SimulatedArm:
     @property
     def resting(self) -> bool:
         """Whether the arm is at rest and nothing will move it by itself."""
-        driven = self._motion is not None or (self._servo is not None and self.safety_stop is None) or self._backing_off
+        driven = self._motion is not None or (self.in_servo and self.safety_stop is None) or self._backing_off
         return not driven and not self.v.any()
 
     @property
@@ -141,12 +141,7 @@ class SimulatedArm:
         """Whether a planned motion is under way, also while a safety stop pauses it."""
         return self._motion is not None
 
-    @property
-    def in_servo(self) -> bool:
-        """Whether a servo mode runs."""
-        return self._servo is not None
-
-    def start_motion(self, motion: PlannedMotion, break_when: Callable[[SimulatedArm], bool] | None = None) -> None:
+    def start_motion(self, motion: JointMove, break_when: Callable[[SimulatedArm], bool] | None = None) -> None:
         """Starts a planned motion from the present joint angles; it brakes and ends once `break_when` is true."""
         self._motion, self._break_when = motion, break_when
         self._motion_time, self._breaking = 0.0, False
@@ -157,29 +152,14 @@ class SimulatedArm:
         """Brakes a planned motion, which ends there."""
         self._breaking = True
 
-    def start_servo(self, law: str | None = None, fraction: float = 1.0, integrates: bool = False) -> None:
-        """Starts a servo mode with the present joint angles as goal.
-
-        `law`: its name, None for that of the settings; `fraction`: of the speed and acceleration limits that the mode
-        uses; `integrates`: the goal follows `goal_speed`, which starts at zero.
-        """
-        drives = self._drives
-        if fraction != 1.0:
-            limits = fraction * self.robot.max_speed, fraction * self.acceleration
-            drives = Drives(*limits, self.settings.trajectory_time)
-        chosen = plain_law if integrates else LAWS[law or self.settings.servo_law]
-        self._servo = (chosen, drives, integrates)
-        self.goal, self.goal_speed, self._last_goal_speed = self.q.copy(), np.zeros(7), np.zeros(7)
+    def start_servo(self) -> None:
+        """Starts the servo mode with the present joint angles as goal."""
+        self.in_servo = True
+        self.goal = self.q.copy()
 
     def stop_servo(self) -> None:
-        """Stops a servo mode; the arm brakes."""
-        self._servo = None
-
-    def snapshot(self) -> SimulatedArm:
-        """Returns the arm as it is now, for another thread to plan from; not to be moved."""
-        snapshot = copy.copy(self)
-        snapshot.robot = self.robot.twin()
-        return snapshot
+        """Stops the servo mode; the arm brakes."""
+        self.in_servo = False
 
     def attach(self, T_flange_tool: np.ndarray) -> None:
         """Attaches a tool without mass, shape (4, 4), in place of the last one."""
@@ -272,7 +252,7 @@ class SimulatedArm:
             return np.zeros(6)
         return self.robot.wrench(self.q, self.T_flange_tool, torque)
 
-    def _step_motion(self, motion: PlannedMotion, dt: float) -> None:
+    def _step_motion(self, motion: JointMove, dt: float) -> None:
         if self._break_when is not None and self._break_when(self):
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
@@ -304,16 +284,13 @@ class SimulatedArm:
             self._backing_off = path_left and not free
         return self._backing_off
 
-    def _step_servo(self, law: Law, drives: Drives, integrates: bool, dt: float) -> None:
-        if integrates:
-            self.goal = self.goal + dt * 0.5 * (self.goal_speed + self._last_goal_speed)
-            self._last_goal_speed = self.goal_speed
+    def _step_servo(self, dt: float) -> None:
         if self.goal is not self._checked_goal:
             if not self.robot.within_range(self.goal):
-                self._servo = None
+                self.in_servo = False
                 return
             self._checked_goal = self.goal
-        self._move(drives.towards(law(self.goal - self.q), self.v, dt), dt)
+        self._move(self._drives.towards(self._law(self.goal - self.q), self.v, dt), dt)
 
     def _move(self, v: np.ndarray, dt: float) -> None:
         self.q = self.q + v * dt

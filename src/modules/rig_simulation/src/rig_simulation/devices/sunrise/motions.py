@@ -6,7 +6,7 @@ Each planner returns the motion from the present position of the arm, or None if
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Callable
+from typing import Callable
 
 import numpy as np
 
@@ -14,14 +14,10 @@ from common.poses import pose
 from common.rotations import rotation_from_zyx, zyx_from_rotation
 from rig_simulation.devices.sunrise import java_text
 from rig_simulation.devices.sunrise.arm import SimulatedArm
-from rig_simulation.devices.sunrise.paths import Circle, JointMove, Line, PathMove, Unreachable, plan, shifted
+from rig_simulation.devices.sunrise.paths import JointMove, Unreachable
 
 MM_PER_M = 1000.0
 DEFAULT_RELATIVE_SPEED = 0.1
-
-
-def _zeros(size: int) -> Any:
-    return dataclasses.field(default_factory=lambda: np.zeros(size))
 
 
 @dataclasses.dataclass
@@ -29,14 +25,8 @@ class Goals:
     """The server's stored goals."""
 
     # Of `jp_` and similar commands, shape (7,) [rad]; target of joint motions, goal of the joint servo
-    joints: np.ndarray = _zeros(7)
-    speeds: np.ndarray = _zeros(7)  # of the velocity servo, shape (7,) [rad/s]
-    # Poses X, Y, Z [mm], A, B, C [rad], shape (6,)
-    target: np.ndarray = _zeros(6)  # of lines
-    via: np.ndarray = _zeros(6)  # of circles
-    end: np.ndarray = _zeros(6)  # of circles
-    servo: np.ndarray = _zeros(6)  # of the Cartesian servo
-    speed: float = DEFAULT_RELATIVE_SPEED  # relative speed of joint motions, or mm/s of the tool
+    joints: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(7))
+    speed: float = DEFAULT_RELATIVE_SPEED  # relative speed of joint motions
 
 
 def overwritten(values: np.ndarray, words: list[str]) -> np.ndarray:
@@ -56,9 +46,7 @@ def finite(words: list[str]) -> np.ndarray:
 
 
 def pose_from_frame(frame: np.ndarray) -> np.ndarray:
-    """Returns the pose, shape (4, 4) [m], of X, Y, Z [mm], A, B, C [rad], shape (6,); Unreachable if not finite."""
-    if not np.all(np.isfinite(frame)):
-        raise Unreachable(f"the pose {frame.tolist()} is not finite")
+    """Returns the pose, shape (4, 4) [m], of X, Y, Z [mm], A, B, C [rad], shape (6,)."""
     return pose(rotation_from_zyx(*frame[3:]), frame[:3] / MM_PER_M)
 
 
@@ -68,7 +56,6 @@ def frame_from_pose(T: np.ndarray) -> np.ndarray:
 
 
 ARRIVED_JOINT_RAD = np.radians(0.1)
-ARRIVED_TOOL_M = 2e-4
 
 
 def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
@@ -78,21 +65,6 @@ def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
     if np.array_equal(arm.q, goals.joints):
         return None
     return JointMove(arm.q, goals.joints, goals.speed * arm.robot.max_speed, arm.motion_acceleration)
-
-
-def line(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans a line of the tool to the target pose."""
-    return _follow(arm, goals, Line(arm.tool, pose_from_frame(goals.target)))
-
-
-def relative_line(arm: SimulatedArm, goals: Goals, along_tool: bool) -> PathMove | None:
-    """Plans a line by the target's X, Y, Z along the axes of the tool or of the base."""
-    return _follow(arm, goals, Line(arm.tool, shifted(arm.tool, goals.target[:3] / MM_PER_M, along_tool)))
-
-
-def circle(arm: SimulatedArm, goals: Goals) -> PathMove | None:
-    """Plans the arc of the tool through the via pose to the end pose."""
-    return _follow(arm, goals, Circle(arm.tool, pose_from_frame(goals.via), pose_from_frame(goals.end)))
 
 
 def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
@@ -112,12 +84,3 @@ def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
 def arrived_at_joints(arm: SimulatedArm, q: np.ndarray) -> bool:
     """Returns whether a guarded joint motion has arrived at the angles q, shape (7,) [rad]."""
     return bool(np.max(np.abs(arm.q - q)) <= ARRIVED_JOINT_RAD)
-
-
-def arrived_at_pose(arm: SimulatedArm, T_base_tool: np.ndarray) -> bool:
-    """Returns whether a guarded line has arrived at the pose, shape (4, 4)."""
-    return bool(np.max(np.abs((arm.tool - T_base_tool)[:3, 3])) <= ARRIVED_TOOL_M)
-
-
-def _follow(arm: SimulatedArm, goals: Goals, path: Line | Circle) -> PathMove | None:
-    return plan(path, goals.speed / MM_PER_M, arm.robot, arm.T_flange_tool, arm.q, arm.motion_acceleration)

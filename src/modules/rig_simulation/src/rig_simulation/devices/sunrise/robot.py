@@ -9,7 +9,6 @@ acceleration limits. So it approaches a step in the goal from one side, without 
 
 from __future__ import annotations
 
-import copy
 import math
 from typing import Callable, Sequence
 
@@ -17,15 +16,11 @@ import numpy as np
 import pinocchio as pin
 
 from common.frames import FLANGE
-from common.poses import inverse, read_only, translation
+from common.poses import read_only, translation
 from common.rotations import rotation_from_zyx
 
 JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
-MAX_ITERATIONS = 200
-TOLERANCE = 1e-9
 DAMPING = 1e-6
-MAX_STEP_RAD = 0.2
-MIN_STEP = 1e-12
 
 
 class Robot:
@@ -51,12 +46,6 @@ class Robot:
         self.lower = read_only(self._model.lowerPositionLimit)  # joint range, shape (7,) [rad]
         self.upper = read_only(self._model.upperPositionLimit)
         self.max_speed = read_only(self._model.velocityLimit)  # shape (7,) [rad/s]
-
-    def twin(self) -> Robot:
-        """Returns the same robot for another thread: Pinocchio's working memory is its own."""
-        twin = copy.copy(self)
-        twin._data = self._model.createData()
-        return twin
 
     def within_range(self, q: np.ndarray) -> bool:
         """Returns whether all joint angles, shape (7,) [rad], are numbers within the joint range."""
@@ -98,28 +87,6 @@ class Robot:
         """
         J = self.jacobian(q, translation(*com.tolist()))
         return J[:3].T @ (self.flange(q)[:3, :3].T @ (mass * self._model.gravity.linear))
-
-    def solve(self, T_base_tool: np.ndarray, T_flange_tool: np.ndarray, seed: np.ndarray) -> np.ndarray | None:
-        """Returns joint angles, shape (7,) [rad], near the seed that bring the tool to the pose, or None: damped least
-        squares find the solution in the seed's arm configuration.
-        """
-        target = pin.SE3(T_base_tool @ inverse(T_flange_tool))
-        q = np.array(seed, dtype=float)
-        for _ in range(MAX_ITERATIONS):
-            pin.forwardKinematics(self._model, self._data, q)
-            placement = self._data.oMi[self._last_joint] * self._flange_in_joint
-            error = pin.log6(placement.actInv(target)).vector
-            if np.linalg.norm(error) < TOLERANCE:
-                return q if self.within_range(q) else None
-            J = self._flange_in_joint.actionInverse @ pin.computeJointJacobian(
-                self._model, self._data, q, self._last_joint
-            )
-            step = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
-            length = np.max(np.abs(step))
-            if not np.isfinite(length) or length < MIN_STEP:
-                return None
-            q = q + step * min(1.0, MAX_STEP_RAD / length)
-        return None
 
 
 LTS_REACH_RAD = 0.07

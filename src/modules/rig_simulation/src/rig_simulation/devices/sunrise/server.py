@@ -5,6 +5,7 @@ from __future__ import annotations
 import collections
 import contextlib
 import dataclasses
+import functools
 import itertools
 import math
 import selectors
@@ -12,7 +13,6 @@ import socket
 import struct
 import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -24,18 +24,17 @@ from rig_simulation.control_port import ControlPort, listen, within
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
 from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
-from rig_simulation.devices.sunrise.paths import PlannedMotion, Unreachable
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
-SWITCH_INTERVAL_S = 5e-4  # the reader waits at most this long for the planner [s]
+SWITCH_INTERVAL_S = 5e-4  # the server waits at most this long for another thread of its process [s]
 MOVING_TICK_S = 0.004
 RESTING_TICK_S = 0.02
 SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.005  # longest lag that the arm makes up before an answer
 PIECE_S = 0.002  # of a longer lag it makes up this much before the server looks after its client again
 LONGEST_LAG_S = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
-GOALS_AND_QUESTIONS = ("jp", "jf", "DcSe", "velJDC", "getJ", "Torques", "Eef_")  # these come many times a second
+GOALS_AND_QUESTIONS = ("jp", "jf", "getJ", "Torques", "Eef_")  # these come many times a second
 EVENTS = 500
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
@@ -82,7 +81,6 @@ class SunriseServer:
         self._stop = clock.Event()
         self._client: socket.socket | None = None
         self._lines = JavaLineSplitter()
-        self._planner = ThreadPoolExecutor(1, "planner")  # the reader answers while a motion is planned
         self._deaf = self._missed = False
         self._reported_stops = 0
         self._selector = selectors.DefaultSelector()
@@ -130,7 +128,6 @@ class SunriseServer:
     def close(self) -> None:
         """Closes everything; may be called twice."""
         self._control.close()
-        self._planner.shutdown(wait=False)
         for connection in (self._listener, self._client):
             if connection is not None:
                 connection.close()
@@ -153,21 +150,13 @@ class SunriseServer:
 
     def _start_application(self) -> None:
         assert self._listener is not None  # an application starts only while the port is open
-        settings, read, plan = self._settings, self._encoders.read, self._begin_plan
+        settings, read = self._settings, self._encoders.read
+        refuses, ends_tacitly = (functools.partial(self.faults.is_on, name) for name in ("refused", "unfinished"))
         self._application = Application(
-            self._arm, self._io, settings.wiped_window, read, settings.version, plan, self._ends_tacitly
+            self._arm, self._io, settings.wiped_window, read, settings.version, refuses, ends_tacitly
         )
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._waiting_since = clock.monotonic()
-
-    def _ends_tacitly(self) -> bool:
-        return self.faults.is_on("unfinished")
-
-    def _begin_plan(self, plan: Callable[[], PlannedMotion | None]) -> Future[PlannedMotion | None]:
-        planned = self._planner.submit(_refuse if self.faults.is_on("refused") else plan)
-        if math.isinf(self._at_once):
-            wait([planned])  # a clock that waits for the arm must not move before
-        return planned
 
     def _wait(self) -> None:
         calm = self._arm.asleep and not self._application.busy
@@ -366,10 +355,6 @@ class SunriseServer:
 
     def _advance(self) -> None:
         self._answers.put(self._application.advance(self._next_time(PIECE_S)), clock.monotonic())
-
-
-def _refuse() -> None:
-    raise Unreachable("the motion is refused")
 
 
 def _numbers(value: Any, count: int) -> np.ndarray:
