@@ -17,8 +17,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from bench.measure import ROOT, SRC, BenchError, Goal, Peer, Row, number, row
-from bench.plain_client import PlainClient
+from bench.measure import ROOT, SRC, BenchError, Goal, Row, number, row
 from campaign.network.link import Link
 from campaign.network.wire import Wire, in_own_network
 from common.poses import translation
@@ -41,13 +40,11 @@ def rows(quick: bool) -> list[Row]:
     """Returns round trip and highest rate of each kind of servo goal, and the pace of goals on bad links."""
     paced, fast = (50, 50) if quick else (5000, 5000)
     table = []
-    with simulated_controller() as port:
-        peers = _peers(port, fast)
-        with _in_servo(port) as client:
-            for name, feedback in CALLS.items():
-                table += _call_rows(client, name, feedback, paced, fast)
-            for word, (feedback, peer) in peers.items():
-                table.append(_streamed_row(client, word, feedback, peer, fast))
+    with simulated_controller() as port, _in_servo(port) as client:
+        for name, feedback in CALLS.items():
+            table += _call_rows(client, name, feedback, paced, fast)
+        for word, feedback in (("jp", Feedback.DONE), ("jpJP", Feedback.JOINTS)):
+            table.append(_streamed_row(client, word, feedback, fast))
     return [*table, *(_bad_link_row(name, 50 if quick else 2500) for name in BAD_LINKS)]
 
 
@@ -101,18 +98,6 @@ def _call_rows(client: KstClient, name: str, feedback: Feedback, paced: int, fas
     ]
 
 
-def _peers(port: int, fast: int) -> dict[str, tuple[Feedback, Peer]]:
-    """Returns the highest rates of a plain client that checks nothing, by the word of its goals."""
-    found = {}
-    with PlainClient.connected(port) as client:
-        for word, feedback in (("jp", Feedback.DONE), ("jpJP", Feedback.JOINTS)):
-            begin = time.perf_counter()
-            for _ in range(fast):
-                client.goal(word, _goal().tolist())
-            found[word] = feedback, Peer("plain loop", fast / (time.perf_counter() - begin))
-    return found
-
-
 @contextlib.contextmanager
 def _in_servo(port: int, timing: KstTiming = PATIENT, host: str = "127.0.0.1") -> Iterator[KstClient]:
     """Connects in servo mode; the simulated server takes a moment to start again after the client before."""
@@ -130,7 +115,7 @@ def _in_servo(port: int, timing: KstTiming = PATIENT, host: str = "127.0.0.1") -
         yield client
 
 
-def _streamed_row(client: KstClient, word: str, feedback: Feedback, peer: Peer, fast: int) -> Row:
+def _streamed_row(client: KstClient, word: str, feedback: Feedback, fast: int) -> Row:
     """Returns the highest rate of streamed goals, each answer of which is checked."""
     answered = 0
     begin = time.perf_counter()
@@ -140,7 +125,7 @@ def _streamed_row(client: KstClient, word: str, feedback: Feedback, peer: Peer, 
             answered += len(client.answers())
     answered += len(client.answers(10.0))
     rate = answered / (time.perf_counter() - begin)
-    return number(f"kst {word} streamed: highest rate", rate, "1/s", f"{answered} answers to {fast} goals", peer=peer)
+    return number(f"kst {word} streamed: highest rate", rate, "1/s", f"{answered} answers to {fast} goals")
 
 
 def _bad_link_row(name: str, count: int) -> Row:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import ruckig
 import yaml
 
-from bench.measure import SRC, Goal, Peer, Row, row, timed
+from bench.measure import SRC, Goal, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
 from kuka_control.limits.motion_limits import MotionLimits
@@ -90,7 +89,7 @@ def rows(quick: bool) -> list[Row]:
     table = [row("control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
     times = _steps(algorithms.motion_limits(config, rig), rig, targets)
-    table.append(row("control: motion limits", times, "us", settings, peer=_plain_ruckig(config, targets)))
+    table.append(row("control: motion limits", times, "us", settings))
     return table + _guard(config, rig, targets, settings) + _cycles(config, rig, circle, settings)
 
 
@@ -130,23 +129,6 @@ def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings
         row("control: cycle, new desired tool", times[fresh], "us", f"arm without wire; {settings}", GOAL_US),
         row("control: cycle in between", times[servo & ~fresh], "us", f"arm without wire; {settings}"),
     ]
-
-
-def _plain_ruckig(config: RealTimeConfig, targets: list) -> Peer:
-    """Returns the time of Ruckig alone, as its examples use it: update, pass on, and a new target each cycle."""
-    otg = ruckig.Ruckig(7, FRAME_S)
-    plan, out = ruckig.InputParameter(7), ruckig.OutputParameter(7)
-    plan.current_position = targets[0].q.tolist()
-    plan.max_velocity = [config.joint_speed * 1.7] * 7
-    plan.max_acceleration, plan.max_jerk = [config.joint_acceleration] * 7, [config.joint_jerk] * 7
-
-    def step(q: np.ndarray) -> None:
-        plan.target_position = q.tolist()
-        otg.update(plan, out)
-        out.pass_to_input(plan)
-
-    times, _ = timed(step, [(target.q,) for target in targets])
-    return Peer("ruckig", float(np.median(times)))
 
 
 def _on_circle(home: np.ndarray, t: float) -> np.ndarray:

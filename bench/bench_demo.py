@@ -12,7 +12,6 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,16 +53,6 @@ class DemoRun:
     shares: dict[str, np.ndarray]
     flange_rate: float
 
-    @property
-    def lost(self) -> int:
-        """How often the stream ended because no frames came in time."""
-        return sum("tracking frame" in stream["reason"] for stream in self.report["streams"])
-
-    @property
-    def busy(self) -> float:
-        """The share of a processor that all processes took [%]."""
-        return float(np.median(sum(self.shares.values())))
-
 
 def rows(quick: bool) -> list[Row]:
     """Returns delays, CPU shares, time to start and rates of one demo without a screen.
@@ -104,8 +93,8 @@ def rows(quick: bool) -> list[Row]:
     ]
 
 
-def run_demo(slices: int, *options: str, display: str = "", beside: Sequence[Sequence[str]] = ()) -> DemoRun:
-    """Runs a demo with `options`, without a screen if `display` is empty, and with the commands `beside` it.
+def run_demo(slices: int) -> DemoRun:
+    """Runs a demo without a screen.
 
     Raises:
         BenchError: the demo did not run to its end, or found a fault.
@@ -114,16 +103,16 @@ def run_demo(slices: int, *options: str, display: str = "", beside: Sequence[Seq
         report, log = Path(folder) / "report.json", Path(folder) / "demo.log"
         env = {
             **os.environ,
-            "DISPLAY": display,
+            "DISPLAY": "",
             "ROS_MASTER_URI": f"http://localhost:{free_port()}",
             "ROS_HOME": folder,
             "ROS_LOG_DIR": f"{folder}/log",
         }
         duration = slices * SLICE_S + 2.0 * STEERING_S
-        arguments = ["--duration", f"{duration:g}", "--report", str(report), *([] if display else ["--headless"])]
+        arguments = ["--duration", f"{duration:g}", "--report", str(report), "--headless"]
         with open(log, "wb") as output:
             began = time.monotonic()
-            process = _start([*arguments, *options], env, output)
+            process = _start(arguments, env, output)
         try:
             time.sleep(WATCHED_S)
             watch = subprocess.Popen(HOME_WATCH, env=env, stdout=subprocess.PIPE, text=True)
@@ -131,8 +120,6 @@ def run_demo(slices: int, *options: str, display: str = "", beside: Sequence[Seq
             _wait_until_ready(process, log)
             ready_s = time.monotonic() - began
             home_s = float(watch.communicate(timeout=END_S)[0] or "nan") - began
-            for command in beside:
-                others.enter_context(_running(command, env))
             time.sleep(STEERING_S)
             counter = subprocess.Popen(FLANGE_COUNTER, env=env, stdout=subprocess.PIPE, text=True)
             shares = cpu_shares(process.pid, slices)
@@ -182,16 +169,6 @@ FLANGE_COUNTER = (
 )
 
 
-@contextlib.contextmanager
-def _running(command: Sequence[str], env: dict[str, str]) -> Iterator[None]:
-    process = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
 def cpu_shares(pid: int, slices: int) -> dict[str, np.ndarray]:
     """Returns for each program below a process, and itself, its share of one CPU in each slice of a second [%]."""
     shares: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(slices))
@@ -209,12 +186,8 @@ def _start(arguments: list[str], env: dict[str, str], output) -> subprocess.Pope
     launch = {name: free_port() for name in (*PORTS, "camera_control_port")}
     launch["hand_port"] = free_port(socket.SOCK_DGRAM)
     ports = (f"{name}:={value}" for name, value in launch.items())
-    command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *_with_launch(arguments, *ports))
+    command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *arguments, "--", *ports)
     return subprocess.Popen(command, env=env, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
-
-
-def _with_launch(arguments: list[str], *launch: str) -> list[str]:
-    return [*arguments, *launch] if "--" in arguments else [*arguments, "--", *launch]
 
 
 def _wait_until_ready(process: subprocess.Popen, log: Path) -> None:

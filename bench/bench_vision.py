@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import apriltag
 import cv2
 import mujoco
 import numpy as np
@@ -19,7 +18,7 @@ from std_msgs.msg import Header
 from apriltag_ros.detector import TagDetector
 from apriltag_ros.settings import TAG_KEYS, detector_settings, targets
 from apriltag_ros.tag_rendering import TagPattern, black_cells
-from bench.measure import SRC, Peer, Row, row
+from bench.measure import SRC, Row, row
 from common.camera_model import CameraModel, from_calibration
 from common.config import parse
 from common.errors import DeviceError
@@ -109,7 +108,6 @@ def _registration(count: int, rgb: CameraModel, depth: CameraModel) -> list[Row]
     """Everything that the node register_rgbd does with a pair of images, its messages included."""
     registration = Registration(rgb, depth, T_RGB_DEPTH)
     colours, depths = zip(*(_images(seed) for seed in range(4)))
-    rays = depth.rays(np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1)).reshape(-1, 3)
     header, stamp = Header(), rospy.Time()
 
     def ours(i: int) -> None:
@@ -123,27 +121,11 @@ def _registration(count: int, rgb: CameraModel, depth: CameraModel) -> list[Row]
     def only_depth(i: int) -> np.ndarray:
         return registration.register(metres_from_millimetres(depths[i % 4]))
 
-    def plain(i: int) -> np.ndarray:
-        return plain_registered(metres_from_millimetres(depths[i % 4]), rays, T_RGB_DEPTH, registration.camera.K)
-
-    whole, part, peer = _in_turns(count, ours, only_depth, plain)
+    whole, part = _in_turns(count, ours, only_depth)
     return [
         row("registration, with coloured cloud", whole, "ms", "from two images to five messages"),
-        row("registration: depth", part, "ms", "float32 [m]", peer=Peer("plain numpy", float(np.median(peer)))),
+        row("registration: depth", part, "ms", "float32 [m]"),
     ]
-
-
-def plain_registered(depth: np.ndarray, rays: np.ndarray, T: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Returns registered depth as depth_image_proc describes it: points, their pixels, and the nearest at each."""
-    points = (rays * depth.reshape(-1, 1)) @ T[:3, :3].T + T[:3, 3]
-    points = points[np.isfinite(points[:, 2])]
-    u, v = np.rint((points[:, :2] / points[:, 2:]) * (K[0, 0], K[1, 1]) + K[:2, 2]).astype(int).T
-    inside = (u >= 0) & (u < depth.shape[1]) & (v >= 0) & (v < depth.shape[0])
-    u, v, z = u[inside], v[inside], points[inside, 2]
-    order = np.argsort(-z)
-    registered = np.full(depth.shape, np.nan, np.float32)
-    registered[v[order], u[order]] = z[order]
-    return registered
 
 
 def _detection(count: int, camera: CameraModel) -> list[Row]:
@@ -151,17 +133,10 @@ def _detection(count: int, camera: CameraModel) -> list[Row]:
     tags = _yaml("tags.yaml")
     found = targets({key: tags.get(key) for key in TAG_KEYS})
     detector = TagDetector(detector_settings(_yaml("settings.yaml")), found)
-    options = apriltag.DetectorOptions(families="tag36h11", nthreads=1)
-    library = apriltag.Detector(options)
     images = [board_image(camera, found[0].tags, 0.02 * i, i) for i in range(8)]
     there_and_back = [*range(8), *range(6, 0, -1)]
-    whole, alone = _in_turns(
-        count,
-        lambda i: detector.detect(images[there_and_back[i % 14]], camera, i / 30.0),
-        lambda i: library.detect(images[there_and_back[i % 14]]),
-    )
-    how = "five tags, 1 m away; pose and covariance"
-    return [row("tag detection", whole, "ms", how, peer=Peer("apriltag", float(np.median(alone))))]
+    (whole,) = _in_turns(count, lambda i: detector.detect(images[there_and_back[i % 14]], camera, i / 30.0))
+    return [row("tag detection", whole, "ms", "five tags, 1 m away; pose and covariance")]
 
 
 def board_image(camera: CameraModel, tags: tuple, x: float, seed: int) -> np.ndarray:
@@ -189,7 +164,6 @@ def _headset(count: int, rgb: CameraModel) -> list[Row]:
     """Both eyes' images, and the screen of the Rift DK2."""
     view = StereoView(rgb, parse(StereoViewConfig, _yaml("stereo_view.yaml")))
     colours, depths = zip(*(_images(seed) for seed in range(4)))
-    u, v = np.meshgrid(np.arange(640, dtype=np.float32), np.arange(480, dtype=np.float32))
 
     def eyes(i: int) -> None:
         view.eyes(colours[i % 4], metres_from_millimetres(depths[i % 4]))
@@ -198,21 +172,10 @@ def _headset(count: int, rgb: CameraModel) -> list[Row]:
         seen = view.eyes(colours[i % 4], metres_from_millimetres(depths[i % 4]))
         view.screen.draw(seen.left, seen.right)
 
-    def alone(i: int) -> None:
-        cv2.remap(depths[i % 4], u, v, cv2.INTER_NEAREST)
-        for _ in range(3):
-            cv2.remap(colours[i % 4], u, v, cv2.INTER_LINEAR)
-
-    whole, part, peer = _in_turns(count, screen, eyes, alone)
+    whole, part = _in_turns(count, screen, eyes)
     return [
         row("headset view, DK2", whole, "ms", "floor of the lens: cv2.remap once an eye and colour"),
-        row(
-            "headset view: eye images",
-            part,
-            "ms",
-            "floor: two images rectified, two shifted",
-            peer=Peer("4 cv2.remap", float(np.median(peer))),
-        ),
+        row("headset view: eye images", part, "ms", "floor: two images rectified, two shifted"),
     ]
 
 

@@ -22,21 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the launch file of the controller, before numpy is loaded
 INTERRUPTED = 130  # exit code after Ctrl-C or SIGTERM
 NAMES = (
-    "kinematics",
-    "control",
-    "leap",
-    "filter",
-    "client",
-    "shaping",
-    "stopping",
-    "contact",
-    "grasping",
-    "vision",
-    "demo",
-    "load",
-    "growth",
-    "tf",
-)
+    "kinematics", "control", "leap", "filter", "client", "shaping", "stopping", "contact", "grasping", "vision", "demo",
+)  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:

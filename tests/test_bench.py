@@ -6,7 +6,6 @@ import importlib
 import json
 import math
 import re
-import sys
 
 import pytest
 
@@ -19,7 +18,7 @@ from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
     "name",
     [
         *("kinematics", "control", "filter", "client", "shaping", "stopping", "vision"),
-        *(pytest.param(name, marks=pytest.mark.ros) for name in ("leap", "tf")),
+        pytest.param("leap", marks=pytest.mark.ros),
     ],
 )
 def test_a_quick_run_gives_numbers(name):
@@ -32,17 +31,6 @@ def test_a_quick_run_gives_numbers(name):
         assert math.isfinite(row.median) and row.median >= 0.0
         assert row.p99 is None or (math.isfinite(row.p99) and row.p99 >= row.median)
         assert row.what and len(row.what) <= WHAT_WIDTH and row.unit and row.how
-
-
-@pytest.mark.parametrize("kdl", ["KDL LMA", "DLS"])
-def test_the_numerical_solver_finds_the_poses_it_is_compared_on(monkeypatch, kdl):
-    if kdl == "DLS":
-        monkeypatch.setitem(sys.modules, "PyKDL", None)
-    else:
-        pytest.importorskip("PyKDL")
-    peers = {row.what: row.peer for row in bench_kinematics.rows(quick=True) if row.peer is not None}
-    assert len(peers) == 8 and {peer.name for peer in peers.values()} == {kdl}
-    assert min(peer.median for what, peer in peers.items() if what.endswith("near seed: solved")) > 90.0
 
 
 def test_the_table_fits_on_a_terminal_and_goes_to_a_file_too(monkeypatch, tmp_path, capsys):
@@ -116,4 +104,4 @@ def test_a_file_that_holds_no_figures_is_refused_in_a_sentence(tmp_path, capsys,
 
 def test_the_closed_form_solves_every_pose():
     rows = bench_kinematics.rows(quick=True)
-    assert [row.median for row in rows if row.what.endswith("random poses solved")] == [100.0, 100.0]
+    assert [row.median for row in rows if row.what.endswith("seed: solved")] == [100.0] * 4
