@@ -50,7 +50,7 @@ from {FULL_SPEED_HZ:g} on; what comes less often than {HOLD_HZ:g} times a second
 | `kuka/joint_positions`, `joint_states` | rad, 100 Hz; in servo mode the first comes with each goal |
 | `kuka/joint_torques_external`, `kuka/joint_torques_measured` | Nm, 25 Hz in servo mode |
 | `kuka/joint_torques_contact` | external torques without the tool's weight, Nm |
-| `kuka/flange_force`, `kuka/flange_torque` | N, Nm, at the tool point, in the flange's axes; `flange_force_raw`: with the weight |
+| `kuka/flange_force`, `kuka/flange_torque` | N, Nm at the tool point, flange axes; `flange_force_raw`: and weight |
 | `kuka/mode` | starting, homing, home, pick_up, servo, returning, zero, moving, holding, stopped |
 | `kuka/gripper_control` | whether the fingers follow; the service sets it |
 | `kuka/kuka_control` | switches control on or off; off: the arm goes home |
