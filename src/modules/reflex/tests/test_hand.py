@@ -543,17 +543,18 @@ def test_a_calibration_of_stuck_encoders_fails_and_drops_the_waiting_command(ben
     np.testing.assert_allclose(angles(b), 0, atol=0.01)
 
 
-def test_a_finger_loosened_to_its_end_can_be_used_again(bench):
+@pytest.mark.parametrize(("load", "end"), [(600, 0.0), (-600, TRAVEL[0])])
+def test_a_finger_loosened_to_its_end_can_be_used_again(bench, load, end):
     b = bench().calibrated()
     b.command(1, 1, 1, 0)
-    b.device.set_load(0, 600)
-    b.run(4.0)
+    b.device.set_load(0, load)
+    b.run(6.0)
     b.device.set_load(0, None)
     b.run(1.0)
-    assert angles(b)[0] == pytest.approx(0, abs=0.01)
-    b.command(0, 1, 1, 0)
+    assert angles(b)[0] == pytest.approx(end, abs=0.01)
+    b.command(end, 1, 1, 0)
     b.command(1, 1, 1, 0)
-    b.run(1.0)
+    b.run(2.0)
     assert angles(b)[0] == pytest.approx(1, abs=0.01)
 
 
