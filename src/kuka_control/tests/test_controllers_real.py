@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 
 import pytest
-from controller_rig import MOVE_S, REAL_TIME, SLOW, Node, quick_params, run_robot
+from controller_rig import MOVE_S, run_robot
 
 pytest.importorskip("rig_msgs.srv")
 from std_msgs.msg import String
@@ -28,18 +28,3 @@ def test_from_the_launch_file_to_an_interrupt(ros, robot, wait_until, processes)
     launched.send_signal(signal.SIGINT)
     assert launched.wait(30.0) == 0
     assert "Traceback" not in launched.log_path.read_text()
-
-
-@pytest.mark.long
-def test_the_emergency_exit_works_while_the_robot_hangs(ros, robot, wait_until, suspend):
-    quick_params(REAL_TIME, robot.port, **SLOW)
-    node = Node(None, wait_until)
-    node.modes = ros.record("kuka/mode", String)
-    node.process = ros.run("kuka_control", REAL_TIME)
-    node.wait_for_mode("homing", "home")
-    suspend(robot.process.pid)
-    try:
-        assert node.call("exit_app_emergency", "exitAppEmergency").success
-        assert node.wait_for_end(10.0) == 2
-    finally:
-        robot.process.send_signal(signal.SIGCONT)

@@ -57,13 +57,6 @@ def test_the_tool_is_turned_by_yaw_about_the_vertical_and_tilted_by_pitch_and_ro
     assert math.remainder(left + yaw, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_without_tolerances_every_attitude_is_straight_down():
-    found = study(tolerances=(0.0, 0.0, 0.0))
-    np.testing.assert_array_equal(found.fraction, found.down.astype(float))
-    assert found.percent_within == pytest.approx(found.percent_down)
-    assert found.percent_always == found.percent_down
-
-
 def test_the_positions_too_far_are_those_whose_wrist_the_outstretched_arm_does_not_reach():
     found = study(count=600)
     wrist = found.positions + np.array([0.0, 0.0, TOOL_M + MODEL.wrist_flange - MODEL.base_shoulder])
