@@ -8,7 +8,6 @@ import pytest
 from toolbox_client import ToolboxClient
 
 from common import clock
-from common.errors import DeviceError
 from rig_simulation.control_port import ControlClient
 from simulated.wires import DELAY_S
 
@@ -238,16 +237,6 @@ def test_shifted(connect, fault):
     assert client.ask() == "-0.25_" * 7 + "\n"
     fault("shifted", on=False)
     assert client.ask() == ZEROS
-
-
-def test_the_control_port_lists_faults_and_refuses_unknown_ones(server, fault):
-    fault("slow", value=0.5, duration=60.0)
-    listed = {entry["name"]: entry for entry in server.control.ask("faults")["faults"]}
-    assert {name for name, entry in listed.items() if entry["on"]} == {"slow"}
-    assert listed["slow"]["value"] == 0.5
-    assert listed["slow"]["left"] == pytest.approx(60.0 - TICK_S, abs=4.0 * DELAY_S)
-    with pytest.raises(DeviceError):
-        fault("dance")
 
 
 @pytest.mark.ros

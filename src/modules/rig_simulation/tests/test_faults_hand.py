@@ -10,7 +10,6 @@ import pytest
 
 from common import clock
 from rig_simulation.devices.reflex.hand import PERIOD_S
-from rig_simulation.devices.reflex.program import main
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, STATE_BYTES
 from rig_simulation.faults.hand import EFFECTS, HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults
@@ -224,12 +223,6 @@ def test_a_share_of_packets_and_commands_is_lost():
     assert 150 < len(wire.incoming([b"command"] * 1000)) < 350
 
 
-def test_without_faults_everything_passes_unchanged():
-    wire = HandWire(Faults(HAND_FAULTS))
-    assert wire.outgoing(b"state", 0.0) == [b"state"]
-    assert wire.incoming([b"a", b"b"]) == [b"a", b"b"]
-
-
 def test_fingers_and_motors_are_whole_numbers():
     faults = Faults(HAND_FAULTS)
     for name in EFFECTS.keys() - {"restarted"}:
@@ -237,9 +230,3 @@ def test_fingers_and_motors_are_whole_numbers():
             faults.switch(name, value=1.5)
         with pytest.raises(ValueError):
             faults.switch(name, value=5)
-
-
-def test_an_unknown_fault_on_the_command_line_is_refused(capsys):
-    with pytest.raises(SystemExit):
-        main(["--fault", "dance"])
-    assert "'dance'" in capsys.readouterr().err

@@ -338,19 +338,6 @@ def test_the_recorder_ends_when_it_is_interrupted(recorder, running_world, tmp_p
     assert len(frames_of(tmp_path / "a.mp4")) == pytest.approx(10, abs=2)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_viewer_and_recorder_stop_at_an_interrupt_and_when_they_are_terminated(number):
-    handlers = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        stop = record.display.stop_when_interrupted()
-        assert not stop.is_set()
-        signal.raise_signal(number)
-        assert stop.is_set()
-    finally:
-        for one, handler in handlers.items():
-            signal.signal(one, handler)
-
-
 @pytest.mark.ros
 def test_without_a_world_the_recorder_names_it(recorder, tmp_path):
     began = clock.monotonic()

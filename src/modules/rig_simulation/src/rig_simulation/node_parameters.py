@@ -71,7 +71,6 @@ class DepthConfig:
     warp_sd: float = number("m", low=0.0, high=0.02, doc="spread of a unit's smooth warp at 1 m; 0 = none")
 
     def faults(self) -> list[str]:
-        """Returns faults of several keys together."""
         if self.min_range >= self.max_range:
             return [f"min_range is {self.min_range:g} m, but must be less than max_range, {self.max_range:g} m."]
         return []
@@ -111,7 +110,6 @@ class OperatorConfig:
     time_out: float = number("s", above=0.0, doc="longest time to wait for each thing", absent=300.0)
 
     def faults(self) -> list[str]:
-        """Returns faults of several keys together."""
         if self.arms and self.scenario not in OF_SEVERAL_ARMS:
             return [f"scenario is {self.scenario}, which is for one arm, but arms are {', '.join(self.arms)}."]
         if self.scenario in (TWO_CUPS, HAND_OVER) and not self.arms:

@@ -52,7 +52,6 @@ class HandWire:
         self._inside: dict[str, float] = {}
 
     def follow(self, hand: SimulatedHand) -> None:
-        """Starts and ends the internal faults of the hand."""
         active = self._faults.active()
         for name, effect in EFFECTS.items():
             before, now = self._inside.get(name), active.get(name)
@@ -75,7 +74,6 @@ class HandWire:
         return self._waiting.take(now)
 
     def incoming(self, commands: list[bytes]) -> list[bytes]:
-        """Returns the commands that arrive."""
         faults = self._faults.active()
         return [command for command in commands if not self._lost(faults, "deaf")]
 

@@ -39,7 +39,6 @@ Option = Tuple[str, Optional[float], Optional[float]]
 
 
 def fraction_of(what: str) -> FaultValue:
-    """Returns the number of a fault that affects only some of the messages."""
     return FaultValue(f"fraction of the {what}", 1.0, 0.01, 1.0)
 
 
@@ -104,7 +103,6 @@ class Faults:
         self._next_end = min((active.ends for active in self._active.values()), default=math.inf)
 
     def is_on(self, name: str) -> bool:
-        """Returns whether a fault is on."""
         return self.value(name) is not None
 
     def value(self, name: str) -> float | None:
@@ -141,7 +139,6 @@ class Faults:
 
     @property
     def requests(self) -> dict[str, Callable[..., dict]]:
-        """The requests of the control port."""
         return {"fault": self.switch, "faults": self.describe}
 
 
@@ -234,7 +231,6 @@ class DelayLine(Generic[Message]):
         return self._waiting[0][0] if self._waiting else math.inf
 
     def clear(self) -> None:
-        """Drops all messages."""
         self._waiting.clear()
 
 

@@ -83,7 +83,6 @@ class HandFaults:
         self._frames = 0
 
     def change(self, frame: str, faults: dict[str, float]) -> str:
-        """Returns the frame with the active faults of OF_HANDS applied."""
         moved = {"hand_swapped", "hand_moved"} & faults.keys()
         self._renamed += moved != self._moved
         self._moved = moved

@@ -130,7 +130,6 @@ class AssistedGrasp:
         self._ready_since: float | None = None
 
     def answer(self, success: bool, message: str, now: float) -> None:
-        """Takes the reply to EXECUTE."""
         if success:
             self._change(executed=self._round.executed + 1)
             self._go("approach", now)
@@ -150,7 +149,6 @@ class AssistedGrasp:
         return getattr(self, f"_{self._step}")(scene, now)
 
     def _look(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Waits at home for a proposal on an object."""
         if not scene.at_home or scene.following:
             self._ready_since = None
             return self._result()
@@ -170,7 +168,6 @@ class AssistedGrasp:
         return self._result(request=EXECUTE)
 
     def _approach(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Waits until the arm is above the proposal, then brings the hand in."""
         assert self._since is not None  # `step` sets it
         if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
             return self._again(f"the execution stopped before the hand came in: {scene.reason}", now)
@@ -183,7 +180,6 @@ class AssistedGrasp:
         return self._result(request=SHOW)
 
     def _work(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Takes over, corrects, picks up, puts down."""
         seen, attempt = scene.objects[self._round.object], self._attempt
         assert attempt is not None  # `_approach` begins one
         if scene.following:
@@ -208,7 +204,6 @@ class AssistedGrasp:
         return self._result(move=result.move)
 
     def _leave(self, scene: AssistedView, now: float) -> AssistedStep:
-        """Waits at home for the outcome."""
         outcome = scene.outcome
         if outcome is None or outcome.episode == self._episode or not scene.at_home:
             return self._result()
@@ -226,7 +221,6 @@ class AssistedGrasp:
         return ended
 
     def _again(self, why: str, now: float, request: str = "") -> AssistedStep:
-        """Records a failed attempt; then the next one begins, or the operator gives up."""
         why = why.rstrip(".")
         self._change(failed=(*self._round.failed, why))
         if len(self._round.failed) >= self._habits.attempts:

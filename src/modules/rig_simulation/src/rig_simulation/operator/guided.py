@@ -115,7 +115,6 @@ class GuidedOperator:
         return as_frames(self.hands(rng, first_id), self._scripted.service, self._scripted.frame_rate)
 
     def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
-        """Yields what is sensed."""
         model, frame_rate = self._scripted.hand_model, self._scripted.frame_rate
         tracker, shown, age = None, 0, 0.0
         second = SecondHand(self._scripted, first_id + 1000, rng)

@@ -114,7 +114,6 @@ class HandOverStep:
 
     @property
     def over(self) -> bool:
-        """Whether the work is over."""
         return self.step == "done" or bool(self.failure)
 
 
@@ -130,7 +129,6 @@ class Roles:
 
     @property
     def names(self) -> dict[str, str]:
-        """The arms by GIVER and TAKER."""
         return {GIVER: self.giver, TAKER: self.taker}
 
 

@@ -69,7 +69,6 @@ class Visit:
         return state(min(max((t - (self._ends[i] - duration)) / duration, 0.0), 1.0))
 
     def visible(self, t: float) -> bool:
-        """Returns whether the hand is in view."""
         return self.appears <= t <= self.vanishes
 
     def _compose(self, rest: np.ndarray) -> None:

@@ -74,7 +74,6 @@ class PickStep:
 
     @property
     def over(self) -> bool:
-        """Whether the work is over."""
         return self.step == "done" or bool(self.failure)
 
 

@@ -105,7 +105,6 @@ class ScriptedOperator:
 
     @property
     def hand_model(self) -> HandModel:
-        """The hand."""
         return HandModel(self.side, self.scale, self.service == "gemini", self.T_desk_leap)
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
@@ -113,7 +112,6 @@ class ScriptedOperator:
         return as_frames(self.hands(rng, first_id), self.service, self.frame_rate)
 
     def hands(self, rng: np.random.Generator, first_id: int) -> Iterator[Sensed]:
-        """Yields what is sensed of the same visits."""
         model = self.hand_model
         hand_id = first_id
         while True:
@@ -272,7 +270,6 @@ class Playback:
         self._time, self._id = 0.0, 0
 
     def next(self) -> PlayedFrame:
-        """Returns the next frame."""
         interval, frame = next(self._frames)
         self._time += interval
         self._id += 1

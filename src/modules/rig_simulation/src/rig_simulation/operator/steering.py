@@ -43,7 +43,6 @@ class Move:
 
     @property
     def fields(self) -> dict[str, float]:
-        """Fields of the request `reach` of the simulated Leap service."""
         right, up, back = self.palm.tolist()
         return {"right": right, "up": up, "back": back, "yaw": self.yaw, "curl": self.curl, "seconds": self.seconds}
 
@@ -94,11 +93,9 @@ class SteeringHand:
         return Move(self.palm, self.yaw, self.curl, seconds)
 
     def close(self, now: float) -> Move:
-        """Returns the move that closes the fingers."""
         return self._bend(1.0, self._habits.closing, now)
 
     def open(self, now: float) -> Move:
-        """Returns the move that opens the fingers."""
         return self._bend(0.0, self._habits.opening, now)
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:

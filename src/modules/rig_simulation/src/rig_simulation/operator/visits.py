@@ -14,12 +14,10 @@ class Visits:
         self._since, self._patience = 0.0, UNFOLLOWED_S
 
     def enter(self, now: float) -> None:
-        """The hand comes into view."""
         self.count += 1
         self._since, self._patience = now, UNFOLLOWED_S
 
     def over(self, following: bool, now: float) -> bool:
-        """Returns whether the hand is to leave and come in again."""
         if following:
             self._since, self._patience = now, LOST_S
         return now - self._since > self._patience and self.count < MOST

@@ -155,7 +155,6 @@ OF_ROBOT, OF_OTHERS = np.array([1.0, 0.45, 0.0, 1.0]), np.array([0.35, 0.65, 1.0
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options of both programs."""
     add = parser.add_argument
     add("--port", type=port, default=30021, help="control port of the world")
     add("--rate", type=positive, default=20.0, help="images a second")

@@ -93,7 +93,6 @@ class ContactSheet:
         self._next = -math.inf
 
     def add(self, image: np.ndarray, time: float) -> None:
-        """Adds an image; see Mp4."""
         if time < self._next:
             return
         half = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
@@ -116,7 +115,6 @@ class ContactSheet:
 
 
 def with_lines(image: np.ndarray, lines: list[str]) -> np.ndarray:
-    """Returns the image with lines of text in its upper left corner."""
     written = image.copy()
     for i, line in enumerate(lines):
         at = (MARGIN_PX, MARGIN_PX + LINE_PX * (i + 1) - LINE_PX // 3)

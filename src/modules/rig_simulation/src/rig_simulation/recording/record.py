@@ -95,7 +95,6 @@ class FilmView:
         self._is_new, self.time = False, 0.0
 
     def follow(self) -> None:
-        """Copies the present state of the world."""
         self._is_new |= self._world.follow()
         self._contacts = self._client.ask("contacts")["contacts"]
         self.time = self._client.ask("state")["time"]
@@ -117,7 +116,6 @@ class FilmView:
         return with_lines(self._renderer.render(), lines)
 
     def close(self) -> None:
-        """Frees the renderer."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None

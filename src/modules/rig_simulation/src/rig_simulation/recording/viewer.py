@@ -95,11 +95,9 @@ class ViewerWindow:
 
     @property
     def is_open(self) -> bool:
-        """Whether the window is open."""
         return self._handle.is_running()
 
     def show(self, forces: list) -> None:
-        """Shows the present state of the copy, with arrows."""
         with self._handle.lock():
             self._handle.user_scn.ngeom = 0
             display.add_arrows(self._handle.user_scn, forces)

@@ -133,7 +133,6 @@ class CameraNode:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(CameraConfig, others=(*SECTIONS, SERIAL))
     announce()

@@ -135,6 +135,5 @@ class HandOverScenario:
         return HandOverView(grips, tools, T_world_box, clearance, touching, holding, following), self._time
 
     def _tell(self, result: HandOverStep) -> None:
-        """Publishes the step for both arms."""
         for arm in self._arms.values():
             arm.tell(result.step, result.failure, thing=THING, **self._roles.names)

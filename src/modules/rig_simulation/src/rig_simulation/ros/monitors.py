@@ -281,7 +281,6 @@ def show_world(config: SimulationConfig) -> None:
 
 
 def simulation() -> None:
-    """Runs the node simulation with its private parameters."""
     config = private_config(SimulationConfig)
     announce()
     FaultService(config)

@@ -171,7 +171,6 @@ class Operator:
 
 
 def main() -> None:
-    """Runs the node with its private parameters."""
     config = private_config(OperatorConfig)
     announce()
     Operator(config).run()

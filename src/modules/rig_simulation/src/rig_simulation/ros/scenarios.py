@@ -222,7 +222,6 @@ class AssistedScenario(Scenario):
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
 
     def _start(self) -> None:
-        """Waits for the first list of grasps; without one, the operator reports why it gives up."""
         deadline = clock.monotonic() + NETWORK_START_S
         while not rospy.is_shutdown() and self._grasps is None and clock.monotonic() < deadline:
             self._publish(PickStep("network starts"))
@@ -292,7 +291,6 @@ class AssistedScenario(Scenario):
 
 
 def round_values(grasp: assisted.Round) -> dict[str, str]:
-    """Returns the published values of a grasp."""
     return {
         "round": str(grasp.number),
         "object": grasp.object,
@@ -309,7 +307,6 @@ def round_values(grasp: assisted.Round) -> dict[str, str]:
 
 
 def _sentences(reasons: tuple[str, ...]) -> str:
-    """Returns each different sentence once."""
     return "; ".join(dict.fromkeys(sentence.rstrip(".") for sentence in reasons))
 
 

@@ -53,7 +53,6 @@ class SeenArm:
 
     @property
     def following(self) -> bool:
-        """Whether the arm follows the hand."""
         return self.mode == FOLLOWING
 
     def tell(self, step: str, failure: str, **more: str) -> None:

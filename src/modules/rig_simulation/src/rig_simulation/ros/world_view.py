@@ -65,7 +65,6 @@ def shape_marker(shape: display.Shape) -> Marker:
 
 
 def arrow_marker(arrow: display.Arrow, T_base_world: np.ndarray) -> Marker:
-    """Returns the marker of a force."""
     marker = Marker(type=Marker.ARROW, ns="force", color=OF_ROBOT if arrow.by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
     marker.scale.x, marker.scale.y, marker.scale.z = SHAFT_M, HEAD_M, HEAD_LENGTH_M

@@ -17,7 +17,6 @@ class Clock:
         self._start = clock.monotonic() if speed is not None else 0.0
 
     def __call__(self) -> float:
-        """Returns the time."""
         return self._start + (0.0 if self.speed is None else (clock.monotonic() - self._start) * self.speed)
 
     def move(self, seconds: float) -> None:

@@ -54,7 +54,6 @@ def geom(
     colour: Iterable[float] | None = None,  # red, green, blue
     **more: str,  # further attributes of MuJoCo
 ) -> ET.Element:
-    """Adds a geom to the body `parent`."""
     values = {"name": name, "type": kind, "pos": numbers(p), "mass": numbers([mass])}
     values.update(contype=str(touch.kind), conaffinity=str(touch.partners), group=str(touch.group))
     if size is not None:

@@ -68,7 +68,6 @@ class CarriedJoints(Part):
         self._v_next = (self._q_next - self._q) / dt
 
     def end_step(self) -> None:
-        """Measures the torques after a step of the world."""
         v = self._v_next
         self._q, self._v = self._q_next, v
         self._update_spring()
@@ -80,7 +79,6 @@ class CarriedJoints(Part):
         self._torque = self._torque - torque
 
     def bind(self, world: World) -> None:
-        """Takes model and state of the world."""
         model, data = world.model, world.data
         joints = [model.joint(named(self._prefix, name)) for name in JOINTS]
         qpos, dofs = (_run([j.qposadr[0] for j in joints]), _run([j.dofadr[0] for j in joints]))
@@ -152,7 +150,6 @@ class ArmJoints(CarriedJoints):
 
 
 def _run(addresses: list[int]) -> slice:
-    """Returns consecutive addresses as a slice."""
     return slice(int(addresses[0]), int(addresses[-1]) + 1)
 
 
@@ -170,7 +167,6 @@ class PhysicalMechanics(Mechanics):
         self._prefix = prefix
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Takes model and state; obstacles remain."""
         self._model, self._data = model, data
         self._tendons = [model.actuator(self._named(tendon_name(finger + 1))).id for finger in range(FINGERS)]
         self._swivels = [model.actuator(self._named(f"reflex/preshape_{finger}")).id for finger in (1, 2)]
@@ -203,11 +199,9 @@ class PhysicalMechanics(Mechanics):
         return (torque(first) - torque(second)) / SWIVEL_RATIO * EFFORT_PER_NM
 
     def proximal(self, finger: int) -> float:
-        """Returns the turn of a knuckle."""
         return self._angle("proximal", finger)
 
     def distal(self, finger: int) -> float:
-        """Returns the bend of a flexure."""
         return self._angle("distal", finger)
 
     def touch(self, finger: int) -> Sequence[float]:
@@ -224,7 +218,6 @@ class PhysicalMechanics(Mechanics):
         return counts.tolist()
 
     def block(self, finger: int, proximal: float | None) -> None:
-        """Limits the turn of a knuckle."""
         self._ends[finger] = proximal
         end = self._farthest[finger] if proximal is None else proximal
         self._model.jnt_range[self._joints["proximal"][finger], 1] = end
@@ -259,10 +252,8 @@ class HandPart(Part):
         self.simulated = SimulatedHand(seed, self._mechanics)
 
     def bind(self, world: World) -> None:
-        """Takes model and state of the world."""
         self._options = world.model.opt
         self._mechanics.bind(world.model, world.data)
 
     def before_step(self) -> None:
-        """Steps the servos, which pull the tendons."""
         self.simulated.step(self._options.timestep)

@@ -120,7 +120,6 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def objects(self) -> dict[str, ObjectState]:
-        """Returns the state of each object by name."""
         pairs = _pairs(self.data, self._geom_bodies)
         touches: dict[str, set[str]] = {name: set() for name in self._scene.objects}
         for one, other in pairs + [pair[::-1] for pair in pairs]:
@@ -199,12 +198,10 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, body: int) -> float
 
 
 def _geom_bodies(model: mujoco.MjModel) -> list[str]:
-    """Returns the name of the body of each geom."""
     return [model.body(body).name for body in model.geom_bodyid]
 
 
 def _pairs(data: mujoco.MjData, geom_bodies: list[str]) -> list[tuple[str, str]]:
-    """Returns the names of both bodies of each contact."""
     return [(geom_bodies[one], geom_bodies[other]) for one, other in data.contact.geom.tolist()]
 
 

@@ -104,11 +104,9 @@ class HandCycle(Part):
         self._cycles = 0
 
     def bind(self, world: World) -> None:
-        """Takes the world, and computes its steps in a cycle."""
         self._world, self._period = world, round(PERIOD_S / world.timestep)
 
     def after_step(self) -> None:
-        """Exchanges packets once in a cycle."""
         if self._world.steps // self._period > self._cycles:
             self._cycles += 1
             reflex.exchange(self._hand, self._link)

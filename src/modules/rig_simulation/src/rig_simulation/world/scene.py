@@ -43,7 +43,6 @@ class CameraPose:
     target: np.ndarray = vector(3, "m", low=-10.0, high=10.0, doc="the point that the camera points at")
 
     def faults(self) -> list[str]:
-        """Returns faults of several fields together."""
         if np.linalg.norm((self.target - self.position)[:2]) < 1e-3:
             return ["target must not lie straight above or below the camera."]
         return []
@@ -117,7 +116,6 @@ class Bottle(SceneObject):
     neck_height: float = number("m", above=0.01, high=0.2)
 
     def faults(self) -> list[str]:
-        """Returns faults of several fields together."""
         if self.neck_height >= self.height or self.neck_radius >= self.radius:
             return ["the neck must be lower and narrower than the bottle."]
         return []
@@ -243,7 +241,6 @@ def table_pose(table: Table) -> np.ndarray:
 
 
 def add_table(world: ET.Element, table: Table, posts: Mapping[str, Post]) -> None:
-    """Adds the board of the table to the world, and the posts."""
     look: dict[str, Any] = {"friction": table.friction, "colour": TABLE_COLOUR}
     half = (*(table.size / 2.0), TABLE_THICKNESS / 2.0)
     geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -TABLE_THICKNESS / 2.0), **look)

@@ -84,7 +84,6 @@ def random_pose(distance: float, tilt: float, size: float, rng: np.random.Genera
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Takes the images; returns the exit code."""
     options = _options(arguments)
     try:
         count = _take(options)

@@ -94,7 +94,6 @@ class Renderer:
         return beyond & (reach > 0.0)  # a plane has no end
 
     def close(self) -> None:
-        """Frees the memory of the display."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()

@@ -28,7 +28,6 @@ REQUESTS = ("show", "reach", "hide", "hand")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the simulated service; returns the exit code."""
     options = parse(arguments)
     try:
         source, requests = _source(options)
@@ -82,7 +81,6 @@ def _of_side(both: Mapping[str, GuidedOperator], name: str, side: str = "", **fi
 
 
 def parse(arguments: list[str] | None) -> argparse.Namespace:
-    """Returns the options of the command line."""
     parser = argparse.ArgumentParser(prog=f"{NAME}.py", description="Simulated service of the Leap Motion controller.")
     add = parser.add_argument
     add("--host", default="127.0.0.1", help="loopback address to listen on")

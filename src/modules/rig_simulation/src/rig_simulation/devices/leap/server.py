@@ -62,7 +62,6 @@ class SimulatedLeapService(LeapService):
         self.control_port = self._control.port
 
     def plug(self, attached: bool) -> None:
-        """Plugs the sensor in or out, as the fault does."""
         self.faults.switch("unplugged", not attached)
 
     def _listen(self, host: str, port: int, certificate: Certificate | None = None) -> tuple[str, int]:

@@ -133,7 +133,6 @@ class SimulatedHand:
                 servo.goal = value
 
     def packet(self) -> bytes:
-        """Returns the present state packet."""
         servos = self.servos
         return pack_state(
             device_time=int(self._clock * 1e6) % 2**32,
@@ -181,7 +180,6 @@ class SimulatedHand:
         self._mechanics.block(finger, proximal)
 
     def stick_encoder(self, finger: int, on: bool) -> None:
-        """Lets a knuckle encoder stick, or work again."""
         self._fingers[_finger(finger)].stick(bool(on), self._mechanics.proximal(finger))
 
     def unplug_servo(self, motor: int, on: bool) -> None:
@@ -202,11 +200,9 @@ class SimulatedHand:
                 setattr(servo, name, int(value))
 
     def set_silent(self, on: bool) -> None:
-        """Unplugs the cable, in both directions, or plugs it in."""
         self.silent = bool(on)
 
     def state(self) -> dict[str, Any]:
-        """Returns the true state, for the control port."""
         return {
             "angles": [self.angle(i) for i in range(4)],
             "proximal": [self._mechanics.proximal(i) for i in range(FINGERS)],

@@ -93,7 +93,6 @@ class DynamixelServo:
             self.torque = False
 
     def speed_register(self) -> int:
-        """The present-speed register."""
         units = min(_SPEED_MASK, round(abs(self.velocity) / SPEED_UNIT_RAD_S))
         return units + _RISING_BIT * (self.velocity > 0)
 

@@ -81,7 +81,6 @@ class HandLink:
                 found.append(data)
 
     def close(self) -> None:
-        """Closes the sockets; may be called twice."""
         self._inbox.close()
         self._outbox.close()
 
@@ -161,7 +160,6 @@ def exchange(hand: SimulatedHand, link: HandLink) -> None:
 def handlers(
     hand: SimulatedHand, link: HandLink, lock: contextlib.AbstractContextManager[bool]
 ) -> dict[str, Callable[..., Any]]:
-    """Returns the requests of the hand's control port; those of the hand hold the lock."""
     return {**{name: within(lambda: lock, getattr(hand, name)) for name in REQUESTS}, **link.faults.requests}
 
 

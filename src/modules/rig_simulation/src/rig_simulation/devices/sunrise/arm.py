@@ -158,7 +158,6 @@ class SimulatedArm:
         self.goal = self.q.copy()
 
     def stop_servo(self) -> None:
-        """Stops the servo mode; the arm brakes."""
         self.in_servo = False
 
     def attach(self, T_flange_tool: np.ndarray) -> None:

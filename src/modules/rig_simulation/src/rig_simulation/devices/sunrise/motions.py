@@ -59,7 +59,6 @@ ARRIVED_JOINT_RAD = np.radians(0.1)
 
 
 def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
-    """Plans the joint motion to the goal at the relative speed."""
     if not 0.0 < goals.speed <= 1.0 or not arm.robot.within_range(goals.joints):
         raise Unreachable(f"the speed {goals.speed} or the goal {goals.joints.tolist()} is out of range")
     if np.array_equal(arm.q, goals.joints):

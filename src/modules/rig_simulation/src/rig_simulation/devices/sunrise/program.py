@@ -32,7 +32,6 @@ NAME = "sunrise_controller"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the simulated controller; returns the exit code."""
     parser = CommandLine(NAME, "Simulated KUKA Sunrise controller with the toolbox server on it.")
     add_options(parser)
     options = parse_options(parser, arguments)
@@ -70,7 +69,6 @@ def make_server(
 
 
 def ready_line(server: SunriseServer, name: str = NAME) -> str:
-    """Returns what a program prints when the server listens."""
     return f"{name}: listening on {server.host}:{server.port}, control port {server.host}:{server.control_port}"
 
 
@@ -79,7 +77,6 @@ def _log(name: str, sentence: str) -> None:
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Adds the options of the simulated controller."""
     add = parser.add_argument
     add("--host", default="127.0.0.1", help="loopback address to listen on")
     add("--port", type=port, default=30001, help="port of the toolbox server; 0 takes any free port")

@@ -252,7 +252,6 @@ class SunriseServer:
             self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, not self.faults.is_on("nagle"))
 
     def _window_missed(self) -> bool:
-        """Returns whether no client came within the window of its fault."""
         window = self.faults.value("window")
         if window is None:
             self._missed = False
