@@ -15,10 +15,10 @@ import numpy as np
 
 from common.camera_model import CameraModel, pinhole
 from common.config import integer, number
+from common.plane_fit import GATE_SD
 from common.poses import pose, read_only
 from common.rotations import cross, unit
 from grasping.network.depth_image import (
-    GATE_SD,
     NETWORK_SIDE,
     Crop,
     NetworkImage,
