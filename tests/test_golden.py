@@ -110,4 +110,3 @@ def test_writing_and_reading_changes_nothing(tmp_path):
     assert not differences(stored(trace), again)
     again.write("other", tmp_path)
     assert (tmp_path / "run.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
-
