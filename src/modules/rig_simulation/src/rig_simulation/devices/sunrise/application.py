@@ -70,7 +70,7 @@ class Application:
         self._reader_alive = self._main_alive = True
         self._main_answered = self._now = -np.inf
         self._goals = Goals()
-        self._accepted: Callable[[SimulatedArm], JointMove | None] | None = None  # plans the motion to start
+        self._accepted: Planner | None = None  # of the motion to start
         self._refused = False  # the motion, and its last word is to come
         self._last_word = -math.inf  # not before this time [s]
         self._word, self._keeps_word = "", False  # the last line; whether a motion leaves it to the main thread
@@ -242,20 +242,19 @@ class Application:
         return DONE
 
     def _move(self, make: Planner, break_when: Condition | None = None, arrived: Condition = lambda _: True) -> str:
-        """Accepts the motion; it is planned afterwards, and starts or is refused."""
+        """Accepts the motion; before the next line it is planned, and starts or is refused."""
         self.mode, self._refused, self._keeps_word, self._word = "ptp", False, False, ""
         self._last_word = self._now + LAST_WORD_S
         self._break_when, self._arrived = break_when, arrived
-        goals = dataclasses.replace(self._goals)  # as they are now
-        self._accepted = lambda arm: make(arm, goals)
+        self._accepted = make
         return DONE
 
-    def _start_motion(self, make: Callable[[SimulatedArm], JointMove | None]) -> None:
+    def _start_motion(self, make: Planner) -> None:
         self._accepted = None
         try:
             if self._refuses():
                 raise Unreachable("the motion is refused")
-            motion = make(self._arm)
+            motion = make(self._arm, self._goals)
         except ValueError:
             self._arm.attach(np.eye(4))
             self._refused = True
