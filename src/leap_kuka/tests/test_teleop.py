@@ -183,6 +183,7 @@ def test_another_hand_in_the_place_of_the_first_never_takes_over(play, sample, o
     assert all(r.T_virtual_tool is None for r in results)
     assert [r.state for r in results] == [StreamState.RUNNING] * 20 + [StreamState.WAITING] * 280
     assert results[20].reason == "right hand 12 was lost" and "out of the box and back in" in results[-1].reason
+    assert results[20].codes == (ReasonCode.HAND_GONE,) and ReasonCode.IN_BOX_ALREADY in results[-1].codes
 
 
 @pytest.mark.parametrize("other", [{"is_left": True}, {}])

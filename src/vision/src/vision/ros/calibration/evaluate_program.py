@@ -8,7 +8,6 @@ with a camera whose calibration file is wrong. It needs no ROS master.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +19,9 @@ import numpy as np
 from apriltag_ros.detector import TagDetector
 from apriltag_ros.photometric import PhotometricRefiner
 from apriltag_ros.settings import detector_settings
-from common.command_line import real, whole
+from common.command_line import exit_code, real, whole
 from common.config import parse
-from common.errors import DeviceError, RigError
+from common.errors import DeviceError
 from common.poses import inverse
 from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig
@@ -69,15 +68,14 @@ def main(arguments: list[str] | None = None) -> int:
     more = ["--seed", str(options.seed), "--units", "3"]
     if options.config is not None:
         more += ["--config", str(options.config)]
-    try:
+
+    def evaluate() -> None:
         with rendered_images(options.panel, *POSES, *more) as folder:
             _print_poses(*_evaluate(folder, options.panel))
         with rendered_images(options.panel, *VIEWS, *more) as folder:
             _print_calibrations(options, folder)
-    except (RigError, OSError) as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
-    return 0
+
+    return exit_code(NAME, evaluate)
 
 
 Observations = Dict[str, List[BoardObservation]]

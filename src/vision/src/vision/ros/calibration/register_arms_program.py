@@ -7,7 +7,6 @@ It reads two calibrations that calibrate_camera.py stored, prints the result in 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 import rospkg
 
 from common.arms import Arms, BasePlacement, arms_from
+from common.command_line import exit_code
 from common.errors import RigError
 from common.ros.files import read_yaml, write_whole
 from common.rotations import zyx_from_rotation
@@ -31,12 +31,7 @@ BETWEEN_M = 0.5  # in front of the second base, where the hands meet: the uncert
 def main(arguments: list[str] | None = None) -> int:
     """Runs the program; returns the exit code."""
     options = _parser().parse_args(arguments)
-    try:
-        print(_run(options))
-    except (RigError, OSError) as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
-    return 0
+    return exit_code(NAME, lambda: print(_run(options)))
 
 
 def _run(options: argparse.Namespace) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import sys
 from pathlib import Path
 
 import cv2
@@ -16,9 +15,8 @@ import matplotlib
 import numpy as np
 
 from apriltag_ros.settings import detector_settings
-from common.command_line import real, whole
+from common.command_line import exit_code, real, whole
 from common.config import parse
-from common.errors import RigError
 from vision.marker_board import pose_evaluation as tables
 from vision.marker_board.plane_fit import PlanePoseConfig
 from vision.marker_board.plane_pose import RgbdDetector
@@ -44,18 +42,17 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--depth-bias", type=real(-0.2, 0.2), default=0.01, help="added to every depth [m]")
     options = parser.parse_args(arguments)
     cv2.setNumThreads(1)
-    try:
+
+    def evaluate() -> None:
         options.output.mkdir(parents=True, exist_ok=True)
         if options.pictures is not None:
             _evaluate(options, options.pictures)
-        else:
-            more = ("--units", str(options.units), "--seed", str(options.seed))
-            with image_folder.rendered_images(options.panel, *more) as folder:
-                _evaluate(options, folder)
-    except (RigError, OSError) as error:
-        print(f"{NAME}: {error}", file=sys.stderr)
-        return 1
-    return 0
+            return
+        more = ("--units", str(options.units), "--seed", str(options.seed))
+        with image_folder.rendered_images(options.panel, *more) as folder:
+            _evaluate(options, folder)
+
+    return exit_code(NAME, evaluate)
 
 
 def _evaluate(options: argparse.Namespace, folder: Path) -> None:
