@@ -179,7 +179,11 @@ def test_unknown_words_stay_unanswered(line):
 @pytest.mark.parametrize(
     "line",
     [
-        "blueOnAndMore", "getJointsPositions_", "Torques_ext_J_", "stopDirectServoJoints_", "pin11on",
+        "blueOnAndMore",
+        "getJointsPositions_",
+        "Torques_ext_J_",
+        "stopDirectServoJoints_",
+        "pin11on",
     ],
 )
 def test_words_match_by_their_beginning(line):
