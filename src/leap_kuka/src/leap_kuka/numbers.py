@@ -10,6 +10,7 @@ from typing import Final
 
 from common.hand_tracking import LONG_GAP_SPEED_M_S
 from common.operator_rows import OLD_ROWS_S
+from common.stream_pause import SENDER_PAUSE_S
 
 # A hand is held still: start_gate.held_still.
 STILL_SPEED_M_S: Final = LONG_GAP_SPEED_M_S  # a faster palm passes through the box and starts nothing
@@ -29,8 +30,7 @@ FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over t
 HEARTBEAT_S: Final = 0.5  # longest time without a report: leap_hand follows nobody when leap_kuka falls silent
 
 # The controller.
-PAUSE_S: Final = 0.2  # after such a pause it sees a new stream, never the one of the engagement before,
-PAUSE_MARGIN_S: Final = 0.1  # and the delay on the way: else the arm would go on to the new hand without a pick-up
+PAUSE_S: Final = SENDER_PAUSE_S  # after such a pause it sees a new stream, else the arm would go on to the new hand
 MAX_STATUS_AGE_S: Final = OLD_ROWS_S  # of its status, for a relative start
 MEASURED_AGE_S: Final = 0.5  # of the measured tool, and how far its stamp may be off
 

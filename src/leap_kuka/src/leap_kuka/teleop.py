@@ -32,7 +32,6 @@ from leap_kuka.numbers import (
     MAX_STATUS_AGE_S,
     MIN_RATE_HZ,
     NOMINAL_RATE_HZ,
-    PAUSE_MARGIN_S,
     PAUSE_S,
     REACH_LOOK_S,
     TURN_S,
@@ -386,11 +385,11 @@ class ArmTeleop:
 
     def _not_ready(self, now: float) -> str:
         """Returns why no hand may steer the arm yet, or an empty text; a held tool is there already."""
-        held, pause = self._state.held, PAUSE_S + PAUSE_MARGIN_S
+        held = self._state.held
         rows = (
             (
-                not held and now - self._tool_at <= pause,
-                f"the arm still waits for the hand before, {pause:g} s after its last frame",
+                not held and now - self._tool_at <= PAUSE_S,
+                f"the arm still waits for the hand before, {PAUSE_S:g} s after its last frame",
             ),
             (
                 not held and self._relative and self._mode != Mode.HOME,
