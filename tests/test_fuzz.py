@@ -9,6 +9,7 @@ import math
 import os
 import subprocess
 import time
+import zipfile
 
 import numpy as np
 import pytest
@@ -94,8 +95,11 @@ def test_files_that_were_findings_once(monkeypatch):
     np.save(stream, np.zeros(3))
     for wrong in ((b"(3,)", b"(3,("), (b"(3,), }" + b" " * 16, b"(300000000000000,), }  ")):
         data = stream.getvalue().replace(*wrong)
+        archive = io.BytesIO()
+        with zipfile.ZipFile(archive, "w") as file:
+            file.writestr("x.npy", data)
         with pytest.raises(store.DatasetError):
-            store._array("x", data)
+            store.decode(archive.getvalue())
 
     def damaged(*_):
         raise RuntimeError("Object visitation failed")
