@@ -24,7 +24,7 @@ GOAL_EVERY = 4
 
 
 def solved(robot, T, q):
-    """Returns joints near q that bring the flange to the pose T, or None: damped least squares, some of Newton's steps."""
+    """Returns joints near q that bring the flange to the pose T by damped least squares, or None."""
     for _ in range(200):
         error = pin.log6(pin.SE3(np.linalg.inv(robot.flange(q)) @ T)).vector
         if np.linalg.norm(error) < 1e-9:
