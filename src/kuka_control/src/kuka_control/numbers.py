@@ -1,8 +1,6 @@
 """Numbers of the arm's controller that a user or a reviewer must know; what a user may set is in model/config.py.
-
-Times in seconds of a monotonic clock. The tuning of a single calculation stands beside it. A doubled time fails a test
-(tests/test_time_constants.py).
-"""
+Times in seconds of a monotonic clock. The tuning of a single calculation stands beside it. A doubled time fails a
+test (tests/test_time_constants.py)."""
 
 from __future__ import annotations
 

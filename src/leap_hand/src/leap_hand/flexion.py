@@ -1,7 +1,5 @@
 """Flexion and spread of the operator's fingers, as four angles at the palm centre, and the robot hand's from them.
-
-The angles are between vectors of one hand, so they depend neither on its pose nor on its side.
-"""
+The angles are between vectors of one hand, so they depend neither on its pose nor on its side."""
 
 from __future__ import annotations
 
@@ -16,28 +14,19 @@ MIN_LENGTH_M = 1e-3  # a vector shorter than this has no direction
 
 
 def flexion(palm: np.ndarray, normal: np.ndarray, fingers: FingerPoints) -> np.ndarray:
-    """Returns alpha, beta, gamma, delta, shape (4,) [rad].
-
-    alpha, beta, gamma: between the palm normal and the vectors to the tips of index, middle finger and thumb; about
-    90 deg for a flat hand, less for a closed one. delta: between the vectors to the intermediate bones of index and
-    middle finger.
-
-    Takes the palm centre, shape (3,) [m], the unit vector out of the palm, and the fingers in the same frame.
-
-    Raises:
-        ValueError: a number is not finite, or a point lies in the palm centre.
-    """
+    """Returns alpha, beta, gamma, delta, shape (4,) [rad]. alpha, beta, gamma: between the palm normal and the
+    vectors to the tips of index, middle finger and thumb; about 90 deg for a flat hand, less for a closed one.
+    delta: between the vectors to the intermediate bones of index and middle finger. Takes the palm centre, shape
+    (3,) [m], the unit vector out of the palm, and the fingers in the same frame. Raises ValueError: a number is not
+    finite, or a point lies in the palm centre."""
     tips = (fingers.index_tip, fingers.middle_tip, fingers.thumb_tip)
     spread = angle_between(fingers.index_bone - palm, fingers.middle_bone - palm)
     return np.array([*(angle_between(normal, tip - palm) for tip in tips), spread])
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    """Returns the angle [rad], 0 to pi, between the vectors a and b, shape (3,); exact near 0 and pi too.
-
-    Raises:
-        ValueError: a vector is not finite or shorter than MIN_LENGTH_M.
-    """
+    """Returns the angle [rad], 0 to pi, between the vectors a and b, shape (3,); exact near 0 and pi too. Raises
+    ValueError: a vector is not finite or shorter than MIN_LENGTH_M."""
     p, q = np.asarray(a, dtype=float).tolist(), np.asarray(b, dtype=float).tolist()
     for v in (p, q):
         if not MIN_LENGTH_M <= math.hypot(*v) < math.inf:
@@ -49,8 +38,6 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 def map_angles(angles: ArrayLike, human: np.ndarray, robot: np.ndarray) -> np.ndarray:
     """Returns the robot's angles, shape (n,) [rad], of those of the human hand: linear, clipped at open and closed.
-
-    `human` and `robot` are the angles of the open and the closed hand, shape (n, 2) [rad]; the human's two differ.
-    """
+    `human` and `robot` are the angles of the open and the closed hand, shape (n, 2) [rad]; the human's two differ."""
     closed = np.clip((angles - human[:, 0]) / (human[:, 1] - human[:, 0]), 0.0, 1.0)
     return (1.0 - closed) * robot[:, 0] + closed * robot[:, 1]

@@ -1,9 +1,7 @@
-"""Stops a finger of the robot hand from closing further when it presses.
-
-A finger is limited once a taxel or its motor's load exceeds the limit, until all have fallen below a fraction of it: it
-may open but not close further. Without a state of the robot hand all fingers are limited. Angles of commands [rad], 0 =
-open; the spread is not limited.
-"""
+"""Stops a finger of the robot hand from closing further when it presses. A finger is limited once a taxel or its
+motor's load exceeds the limit, until all have fallen below a fraction of it: it may open but not close further.
+Without a state of the robot hand all fingers are limited. Angles of commands [rad], 0 = open; the spread is not
+limited."""
 
 from __future__ import annotations
 
@@ -49,10 +47,8 @@ class ForceLimit:
         self.trips = 0
 
     def update(self, feedback: FingerFeedback, now: float) -> bool:
-        """Updates the limits; returns whether this stops a finger that was free before.
-
-        Takes the time of the feedback's arrival on a monotonic clock [s]. Numbers that are not finite are ignored.
-        """
+        """Updates the limits; returns whether this stops a finger that was free before. Takes the time of the
+        feedback's arrival on a monotonic clock [s]. Numbers that are not finite are ignored."""
         if not self._config.force_limit:
             return False
         numbers = [*feedback.angles, *feedback.loads, *(count for taxels in feedback.pressures for count in taxels)]

@@ -3,8 +3,7 @@
 The person holds the hand open and closed twice in turn; a phase ends when the hand was still for HOLD_S, with the
 medians of its angles [deg]. Repetitions that differ come again. The less open and the less closed one, each a margin
 inwards, become [open, closed]. A finger that moves by less than MIN_RANGE_DEG keeps its own open end and gets the width
-of the default; the spread starts where neither hand spreads the robot hand.
-"""
+of the default; the spread starts where neither hand spreads the robot hand."""
 
 from __future__ import annotations
 

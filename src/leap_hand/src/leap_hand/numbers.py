@@ -1,7 +1,5 @@
-"""Numbers of the robot hand's teleoperation that a user or a reviewer must know; what a user may set is in config.py.
-
-Times in seconds of a monotonic clock. Those of the measurement of a person's hand are in hand_wizard.py.
-"""
+"""Numbers of the robot hand's teleoperation that a user or a reviewer must know; what a user may set is in
+config.py. Times in seconds of a monotonic clock. Those of the measurement of a person's hand are in hand_wizard.py."""
 
 from __future__ import annotations
 

@@ -6,8 +6,7 @@ Without one any hand in view may move the fingers, by the same lock without a bo
 The hand opens when gripper control is off, and `grip_hold` after the last good frame of the hand that it follows, or as
 long as leap_kuka keeps the tool: a held object must not fall. Until it has opened no other hand moves the fingers, and
 after an engagement none that was in view then. At an engagement each finger keeps its command until the operator's
-comes near it, if a grip was kept or another hand moved the fingers. Silence opens it once, after MAX_SILENCE_S.
-"""
+comes near it, if a grip was kept or another hand moved the fingers. Silence opens it once, after MAX_SILENCE_S."""
 
 from __future__ import annotations
 
@@ -61,11 +60,9 @@ class GripperCounts:
 
 
 class HandTeleop:
-    """The chain of steps with its state; `open_pose` has the angles of the open robot hand, shape (4,) [rad].
-
-    With `hand_only` it starts without a message on kuka/gripper_control, and makes the lock itself. Hands of another
-    side than `side` (LEFT, RIGHT or ANY of common.hand_tracking) do not exist for it.
-    """
+    """The chain of steps with its state; `open_pose` has the angles of the open robot hand, shape (4,) [rad]. With
+    `hand_only` it starts without a message on kuka/gripper_control, and makes the lock itself. Hands of another side
+    than `side` (LEFT, RIGHT or ANY of common.hand_tracking) do not exist for it."""
 
     def __init__(self, config: HandConfig, hand_only: bool, side: str = ANY) -> None:
         self._side, self._steering_only = side, config.fingers_follow == STEERING
@@ -88,8 +85,7 @@ class HandTeleop:
 
     def steered_by(self, owner: tuple[int, bool] | None, now: float, keep_grip: bool = False) -> None:
         """Sets id and side (whether left) of the hand that steers the arm `now` [s], None while no hand does; with
-        `keep_grip` the grip is kept without it.
-        """
+        `keep_grip` the grip is kept without it."""
         if self._hand_only:
             return
         self._arm_reports, self._owner, self._reported_at, self._keep_grip = True, owner, now, keep_grip
@@ -103,10 +99,8 @@ class HandTeleop:
         return self._open(GRIPPER_OFF) if changed and not gripper_on else None
 
     def step(self, frame: TrackingFrame, now: float) -> GripperResult | None:
-        """Processes a frame that arrived at `now` on a monotonic clock [s].
-
-        Returns None for a repeated frame and for one with an old or future stamp.
-        """
+        """Processes a frame that arrived at `now` on a monotonic clock [s]. Returns None for a repeated frame and
+        for one with an old or future stamp."""
         arrival = self._watch.arrived(frame.id, frame.age, now)
         if not arrival.usable:
             return None

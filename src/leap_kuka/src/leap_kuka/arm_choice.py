@@ -1,7 +1,5 @@
-"""Which of several arms the operator's hand steers, by request or by the region of the Leap's view that the hand is in.
-
-An arm that is not chosen holds its tool, or waits at home. Positions in the Leap frame [m].
-"""
+"""Which of several arms the operator's hand steers, by request or by the region of the Leap's view that the hand is
+in. An arm that is not chosen holds its tool, or waits at home. Positions in the Leap frame [m]."""
 
 from __future__ import annotations
 
@@ -25,15 +23,12 @@ class ChoiceAnswer(NamedTuple):
 
 
 class ArmChoice:
-    """The choice, `chosen`: an arm, BOTH, or NOBODY.
-
-    The region of an arm is where its interaction box is nearer along the Leap's x axis than the others'. The hand that
-    chooses is the one that is in view longest.
+    """The choice, `chosen`: an arm, BOTH, or NOBODY. The region of an arm is where its interaction box is nearer along
+    the Leap's x axis than the others'. The hand that chooses is the one that is in view longest.
 
     Args:
         how: SERVICE or REGION.
-        boxes: by arm, where its interaction box stands along x [m].
-    """
+        boxes: by arm, where its interaction box stands along x [m]."""
 
     def __init__(self, how: str, boxes: Mapping[str, float]) -> None:
         self._how, self._boxes = how, dict(boxes)

@@ -136,9 +136,8 @@ class ArmPlacement(ToolConfig):
 
     @cached_property
     def R_level_home(self) -> np.ndarray:
-        """Orientation of the tool at home relative to that of a tool which points down as the calculated home has it,
-        shape (3, 3); the identity unless the home position is one's own.
-        """
+        """Orientation of the tool at home relative to that of a tool which points down as the calculated home has
+        it, shape (3, 3); the identity unless the home position is one's own."""
         if not self.use_home_pos or self.rotation_home is None:
             return read_only(np.eye(3))
         return read_only(self.mounting_frame.R_base_tool.T @ rotation_from_quaternion(self.rotation_home))

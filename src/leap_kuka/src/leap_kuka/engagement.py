@@ -1,8 +1,6 @@
-"""The states of an engagement, absolute or relative, and the one table of their transitions.
-
-teleop.py says what has happened, a trigger; the table names the next state. Where a state has no row for a trigger,
-nothing changes. docs/reference/engagement.md is made from this table.
-"""
+"""The states of an engagement, absolute or relative, and the one table of their transitions. teleop.py says what has
+happened, a trigger; the table names the next state. Where a state has no row for a trigger, nothing changes.
+docs/reference/engagement.md is made from this table."""
 
 from __future__ import annotations
 

@@ -1,8 +1,5 @@
 """The side of the base on which a desired tool is feasible: in front of it, and above its foot, else the controller
-ends.
-
-A hand that is drawn back or put down takes the tool to a border before that, along which it slides.
-"""
+ends. A hand that is drawn back or put down takes the tool to a border before that, along which it slides."""
 
 from __future__ import annotations
 

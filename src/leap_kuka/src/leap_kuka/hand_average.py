@@ -6,8 +6,7 @@ rate, at least two. Its mean gives the confidence, and the frame unless there is
 FILTER_SIZE samples the filter's results are averaged over the rest of the window.
 
 An outlier is a palm that moves more than 20 mm between two frames, and faster than 2 m/s over a longer gap, or 0.3 m/s
-over one of more than 0.1 s, or a hand with invalid numbers. After MAX_LEFT_OUT outliers in a row the hand is lost.
-"""
+over one of more than 0.1 s, or a hand with invalid numbers. After MAX_LEFT_OUT outliers in a row the hand is lost."""
 
 from __future__ import annotations
 
@@ -49,11 +48,8 @@ class MeanHand:
 
 
 class HandAverage:
-    """First-in, first-out mean over `size` samples of one hand, or `window` [s] if that holds fewer.
-
-    A filter of FILTERS replaces the mean of the frame, unless it is "mean". `left_out` counts the newest outliers in a
-    row.
-    """
+    """First-in, first-out mean over `size` samples of one hand, or `window` [s] if that holds fewer. A filter of
+    FILTERS replaces the mean of the frame, unless it is "mean". `left_out` counts the newest outliers in a row."""
 
     def __init__(self, size: int, filter: str = "mean") -> None:
         if size < 1:
@@ -121,11 +117,9 @@ class HandAverage:
         return MeanHand(_pose(vectors), confidence, self._speed())
 
     def _after(self, sample: list[float], now: float) -> Sequence[float]:
-        """Returns the filtered sample, nine numbers: the mean of the filter's newest results.
-
-        A filter begins anew after a gap in which nobody saw where the hand was. The first result is half-way then, as
-        the mean's is, so that the tool makes two smaller steps.
-        """
+        """Returns the filtered sample, nine numbers: the mean of the filter's newest results. A filter begins anew
+        after a gap in which nobody saw where the hand was. The first result is half-way then, as the mean's is, so
+        that the tool makes two smaller steps."""
         assert self._filter is not None, "only a filter has a state of its own"
         gap = bool(self._samples) and now - self._samples[-1][0] > LONG_GAP_S
         if gap or not self._samples:
@@ -140,10 +134,8 @@ class HandAverage:
 
     def _speed(self) -> float:
         """Returns the larger speed of the lines through the older and through the newer half of the samples [m/s].
-
         The length of the path would grow with the noise of every sample; one line alone would call a hand slow that
-        turns back within the window.
-        """
+        turns back within the window."""
         if len(self._newest) < STILL_SAMPLES:
             return math.inf
         samples = list(self._newest)
@@ -195,11 +187,8 @@ def _fault(numbers: list[float]) -> str | None:
 
 
 def hand_rotation(direction: Sequence[float] | np.ndarray, normal: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Returns R_leap_hand, shape (3, 3), with x along `direction` and z closest to `normal`, shape (3,), of any length.
-
-    Raises:
-        ValueError: a vector has no direction, or both have the same.
-    """
+    """Returns R_leap_hand, shape (3, 3), with x along `direction` and z closest to `normal`, shape (3,), of any
+    length. Raises ValueError: a vector has no direction, or both have the same."""
     x, n = _unit(direction), _unit(normal)
     along = _dot(n, x)
     z = _unit([a - along * b for a, b in zip(n, x)])

@@ -3,8 +3,7 @@
 A sample is nine numbers in the Leap frame: the palm [m], then the unit vectors of direction and normal. A hand that is
 turned and shifted gives the result turned and shifted. `OneEuro` is a low-pass whose cutoff rises with the speed
 (Casiez, Roussel, Vogel, 1 Euro Filter, CHI 2012). `Kalman` models the tremor beside the motion, so it hardly delays the
-motion (docs/handbook/hand-filter.md).
-"""
+motion (docs/handbook/hand-filter.md)."""
 
 from __future__ import annotations
 
@@ -95,11 +94,9 @@ class Kalman:
 
 
 class MotionKalman:
-    """Kalman filter of a motion with random jerk plus a tremor, a damped oscillation with random excitation.
-
-    The state of each number is the motion's value p, speed v and acceleration a, and the tremor u with its quadrature
-    w; p + u is observed. The covariance (pp, pv, ... ww) is the same for all numbers, in variances of u.
-    """
+    """Kalman filter of a motion with random jerk plus a tremor, a damped oscillation with random excitation. The
+    state of each number is the motion's value p, speed v and acceleration a, and the tremor u with its quadrature w;
+    p + u is observed. The covariance (pp, pv, ... ww) is the same for all numbers, in variances of u."""
 
     def __init__(self, motion: Motion) -> None:
         self._motion = motion

@@ -1,7 +1,6 @@
-"""Where a tool stays that an engagement leaves while the arm is behind it: no motion may follow that the hand did not
-ask for. The measured tool is believed only near the desired one; positions are where the controller's scaling brings
-them.
-"""
+"""Where a tool stays that an engagement leaves while the arm is behind it: no motion may follow that the hand did
+not ask for. The measured tool is believed only near the desired one; positions are where the controller's scaling
+brings them."""
 
 from __future__ import annotations
 
@@ -25,8 +24,7 @@ def no_measured_tool() -> np.ndarray:
 
 def tool_at_home(measured: Measured, centre: np.ndarray) -> np.ndarray:
     """Returns the tool of an arm that is at home, in the centre of the workspace, shape (3,) [m]; ValueError: it is
-    unknown or elsewhere.
-    """
+    unknown or elsewhere."""
     T_base_tool = measured()
     check_pose(T_base_tool)
     away = float(np.linalg.norm(T_base_tool[:3, 3] - centre))
@@ -74,10 +72,8 @@ class ToolBehind:
 
 
 def kept(left: Leaving, measured: Measured, now: float) -> np.ndarray | None:
-    """Returns where the tool that was left stays at `now` [s], shape (4, 4) [m]; None: where it is.
-
-    It glides to where an arm that follows can stop, or goes with an arm that brakes, which finds it there at its rest.
-    """
+    """Returns where the tool that was left stays at `now` [s], shape (4, 4) [m]; None: where it is. It glides to
+    where an arm that follows can stop, or goes with an arm that brakes, which finds it there at its rest."""
     if left.T_measured is None:
         return None
     if left.brakes:

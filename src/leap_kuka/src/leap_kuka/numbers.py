@@ -1,7 +1,5 @@
-"""Numbers of the arm's teleoperation that a user or a reviewer must know; what a user may set is in config.py.
-
-Times in seconds of a monotonic clock. The tuning of the filters is in hand_filter.py.
-"""
+"""Numbers of the arm's teleoperation that a user or a reviewer must know; what a user may set is in config.py. Times
+in seconds of a monotonic clock. The tuning of the filters is in hand_filter.py."""
 
 from __future__ import annotations
 

@@ -179,9 +179,8 @@ class OperatorInput:
         self._enabling = " or the ".join(source.name for source, enables in configured if enables)
 
     def request(self, name: str, on: bool, now: float) -> str:
-        """Sets a switch by the service; returns why not, in a sentence, or nothing. Releasing the clutch also releases
-        that of devices that were not there.
-        """
+        """Sets a switch by the service; returns why not, in a sentence, or nothing. Releasing the clutch also
+        releases that of devices that were not there."""
         if name == ENABLE and on and self._enabling:
             return f"Enabling needs the {self._enabling}: the service enables only where none is configured."
         self.service.buttons[name].set(on, now)

@@ -9,8 +9,7 @@ a refused message acts to the safe side only.
 second hand that enables: out of view or unsure it has released; after more than GAP_S it must open and close.
 second hand that clutches: out of view it stays as it was.
 
-An arm that is not chosen (arm_choice.py) stays likewise. Times are seconds of a monotonic clock.
-"""
+An arm that is not chosen (arm_choice.py) stays likewise. Times are seconds of a monotonic clock."""
 
 from __future__ import annotations
 
@@ -58,11 +57,9 @@ class DeviceSwitch:
 
 
 class DeviceSwitches:
-    """The messages of all programs that report a device: all of them must enable, and any of them clutches.
-
-    A program that falls silent keeps the tool until LEFT_S; afterwards it has left, and what the others enable counts
-    after a release.
-    """
+    """The messages of all programs that report a device: all of them must enable, and any of them clutches. A
+    program that falls silent keeps the tool until LEFT_S; afterwards it has left, and what the others enable counts
+    after a release."""
 
     def __init__(self) -> None:
         self._devices: dict[str, DeviceSwitch] = {}  # by the program's name
@@ -96,9 +93,7 @@ class DeviceSwitches:
 
 class SecondHandSwitch:
     """A switch that the fist or pinch of the second hand presses; `gesture` is "second_hand_fist" or "..._pinch".
-
-    `pressed_is_safe` for a clutch, not for enabling. A hand without `min_confidence` never acts towards motion.
-    """
+    `pressed_is_safe` for a clutch, not for enabling. A hand without `min_confidence` never acts towards motion."""
 
     def __init__(self, gesture: str, pressed_is_safe: bool, min_confidence: float) -> None:
         self._strength = "grab" if gesture.endswith("fist") else "pinch"
@@ -132,11 +127,9 @@ class SecondHandSwitch:
 
 
 class OperatorSwitches:
-    """Both switches as the parameters leap/enabling and leap/clutch choose them.
-
-    `device` takes the messages; after `update`, `enabled` and `clutched` hold, `lost` says why the engagement must end,
-    and `source` names what enables or clutches. `elsewhere` says why another arm is steered, or is None.
-    """
+    """Both switches as the parameters leap/enabling and leap/clutch choose them. `device` takes the messages; after
+    `update`, `enabled` and `clutched` hold, `lost` says why the engagement must end, and `source` names what enables
+    or clutches. `elsewhere` says why another arm is steered, or is None."""
 
     def __init__(self, leap: LeapConfig) -> None:
         self._enabling, self._clutch = leap.enabling, leap.clutch

@@ -3,8 +3,7 @@
 Absolute: the hand's angles count from a level hand of the stream's heading, for which the tool is as at home. A held
 tool that is taken over shifts and turns the virtual Leap so that palm and heading match; the tilt that is left fades
 out in FADE_S. Relative: they count from the hand's orientation at the start, and the virtual Leap is shifted such that
-the palm is at the tool.
-"""
+the palm is at the tool."""
 
 from __future__ import annotations
 
@@ -47,8 +46,7 @@ class StreamOrigin:
 
 def absolute(T_base_virtual: np.ndarray, heading: float, tool_reversed: bool, R_home: np.ndarray = I3) -> StreamOrigin:
     """Returns the origin of an absolute stream of a heading [rad], see virtual_leap_pose for T_base_virtual; a tool
-    that is `tool_reversed` is turned by 180 deg about its z axis, as the home pose has it (see common.mounting).
-    """
+    that is `tool_reversed` is turned by 180 deg about its z axis, as the home pose has it (see common.mounting)."""
     R_leap_zero = R_LEAP_REFERENCE @ rotation_about(2, heading)
     return StreamOrigin(T_base_virtual, R_leap_zero, TURNED if tool_reversed else I3, R_home)
 
@@ -56,10 +54,9 @@ def absolute(T_base_virtual: np.ndarray, heading: float, tool_reversed: bool, R_
 def taken_over(
     origin: StreamOrigin, T_base_held: np.ndarray, angles: Attitude, palm: np.ndarray, now: float
 ) -> StreamOrigin:
-    """Returns the origin of an absolute stream that starts `now` [s] with the tool where it is held, shape (4, 4) [m].
-
-    `origin` is that of the same stream without a hold, `angles` are the hand's at its start, and `palm` has shape (3,).
-    """
+    """Returns the origin of an absolute stream that starts `now` [s] with the tool where it is held, shape (4, 4)
+    [m]. `origin` is that of the same stream without a hold, `angles` are the hand's at its start, and `palm` has
+    shape (3,)."""
     R_base_held = T_base_held[:3, :3] @ origin.R_home.T
     R_virtual_level = origin.R_leap_zero @ origin.R_zero_tool
     R_base_level = origin.T_base_virtual[:3, :3] @ R_virtual_level
@@ -76,9 +73,8 @@ def taken_over(
 
 
 def relative(T_base_tool: np.ndarray, R_base_virtual: np.ndarray, T_leap_hand: np.ndarray) -> StreamOrigin:
-    """Returns the origin of a stream that starts with the desired tool at a pose and the hand at another, shapes (4, 4)
-    [m], and an orientation of the virtual Leap, shape (3, 3).
-    """
+    """Returns the origin of a stream that starts with the desired tool at a pose and the hand at another, shapes (4,
+    4) [m], and an orientation of the virtual Leap, shape (3, 3)."""
     R_leap_hand = T_leap_hand[:3, :3]
     T_base_virtual = pose(R_base_virtual, T_base_tool[:3, 3] - R_base_virtual @ T_leap_hand[:3, 3])
     R_virtual_tool = R_base_virtual.T @ T_base_tool[:3, :3]

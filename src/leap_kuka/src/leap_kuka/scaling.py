@@ -33,9 +33,8 @@ class Scaling:
         return self.centre + self.factor * (position - self.centre) + self.offset
 
     def unscaled(self, T_base_tool: np.ndarray) -> np.ndarray:
-        """Returns the desired tool that the controller scales to the given one, shapes (4, 4); ValueError: not a pose,
-        or an invalid factor.
-        """
+        """Returns the desired tool that the controller scales to the given one, shapes (4, 4); ValueError: not a
+        pose, or an invalid factor."""
         check_pose(T_base_tool)
         if self.fault:
             raise ValueError(self.fault)

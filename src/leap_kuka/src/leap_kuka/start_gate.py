@@ -1,8 +1,6 @@
-"""The start gate: a hand that came into the interaction box starts a stream, level, slow and tracked with confidence.
-
-The interaction box is centred on the Leap's y axis, or leap/box_offset
-beside it; its axes are the Leap's.
-"""
+"""The start gate: a hand that came into the interaction box starts a stream, level, slow and tracked with
+confidence. The interaction box is centred on the Leap's y axis, or leap/box_offset beside it; its axes are the
+Leap's."""
 
 from __future__ import annotations
 
@@ -51,11 +49,8 @@ class InteractionBox:
 
 
 def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
-    """Returns the box whose centre maps to the centre of the workspace.
-
-    Raises:
-        ConfigError: it would reach into the Leap.
-    """
+    """Returns the box whose centre maps to the centre of the workspace. Raises ConfigError: it would reach into the
+    Leap."""
     height = arm.depth + leap.z_clearance
     if height < leap.box_dimensions[1] / 2.0:
         where = f"{leap.box_dimensions[1]:g} m high at {height:g} m"
@@ -64,9 +59,8 @@ def interaction_box(leap: LeapConfig, arm: ArmPlacement) -> InteractionBox:
 
 
 def held_still(hand: MeanHand | None) -> bool:
-    """Returns whether a hand is held still: so long in view that it has a mean, of one that does not turn too fast for
-    that, and for STILL_WINDOW_S slower than STILL_SPEED_M_S.
-    """
+    """Returns whether a hand is held still: so long in view that it has a mean, of one that does not turn too fast
+    for that, and for STILL_WINDOW_S slower than STILL_SPEED_M_S."""
     return hand is not None and hand.speed < STILL_SPEED_M_S
 
 
@@ -77,11 +71,9 @@ class StartGate:
         self._leap, self._box = leap, box
 
     def faults(self, hand: MeanHand, obstacles: Mapping[str, Reason], resumes: bool) -> dict[str, Reason]:
-        """Returns the conditions that the averaged hand does not meet, with a reason each.
-
-        `obstacles` are further conditions that are not met, the first of them is named. A hand that `resumes` need not
-        be in the box and level.
-        """
+        """Returns the conditions that the averaged hand does not meet, with a reason each. `obstacles` are further
+        conditions that are not met, the first of them is named. A hand that `resumes` need not be in the box and
+        level."""
         faults = {} if resumes else {**self._outside(hand), **self._tilted(hand)}
         faults.update([*obstacles.items()][:1])
         if not held_still(hand):

@@ -4,8 +4,7 @@ A stream is one engagement of one hand (common.hand_tracking.HandLock); engageme
 something happens. Poses are in the frame of the virtual Leap; `T_base_virtual` is its pose in the robot's base; metres
 and radians. Where leap/hand names a side, other hands steer nothing, but may clutch or enable. Absolute and relative
 streams differ in their origin (origin.py); a relative one starts where the tool is, and when it stops the tool is kept
-for hold_time. While no hand steers, a program may hold the tool for the next one (tool_hold.py).
-"""
+for hold_time. While no hand steers, a program may hold the tool for the next one (tool_hold.py)."""
 
 from __future__ import annotations
 
@@ -71,8 +70,7 @@ class ArmTeleop:
     `box` is the interaction box in the Leap frame, `T_tool_flange` the flange in the tool frame, shape (4, 4), `counts`
     the events since the start. `can_reach` returns why the arm cannot come to a desired tool frame, shape (4, 4) [m],
     or None: it is asked before a stream `starts`, and every REACH_LOOK_S while one runs. `measured_tool` returns
-    T_base_tool, shape (4, 4) [m], or raises ValueError; a relative stream needs it.
-    """
+    T_base_tool, shape (4, 4) [m], or raises ValueError; a relative stream needs it."""
 
     def __init__(
         self,
@@ -158,10 +156,8 @@ class ArmTeleop:
         now: float = 0.0,
         offset: np.ndarray = NO_OFFSET,
     ) -> None:
-        """Sets whether control of the arm is on, the controller's mode, and its scaling, as it says `now` [s].
-
-        The arm follows only a hand that comes in while control is on.
-        """
+        """Sets whether control of the arm is on, the controller's mode, and its scaling, as it says `now` [s]. The
+        arm follows only a hand that comes in while control is on."""
         before, self._control_on = self._control_on, on
         self._mode, self._scaling, self._status_at = mode, Scaling(self._ws_center, scale, offset), now
         if not on:
@@ -173,9 +169,8 @@ class ArmTeleop:
             self._fire(EngagementTrigger.ARM_LEFT, now, mode)
 
     def choose(self, elsewhere: str | None, any_hand: bool) -> None:
-        """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this one,
-        not only that of leap/hand.
-        """
+        """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this
+        one, not only that of leap/hand."""
         self.switches.elsewhere, self._side = elsewhere, ANY if any_hand else self._own_side
 
     @property
@@ -426,8 +421,7 @@ class ArmTeleop:
 
     def _start(self, mean: MeanHand, now: float) -> Reason:
         """Starts the stream of the hand, where the tool is held or is, if it is held or the engagement relative, and
-        returns the reason. A hand that continues keeps its directions.
-        """
+        returns the reason. A hand that continues keeps its directions."""
         R_leap_hand, held = mean.T_leap_hand[:3, :3], self._held
         if self._state is not EngagementState.PAUSED:
             self._heading = heading(R_leap_hand[:, 0])

@@ -41,10 +41,8 @@ class Held:
 
 
 def hold_fault(T_base_tool: np.ndarray, duration: float, up: np.ndarray, axis: ArrayLike = TOOL_AXIS) -> str | None:
-    """Returns why a pose, shape (4, 4) [m], cannot be held for `duration` [s], or None.
-
-    `up` is the vertical in the base frame, and `axis` the one of the tool that points down at home, shape (3,) each.
-    """
+    """Returns why a pose, shape (4, 4) [m], cannot be held for `duration` [s], or None. `up` is the vertical in the
+    base frame, and `axis` the one of the tool that points down at home, shape (3,) each."""
     if not 0.0 < duration <= MAX_HOLD_S:
         return f"the duration is {duration:g} s and must be above 0 and at most {MAX_HOLD_S:g} s"
     try:

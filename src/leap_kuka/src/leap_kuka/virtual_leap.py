@@ -11,8 +11,7 @@ start.
 
 During a stream the angles are continuous, the nearest to those of the frame before, so a palm that turns past 180 deg
 stays at its limit; within UPRIGHT the one triple of the orientation counts. Near a pitch of 90 deg, where yaw and roll
-are noise, they stay (STANDS, SURE). The tool never turns by more than MAX_GAIN times the turn of the hand.
-"""
+are noise, they stay (STANDS, SURE). The tool never turns by more than MAX_GAIN times the turn of the hand."""
 
 from __future__ import annotations
 
@@ -61,10 +60,8 @@ class Attitude:
 
 
 class SteadyAttitude:
-    """The attitude of a hand over the frames of a stream, `measured` and `clipped` to `limits`, without jumps.
-
-    It starts at the orientation R_leap_hand, shape (3, 3), relative to `heading` [rad].
-    """
+    """The attitude of a hand over the frames of a stream, `measured` and `clipped` to `limits`, without jumps. It
+    starts at the orientation R_leap_hand, shape (3, 3), relative to `heading` [rad]."""
 
     def __init__(self, R_leap_hand: np.ndarray, heading: float, limits: Attitude) -> None:
         self._heading, self._limits = heading, limits
@@ -99,11 +96,8 @@ def heading(direction: np.ndarray) -> float:
 
 
 def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, box_center: np.ndarray, psi: float) -> np.ndarray:
-    """Returns T_base_virtual, shape (4, 4).
-
-    The centre of the interaction box in the Leap frame falls on that of the workspace in the base frame, shape (3,) [m]
-    each; the heading `psi` [rad] points forward.
-    """
+    """Returns T_base_virtual, shape (4, 4). The centre of the interaction box in the Leap frame falls on that of the
+    workspace in the base frame, shape (3,) [m] each; the heading `psi` [rad] points forward."""
     up, forward = mounting.up, mounting.forward
     straight = np.column_stack([np.cross(forward, up), up, -forward])
     R_base_virtual = straight @ rotation_about(1, psi)
@@ -111,12 +105,10 @@ def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, box_center
 
 
 def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = None) -> Attitude:
-    """Returns the attitude of the hand frame, shape (3, 3), relative to the reference hand turned to `heading` [rad].
-
-    Two triples of angles, plus full turns, describe each orientation. This returns the smallest, measured by the sum;
-    unless that is within UPRIGHT, the nearest to the attitude `before`. So a hand pitched beyond the vertical has a
-    pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other.
-    """
+    """Returns the attitude of the hand frame, shape (3, 3), relative to the reference hand turned to `heading`
+    [rad]. Two triples of angles, plus full turns, describe each orientation. This returns the smallest, measured by
+    the sum; unless that is within UPRIGHT, the nearest to the attitude `before`. So a hand pitched beyond the
+    vertical has a pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other."""
     yaw, pitch, roll = zyx_from_rotation(R_LEAP_REFERENCE.T @ R_leap_hand)
     triples = (yaw - heading, pitch, roll), (yaw - heading + math.pi, math.pi - pitch, roll + math.pi)
 

@@ -1,8 +1,6 @@
 """The control panel as a Qt widget: KUKA on the left, gripper and application on the right, two sentences below, and
-under them what the operator needs to see.
-
-It holds no state: `show_state` sets what the widgets show, and signals carry the operator's requests.
-"""
+under them what the operator needs to see. It holds no state: `show_state` sets what the widgets show, and signals
+carry the operator's requests."""
 
 from __future__ import annotations
 
@@ -90,9 +88,7 @@ EXIT_TIP = "The arm goes to the zero position, then the controller exits."
 
 class Sentence(QLabel):
     """A sentence in a frame with room for `lines` lines; a longer one is cut, and whole in `full` and the tool tip.
-
-    What a controller says is shown as it is, and never changes the panel's size.
-    """
+    What a controller says is shown as it is, and never changes the panel's size."""
 
     def __init__(self, lines: int) -> None:
         super().__init__()

@@ -1,7 +1,5 @@
 """The picture of the workspace: the scene in space on the left; on the right the arm from above and in a section.
-
-The section is vertical, and all points are rotated into it. Above are the constrained samples, below is the reach.
-"""
+The section is vertical, and all points are rotated into it. Above are the constrained samples, below is the reach."""
 
 from __future__ import annotations
 

@@ -10,8 +10,7 @@ The guard of stops (speed_change.py) asks it whether the path to a stop keeps th
 the arm, which follows them with a lag and so cuts corners. A pair that is nearer than the margin already, because an
 obstacle has appeared, may only part.
 
-Any failure, also a number that is not finite, raises GuardError: the arm then stops.
-"""
+Any failure, also a number that is not finite, raises GuardError: the arm then stops."""
 
 from __future__ import annotations
 
@@ -80,8 +79,7 @@ class PathCheck:
 
     Attributes:
         done: whether the check has ended.
-        fault: what is in the way, the end of a sentence; None: nothing so far.
-    """
+        fault: what is in the way, the end of a sentence; None: nothing so far."""
 
     def __init__(self, distances: Iterator[str | None]) -> None:
         self.done = False
@@ -115,8 +113,7 @@ class CollisionGuard:
     Attributes:
         bodies: all of them.
         scale: fraction of the last desired velocity that was left, 0 to 1.
-        nearest: the nearest pair of those that may have been too fast for it; None if none was.
-    """
+        nearest: the nearest pair of those that may have been too fast for it; None if none was."""
 
     def __init__(
         self,
@@ -160,10 +157,8 @@ class CollisionGuard:
 
     @_guarding
     def follow(self, goal: Sequence[float], measured: np.ndarray, dt: float) -> None:
-        """Follows the arm for the last `dt` [s], in which it had the goal, 7 [rad].
-
-        `measured`: joints of the arm, shape (7,) [rad], the same object until newer ones come: those before that time.
-        """
+        """Follows the arm for the last `dt` [s], in which it had the goal, 7 [rad]. `measured`: joints of the arm,
+        shape (7,) [rad], the same object until newer ones come: those before that time."""
         if measured is not self._measured:
             self._measured, self._arm = measured, measured.tolist()
         lag = [ahead - behind for ahead, behind in zip(goal, self._arm)]
@@ -181,10 +176,8 @@ class CollisionGuard:
 
     @_guarding
     def slowed(self, q: Sequence[float], desired: Sequence[float]) -> tuple[list[float], bool]:
-        """Returns the joint velocities, 7 [rad/s], with the approach of each pair bounded, and whether one was.
-
-        A hand slides along what is in its way without turning. `q`: joints, 7 [rad]; `desired`: velocities, 7 [rad/s].
-        """
+        """Returns the joint velocities, 7 [rad/s], with the approach of each pair bounded, and whether one was. A
+        hand slides along what is in its way without turning. `q`: joints, 7 [rad]; `desired`: velocities, 7 [rad/s]."""
         posture, wanted = self._moved_to(q), _finite(desired)
         self.scale, self.nearest = 1.0, None
         end = self.margin + SOFT_M
@@ -226,9 +219,7 @@ class CollisionGuard:
     @_guarding
     def near(self, q: Sequence[float], lengths: Sequence[float]) -> list[int]:
         """Returns the pairs, by number, that may come within the margin while the joints turn from q, 7 [rad].
-
-        `lengths`: how far each joint turns at most, 7 [rad]; the arm follows. All other pairs keep the margin.
-        """
+        `lengths`: how far each joint turns at most, 7 [rad]; the arm follows. All other pairs keep the margin."""
         lengths = [max(length, abs(part)) for length, part in zip(lengths, self._lag)]
         posture, drop = self._moved_to(q), self._reach @ _finite(lengths) + (ARM_M - SAMPLED_M)
         pairs = (self._low - drop < self._bound).nonzero()[0].tolist()
@@ -236,10 +227,8 @@ class CollisionGuard:
 
     @_guarding
     def depths(self, stop: Trajectory, pairs: Sequence[int]) -> dict[int, float]:
-        """Returns how far these pairs come within the margin on the path to a stop [m]: only those that do.
-
-        Of the goals and of the arm behind them. `pairs` as `near` returns them; the result is by the same numbers.
-        """
+        """Returns how far these pairs come within the margin on the path to a stop [m]: only those that do. Of the
+        goals and of the arm behind them. `pairs` as `near` returns them; the result is by the same numbers."""
         joints, spares = zip(*self._on_the_way(stop))
         begin = self._moved_to(joints[0])
         turned = np.abs(np.array(joints) - self._q)
@@ -253,10 +242,8 @@ class CollisionGuard:
         return {pair: depth for pair, depth in depths.items() if depth > 0.0}
 
     def _on_the_way(self, stop: Trajectory) -> Iterator[tuple[list[float], float]]:
-        """Yields joints of the goals on the path to a stop, and of the arm behind them, 7 [rad], and what to spare [m].
-
-        Between two of these times the goals move on evenly, and the arm as they do plus a rest that decays.
-        """
+        """Yields joints of the goals on the path to a stop, and of the arm behind them, 7 [rad], and what to spare
+        [m]. Between two of these times the goals move on evenly, and the arm as they do plus a rest that decays."""
         before, lag, time = None, self._lag, 0.0
         for fraction in STOPPING:
             now = fraction * stop.duration
@@ -272,11 +259,10 @@ class CollisionGuard:
             before, time = goal, now
 
     def check(self, path: Sequence[np.ndarray], softly: bool = False) -> PathCheck:
-        """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of them.
-
-        A pair that is within the margin at the start may part. Between two samples no pair moves by more than it has
-        room: a check without a fault holds for the whole path. `softly`: no pair comes where its approach would end.
-        """
+        """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of
+        them. A pair that is within the margin at the start may part. Between two samples no pair moves by more than
+        it has room: a check without a fault holds for the whole path. `softly`: no pair comes where its approach
+        would end."""
         return PathCheck(self._check(path, self._bound + (SOFT_M if softly else 0.0)))
 
     def _check(self, path: Sequence[np.ndarray], bound: float) -> Iterator[str | None]:
@@ -333,10 +319,8 @@ class CollisionGuard:
         return None if nearest is None else self._contact(nearest, posture)
 
     def fault_at(self, q: np.ndarray) -> str | None:
-        """Returns which bodies the arm may not bring together at the joints q, shape (7,) [rad], a part of a sentence.
-
-        None: it may be there.
-        """
+        """Returns which bodies the arm may not bring together at the joints q, shape (7,) [rad], a part of a
+        sentence. None: it may be there."""
         nearest = self.nearest_at(q.tolist())
         if nearest is None or nearest.distance >= self.margin:
             return None
@@ -406,10 +390,8 @@ class CollisionGuard:
         return row
 
     def _correction(self, pair: int, row: list[float], normal: Vector, posture: _Posture) -> list[float]:
-        """Returns the joint velocities, 7 [rad/s], that approach by 1 m/s, to be taken away.
-
-        In units of each joint's speed, so that the strong joints move most.
-        """
+        """Returns the joint velocities, 7 [rad/s], that approach by 1 m/s, to be taken away. In units of each
+        joint's speed, so that the strong joints move most."""
         i, j = self._pairs[pair]
         if self.bodies[i].link >= WRIST_LINK and self.bodies[j].link == 0:
             if posture.shift is None:
@@ -458,18 +440,14 @@ class _Posture:
         self._placed: dict[int, hppfcl.Transform3f] = {}
 
     def speeds(self, v: Sequence[float]) -> list[float]:
-        """Returns the speeds of the 8 links' origins [m/s], then those of their turns [rad/s].
-
-        `v`: joint velocities, 7 [rad/s].
-        """
+        """Returns the speeds of the 8 links' origins [m/s], then those of their turns [rad/s]. `v`: joint
+        velocities, 7 [rad/s]."""
         twists = self.twists(v)
         return [math.sqrt(x * x + y * y + z * z) for part in (0, 1) for x, y, z in [twist[part] for twist in twists]]
 
     def twists(self, v: Sequence[float]) -> list[tuple[Vector, Vector]]:
-        """Returns the velocities of the links' origins [m/s] and of their turns [rad/s], of 8 links.
-
-        `v`: joint velocities, 7 [rad/s].
-        """
+        """Returns the velocities of the links' origins [m/s] and of their turns [rad/s], of 8 links. `v`: joint
+        velocities, 7 [rad/s]."""
         px = py = pz = wx = wy = wz = 0.0
         before = p = (0.0, 0.0, 0.0)
         twists = [(p, p)]
@@ -505,11 +483,9 @@ class _Posture:
 def _pairs(
     bodies: Sequence[ConvexBody], robot: int, allowed: frozenset[str], wide: frozenset[str]
 ) -> Iterable[tuple[int, int]]:
-    """Yields the pairs that may meet; the first `robot` bodies are those of the robot.
-
-    Of the robot with itself: what is beyond the wrist with the base and the upper arm, the forearm with the base, and
-    what is so wide that it can reach back over the wrist with the forearm.
-    """
+    """Yields the pairs that may meet; the first `robot` bodies are those of the robot. Of the robot with itself:
+    what is beyond the wrist with the base and the upper arm, the forearm with the base, and what is so wide that it
+    can reach back over the wrist with the forearm."""
     for i, body in enumerate(bodies[:robot]):
         for j, other in enumerate(bodies):
             if j >= robot:

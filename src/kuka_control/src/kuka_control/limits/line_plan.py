@@ -1,10 +1,7 @@
-"""A straight line of the tool, planned and checked as a whole before it starts.
-
-The tool point moves evenly along the line while the tool turns about one axis. The joints of evenly spaced poses come
-from the closed form, each solution continuing the one before; a cubic curve connects them. One pace holds for the whole
-line, so that nowhere on it a joint, or a point of the arm, passes a limit; what a narrow place needs slows the whole
-line.
-"""
+"""A straight line of the tool, planned and checked as a whole before it starts. The tool point moves evenly along
+the line while the tool turns about one axis. The joints of evenly spaced poses come from the closed form, each
+solution continuing the one before; a cubic curve connects them. One pace holds for the whole line, so that nowhere
+on it a joint, or a point of the arm, passes a limit; what a narrow place needs slows the whole line."""
 
 from __future__ import annotations
 
@@ -53,8 +50,7 @@ class LinePlan:
     Attributes:
         length: of the way, with `LEVER_M` for each rad of turn [m].
         duration: from rest to rest [s].
-        q_goal: joints at the end, shape (7,) [rad].
-    """
+        q_goal: joints at the end, shape (7,) [rad]."""
 
     def __init__(self, q: np.ndarray, length: float, pace: Trajectory) -> None:
         self.length, self.duration = length, pace.duration
@@ -77,9 +73,7 @@ class LinePlan:
 
 def plan_line(limits: LineLimits, q_start: np.ndarray, T_goal: np.ndarray, velocity: float) -> LinePlan:
     """Returns the plan of a line from the joints `q_start`, shape (7,) [rad], to a tool pose, shape (4, 4) [m].
-
-    `velocity` is that of the tool [m/s]. Raises MoveRefused where the line cannot be followed.
-    """
+    `velocity` is that of the tool [m/s]. Raises MoveRefused where the line cannot be followed."""
     T_start = limits.kinematics.forward(q_start)
     R = T_start[:3, :3].T @ T_goal[:3, :3]
     length = float(np.linalg.norm(T_goal[:3, 3] - T_start[:3, 3]))

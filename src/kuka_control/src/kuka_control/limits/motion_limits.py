@@ -9,8 +9,7 @@ A target that moves steadily within the limits is met without lag. Velocities ch
 velocity to the next. The guard (speed_change.py) takes a step only if the arm could then still stop in time.
 
 Near a singular pose the joints would have to race: there the slowest joint sets the pace of all, on the way in and on
-the way out.
-"""
+the way out."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class MotionLimits:
     Args:
         joint_speeds: speed limits of the joints, shape (7,) [rad/s].
         shape: limits of acceleration and jerk.
-        room: the joint ranges and the workspace that no goal leaves, and the speed limit of the arm's points.
-    """
+        room: the joint ranges and the workspace that no goal leaves, and the speed limit of the arm's points."""
 
     def __init__(self, joint_speeds: np.ndarray, shape: ShapeLimits, room: GuardedRoom) -> None:
         self._joint_speeds = joint_speeds.tolist()
@@ -117,8 +115,7 @@ class MotionLimits:
             scale: scaling factor of the speed limits, (0, 1]; a faster target is approached with half of that factor
                 on top of its own speed.
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
-            cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself.
-        """
+            cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself."""
         if self._room.collisions is not None:
             self._room.collisions.follow(self._now.q, measured, dt)
         gap = LATE_GOAL if dt > GAP_S else None
@@ -153,10 +150,8 @@ class MotionLimits:
         return LimitedGoal(self._goal, read_only(now.v), limited_by)
 
     def _after(self, dt: float) -> float:
-        """Returns the time that the goal moves on [s]; after a gap it rests first where it is.
-
-        Where one gap follows the other it moves on from rest, so that a slow link or machine does not stop the arm.
-        """
+        """Returns the time that the goal moves on [s]; after a gap it rests first where it is. Where one gap follows
+        the other it moves on from rest, so that a slow link or machine does not stop the arm."""
         slow, self._slow = self._slow, dt > GAP_S
         if not self._slow:
             return max(dt, 0.0)
@@ -209,10 +204,8 @@ class MotionLimits:
         return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])
 
     def _arm_fraction(self, velocity: list[float], enough: float = 0.0) -> float:
-        """Returns the fraction of its speed limit that the arm uses; not exactly where it is below `enough`.
-
-        No point moves faster than all joints would move it if they did so in one direction.
-        """
+        """Returns the fraction of its speed limit that the arm uses; not exactly where it is below `enough`. No
+        point moves faster than all joints would move it if they did so in one direction."""
         points, q, limit = self._room.points, self._now.q, self._room.speed
         most = sum([abs(rate) * reach for rate, reach in zip(velocity, points.tool_point(q)[1])])
         return (most if most <= enough * limit else points.speed(q, velocity)) / limit

@@ -1,9 +1,7 @@
 """The moving arm as its limits see it: the state of the joints, how fast they may change it, the points whose speed
-counts, and when a path to a stop is looked at.
-
-Those points are elbow, wrist and flange, the tool point, and what else the flange carries: the finger tips, and what is
-mounted or held there. They stand for the whole arm: of a rigid body the farthest point is the fastest.
-"""
+counts, and when a path to a stop is looked at. Those points are elbow, wrist and flange, the tool point, and what
+else the flange carries: the finger tips, and what is mounted or held there. They stand for the whole arm: of a rigid
+body the farthest point is the fastest."""
 
 from __future__ import annotations
 
@@ -67,20 +65,16 @@ class MovingPoints:
         return self._kinematics.fastest_point(self._balls, q, v)
 
     def tool_point(self, q: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
-        """Returns the tool point, x, y, z [m], and how far no point is beyond from each of the 7 joint axes [m].
-
-        At the joints q, 7 [rad]; of the same list they are calculated once.
-        """
+        """Returns the tool point, x, y, z [m], and how far no point is beyond from each of the 7 joint axes [m]. At
+        the joints q, 7 [rad]; of the same list they are calculated once."""
         if q is not self._q:
             self._q, self._point = q, self._kinematics.tool_point(q, self._around)
         return self._point
 
 
 def approach_speed(distance: float, deceleration: float, gain: float) -> float:
-    """Returns the greatest speed at a distance from a bound, so that the deceleration ends there.
-
-    The last part is exponential, with `gain` [1/s], so that the deceleration does not end at once. Any unit of length.
-    """
+    """Returns the greatest speed at a distance from a bound, so that the deceleration ends there. The last part is
+    exponential, with `gain` [1/s], so that the deceleration does not end at once. Any unit of length."""
     linear = deceleration / gain**2
     if distance <= linear:
         return gain * max(distance, 0.0)

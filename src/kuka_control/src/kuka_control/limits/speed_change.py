@@ -1,9 +1,7 @@
-"""Changes of the joint velocities within limits of acceleration and jerk, by Ruckig; and the guard of what comes after.
-
-The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the
-workspace, no point of the arm above its speed limit, and no bodies nearer to each other than their margin on the way.
-That stop is always the next step that is left, so the limits hold by induction.
-"""
+"""Changes of the joint velocities within limits of acceleration and jerk, by Ruckig; and the guard of what comes
+after. The guard takes a step only if all joints could then still stop: inside their ranges, with the tool inside the
+workspace, no point of the arm above its speed limit, and no bodies nearer to each other than their margin on the
+way. That stop is always the next step that is left, so the limits hold by induction."""
 
 from __future__ import annotations
 
@@ -75,11 +73,9 @@ class SpeedChange:
         return self._plan(self._stop, now)
 
     def stopping_bounds(self, now: JointState) -> tuple[list[float], list[float]]:
-        """Returns bounds of each joint's speed [rad/s] and path length [rad] on the way to its earliest stop.
-
-        An acceleration a that must first go to zero at the jerk j adds a^2 / 2j to the speed and takes a / j; the stop
-        from a speed v then takes v / a_max + a_max / j at most, at v / 2 in the mean.
-        """
+        """Returns bounds of each joint's speed [rad/s] and path length [rad] on the way to its earliest stop. An
+        acceleration a that must first go to zero at the jerk j adds a^2 / 2j to the speed and takes a / j; the stop
+        from a speed v then takes v / a_max + a_max / j at most, at v / 2 in the mean."""
         speeds, lengths = [], []
         for v, a, most, jerk in zip(now.v, now.a, self._acceleration, self._jerk):
             rise = abs(a) / jerk
@@ -134,8 +130,7 @@ class StoppingGuard:
     Args:
         change: of the velocities.
         room: what is kept to.
-        acceleration: deceleration of each joint when it brakes, shape (7,) [rad/s^2].
-    """
+        acceleration: deceleration of each joint when it brakes, shape (7,) [rad/s^2]."""
 
     def __init__(self, change: SpeedChange, room: GuardedRoom, acceleration: np.ndarray) -> None:
         self._change = change
@@ -206,13 +201,9 @@ class StoppingGuard:
         return left if pace <= allowed else allowed / pace * left
 
     def _far_from_bounds(self, state: JointState) -> bool:
-        """Returns True only if the stop from a state keeps all bounds but those of the collision guard, by estimates.
-
-        They cost less than the stop.
-
-        On the way no point is further from a joint's axis than now, plus the path length on which the joints after it
-        carry the point.
-        """
+        """Returns True only if the stop from a state keeps all bounds but those of the collision guard, by
+        estimates. They cost less than the stop. On the way no point is further from a joint's axis than now, plus
+        the path length on which the joints after it carry the point."""
         room = self._room
         speeds, lengths = self._change.stopping_bounds(state)
         for angle, length, (lower, upper) in zip(state.q, lengths, self._ranges):
@@ -235,8 +226,7 @@ class StoppingGuard:
         Where each joint i has a part s_i, 0 to 1, of its velocity left, a point moves at |sum s_i u_i|, at most half of
         |sum u_i| + sum |u_i|. On top comes what an acceleration adds first, and what the turns change.
 
-        `speeds`, `lengths`: as `SpeedChange.stopping_bounds`; `path`: of a point at most [m].
-        """
+        `speeds`, `lengths`: as `SpeedChange.stopping_bounds`; `path`: of a point at most [m]."""
         points = self._room.points
         fastest, turned, others = 0.5 * points.speed(state.q, state.v), 0.0, 0.0
         for v, speed, length, reach in zip(state.v, speeds, lengths, points.tool_point(state.q)[1]):

@@ -47,11 +47,9 @@ class RealTimeSettings(LoopSettings):
 
 
 class RealTimeLoop(ControlLoop[RealTimeSettings]):
-    """Picks the desired tool frame up by a PTP motion, then follows it by servo goals.
-
-    Before the first stream a small motion at home identifies the servo law of the robot's controller. Goals that are
-    meant for another law would be wrong by far, so then the controller exits without having followed anything.
-    """
+    """Picks the desired tool frame up by a PTP motion, then follows it by servo goals. Before the first stream a
+    small motion at home identifies the servo law of the robot's controller. Goals that are meant for another law
+    would be wrong by far, so then the controller exits without having followed anything."""
 
     STATES = REAL_TIME_STATES
     PICK_UP = "the pick-up pose"

@@ -1,8 +1,6 @@
-"""The robot behind one interface, and its implementation over the toolbox's client.
-
-Joints q have shape (7,) [rad]. All calls come from one thread and return within the client's time-outs. The client's
-errors (kst.KstError) pass through: a lost connection reaches the reconnect supervisor.
-"""
+"""The robot behind one interface, and its implementation over the toolbox's client. Joints q have shape (7,) [rad].
+All calls come from one thread and return within the client's time-outs. The client's errors (kst.KstError) pass
+through: a lost connection reaches the reconnect supervisor."""
 
 from __future__ import annotations
 
@@ -60,10 +58,8 @@ _T = TypeVar("_T")
 
 
 class Arm(ABC):
-    """A seven-joint arm that moves point to point or follows a stream of servo goals.
-
-    Motions and servo mode raise kst.MotionRefused if the robot's controller refuses or has aborted them.
-    """
+    """A seven-joint arm that moves point to point or follows a stream of servo goals. Motions and servo mode raise
+    kst.MotionRefused if the robot's controller refuses or has aborted them."""
 
     state: ArmState = ArmState()  # the newest readings
 
@@ -89,9 +85,7 @@ class Arm(ABC):
 
     def silence(self) -> float:
         """Returns for how long an answer of the robot has been missing [s], 0 if none is; waits a moment for it.
-
-        While one is missing nothing else may be asked or sent. Raises kst.ConnectionLost once it is given up.
-        """
+        While one is missing nothing else may be asked or sent. Raises kst.ConnectionLost once it is given up."""
         return 0.0
 
     @abstractmethod
@@ -101,9 +95,7 @@ class Arm(ABC):
     @abstractmethod
     def start_ptp(self, q: np.ndarray, velocity: float, torques: np.ndarray | None = None) -> None:
         """Starts a motion to q at the fraction `velocity` of the full joint speed, (0, 1]; returns once accepted.
-
-        Where the robot can, the motion ends as an external joint torque leaves its range, shape (7, 2) [Nm].
-        """
+        Where the robot can, the motion ends as an external joint torque leaves its range, shape (7, 2) [Nm]."""
 
     @abstractmethod
     def ptp_arrived(self) -> bool:
@@ -151,8 +143,7 @@ class KstArm(Arm):
         client: connected to the server.
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
         sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
-        guarded: whether PTP motions are to end at a torque, if the server knows such.
-    """
+        guarded: whether PTP motions are to end at a torque, if the server knows such."""
 
     SERVO_TURN = (
         *(Feedback.JOINTS, Feedback.EXTERNAL_TORQUES, Feedback.JOINTS, Feedback.MEASURED_TORQUES, Feedback.JOINTS),

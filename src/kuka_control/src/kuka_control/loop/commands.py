@@ -42,10 +42,8 @@ class Wait:
 
 @dataclass(frozen=True)
 class StartPtp:
-    """Move to `q` at the fraction `velocity` of the full joint speed.
-
-    `torques`: the motion ends where an external joint torque leaves its range, shape (7, 2) [Nm]; None: never.
-    """
+    """Move to `q` at the fraction `velocity` of the full joint speed. `torques`: the motion ends where an external
+    joint torque leaves its range, shape (7, 2) [Nm]; None: never."""
 
     q: np.ndarray
     velocity: float

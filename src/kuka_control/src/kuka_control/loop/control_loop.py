@@ -9,8 +9,7 @@ follows. While a motion runs, desired tool frames are disregarded; afterwards on
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
 was switched off and on again, with a motion home. A hand is followed only if its stream of desired tool frames begins
 while control is on, so that the conditions under which a stream starts hold when the arm starts. A stream that no hand
-brings is taken over if it is near. And no motion that nobody asked for is repeated at once (own_motions.py).
-"""
+brings is taken over if it is near. And no motion that nobody asked for is repeated at once (own_motions.py)."""
 
 from __future__ import annotations
 
@@ -128,8 +127,7 @@ class ControlLoop(ABC, Generic[Settings]):
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
         outlook: what becomes of the desired tool frame that comes now, once control goes on, a sentence; None if none
-            comes.
-    """
+            comes."""
 
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
@@ -355,10 +353,9 @@ class ControlLoop(ABC, Generic[Settings]):
         return True, None
 
     def _guard_refusal(self, what: str, path: Sequence[np.ndarray], softly: bool) -> tuple[bool, str | None]:
-        """Returns whether the collision guard decided on a path in a cycle before, and why it refuses it, a sentence.
-
-        Each cycle brings a part of the check; a cycle that does not ask for it drops it. `softly`: as for the guard.
-        """
+        """Returns whether the collision guard decided on a path in a cycle before, and why it refuses it, a
+        sentence. Each cycle brings a part of the check; a cycle that does not ask for it drops it. `softly`: as for
+        the guard."""
         guard, before = self._settings.guard, self._check
         if guard is None:
             return True, None

@@ -1,8 +1,6 @@
-"""The servo goals of one stay in servo mode: from joint targets between frames to goals within the limits.
-
-A target may be far from the one before. If the desired tool frame itself jumped, or the joints are too far off, the arm
-does not servo there; else it catches up slowly.
-"""
+"""The servo goals of one stay in servo mode: from joint targets between frames to goals within the limits. A target
+may be far from the one before. If the desired tool frame itself jumped, or the joints are too far off, the arm does
+not servo there; else it catches up slowly."""
 
 from __future__ import annotations
 
@@ -45,24 +43,18 @@ CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught 
 
 def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray, stall: float = 0.0) -> bool:
     """Returns whether some joint moves more than 2 deg beyond what its speed limit allows in the time `dt` [s].
-
     Joints before and now: shape (7,) [rad]; limits `joint_speeds`: shape (7,) [rad/s]; for `stall` [s] of that time
-    the control loop did not look.
-    """
+    the control loop did not look."""
     cycle = _cycle(dt, stall)
     steps = zip(q_before.tolist(), q_now.tolist(), joint_speeds.tolist())
     return any([abs(now - before) > TOLERANCE_RAD + speed * cycle for before, now, speed in steps])
 
 
 class FrameSteps:
-    """Watches the steps of the desired tool frame itself, also while the arm cannot follow it.
-
-    Joints may jump although the frame did not: it was out of reach for a while and returns elsewhere, or it passes a
-    position where a joint reaches the end of its range and the others have to compensate.
-
-    A frame that is faster than `tool_speed` [m/s] or `turn_speed` [rad/s] jumps. `jumped` is true if it has done so
-    since the arm last followed.
-    """
+    """Watches the steps of the desired tool frame itself, also while the arm cannot follow it. Joints may jump
+    although the frame did not: it was out of reach for a while and returns elsewhere, or it passes a position where
+    a joint reaches the end of its range and the others have to compensate. A frame that is faster than `tool_speed`
+    [m/s] or `turn_speed` [rad/s] jumps. `jumped` is true if it has done so since the arm last followed."""
 
     def __init__(self, tool_speed: float, turn_speed: float) -> None:
         self._tool_speed = tool_speed
@@ -86,10 +78,8 @@ class FrameSteps:
 
 
 def _cycle(dt: float, stall: float) -> float:
-    """Returns the time in which the arm has to make a step that took the stream `dt` [s].
-
-    Frames that came while the control loop did not look, for `stall` [s], were not lost.
-    """
+    """Returns the time in which the arm has to make a step that took the stream `dt` [s]. Frames that came while the
+    control loop did not look, for `stall` [s], were not lost."""
     return max(dt, 0.0) if dt <= LOST_S + min(stall, LONGEST_STALL_S) else CYCLE_S
 
 
@@ -114,8 +104,7 @@ class TargetMotion:
 
     Args:
         lower, upper: joint ranges, shape (7,) [rad], that no extrapolation leaves.
-        q: joints at the start, shape (7,) [rad], where the target rests; as an attribute those of the last frame.
-    """
+        q: joints at the start, shape (7,) [rad], where the target rests; as an attribute those of the last frame."""
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray, q: np.ndarray) -> None:
         self._ranges = list(zip(lower.tolist(), upper.tolist()))
@@ -185,8 +174,7 @@ class RateLimit:
 
     Attributes:
         holds: whether they come too rarely.
-        rate: at which they came last [Hz].
-    """
+        rate: at which they came last [Hz]."""
 
     def __init__(self) -> None:
         self._rate = FrameRate(RATE_WINDOW_S)
@@ -205,10 +193,8 @@ class RateLimit:
 
     @property
     def cap(self) -> float:
-        """Scaling factor of the speed limits: 1 down to FULL_SPEED_HZ, falling with the rate, 0 below HOLD_HZ.
-
-        Until the rate is known it is CATCH_UP_SCALE, with which the arm starts anyway.
-        """
+        """Scaling factor of the speed limits: 1 down to FULL_SPEED_HZ, falling with the rate, 0 below HOLD_HZ. Until
+        the rate is known it is CATCH_UP_SCALE, with which the arm starts anyway."""
         if self.holds:
             return 0.0
         if self._rate.span < RATE_WINDOW_S:
@@ -232,9 +218,7 @@ class GoalStreamSettings:
 
 class ServoStream:
     """What every stay in servo mode shares: it starts at rest at the joints q, shape (7,) [rad], and can brake.
-
-    `lts`: whether goals are made for a server with the LTS law; `now` is the monotonic time of the start [s].
-    """
+    `lts`: whether goals are made for a server with the LTS law; `now` is the monotonic time of the start [s]."""
 
     def __init__(
         self, settings: GoalStreamSettings, limits: MotionLimits | Unlimited, lts: bool, q: np.ndarray, now: float
@@ -253,10 +237,8 @@ class ServoStream:
         return self._monitor.step(self._limits.goal, measured, now)
 
     def brake(self, measured: np.ndarray, now: float) -> LimitedGoal | None:
-        """Returns the goal of this cycle on the way to the earliest stop within the limits.
-
-        None: the arm may be left as it is. Goals for the LTS law lie beyond the arm: they are sent until it has come.
-        """
+        """Returns the goal of this cycle on the way to the earliest stop within the limits. None: the arm may be
+        left as it is. Goals for the LTS law lie beyond the arm: they are sent until it has come."""
         dt, self._time = now - self._time, now
         if self._limits.at_rest and self._stands_at is None:
             self._stands_at = now
@@ -304,9 +286,8 @@ class GoalStream(ServoStream):
         return rare_frames(self._rate.rate) if self._rate.holds else None
 
     def hear(self, frame: DesiredFrame, now: float) -> float:
-        """Takes note of a new desired tool frame before its joints are known; `now` is monotonic. Returns for how long
-        the control loop did not look since the frame before [s].
-        """
+        """Takes note of a new desired tool frame before its joints are known; `now` is monotonic. Returns for how
+        long the control loop did not look since the frame before [s]."""
         self._look(now)
         stall, self._stall = self._stall, 0.0
         self._frames.take(frame, stall)
@@ -318,10 +299,8 @@ class GoalStream(ServoStream):
         self, frame: DesiredFrame, q: np.ndarray | None, measured: np.ndarray, now: float, stall: float
     ) -> Trigger | None:
         """Takes the joints of the frame that was heard; returns why they are not to be servoed to, None if they are.
-
         Its joints q and the `measured` ones have shape (7,) [rad]; without q the arm keeps its joints. `now` is
-        monotonic, `stall` as `hear` returned it [s].
-        """
+        monotonic, `stall` as `hear` returned it [s]."""
         if self._rate.holds:
             self._motion.hold()
             return None

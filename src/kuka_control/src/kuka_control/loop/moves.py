@@ -71,8 +71,7 @@ class MovePlanner:
         rig: the arm, its workspace and its home.
         named: joints [rad], shape (7,), by name; home and zero are known besides.
         usual, greatest: velocities of PTP motions, fractions of the full joint speed.
-        line: the limits of straight lines; None if this controller makes none.
-    """
+        line: the limits of straight lines; None if this controller makes none."""
 
     def __init__(
         self, rig: Rig, named: Mapping[str, np.ndarray], usual: float, greatest: float, line: LineLimits | None

@@ -1,8 +1,6 @@
 """What the arm does of its own accord, which is little: no motion that nobody asked for is repeated at once, and a
-stream of desired tool frames that ran before control went on is taken over only where it is near.
-
-Times `now` are monotonic [s].
-"""
+stream of desired tool frames that ran before control went on is taken over only where it is near. Times `now` are
+monotonic [s]."""
 
 from __future__ import annotations
 
@@ -27,12 +25,10 @@ TAKEN_OVER = (
 
 
 class OwnMotions:
-    """Counts the pick-up motions and the returns home that follow from the desired tool frame alone.
-
-    Each of both is repeated at the earliest after AGAIN_S, unless the operator has acted meanwhile: has switched
-    control on, moved the arm by a program, or brought a hand in, before which its publisher told of none; with an
-    interrupted link it tells nothing. Where the publisher does not show that, a hand's frames have one repetition free.
-    """
+    """Counts the pick-up motions and the returns home that follow from the desired tool frame alone. Each of both is
+    repeated at the earliest after AGAIN_S, unless the operator has acted meanwhile: has switched control on, moved
+    the arm by a program, or brought a hand in, before which its publisher told of none; with an interrupted link it
+    tells nothing. Where the publisher does not show that, a hand's frames have one repetition free."""
 
     def __init__(self) -> None:
         self._times: dict[State, deque[float]] = {}
@@ -47,9 +43,8 @@ class OwnMotions:
         self._times[state].append(now)
 
     def waits(self, foreign: bool, kinds: Sequence[State], now: float) -> str | None:
-        """Returns why the arm is not to begin what ends in motions of these kinds, a sentence, or None; `foreign`: no
-        hand brings the frame.
-        """
+        """Returns why the arm is not to begin what ends in motions of these kinds, a sentence, or None; `foreign`:
+        no hand brings the frame."""
         left = max(self._times[kind][1 if foreign else 0] for kind in kinds) + AGAIN_S - now
         return WAITS.format(left=math.ceil(left)) if left > 0.0 else None
 

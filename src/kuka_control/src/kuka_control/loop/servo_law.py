@@ -3,8 +3,7 @@
 Every millisecond the loop gives the drives a destination: measured joint + f(goal - measured joint). The published
 server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS; one build of it has f(e) = e. Under the LTS law small
 distances vanish ever more slowly. A goal of measured joint + f^-1(wanted step) makes the destination the wanted one.
-(Source: docs/handbook/wire-protocols.md, "Servo mode".)
-"""
+(Source: docs/handbook/wire-protocols.md, "Servo mode".)"""
 
 from __future__ import annotations
 
@@ -40,10 +39,8 @@ def lts(error: np.ndarray) -> np.ndarray:
 
 
 def lts_inverse(step: float) -> float:
-    """Returns the distance e [rad] for which the LTS law makes a step [rad].
-
-    Steps beyond STEP_RAD count as STEP_RAD, those below NOISE_RAD give a proportional distance.
-    """
+    """Returns the distance e [rad] for which the LTS law makes a step [rad]. Steps beyond STEP_RAD count as
+    STEP_RAD, those below NOISE_RAD give a proportional distance."""
     size = min(abs(step), STEP_RAD)
     if size < NOISE_RAD:
         return AT_NOISE_RAD / NOISE_RAD * step
@@ -54,14 +51,12 @@ AT_NOISE_RAD = WIDTH_RAD * math.sqrt(-math.log1p(-NOISE_RAD / REACH_RAD))  # the
 
 
 class LtsGoals:
-    """Goals with which a server of the LTS law reaches the wanted joints, from the start of servo mode on.
-
-    The measured joints are some milliseconds old, while the loop uses the present ones. They are extrapolated at the
-    speed that the goal had a moment ago. The remaining error is of second order: near the goal f is flat.
+    """Goals with which a server of the LTS law reaches the wanted joints, from the start of servo mode on. The measured
+    joints are some milliseconds old, while the loop uses the present ones. They are extrapolated at the speed that the
+    goal had a moment ago. The remaining error is of second order: near the goal f is flat.
 
     Args:
-        lower, upper: joint ranges, shape (7,) [rad], that no goal leaves.
-    """
+        lower, upper: joint ranges, shape (7,) [rad], that no goal leaves."""
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
         self._ranges = list(zip(lower.tolist(), upper.tolist()))
@@ -71,10 +66,8 @@ class LtsGoals:
 
     def step(self, wanted: np.ndarray, speed: np.ndarray, measured: np.ndarray, dt: float) -> np.ndarray:
         """Returns the goal to send, shape (7,) [rad], for the wanted joints [rad] and their speed [rad/s].
-
-        `measured` are the newest known joints, the same object until newer ones come; `dt` is the time since the last
-        call [s].
-        """
+        `measured` are the newest known joints, the same object until newer ones come; `dt` is the time since the
+        last call [s]."""
         if measured is not self._measured:
             self._measured, self._age = measured, 0.0
         self._age = min(self._age + max(dt, 0.0), EXTRAPOLATED_S)
@@ -171,8 +164,7 @@ class ServoLawIdentification:
     The goal turns joint 7 by half a degree and rests there. An arm that goes straight for its goal works off the rest
     by the same fraction in every moment; under the LTS law ever more slowly: from a half to an eighth of the motion it
     takes about 0.04 s in one case and 0.7 s in the other, with drives of 40 ms. The LTS law is sure only if the times
-    to a quarter and to an eighth fit it too, on the way out and on the way back; otherwise the law is unclear.
-    """
+    to a quarter and to an eighth fit it too, on the way out and on the way back; otherwise the law is unclear."""
 
     def __init__(self, q: np.ndarray) -> None:
         self.rest = read_only(q)

@@ -24,7 +24,6 @@ MOST_GOALS = 1000  # so many are remembered where no joints come
 
 class JointCheck:
     """Compares each reading of the joints, shape (7,) [rad], with the reading before and the goals that the arm had.
-
     The arm moves from where it was towards its goals and stops there, at no more than full speed. Joints that are
     measured elsewhere are measured wrongly, or something else moves the arm: no goal may be made from them.
 
@@ -33,8 +32,7 @@ class JointCheck:
 
     Attributes:
         where: the least and the greatest joints that the arm can have had at the last reading, shape (7,) each [rad];
-            meaningful once a reading was wrong.
-    """
+            meaningful once a reading was wrong."""
 
     where: tuple[np.ndarray, np.ndarray]
 
@@ -54,11 +52,8 @@ class JointCheck:
         self._goals.append((now, q))
 
     def step(self, measured: np.ndarray, now: float, age: float) -> str | None:
-        """Returns None for joints that can be true, else what is wrong, as a part of a sentence.
-
-        `measured` are the newest joints, the same object until newer ones come; those before are at most `age` [s]
-        older.
-        """
+        """Returns None for joints that can be true, else what is wrong, as a part of a sentence. `measured` are the
+        newest joints, the same object until newer ones come; those before are at most `age` [s] older."""
         last, self._last = self._last, measured
         goals = self._goals
         while len(goals) > 1 and goals[1][0] <= now - age - LAST_GOALS_S:
@@ -97,11 +92,9 @@ def _beyond(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 class TrackingMonitor:
-    """Compares servo goals with measured joints, shape (7,) [rad], cycle by cycle, from the start of servo mode.
-
-    The toolbox does not report that servo mode ended by itself or that a safety stop holds the arm: it still
-    acknowledges goals. The measured joints show it: they stand still while the goal moves away, or fall far behind.
-    """
+    """Compares servo goals with measured joints, shape (7,) [rad], cycle by cycle, from the start of servo mode. The
+    toolbox does not report that servo mode ended by itself or that a safety stop holds the arm: it still
+    acknowledges goals. The measured joints show it: they stand still while the goal moves away, or fall far behind."""
 
     def __init__(self) -> None:
         self._reference: list[float] | None = None
@@ -111,10 +104,8 @@ class TrackingMonitor:
         self._looked, self._unknown = 0.0, 0.0
 
     def step(self, goal: np.ndarray, measured: np.ndarray, now: float) -> str | None:
-        """Returns None while the arm follows, else what is wrong, as a part of a sentence.
-
-        `measured` are the newest joints, the same object until newer ones come.
-        """
+        """Returns None while the arm follows, else what is wrong, as a part of a sentence. `measured` are the newest
+        joints, the same object until newer ones come."""
         fresh, self._measured = measured is not self._measured, measured
         passed, self._looked = min(now - self._looked, CYCLE_S), now
         joints = measured.tolist()
@@ -147,10 +138,9 @@ SAMPLES_AT_END = 3  # a verdict needs more readings than this
 
 
 class PtpSupervision:
-    """Watches one PTP motion by measured joints, cycle by cycle.
-
-    The toolbox does not report a safety stop: the end of the motion just does not come, and the joints come no nearer
-    to the goal. The duration of a motion says nothing, because the smartPad's speed override is not known.
+    """Watches one PTP motion by measured joints, cycle by cycle. The toolbox does not report a safety stop: the end of
+    the motion just does not come, and the joints come no nearer to the goal. The duration of a motion says nothing,
+    because the smartPad's speed override is not known.
 
     Args:
         name: the goal in words, such as "home".
@@ -159,8 +149,7 @@ class PtpSupervision:
     Attributes:
         name, q: as given.
         held: whether something holds the arm now.
-        was_held: whether something held it since the motion began.
-    """
+        was_held: whether something held it since the motion began."""
 
     def __init__(self, name: str, q: np.ndarray) -> None:
         self.name, self.q = name, q
@@ -192,9 +181,8 @@ class PtpSupervision:
 
     def step(self, measured: np.ndarray, now: float) -> Event | None:
         """Returns the event to report when something begins to hold the arm, and when the arm is free again.
-
-        `measured` are the newest joints, shape (7,) [rad], the same object until newer ones come; `now` is monotonic.
-        """
+        `measured` are the newest joints, shape (7,) [rad], the same object until newer ones come; `now` is
+        monotonic."""
         approach = self._approach
         approach.observe(measured, now)
         allowed = HELD_S if approach.begun and approach.remaining > AWAY_RAD else HELD_AT_ENDS_S

@@ -1,8 +1,6 @@
-"""What keeps arms apart that stand in one world: their workspaces, and walls between them for the collision guard.
-
-A workspace is compared with its hollow filled, since the arm's own links pass there; filled it is convex. Positions in
-the frame `world` [m].
-"""
+"""What keeps arms apart that stand in one world: their workspaces, and walls between them for the collision guard. A
+workspace is compared with its hollow filled, since the arm's own links pass there; filled it is convex. Positions in
+the frame `world` [m]."""
 
 from __future__ import annotations
 
@@ -31,14 +29,8 @@ Support = Callable[[np.ndarray], np.ndarray]
 
 
 def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Mapping[str, Workspace]) -> list[str]:
-    """Returns what keeps the arm `name` from moving beside the others, one sentence each.
-
-    Args:
-        arms: all arms.
-        name: one of them.
-        mounting: its parameter, roll, pitch, yaw [deg].
-        workspaces: of all arms.
-    """
+    """Returns what keeps the arm `name` from moving beside the others, one sentence each. `arms`: all arms; `name`:
+    one of them; `mounting`: its parameter, roll, pitch, yaw [deg]; `workspaces`: of all arms."""
     own = arms.placements[name]
     faults = []
     vertical = rotation_of_mounting(mounting)[2]
@@ -68,12 +60,10 @@ def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Ma
 
 
 def walls(arms: Arms, name: str) -> tuple[ConvexBody, ...]:
-    """Returns the walls for the collision guard of the arm `name`, in its base: one halfway to each other arm.
-
-    Each arm keeps the guard's margin from its face of the wall, also in motions that leave the workspace. So no part of
-    one arm comes nearer to another arm than both margins and WALL_M, whatever either does. What a hand holds is no part
-    of the arm: it may reach through.
-    """
+    """Returns the walls for the collision guard of the arm `name`, in its base: one halfway to each other arm. Each
+    arm keeps the guard's margin from its face of the wall, also in motions that leave the workspace. So no part of
+    one arm comes nearer to another arm than both margins and WALL_M, whatever either does. What a hand holds is no
+    part of the arm: it may reach through."""
     T_base_world = inverse(arms.placements[name].T_world_base)
     here = arms.placements[name].position
     found = []

@@ -40,8 +40,7 @@ class ClockOffset:
 
     Attributes:
         value: the other clock less this machine's [s]; 0 where they agree to what can be measured.
-        number: how often another one was measured.
-    """
+        number: how often another one was measured."""
 
     def __init__(self) -> None:
         self.value, self.number = 0.0, 0
@@ -49,8 +48,7 @@ class ClockOffset:
 
     def measured(self, offset: float) -> bool:
         """Takes a new measurement; returns whether the offset is another one from it on. One within WIDTH_S is taken
-        over little by little, and one beyond MAX_OFFSET_S not at all.
-        """
+        over little by little, and one beyond MAX_OFFSET_S not at all."""
         offset = offset if WIDTH_S < abs(offset) <= MAX_OFFSET_S else 0.0
         self._measured = offset
         if abs(offset - self.value) <= WIDTH_S:

@@ -1,8 +1,6 @@
-"""The parameters of the two controllers under `kuka/`, each with its unit and range, and the file of a calibrated arm.
-
-Angles in the files are in degrees. Whether the home position can be reached is checked where it is calculated:
-home_pose.py.
-"""
+"""The parameters of the two controllers under `kuka/`, each with its unit and range, and the file of a calibrated
+arm. Angles in the files are in degrees. Whether the home position can be reached is checked where it is calculated:
+home_pose.py."""
 
 from __future__ import annotations
 
@@ -167,9 +165,8 @@ class PtpConfig(ControllerConfig):
 
 
 def neighbours(schema: type[ControllerConfig]) -> tuple[str, ...]:
-    """Returns the keys that may stand beside `schema`'s own: the controller's uploads, and the other controller's keys
-    when both parameter files were loaded one after the other on the same master.
-    """
+    """Returns the keys that may stand beside `schema`'s own: the controller's uploads, and the other controller's
+    keys when both parameter files were loaded one after the other on the same master."""
     own = {f.name for f in fields(schema)}
     both = (f.name for other in (RealTimeConfig, PtpConfig) for f in fields(other))
     return UPLOADED + tuple(name for name in both if name not in own)
@@ -196,12 +193,10 @@ class DhDeviations:
 
 
 def robot_address(values: object, given: Mapping, prefix: str = "") -> RobotAddress:
-    """Returns the robot that the parameters of either controller describe; ConfigError: with all faults.
-
-    Keys that do not belong to an address are ignored. Options are `given` by their keys, None: not given; they override
-    the parameters, and a given tool_length is the whole tool. In messages `prefix` stands before each key, such as
-    "kuka/".
-    """
+    """Returns the robot that the parameters of either controller describe; ConfigError: with all faults. Keys that
+    do not belong to an address are ignored. Options are `given` by their keys, None: not given; they override the
+    parameters, and a given tool_length is the whole tool. In messages `prefix` stands before each key, such as
+    "kuka/"."""
     changes = {key: value for key, value in given.items() if value is not None}
     if "tool_length" in changes:
         changes["use_tool_transform"] = False

@@ -1,8 +1,6 @@
 """The desired tool frame: whether a pose can be one, which nodes publish it, and which of its stamps counts as new.
-
 Times are of two clocks: stamps and `clock` are ROS time; `now` is monotonic, so that setting the wall clock does not
-look like a time-out.
-"""
+look like a time-out."""
 
 from __future__ import annotations
 
@@ -59,10 +57,8 @@ def rejection_reason(T_base_tool: np.ndarray) -> str | None:
 
 
 def transform_fault(numbers: Sequence[float]) -> str | None:
-    """Returns why x, y, z and the quaternion x, y, z, w cannot be a transform, the end of a sentence; None if they can.
-
-    tf2 leaves some of these out without a word to ROS.
-    """
+    """Returns why x, y, z and the quaternion x, y, z, w cannot be a transform, the end of a sentence; None if they
+    can. tf2 leaves some of these out without a word to ROS."""
     if not all(map(math.isfinite, numbers)):
         return "it is not finite"
     norm = math.hypot(*numbers[3:])
@@ -73,8 +69,7 @@ def skew_fault(
     stamp: float, clock: float, finding: str = "it is old, or the clocks of the machines differ"
 ) -> str | None:
     """Returns why a desired tool frame with this stamp is refused at the ROS time `clock` [s], a sentence, or None;
-    `finding`: what is known about the clock that stamps it.
-    """
+    `finding`: what is known about the clock that stamps it."""
     skew = stamp - clock
     if abs(skew) <= MAX_SKEW_S:
         return None
@@ -117,9 +112,8 @@ class ChainWatch:
         self._last: tuple[float, str, np.ndarray, np.ndarray] | None = None
 
     def step(self, stamp: float, parent: str, T_base_parent: np.ndarray, T_base_tool: np.ndarray) -> str | None:
-        """Returns what jumped, a sentence, or None. `stamp` of the desired tool frame [s], the frame `parent` that it
-        stands in, and the poses of both in the base, shape (4, 4) [m].
-        """
+        """Returns what jumped, a sentence, or None. `stamp` of the desired tool frame [s], the frame `parent` that
+        it stands in, and the poses of both in the base, shape (4, 4) [m]."""
         last, self._last = self._last, (stamp, parent, T_base_parent, T_base_tool)
         if last is None or parent != last[1] or not 0.0 < stamp - last[0] <= AT_ONCE_S:
             return None
@@ -162,8 +156,7 @@ class FrameSources:
 
     def like(self, frame: str, now: float, known: tuple[str, ...]) -> tuple[str, str] | None:
         """Returns a frame that comes and whose name is like that of `frame`, and the nodes that publish it; None if
-        there is none but those whose names end as those `known`.
-        """
+        there is none but those whose names end as those `known`."""
         names = [name for name, nodes in self._heard.items() if now - max(nodes.values()) < ABSENT_S]
         found = difflib.get_close_matches(frame, [name for name in names if not name.endswith(known)], 1, LIKE)
         return (found[0], " and ".join(self._heard[found[0]])) if found else None
@@ -181,9 +174,8 @@ class FrameSources:
 
 
 class SteadyStamps:
-    """Takes the steps out of stamps whose clock is set meanwhile: back, or forwards by more than MAX_SKEW_S,
-    which no delay on the way explains.
-    """
+    """Takes the steps out of stamps whose clock is set meanwhile: back, or forwards by more than MAX_SKEW_S, which
+    no delay on the way explains."""
 
     def __init__(self) -> None:
         self._last: tuple[float, float] | None = None
@@ -209,13 +201,10 @@ class StreamUpdate:
 
 
 class DesiredStream:
-    """Watches the newest desired tool frame.
-
-    `number` counts the streams: runs of frames without a pause, refused ones included. Number 0 may have begun before
-    this object. A foreign frame continues a stream also after a pause of less than FOREIGN_PAUSE_S: its publisher lags,
-    or nothing came since two were in conflict. Once frames of a run were accepted, only those whose clock is measured
-    as theirs was count in it.
-    """
+    """Watches the newest desired tool frame. `number` counts the streams: runs of frames without a pause, refused
+    ones included. Number 0 may have begun before this object. A foreign frame continues a stream also after a pause
+    of less than FOREIGN_PAUSE_S: its publisher lags, or nothing came since two were in conflict. Once frames of a
+    run were accepted, only those whose clock is measured as theirs was count in it."""
 
     def __init__(self) -> None:
         self.number = 0

@@ -9,8 +9,7 @@ tool fits into the plane, as for a plain length, joints 5 and 7 are zero too; ot
 If the arm is not mounted upright, "down" is that of the world (see common.mounting); the plane contains the base's z
 axis, and the elbow is up along that axis. Base frame, metres, radians.
 
-This holds for an arm as in its data sheet. A calibrated arm has the same tool pose, but other joints.
-"""
+This holds for an arm as in its data sheet. A calibrated arm has the same tool pose, but other joints."""
 
 from __future__ import annotations
 
@@ -47,13 +46,9 @@ class Home:
 
 
 def home_pose(kinematics: Kinematics, workspace: Workspace, mounting: MountingFrame | None = None) -> Home:
-    """Returns the home position above the workspace's center_line.
-
-    `mounting` are the operator's directions; None: the arm stands upright.
-
-    Raises:
-        HomeError: the workspace centre is out of reach or a joint would be out of its range.
-    """
+    """Returns the home position above the workspace's center_line. `mounting` are the operator's directions; None:
+    the arm stands upright. Raises HomeError: the workspace centre is out of reach or a joint would be out of its
+    range."""
     mounting = mounting_frame(workspace.center_line) if mounting is None else mounting
     model, T_flange_tool = kinematics.model, kinematics.T_flange_tool
     T_base_tool = pose(mounting.R_base_tool, workspace.centre)
@@ -91,10 +86,7 @@ def home_pose(kinematics: Kinematics, workspace: Workspace, mounting: MountingFr
 
 def custom_home(kinematics: Kinematics, workspace: Workspace, q: np.ndarray) -> Home:
     """Returns the home position with the joints `q`, shape (7,) [rad]; the tool point there becomes the centre.
-
-    Raises:
-        HomeError: a joint is out of its range, or the tool point lies outside the workspace.
-    """
+    Raises HomeError: a joint is out of its range, or the tool point lies outside the workspace."""
     q = np.asarray(q, dtype=float)
     if q.shape != (7,) or not np.all(np.isfinite(q)):
         raise HomeError(f"home_pos needs seven finite numbers, not {q.tolist()}.")

@@ -38,10 +38,8 @@ def named_configurations(values: object, model: RobotModel) -> dict[str, np.ndar
 def chosen_configuration(
     words: Sequence[str], named: Mapping[str, np.ndarray], model: RobotModel
 ) -> tuple[str, np.ndarray]:
-    """Returns the configuration of a name or of seven angles [deg], as a text and as joints [rad], shape (7,).
-
-    It raises ConfigError if it is neither, or out of the joints' ranges: every such joint is named.
-    """
+    """Returns the configuration of a name or of seven angles [deg], as a text and as joints [rad], shape (7,). It
+    raises ConfigError if it is neither, or out of the joints' ranges: every such joint is named."""
     if len(words) == 1 and words[0] in named:
         return words[0], named[words[0]]
     known = ", ".join(named)

@@ -1,7 +1,5 @@
-"""Convex bodies that the collision guard knows: shapes, and the file of obstacles around the arm.
-
-Lengths in m, angles in deg. Poses are in kuka/base_frame, or in kuka/flange for what is mounted there.
-"""
+"""Convex bodies that the collision guard knows: shapes, and the file of obstacles around the arm. Lengths in m,
+angles in deg. Poses are in kuka/base_frame, or in kuka/flange for what is mounted there."""
 
 from __future__ import annotations
 
@@ -21,11 +19,8 @@ from common.rotations import rotation_from_zyx
 
 @dataclass(frozen=True)
 class ConvexShape:
-    """A convex shape in its middle; cylinder and capsule along z.
-
-    `size` in m: box: its three edges; sphere: radius; cylinder: radius, height; capsule: radius, distance of the
-    centres of its two ends.
-    """
+    """A convex shape in its middle; cylinder and capsule along z. `size` in m: box: its three edges; sphere: radius;
+    cylinder: radius, height; capsule: radius, distance of the centres of its two ends."""
 
     kind: str
     size: tuple[float, ...]
@@ -131,9 +126,7 @@ KINDS: dict[str, type[Obstacle]] = {
 
 def obstacles_from(values: Any, wrist_flange: float, prefix: str = "") -> tuple[ConvexBody, ...]:
     """Returns the obstacles that a yaml mapping of names describes; raises ConfigError with all faults.
-
-    `wrist_flange`: length of the arm's last link [m]; `prefix` stands before each key in messages.
-    """
+    `wrist_flange`: length of the arm's last link [m]; `prefix` stands before each key in messages."""
     if not isinstance(values, Mapping):
         raise ConfigError([f"{prefix or 'The file '}is {values!r}, but must be a mapping of names to obstacles."])
     faults: list[str] = []

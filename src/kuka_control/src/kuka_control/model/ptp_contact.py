@@ -1,9 +1,7 @@
 """The external joint torques of a PTP motion that touches nothing, and what is said where the arm touched something.
-
-The robot's controller ends the motion where a torque leaves its range. It takes for external what it does not explain
-by the arm and its tool. The toolbox attaches a tool without mass, so weight and inertia of hand and load are external;
-on a cabinet that knows of them they are not. The ranges hold in both cases.
-"""
+The robot's controller ends the motion where a torque leaves its range. It takes for external what it does not
+explain by the arm and its tool. The toolbox attaches a tool without mass, so weight and inertia of hand and load are
+external; on a cabinet that knows of them they are not. The ranges hold in both cases."""
 
 from __future__ import annotations
 
@@ -22,14 +20,9 @@ nothing is published of it."""
 def torque_ranges(
     load: ToolLoad, start: np.ndarray, goal: np.ndarray, velocity: float, payload: float, margin: float
 ) -> np.ndarray:
-    """Returns the lowest and the highest external torque of each joint, shape (7, 2) [Nm].
-
-    Args:
-        start, goal: joints, shape (7,) each [rad].
-        velocity: fraction of the full joint speed.
-        payload: mass of what the hand holds [kg].
-        margin: torque beyond what weight and inertia make [Nm].
-    """
+    """Returns the lowest and the highest external torque of each joint, shape (7, 2) [Nm]. `start`, `goal`: joints,
+    shape (7,) each [rad]; `velocity`: fraction of the full joint speed; `payload`: mass of what the hand holds [kg];
+    `margin`: torque beyond what weight and inertia make [Nm]."""
     kinematics, dq = load.kinematics, goal - start
     seconds = max(full_speed_time(kinematics.model, start, goal), 1e-3)
     rate, gain = velocity / seconds, SPEED_UP_PER_S / seconds  # of the fraction of the way [1/s], [1/s^2]
@@ -50,10 +43,8 @@ def torque_ranges(
 
 
 def touched(torques: np.ndarray | None, ranges: np.ndarray | None) -> str:
-    """Returns which joint bears how much where the arm stands, a part of a sentence.
-
-    `torques`: external ones, shape (7,) [Nm], None: not known; `ranges`: in which the motion continues, shape (7, 2).
-    """
+    """Returns which joint bears how much where the arm stands, a part of a sentence. `torques`: external ones, shape
+    (7,) [Nm], None: not known; `ranges`: in which the motion continues, shape (7, 2)."""
     if torques is None or ranges is None:
         return "a joint torque left its range; the torques now could not be read"
     beyond = np.maximum(ranges[:, 0] - torques, torques - ranges[:, 1])

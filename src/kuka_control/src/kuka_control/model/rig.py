@@ -44,15 +44,10 @@ class Rig:
         obstacles: tuple[ConvexBody, ...] | None = None,
         lifted: bool = False,
     ) -> Rig:
-        """Returns the rig that a configuration describes.
-
-        `dh` and `obstacles` are what the files hold that dh_parameters and guard_obstacles name; `lifted`: the bounds
-        of the workspace do not act.
-
-        Raises:
-            ValueError: a file is named, but not handed in.
-            HomeError: the home position cannot be reached or lies outside the workspace.
-        """
+        """Returns the rig that a configuration describes. `dh` and `obstacles` are what the files hold that
+        dh_parameters and guard_obstacles name; `lifted`: the bounds of the workspace do not act. Raises ValueError:
+        a file is named, but not handed in; HomeError: the home position cannot be reached or lies outside the
+        workspace."""
         if config.dh_parameters and dh is None:
             raise ValueError(f"what {config.dh_parameters} says has to be read and handed in")
         model = robot_model(config.robot, config.flange)
@@ -72,17 +67,13 @@ class Rig:
         return cls(*rest, config.marker_ring, fastest)
 
     def ptp_velocity(self, start: np.ndarray, goal: np.ndarray, velocity: float) -> float:
-        """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for an arm too fast.
-
-        `start` and `goal` are joints of shape (7,) [rad]. The speed limit `ptp_speed` holds at any opening of the hand.
-        """
+        """Returns the fraction of full joint speed of a PTP motion: `velocity`, or less for an arm too fast. `start`
+        and `goal` are joints of shape (7,) [rad]. The speed limit `ptp_speed` holds at any opening of the hand."""
         return ptp_velocity(self.model, self.carried(None), start, goal, velocity, self.ptp_speed)
 
     def carried(self, opening: Opening | None) -> tuple[Ball, ...]:
-        """Returns what the flange carries: tool point, finger tips, and what is mounted there by the obstacles' file.
-
-        Without an opening the fingers may be anywhere.
-        """
+        """Returns what the flange carries: tool point, finger tips, and what is mounted there by the obstacles'
+        file. Without an opening the fingers may be anywhere."""
         tips = finger_tips(self.model, self.ring, opening)
         mounted = (enclosing_ball(body, self.model) for body in self.obstacles or () if body.link)
         x, y, z = self.T_flange_tool[:3, 3].tolist()
@@ -110,13 +101,9 @@ def workspace_of(config: ControllerConfig, lifted: bool = False) -> Workspace:
 def checked_rig(
     values: Mapping, prefix: str = "", read_dh: Callable[[ControllerConfig], DhDeviations | None] = lambda config: None
 ) -> tuple[ControllerConfig, Rig]:
-    """Returns the parameters of either controller, and the arm with workspace and home that they describe.
-
-    In messages `prefix` stands before each key, such as "kuka/"; `read_dh` reads the file that dh_parameters names.
-
-    Raises:
-        ConfigError: with all faults, one sentence each.
-    """
+    """Returns the parameters of either controller, and the arm with workspace and home that they describe. In
+    messages `prefix` stands before each key, such as "kuka/"; `read_dh` reads the file that dh_parameters names.
+    Raises ConfigError: with all faults, one sentence each."""
     config = parse(ControllerConfig, values, prefix, others=neighbours(ControllerConfig))
     try:
         return config, Rig.of(config, read_dh(config))

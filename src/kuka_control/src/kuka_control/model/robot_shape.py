@@ -1,8 +1,7 @@
 """The robot as convex bodies that enclose it: links, media flange, marker board, and the ReFlex hand at any opening.
-
-Numbers of the meshes and solids in rig_description. The axes of a link are those of the base while all joints are zero;
-its origin is the shoulder (links 1 and 2), the elbow (3 and 4) or the wrist (5 to 7). Lengths in m, angles in rad.
-"""
+Numbers of the meshes and solids in rig_description. The axes of a link are those of the base while all joints are
+zero; its origin is the shoulder (links 1 and 2), the elbow (3 and 4) or the wrist (5 to 7). Lengths in m, angles in
+rad."""
 
 from __future__ import annotations
 
@@ -76,10 +75,8 @@ def table() -> ConvexBody:
 
 
 def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[ConvexBody]:
-    """Returns the palm and the fingers; `ring`: the ring of the marker board is behind the hand.
-
-    Each finger is the sphere that it does not leave, whatever moves it; at an `opening` it is two capsules.
-    """
+    """Returns the palm and the fingers; `ring`: the ring of the marker board is behind the hand. Each finger is the
+    sphere that it does not leave, whatever moves it; at an `opening` it is two capsules."""
     T_7_hand = translation(0.0, 0.0, model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH)
     T_7_hand[:3, :3] = rotation_about(2, hand.CONNECTOR_YAW)
     bodies = [_box("palm", 7, *PALM, T_7_hand)]

@@ -68,9 +68,8 @@ class Switches:
     def report(
         self, mode: Mode, stopped_because: str | None, outlook: str | None = None, stays: Stays | None = None
     ) -> None:
-        """Takes the state of the controller, which the replies quote; `outlook`: what becomes of the desired tool frame
-        that comes now, once control goes on; `stays`: why an exit leaves the arm where it is.
-        """
+        """Takes the state of the controller, which the replies quote; `outlook`: what becomes of the desired tool
+        frame that comes now, once control goes on; `stays`: why an exit leaves the arm where it is."""
         self._mode, self._stopped_because, self._outlook, self._stays = mode, stopped_because, outlook, stays
 
     def hold(self, why: str) -> None:
@@ -121,10 +120,8 @@ class Switches:
         return SwitchReply(True, f"The scaling factor is {scale:g}.")
 
     def set_payload(self, mass: float) -> SwitchReply:
-        """Changes the mass of what the hand holds [kg].
-
-        Its weight is taken off the torques that are shown, and sets the contact ranges of PTP motions.
-        """
+        """Changes the mass of what the hand holds [kg]. Its weight is taken off the torques that are shown, and sets
+        the contact ranges of PTP motions."""
         if not 0.0 <= mass <= PAYLOAD_MAX_KG:
             kept = f"The payload stays {self.now.payload:g} kg"
             return SwitchReply(False, f"{kept}: {mass:g} kg is outside 0 to {PAYLOAD_MAX_KG:g} kg.")

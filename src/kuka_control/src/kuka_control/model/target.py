@@ -6,8 +6,7 @@ where it is. Positions in the base frame [m].
 
 Position first: a tool frame out of the arm's reach is tilted by the least angle that brings it into reach. An arm that
 follows reaches and leaves such a target steadily: where the joints would have to hurry although the tool does not, the
-tool keeps its position and its orientation comes after it.
-"""
+tool keeps its position and its orientation comes after it."""
 
 from __future__ import annotations
 
@@ -93,10 +92,8 @@ class Target:
 
 
 class TargetChain:
-    """Composes the steps from the desired tool frame to joints. It has no state, so any thread may ask it.
-
-    `centre`: from which displacements are scaled, shape (3,) [m].
-    """
+    """Composes the steps from the desired tool frame to joints. It has no state, so any thread may ask it. `centre`:
+    from which displacements are scaled, shape (3,) [m]."""
 
     def __init__(self, centre: np.ndarray, workspace: Workspace, kinematics: Kinematics) -> None:
         self._centre = read_only(centre)
@@ -116,8 +113,7 @@ class TargetChain:
         Args:
             scaling: the scaling.
             q_seed: joints to continue from, shape (7,) [rad].
-            before: the target that an arm in motion follows, `dt` [s] older; None for an arm at rest.
-        """
+            before: the target that an arm in motion follows, `dt` [s] older; None for an arm at rest."""
         T_base_scaled = self._scaled(T_base_desired, scaling)
         target = self.reach(T_base_scaled, q_seed, before is not None)
         if before is None or isinstance(target, Infeasible) or target.q is None:
@@ -172,9 +168,8 @@ class TargetChain:
     def _steady(
         self, target: Target, T_base_scaled: np.ndarray, q_seed: np.ndarray, before: Target, dt: float
     ) -> Target:
-        """Returns a target on the way to `target`, with the tool in its position, if the joints hurry but the tool does
-        not; arguments as in `resolve`.
-        """
+        """Returns a target on the way to `target`, with the tool in its position, if the joints hurry but the tool
+        does not; arguments as in `resolve`."""
         assert target.q is not None, "only a target with joints can be reached steadily"
         steps = np.abs(target.q - q_seed)
         if max(steps.tolist()) <= STEADY_RAD:
@@ -236,13 +231,11 @@ def check_tool_pose(
     follows: bool = False,
     collision: Callable[[np.ndarray], str | None] = lambda q: None,
 ) -> ToolCheck:
-    """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame.
-
-    The answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
-    while it follows the desired tool frame, else those of the home position, since it always goes there first. It does
-    not check the path. In servo mode the arm `follows`: it does not fold differently, and nearer to a body than the
-    collision guard allows it stops by itself. `collision` returns which bodies meet at joints, shape (7,) [rad].
-    """
+    """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame. The
+    answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
+    while it follows the desired tool frame, else those of the home position, since it always goes there first. It
+    does not check the path. In servo mode the arm `follows`: it does not fold differently, and nearer to a body than
+    the collision guard allows it stops by itself. `collision` returns which bodies meet at joints, shape (7,) [rad]."""
     reason = rejection_reason(T_base_tool)
     if reason is not None:
         return refused(reason)

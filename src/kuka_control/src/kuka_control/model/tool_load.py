@@ -1,8 +1,6 @@
-"""The weight of the tool in the external torques.
-
-The toolbox attaches a tool without mass, so the robot's controller takes the weight of what is on the flange for an
-external torque. Taken off here, the rest is what touches the arm.
-"""
+"""The weight of the tool in the external torques. The toolbox attaches a tool without mass, so the robot's
+controller takes the weight of what is on the flange for an external torque. Taken off here, the rest is what touches
+the arm."""
 
 from __future__ import annotations
 
@@ -26,10 +24,8 @@ class ToolLoad:
     up: np.ndarray  # the world's vertical in the base frame, a unit vector, shape (3,)
 
     def torques(self, q: np.ndarray, payload: float = 0.0) -> np.ndarray:
-        """Returns the torques that the weight makes at the joints q, shape (7,) each [rad], [Nm].
-
-        They have the sign of external torques. `payload` is the mass of what the hand holds, at the tool point [kg].
-        """
+        """Returns the torques that the weight makes at the joints q, shape (7,) each [rad], [Nm]. They have the sign
+        of external torques. `payload` is the mass of what the hand holds, at the tool point [kg]."""
         if self.mass + payload == 0.0:
             return np.zeros(7)
         kinematics = self.kinematics
@@ -40,21 +36,17 @@ class ToolLoad:
         return kinematics.jacobian(q).T @ wrench
 
     def wrench(self, q: np.ndarray, payload: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the part of a reported force [N] and moment [Nm] at the tool point that the weight makes.
-
-        Shape (3,) each, along the tool's axes: what fits the torques best, as the robot's controller finds it too.
-        """
+        """Returns the part of a reported force [N] and moment [Nm] at the tool point that the weight makes. Shape
+        (3,) each, along the tool's axes: what fits the torques best, as the robot's controller finds it too."""
         if self.mass + payload == 0.0:
             return np.zeros(3), np.zeros(3)
         return wrench_at_tool(self.kinematics, q, self.torques(q, payload))
 
 
 def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques best.
-
-    For servo mode, in which the toolbox cannot tell the moment, and before May 2019 not the force either. Least squares
-    of J^T w = torques at the joints q, shape (7,) [rad], with external joint torques, shape (7,) [Nm].
-    """
+    """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques
+    best. For servo mode, in which the toolbox cannot tell the moment, and before May 2019 not the force either.
+    Least squares of J^T w = torques at the joints q, shape (7,) [rad], with external joint torques, shape (7,) [Nm]."""
     wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
     R_tool_base = kinematics.forward(q)[:3, :3].T
     return R_tool_base @ wrench[:3], R_tool_base @ wrench[3:]

@@ -1,9 +1,7 @@
-"""The workspace of the tool: a segment of a hollow sphere around the origin of joint 2, cut by planes.
-
-A desired position is constrained in a fixed order: side planes, heights, spheres; the result lists the active bounds.
-A position behind the base or below its foot is not constrained: it is infeasible. Positions are in the base frame [m];
-rotations play no role.
-"""
+"""The workspace of the tool: a segment of a hollow sphere around the origin of joint 2, cut by planes. A desired
+position is constrained in a fixed order: side planes, heights, spheres; the result lists the active bounds. A
+position behind the base or below its foot is not constrained: it is infeasible. Positions are in the base frame [m];
+rotations play no role."""
 
 from __future__ import annotations
 
@@ -111,11 +109,8 @@ def _direction_faults(center_line: np.ndarray) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Workspace:
-    """The settings of a workspace; constrains positions to it.
-
-    Raises:
-        ConfigError: the settings describe no workspace; it lists every fault.
-    """
+    """The settings of a workspace; constrains positions to it. Raises ConfigError: the settings describe no
+    workspace; it lists every fault."""
 
     center_line: np.ndarray  # horizontal, from the base axis to the middle, shape (3,); its length does not matter
     opening_angle: float  # between the two side planes, which are vertical and contain the base axis [rad]
@@ -163,10 +158,8 @@ class Workspace:
         return (*sides, z - self.z_lower, self.z_upper - z, r - self.inner_sphere, self.outer_sphere - r)
 
     def outward(self, position: np.ndarray) -> np.ndarray:
-        """Returns the outward unit normals of the bounds, in the order of `rooms`, shape (6, 3).
-
-        The position, shape (3,) [m], is not the origin of joint 2.
-        """
+        """Returns the outward unit normals of the bounds, in the order of `rooms`, shape (6, 3). The position, shape
+        (3,) [m], is not the origin of joint 2."""
         radial = position - np.array([0.0, 0.0, self.joint_2_height])
         radial /= np.linalg.norm(radial)
         return np.array([*self._side_normals, (0.0, 0.0, -1.0), (0.0, 0.0, 1.0), -radial, radial])
@@ -177,11 +170,8 @@ class Workspace:
         return tuple((math.cos(turn), math.sin(turn), 0.0) for turn in turns)
 
     def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
-        """Returns the position, shape (3,) [m], constrained to the workspace, or that it is infeasible.
-
-        Raises:
-            ValueError: the position is not three finite numbers.
-        """
+        """Returns the position, shape (3,) [m], constrained to the workspace, or that it is infeasible. Raises
+        ValueError: the position is not three finite numbers."""
         position = _position(position)
         if self.lifted:
             return Constrained(position, ())
@@ -216,10 +206,8 @@ class Workspace:
 
 
 def boundary_lines(workspace: Workspace, heights: int = 5, headings: int = 5) -> list[np.ndarray]:
-    """Returns polylines on the border of the workspace for drawing, each of shape (n, 3) [m].
-
-    Inner and outer arc are drawn at so many `heights`, and so many vertical sections (`headings`) are outlined.
-    """
+    """Returns polylines on the border of the workspace for drawing, each of shape (n, 3) [m]. Inner and outer arc
+    are drawn at so many `heights`, and so many vertical sections (`headings`) are outlined."""
     half, points = workspace.opening_angle / 2.0, 33
     turns = workspace.heading + np.linspace(-half, half, points)
     lines = []

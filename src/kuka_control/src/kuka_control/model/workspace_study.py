@@ -1,7 +1,5 @@
-"""Random positions in and around the workspace, how much of it the arm reaches, and the findings in sentences.
-
-Base frame, metres. The random numbers come from the generator that is handed in, so equal seeds give equal samples.
-"""
+"""Random positions in and around the workspace, how much of it the arm reaches, and the findings in sentences. Base
+frame, metres. The random numbers come from the generator that is handed in, so equal seeds give equal samples."""
 
 from __future__ import annotations
 
@@ -137,8 +135,7 @@ def study_reach(
         orientations: how many are drawn at each position, at least 1.
 
     Raises:
-        ValueError: there is nothing to study.
-    """
+        ValueError: there is nothing to study."""
     if len(positions) < 1 or orientations < 1:
         raise ValueError(f"a study needs positions and orientations, not {len(positions)} and {orientations}")
     limits = np.asarray(tolerances, dtype=float)

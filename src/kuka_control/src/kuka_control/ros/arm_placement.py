@@ -28,14 +28,10 @@ class PlaceBesideOthers(NamedTuple):
 
 
 def placed_beside_others(config: ControllerConfig, frames: ArmFrames, found: str, patience: float) -> PlaceBesideOthers:
-    """Returns where this arm stands beside others, by the parameter `arms`, whose whole name is `found`.
-
-    Of an arm whose controller runs counts what that started with. It waits for the parameters of the others, from the
-    first of an arm on for `patience` [s].
-
-    Raises:
-        ConfigError: the arms may not move beside each other, or the controllers do not place them alike.
-    """
+    """Returns where this arm stands beside others, by the parameter `arms`, whose whole name is `found`. Of an arm
+    whose controller runs counts what that started with. It waits for the parameters of the others, from the first of
+    an arm on for `patience` [s]. Raises ConfigError: the arms may not move beside each other, or the controllers do
+    not place them alike."""
     values = rospy.get_param(found)
     arms = arms_from(values, "arms/")
     again = "Calibrate the camera to both real arms, then run rosrun vision register_arms.py."

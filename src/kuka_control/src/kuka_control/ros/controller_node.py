@@ -71,13 +71,8 @@ LIFT_BESIDE = (
 
 class RobotLink:
     """Holds the connection to the robot, `arm`: made at the start, made again after it was lost, closed at the end.
-    `goals`: what is sent over it.
-
-    A server that is not there yet at the start, because it is started at the same time, is tried again for a while.
-
-    Raises:
-        DeviceError: there is no connection.
-    """
+    `goals`: what is sent over it. A server that is not there yet at the start, because it is started at the same
+    time, is tried again for a while. Raises DeviceError: there is no connection."""
 
     def __init__(self, config: ControllerConfig, rig: Rig) -> None:
         self._config, self._rig = config, rig
@@ -231,9 +226,7 @@ class _Node:
 
     def spin(self, T_world_base: np.ndarray | None) -> None:
         """Runs the control loop until it completes or ROS shuts down; waits for a lost robot. RigError: a fault.
-
-        `T_world_base`: where the base stands beside other arms, shape (4, 4) [m]; None for an only arm.
-        """
+        `T_world_base`: where the base stands beside other arms, shape (4, 4) [m]; None for an only arm."""
         self._state.start(T_world_base)
         Diagnostics("kuka_control", self._diagnosis)
         try:
@@ -282,11 +275,8 @@ class _Node:
                 return
 
     def _stand_by(self, error: KstError) -> bool:
-        """Waits until the robot answers again or is connected again; False: this controller is to end before.
-
-        Raises:
-            DeviceError: the robot was lost on the way to the end.
-        """
+        """Waits until the robot answers again or is connected again; False: this controller is to end before. Raises
+        DeviceError: the robot was lost on the way to the end."""
         exits = self._switches.now.exit_requested
         self._services.hold("the robot does not answer")
         self._moves.abort("The robot does not answer; where the arm is now is not known.")

@@ -74,8 +74,7 @@ class DesiredTool:
 
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.
-        offset: of the clock of the node that published it last [s].
-    """
+        offset: of the clock of the node that published it last [s]."""
 
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
         self._base, self._tool, self._leap = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
@@ -115,8 +114,7 @@ class DesiredTool:
     @property
     def missing(self) -> str | None:
         """Where no desired tool frame comes: that it is awaited, and which frame comes that may have been meant, a
-        sentence; else None.
-        """
+        sentence; else None."""
         now = clock.monotonic()
         if now - self._heard < ABSENT_S:
             return None
@@ -182,9 +180,8 @@ class DesiredTool:
         self._arrived.set()
 
     def _check_for_reset(self) -> None:
-        """Forgets all where ROS time went back, as tf2's listener does; where it is simulated, by a recording that is
-        played again, the desired tool frame counts as refused.
-        """
+        """Forgets all where ROS time went back, as tf2's listener does; where it is simulated, by a recording that
+        is played again, the desired tool frame counts as refused."""
         now = rospy.Time.now()
         if now < self._last_time:
             self.buffer.clear()
@@ -210,9 +207,8 @@ class DesiredTool:
                 self._take(transform)
 
     def _count_engagements(self, frames: set[str]) -> None:
-        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one and
-        the filtered hand. Without that a program holds the tool.
-        """
+        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one
+        and the filtered hand. Without that a program holds the tool."""
         if self._leap in frames and self._tool not in frames:
             self._without_hand = True
         elif self._leap in frames and self._filtered in frames:
@@ -365,8 +361,7 @@ class DesiredTool:
 
     def _refuse_at(self, stamp: float, refused: str | None = None, conflict: str | None = None) -> bool:
         """Refuses what came, by a frame with this stamp [s]. That of a foreign stream does not begin another one, by
-        which a bar would end.
-        """
+        which a bar would end."""
         foreign = self._foreign and self._leap not in self._parents
         self._newest = DesiredFrame(np.eye(4), stamp, conflict, refused, foreign=foreign)
         return True

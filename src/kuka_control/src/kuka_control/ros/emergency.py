@@ -1,8 +1,6 @@
 """The Emergency Stop of the control panel: asks the controller to exit at once, and kills its process if it hangs.
-
-The process is found by the number that it reports. Numbers are used again, so what identifies it is its number together
-with its start time.
-"""
+The process is found by the number that it reports. Numbers are used again, so what identifies it is its number
+together with its start time."""
 
 from __future__ import annotations
 
@@ -78,9 +76,8 @@ LEFT_BEHIND = "the robot holds its last goal, a motion to a point runs to its en
 
 def stop(call_exit: ServiceClient, process: ControllerProcess | None, host: str) -> tuple[bool, str]:
     """Stops the controller; returns within about half a second whether it is known to have exited, and a sentence.
-
-    `process` is the controller's if it runs on this machine and was verified; `host` is empty if it was never heard of.
-    """
+    `process` is the controller's if it runs on this machine and was verified; `host` is empty if it was never heard
+    of."""
     deadline = clock.monotonic() + PATIENCE_S
     answer, failure = "", None
     try:

@@ -1,8 +1,7 @@
 """What the collision guard shows, kuka/guard and kuka/guard_markers; and the opening of the hand, for speed limits.
-
-`kuka/guard` (rig_msgs/GuardState) at 10 Hz. `kuka/guard_markers` for RViz has the namespaces nearest (the nearest pair,
-green to red by the scale), distance, around (obstacles) and robot (the bodies that stand for it). Both only when heard.
-"""
+`kuka/guard` (rig_msgs/GuardState) at 10 Hz. `kuka/guard_markers` for RViz has the namespaces nearest (the nearest
+pair, green to red by the scale), distance, around (obstacles) and robot (the bodies that stand for it). Both only
+when heard."""
 
 from __future__ import annotations
 
@@ -67,10 +66,8 @@ class HandOpening:
 
 
 class GuardView:
-    """Shows what the guard sees, and answers about joints, from bodies of its own.
-
-    `observe` returns the measured joints, shape (7,) [rad], or None before the first, and the scale of the speed.
-    """
+    """Shows what the guard sees, and answers about joints, from bodies of its own. `observe` returns the measured
+    joints, shape (7,) [rad], or None before the first, and the scale of the speed."""
 
     def __init__(
         self,
@@ -90,9 +87,7 @@ class GuardView:
 
     def collision(self, q: np.ndarray) -> str | None:
         """Returns which bodies would be too near at the joints q, shape (7,) [rad], a part of a sentence, or None.
-
-        From any thread; a guard that fails has no answer but that.
-        """
+        From any thread; a guard that fails has no answer but that."""
         if self._guard is None:
             return None
         try:

@@ -27,10 +27,8 @@ POLL_S = 0.1
 
 
 def main() -> None:
-    """Runs the program and exits the process.
-
-    The exit code is 0 when the arm is there, 1 after a sentence that says why it is not, 130 after an interruption.
-    """
+    """Runs the program and exits the process. The exit code is 0 when the arm is there, 1 after a sentence that says
+    why it is not, 130 after an interruption."""
     options = _parser().parse_args(rospy.myargv()[1:])
     run_program("move", lambda: _run(options), "Interrupted before anything moved.")
 
@@ -46,10 +44,8 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
-    """Moves the arm, with a progress bar; returns the result, and whether Ctrl-C interrupted the motion.
-
-    Raises DeviceError if no controller answers.
-    """
+    """Moves the arm, with a progress bar; returns the result, and whether Ctrl-C interrupted the motion. Raises
+    DeviceError if no controller answers."""
     client = ActionClient("kuka/move", MoveAction)
     if not client.wait_for_server(rospy.Duration(SERVER_S)):
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")

@@ -31,8 +31,7 @@ class MoveServer:
         frames: of the arm.
 
     Attributes:
-        move: the motion that the control loop is to make, None while nothing is asked for.
-    """
+        move: the motion that the control loop is to make, None while nothing is asked for."""
 
     def __init__(
         self,

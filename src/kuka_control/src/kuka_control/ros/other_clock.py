@@ -1,6 +1,5 @@
-"""The clock of the node that publishes the desired tool frame. Only one on another machine can have another clock; it
-is asked for its time, as the HTTP server of every rospy node tells it in the header of any answer.
-"""
+"""The clock of the node that publishes the desired tool frame. Only one on another machine can have another clock;
+it is asked for its time, as the HTTP server of every rospy node tells it in the header of any answer."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class NodeClock:
 
     Attributes:
         offset: what its stamps are corrected by.
-        finding: what is known about stamps of it that are far from now, the end of a sentence.
-    """
+        finding: what is known about stamps of it that are far from now, the end of a sentence."""
 
     def __init__(self, node: str) -> None:
         self.node, self.offset = node, ClockOffset()

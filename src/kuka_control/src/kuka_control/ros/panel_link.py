@@ -1,8 +1,7 @@
-"""Connects the control panel to the controller: status in, service calls out, none of them in Qt's thread.
-
-Three kinds of threads: rospy's brings the status, one watches the master and keeps the services' addresses, and every
-request runs in one of its own. They leave what they know in attributes and in a queue; a timer in Qt's thread shows it.
-"""
+"""Connects the control panel to the controller: status in, service calls out, none of them in Qt's thread. Three
+kinds of threads: rospy's brings the status, one watches the master and keeps the services' addresses, and every
+request runs in one of its own. They leave what they know in attributes and in a queue; a timer in Qt's thread shows
+it."""
 
 from __future__ import annotations
 
@@ -47,9 +46,7 @@ SHUTDOWN_S = 2.0  # how long saying goodbye to the ROS master may take
 
 class PanelLink(QObject):
     """Feeds the panel with kuka/status and operator_view/rows, and carries the operator's requests to the services.
-
-    Made in Qt's thread. `arm`: namespace of one of several arms; empty: this program's own.
-    """
+    Made in Qt's thread. `arm`: namespace of one of several arms; empty: this program's own."""
 
     def __init__(self, panel: ControlPanel, arm: str = "") -> None:
         super().__init__(panel)
@@ -246,10 +243,8 @@ def main() -> None:
 
 
 def linked_panels(arms: Sequence[str]) -> tuple[ControlPanel | ArmsPanel, list[PanelLink]]:
-    """Returns the window for these namespaces, or for this program's own without any, and its links.
-
-    Whatever asks for the Emergency Stop in it stops the controllers of all its arms, each beside the others.
-    """
+    """Returns the window for these namespaces, or for this program's own without any, and its links. Whatever asks
+    for the Emergency Stop in it stops the controllers of all its arms, each beside the others."""
     if not arms:
         panel = ControlPanel()
         return panel, [PanelLink(panel)]

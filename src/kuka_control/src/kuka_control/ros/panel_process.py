@@ -23,11 +23,8 @@ END_S = 3.0  # how long a panel may take to close
 @contextlib.contextmanager
 def control_panel() -> Iterator[None]:
     """Opens the control panel beside a controller unless its command line says gui:=false, and closes it with the
-    controller. After a fault, or if the controller is killed, the panel stays and shows the last state.
-
-    Raises:
-        ConfigError: gui is neither true nor false.
-    """
+    controller. After a fault, or if the controller is killed, the panel stays and shows the last state. Raises
+    ConfigError: gui is neither true nor false."""
     process = _open() if _wanted() else None
     try:
         yield

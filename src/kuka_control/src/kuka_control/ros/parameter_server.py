@@ -27,8 +27,7 @@ class NoParameters(RigError):
 
 def parameters(namespace: str) -> dict:
     """Returns what the parameter server has under `namespace`, as seen from this program's own (ROS_NAMESPACE or
-    __ns:=); raises NoMaster or NoParameters.
-    """
+    __ns:=); raises NoMaster or NoParameters."""
     master = master_of_this_graph()
     try:
         values = master.getParam(absolute(namespace))
@@ -55,8 +54,7 @@ def absolute(name: str) -> str:
 
 def living_node(name: str) -> bool:
     """Returns whether a node of this name, in this program's namespace, is registered and listens (a killed one does
-    not); NoMaster: no master.
-    """
+    not); NoMaster: no master."""
     master = master_of_this_graph()
     try:
         return listens(master.lookupNode(absolute(name)))
@@ -70,11 +68,9 @@ def shipped(name: str) -> Path:
 
 
 def running(config: ControllerConfig, arms: object, uri: str | None) -> dict:
-    """Returns what a controller writes under kuka/running at its start, since what is set later does not count for it.
-
-    These are its `parameters`, the hashes of its `files` by the parameters that name them, the parameter `arms`, its
-    `uri`, and when it `started` [s].
-    """
+    """Returns what a controller writes under kuka/running at its start, since what is set later does not count for
+    it. These are its `parameters`, the hashes of its `files` by the parameters that name them, the parameter `arms`,
+    its `uri`, and when it `started` [s]."""
     values = {field.name: getattr(config, field.name) for field in fields(config)}
     plain = {key: np.asarray(value).tolist() if not isinstance(value, str) else value for key, value in values.items()}
     files = {key: file_hash(plain[key]) for key in ("dh_parameters", "guard_obstacles") if plain[key]}

@@ -68,11 +68,9 @@ def offer_tool_check(
     collision: Callable[[np.ndarray], str | None],
     frames: ArmFrames = ONE_ARM,
 ) -> None:
-    """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop.
-
-    `read` returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling;
-    `collision` as for `check_tool_pose`.
-    """
+    """Answers kuka/check_tool_pose from the threads of its callers; it takes no lock of the control loop. `read`
+    returns the controller's mode, the measured joints, shape (7,) [rad] or None, and the scaling; `collision` as for
+    `check_tool_pose`."""
 
     def answer(request: CheckToolPoseRequest) -> CheckToolPoseResponse:
         try:

@@ -93,10 +93,8 @@ def agrees(question: str) -> bool | None:
 
 
 def main() -> None:
-    """Runs the program and exits the process.
-
-    The exit code is 0 when the arm is there, 1 after sentences that say why it is not, 130 after an interruption.
-    """
+    """Runs the program and exits the process. The exit code is 0 when the arm is there, 1 after sentences that say
+    why it is not, 130 after an interruption."""
     options = _parser().parse_args(rospy.myargv()[1:])
     run_program("simple_controller", lambda: _run(options), "Interrupted.", (RigError, KstError))
 

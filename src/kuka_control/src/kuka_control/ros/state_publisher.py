@@ -1,6 +1,5 @@
-"""Publishes the state of the arm and its controller from a separate thread, so that a slow subscriber never delays the
-stream of servo goals; and the workspace as markers for RViz.
-"""
+"""Publishes the state of the arm and its controller from a separate thread, so that a slow subscriber never delays
+the stream of servo goals; and the workspace as markers for RViz."""
 
 from __future__ import annotations
 
@@ -197,10 +196,9 @@ class StatePublisher:
         self._publish_forces(snapshot, before, now)
 
     def _publish_forces(self, snapshot: Snapshot, before: ArmState, now: rospy.Time) -> None:
-        """Publishes torques as the robot's controller tells them; contact torques, force and moment without the weight
-        of the tool and of what the hand holds, which that controller takes for a force from outside. With
-        `flange_force_raw` force and moment keep it.
-        """
+        """Publishes torques as the robot's controller tells them; contact torques, force and moment without the
+        weight of the tool and of what the hand holds, which that controller takes for a force from outside. With
+        `flange_force_raw` force and moment keep it."""
         arm, rig = snapshot.arm, self._rig
         for publisher, kind, new, old in (
             (self._torques_external, jointTorquesExternal, arm.torques_external, before.torques_external),
@@ -238,8 +236,7 @@ class StatePublisher:
 
 def publish_workspace(workspace: Workspace, centre, frames: ArmFrames = ONE_ARM) -> rospy.Publisher:
     """Publishes the boundary lines, unless they do not act, and the centre, once and latched; the publisher is to be
-    kept.
-    """
+    kept."""
     publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
     lines = [
         _marker(i, Marker.LINE_STRIP, LINE_WIDTH_M, [Point(*p) for p in line])

@@ -37,10 +37,8 @@ CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_
 
 
 class HandTeleopNode:
-    """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent.
-
-    `of`: namespace of the arm with a slash, in a node for several.
-    """
+    """Runs the chain on each frame, limits the fingers' force, and watches for the stream falling silent. `of`:
+    namespace of the arm with a slash, in a node for several."""
 
     def __init__(self, teleop: HandTeleop, force_limit: ForceLimit, of: str = "") -> None:
         self._teleop, self._force_limit, self._of = teleop, force_limit, of
@@ -142,13 +140,8 @@ def finger_feedback(hand: Hand) -> FingerFeedback:
 
 def calibrate(timeout: float, of: str = "") -> None:
     """Has the robot hand calibrate itself, once its services are there within `timeout` [s], and waits for the end.
-
-    `of`: namespace of the arm with a slash, in a node for several.
-
-    Raises:
-        DeviceError: a service is not there, refuses, or does not answer.
-        rospy.ROSInterruptException: ROS shut down.
-    """
+    `of`: namespace of the arm with a slash, in a node for several. Raises DeviceError: a service is not there,
+    refuses, or does not answer; rospy.ROSInterruptException: ROS shut down."""
     services = [of + name for name in CALIBRATIONS]
     for name in services:
         rospy.loginfo("Waiting for the service %s.", name)
@@ -170,9 +163,8 @@ def calibrate(timeout: float, of: str = "") -> None:
 
 
 def _check_origin(config: HandConfig, operator: str, of: str) -> None:
-    """Raises ConfigError if one of the files was measured with simulated devices and the robot hand is real; warns of
-    an operator's file that does not say.
-    """
+    """Raises ConfigError if one of the files was measured with simulated devices and the robot hand is real; warns
+    of an operator's file that does not say."""
     measured = f"The finger mapping {operator_file(operator or 'NAME')} of operator:="
     simulated_hand = rospy.get_param(f"{of}reflex_takktile_driver/network_interface", None) == LOOPBACK
     again = "Run rosrun leap_hand hand_wizard.py with a real tracker."

@@ -71,9 +71,8 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _measure(wizard: HandWizard, timeout: float) -> bool | None:
-    """Leads the person until the wizard is done; returns whether the tracker is simulated, None if its driver does not
-    say. Raises WizardRefused.
-    """
+    """Leads the person until the wizard is done; returns whether the tracker is simulated, None if its driver does
+    not say. Raises WizardRefused."""
     frames: clock.Queue[TrackingFrame] = clock.Queue(maxsize=100)
     statuses: list[KukaStatus] = []
 

@@ -61,10 +61,8 @@ class ArmChoiceNode:
 
 
 def arm_choice(arms: Sequence[str]) -> ArmChoice | None:
-    """Waits for the parameters of these arms, and returns their choice; None if leap/arm_choice is none.
-
-    Raises ConfigError if they do not agree.
-    """
+    """Waits for the parameters of these arms, and returns their choice; None if leap/arm_choice is none. Raises
+    ConfigError if they do not agree."""
     configs = {arm: wait_for_config(LeapConfig, f"{arm}/leap", others=(OPERATOR_INPUT,)) for arm in arms}
     ways = {arm: config.arm_choice for arm, config in configs.items()}
     (how, *others) = set(ways.values())

@@ -21,8 +21,7 @@ class DelayMonitor:
     """Measures the delay. `T_tool_flange`: pose of the flange in the tool frame, shape (4, 4).
 
     Attributes:
-        palm: track of the hand that steers, in the Leap frame.
-    """
+        palm: track of the hand that steers, in the Leap frame."""
 
     _looked: ClassVar[dict[str, float]] = {}  # by publisher [s]; of all monitors of the process, which rest together
 
@@ -44,10 +43,9 @@ class DelayMonitor:
         return {name: "" if value is None else f"{1e3 * value:.0f}" for name, value in zip(names, numbers)}
 
     def _take(self, message: rospy.AnyMsg) -> None:
-        """Takes a message of tf, as bytes. Each publisher has a thread here, which rests, so that several messages are
-        read at once; not where this process subscribes to tf for something else, which rospy calls in the same
-        thread.
-        """
+        """Takes a message of tf, as bytes. Each publisher has a thread here, which rests, so that several messages
+        are read at once; not where this process subscribes to tf for something else, which rospy calls in the same
+        thread."""
         publisher, now = message._connection_header["callerid"], clock.monotonic()
         callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks
         alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f, _ in callbacks)

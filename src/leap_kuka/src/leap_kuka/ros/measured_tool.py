@@ -16,10 +16,8 @@ from rig_msgs.msg import KukaStatus
 
 class MeasuredTool:
     """Keeps the newest message with the flange; it is read only when it is asked for, since many others come on /tf.
-
     Only the controller's counts, the node that publishes kuka/status. `of`: its namespace with a slash, if it is not
-    this node's own.
-    """
+    this node's own."""
 
     def __init__(self, T_flange_tool: np.ndarray, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._T_flange_tool = T_flange_tool

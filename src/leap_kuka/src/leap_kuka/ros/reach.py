@@ -28,9 +28,7 @@ SILENT = "the controller does not answer whether the arm can come"
 
 class ReachCheck:
     """The controller's newest answer. Only where nobody offers the service, every pose counts as reachable.
-
-    `scaling` is the controller's; `of`: its namespace with a slash, if it is not this node's own.
-    """
+    `scaling` is the controller's; `of`: its namespace with a slash, if it is not this node's own."""
 
     def __init__(self, scaling: Scaling, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._base = frames(BASE)
@@ -42,10 +40,8 @@ class ReachCheck:
         clock.Thread(target=self._run, name="reach check", daemon=True).start()
 
     def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:
-        """Asks about a pose, shape (4, 4) [m]; returns the newest answer: why the arm cannot come, or None.
-
-        Where a stream `starts`, only the answer for a pose near this one counts.
-        """
+        """Asks about a pose, shape (4, 4) [m]; returns the newest answer: why the arm cannot come, or None. Where a
+        stream `starts`, only the answer for a pose near this one counts."""
         p = self.scaling.scaled(T_base_desired[:3, 3])
         self._question = pose(T_base_desired[:3, :3], p)
         self._period = REACH_START_S if starts else REACH_RUNNING_S

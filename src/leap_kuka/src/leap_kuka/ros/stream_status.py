@@ -50,11 +50,9 @@ class Repetition:
 
 
 class TeleopReport:
-    """Publishes what the operator switches and steers at once, and all of it again and again.
-
-    The reason may change with every frame (the distance to the box), faster than anybody can read: on leap_kuka/stream
-    it waits for a `flush`. `of`: namespace of the arm with a slash, in a node for several.
-    """
+    """Publishes what the operator switches and steers at once, and all of it again and again. The reason may change
+    with every frame (the distance to the box), faster than anybody can read: on leap_kuka/stream it waits for a
+    `flush`. `of`: namespace of the arm with a slash, in a node for several."""
 
     def __init__(
         self, engagement: str, enabling_needed: bool, box: InteractionBox, frame_id: str, of: str = ""

@@ -1,7 +1,5 @@
-"""The node leap_kuka_node: Human messages in, the frames of hand, desired tool and desired flange out on tf.
-
-The service leap_kuka/hold_tool holds the tool for a hand.
-"""
+"""The node leap_kuka_node: Human messages in, the frames of hand, desired tool and desired flange out on tf. The
+service leap_kuka/hold_tool holds the tool for a hand."""
 
 from __future__ import annotations
 
@@ -43,10 +41,8 @@ WATCH_PERIOD_S = 0.1
 
 
 class ArmTeleopNode:
-    """Runs the chain on each frame, and watches for the stream falling silent.
-
-    `of`: namespace of the arm with a slash, in a node for several.
-    """
+    """Runs the chain on each frame, and watches for the stream falling silent. `of`: namespace of the arm with a
+    slash, in a node for several."""
 
     def __init__(
         self,
@@ -166,10 +162,8 @@ class ArmTeleopNode:
 
 
 def read_arm_placement(of: str = "") -> ArmPlacement:
-    """Waits for the arm's parameters, of which the controller uploads kuka/ws_center last, and returns them.
-
-    `of`: namespace of the arm with a slash, in a node for several.
-    """
+    """Waits for the arm's parameters, of which the controller uploads kuka/ws_center last, and returns them. `of`:
+    namespace of the arm with a slash, in a node for several."""
     for key in required(ArmPlacement):
         wait_for_param(f"{of}kuka/{key}")
     return wait_for_config(ArmPlacement, f"{of}kuka", others=rospy.get_param(f"{of}kuka"))

@@ -1,7 +1,5 @@
-"""Kinematics of the KUKA LBR iiwa: robot model, forward kinematics, closed-form inverse kinematics.
-
-Start with `robot_model` and `Kinematics`. Where the elbow is chosen: `elbow_choice.py`. Needs numpy alone.
-"""
+"""Kinematics of the KUKA LBR iiwa: robot model, forward kinematics, closed-form inverse kinematics. Start with
+`robot_model` and `Kinematics`. Where the elbow is chosen: `elbow_choice.py`. Needs numpy alone."""
 
 from iiwa_kinematics.calibrated import CalibratedKinematics, DhParameters, kinematics_of, nominal_parameters
 from iiwa_kinematics.chain import Ball, arm_points, forward, jacobian

@@ -4,8 +4,7 @@ A calibrated arm has no exact spherical shoulder and wrist, so it has no closed 
 a few millimetres only. The closed form therefore chooses the solution: it is asked for the pose that the nominal arm
 must reach for the calibrated one to arrive near its target. The difference between the two arms is taken at the present
 joints, so a tool at rest leaves the joints at rest. Newton steps of least length on the calibrated arm remove the
-remaining error. They have no component along the self-motion: the elbow stays where the closed form put it.
-"""
+remaining error. They have no component along the self-motion: the elbow stays where the closed form put it."""
 
 from __future__ import annotations
 
@@ -90,10 +89,8 @@ DAMPING = 1e-3  # fraction of the error whose square damps a step; keeps steps s
 def kinematics_of(
     model: RobotModel, T_flange_tool: np.ndarray, deviations: DhParameters | None, elbow_preference: float = 0.0
 ) -> Kinematics:
-    """Returns the kinematics of an arm with its tool; arguments as in `Kinematics`.
-
-    `deviations` are calibrated less nominal parameters; None or all zero: the closed form alone.
-    """
+    """Returns the kinematics of an arm with its tool; arguments as in `Kinematics`. `deviations` are calibrated less
+    nominal parameters; None or all zero: the closed form alone."""
     if deviations is None or not deviations.any:
         return Kinematics(model, T_flange_tool, elbow_preference)
     return CalibratedKinematics(model, nominal_parameters(model).plus(deviations), T_flange_tool, elbow_preference)
@@ -194,20 +191,16 @@ class CalibratedKinematics(Kinematics):
 
 
 def _pose_error(T: np.ndarray, T_target: np.ndarray) -> np.ndarray:
-    """Returns position error [m] and rotation error, shape (6,), in the base.
-
-    The rotation error is the axis times the sine of the angle, which is the angle near the target. A rounding error of
-    the target's orthonormality has no effect on it.
-    """
+    """Returns position error [m] and rotation error, shape (6,), in the base. The rotation error is the axis times
+    the sine of the angle, which is the angle near the target. A rounding error of the target's orthonormality has no
+    effect on it."""
     rotation = 0.5 * np.cross(T[:3, :3], T_target[:3, :3], axis=0).sum(axis=1)
     return np.concatenate((T_target[:3, 3] - T[:3, 3], rotation))
 
 
 def newton_step(q: np.ndarray, J: np.ndarray, error: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Returns the joints after a damped Newton step; a joint that would leave its range stays at its end.
-
-    `error`, shape (n,), is what the step removes, and J, shape (n, 7), its derivative.
-    """
+    """Returns the joints after a damped Newton step; a joint that would leave its range stays at its end. `error`,
+    shape (n,), is what the step removes, and J, shape (n, 7), its derivative."""
     free = np.ones(7, dtype=bool)
     damping = (DAMPING * np.linalg.norm(error)) ** 2 * np.eye(len(error))
     while True:

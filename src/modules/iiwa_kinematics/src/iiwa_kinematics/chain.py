@@ -1,9 +1,7 @@
-"""Forward kinematics of the seven joints, and their geometric Jacobian.
-
-At zero the arm stands upright. Joints 1, 3, 5, 7 turn about the arm's length (z), joints 2 and 6 about y, joint 4 about
--y:  R_base_flange = Rz(q1) Ry(q2) Rz(q3) Ry(-q4) Rz(q5) Ry(q6) Rz(q7). This is the chain of the KUKA Sunrise Toolbox.
-The arithmetic is written out in plain floats: for single poses this is several times faster than 4 x 4 products.
-"""
+"""Forward kinematics of the seven joints, and their geometric Jacobian. At zero the arm stands upright. Joints 1, 3,
+5, 7 turn about the arm's length (z), joints 2 and 6 about y, joint 4 about -y:  R_base_flange = Rz(q1) Ry(q2) Rz(q3)
+Ry(-q4) Rz(q5) Ry(q6) Rz(q7). This is the chain of the KUKA Sunrise Toolbox. The arithmetic is written out in plain
+floats: for single poses this is several times faster than 4 x 4 products."""
 
 from __future__ import annotations
 
@@ -64,11 +62,9 @@ def arm_points(model: RobotModel, q: np.ndarray) -> np.ndarray:
 
 
 def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None = None) -> np.ndarray:
-    """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7).
-
-    Rows 0 to 2: velocity of the tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s],
-    at the joints q, shape (7,) [rad]. `T_flange_tool`, shape (4, 4) [m], is the flange itself if omitted.
-    """
+    """Returns the geometric Jacobian of the tool point in the base frame, shape (6, 7). Rows 0 to 2: velocity of the
+    tool point [m/s], rows 3 to 5: angular velocity [rad/s], per joint speed [rad/s], at the joints q, shape (7,)
+    [rad]. `T_flange_tool`, shape (4, 4) [m], is the flange itself if omitted."""
     axes, shoulder, elbow, wrist, p, (x, y, z) = joint_frames(model, q)
     if T_flange_tool is not None:
         tx, ty, tz = T_flange_tool[:3, 3].tolist()
@@ -83,11 +79,9 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
 
 def tool_point(model: RobotModel, tool: Vector, q: Sequence[float], around: float) -> tuple[Vector, list[float]]:
     """Returns the tool point in the base [m], and how far the moving arm reaches from the axes of joints 1 to 7 [m].
-
     `tool` is the tool point in the flange [m], q the 7 joint angles [rad]. The arm is the elbow, the wrist, and all
-    that is no farther than `around` [m] from the tool point. The points are carried to the base: each joint turns them
-    about its own axis.
-    """
+    that is no farther than `around` [m] from the tool point. The points are carried to the base: each joint turns
+    them about its own axis."""
     q1, q2, q3, q4, q5, q6, q7 = q
     upper, fore = model.shoulder_elbow, model.elbow_wrist
     x, y, z = tool[0], tool[1], tool[2] + model.wrist_flange
@@ -129,10 +123,8 @@ def tool_point(model: RobotModel, tool: Vector, q: Sequence[float], around: floa
 
 def fastest_point(model: RobotModel, balls: Iterable[Ball], q: Sequence[float], v: Sequence[float]) -> float:
     """Returns the speed of the fastest point of elbow, wrist, flange, and balls that move with the flange [m/s].
-
     `q`: joints, 7 [rad], `v`: their speeds, 7 [rad/s]. The velocity x, y, z and the turn w are those of elbow, then
-    wrist, then flange, in axes that turn with the joints.
-    """
+    wrist, then flange, in axes that turn with the joints."""
     _, q2, q3, q4, q5, q6, q7 = q
     v1, v2, v3, v4, v5, v6, v7 = v
     c, s = cos(q2), sin(q2)

@@ -10,8 +10,7 @@ branches are compared by the time that the motion takes.
 Close means a small weighted joint step in which joint 3 counts most. With joint 3 nearly fixed, the arm moves like one
 with six joints: its elbow stays in its plane, and the tool may pass over positions in which joint 2 goes through zero
 without any joint racing. The slow return adds at most a fraction of the joint step that the tool asks for, so an arm
-whose tool is at rest does not move.
-"""
+whose tool is at rest does not move."""
 
 from __future__ import annotations
 
@@ -100,10 +99,8 @@ class ElbowChoice:
         return max(ways)
 
     def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
-        """Returns `found`, led towards the preferred arm angle by a small part of its joint step.
-
-        `zero` is the arm angle at the circle's angle zero [rad].
-        """
+        """Returns `found`, led towards the preferred arm angle by a small part of its joint step. `zero` is the arm
+        angle at the circle's angle zero [rad]."""
         fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
         joint_step = _step(found.q, seed)
         most = RETURN_FRACTION * joint_step / fastest
@@ -153,9 +150,7 @@ class ElbowChoice:
         best: Candidate | None,
     ) -> Candidate | None:
         """Returns the better of `best` and the result of Gauss-Newton steps from `angle` within the interval.
-
-        Without an interval: None if a step leaves the joint ranges.
-        """
+        Without an interval: None if a step leaves the joint ranges."""
         least, found, weights = math.inf if best is None else best.cost, None, self._weights
         for _ in range(3):
             q = self._in_range(circle.joints(angle, branch, seed, self._limits))

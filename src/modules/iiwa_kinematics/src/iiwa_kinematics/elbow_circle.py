@@ -10,8 +10,7 @@ sinusoids of this angle; the joints follow from them, and so do the angles that 
 The method is that of Shimizu et al. (IEEE Transactions on Robotics 24, 2008), with the configuration signs of Kuhlemann
 et al. (ICCAR 2016) and Faria et al. (Mechanism and Machine Theory 121, 2018). What is different here: the circle is
 measured from any reference direction, so no reference plane can degenerate, and the signs only turn joints by half a
-turn, so all eight branches share one circle.
-"""
+turn, so all eight branches share one circle."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ class Limits:
     Args:
         lower: 7 least joint angles [rad].
         upper: 7 greatest joint angles [rad]; each range is at least half a turn wide for joints 1, 3, 5, 7.
-        least_bend: what joints 2 and 6 must be away from zero [rad].
-    """
+        least_bend: what joints 2 and 6 must be away from zero [rad]."""
 
     def __init__(self, lower: Iterable[float], upper: Iterable[float], least_bend: float = 0.0) -> None:
         self.lower, self.upper = tuple(map(float, lower)), tuple(map(float, upper))
@@ -73,8 +71,7 @@ class ElbowCircle:
         lengths: of upper arm and forearm [m].
         u: unit vector from the shoulder to the wrist.
         reference: unit vector across u, where the elbow is at angle zero.
-        flange: x, y and z axis of the flange at the target.
-    """
+        flange: x, y and z axis of the flange at the target."""
 
     def __init__(
         self,
@@ -97,10 +94,8 @@ class ElbowCircle:
         self._forbidden: dict = {}
 
     def joints(self, angle: float, branch: Branch, near: Sequence[float], limits: Limits) -> list[float]:
-        """Returns the 7 joint angles [rad] at an angle on the circle [rad]; they may be out of range.
-
-        `near`, 7 joint angles [rad], and the joint ranges decide only where the axes of two joints coincide.
-        """
+        """Returns the 7 joint angles [rad] at an angle on the circle [rad]; they may be out of range. `near`, 7
+        joint angles [rad], and the joint ranges decide only where the axes of two joints coincide."""
         c, s = cos(angle), sin(angle)
         shoulder, sign, wrist = branch
         ca, sa, cb, sb = self._ca, self._sa, self._cb, self._sb
@@ -139,10 +134,8 @@ class ElbowCircle:
         return [q1, q2, q3, sign * self.bend, q5, q6, q7]
 
     def self_motion(self, q: Sequence[float]) -> list[float]:
-        """Returns the derivative of the 7 joints with respect to the angle on the circle, at joints q of this circle.
-
-        Upper arm and forearm turn about u; written in the third and the fourth frame, u is constant.
-        """
+        """Returns the derivative of the 7 joints with respect to the angle on the circle, at joints q of this
+        circle. Upper arm and forearm turn about u; written in the third and the fourth frame, u is constant."""
         sign = copysign(1.0, q[3])
         s2, s6 = _away_from_zero(sin(q[1])), _away_from_zero(sin(q[5]))
         d1 = sign * self._sb * cos(q[2]) / s2
@@ -158,10 +151,9 @@ class ElbowCircle:
         ]
 
     def keeping_joint_3(self, q3: float, branch: Branch) -> list[float]:
-        """Returns the angles [rad], two at most, at which joint 3 is at `q3` [rad] or, where it cannot be, nearly so.
-
-        With joint 3 held the arm is an ordinary one with six joints, to which joint 2 at zero is no singular pose.
-        """
+        """Returns the angles [rad], two at most, at which joint 3 is at `q3` [rad] or, where it cannot be, nearly
+        so. With joint 3 held the arm is an ordinary one with six joints, to which joint 2 at zero is no singular
+        pose."""
         (ca, cb, cc), (sa, sb, sc) = self._turn_of_joint_3(branch.shoulder * branch.elbow)
         c, s = cos(q3), sin(q3)
         a, b, offset = sa * c - ca * s, sb * c - cb * s, sc * c - cc * s
@@ -234,11 +226,9 @@ class ElbowCircle:
 
 
 def _outside_turn(cosine: Vector, sine: Vector, directions: tuple[float, float, float, float]) -> list[Arc]:
-    """Returns the arcs on which the joint of this (scaled) cosine and sine is outside its range.
-
-    The forbidden wedge, from the upper limit on to the lower one, is less than half a turn wide; so it is where two
-    sinusoids are positive at once.
-    """
+    """Returns the arcs on which the joint of this (scaled) cosine and sine is outside its range. The forbidden
+    wedge, from the upper limit on to the lower one, is less than half a turn wide; so it is where two sinusoids are
+    positive at once."""
     c_low, s_low, c_high, s_high = directions
     (ca, cb, cc), (sa, sb, sc) = cosine, sine
     beyond_high = positive(sa * c_high - ca * s_high, sb * c_high - cb * s_high, sc * c_high - cc * s_high)

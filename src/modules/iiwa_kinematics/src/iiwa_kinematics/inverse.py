@@ -1,8 +1,6 @@
-"""Inverse kinematics in closed form: joints for a tool pose that continue from the joints of a seed.
-
-The pose fixes the wrist, and with it the bend of the elbow. The free angle on the elbow's circle and the branch are
-chosen in `elbow_choice`.
-"""
+"""Inverse kinematics in closed form: joints for a tool pose that continue from the joints of a seed. The pose fixes
+the wrist, and with it the bend of the elbow. The free angle on the elbow's circle and the branch are chosen in
+`elbow_choice`."""
 
 from __future__ import annotations
 
@@ -65,8 +63,7 @@ class Kinematics:
     Args:
         model: the arm.
         T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself if omitted.
-        elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up.
-    """
+        elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up."""
 
     calibrated = False  # whether this arm differs from the one that the robot's own controller computes with
     slack = 0.0, 0.0  # how much earlier this arm's reach may end than the data sheet's, in length [m] and angle [rad]
@@ -90,39 +87,30 @@ class Kinematics:
         return jacobian(self.model, q, self.T_flange_tool)
 
     def tool_point(self, q: Sequence[float], around: float = 0.0) -> tuple[Vector, list[float]]:
-        """Returns the tool point in the base [m], and how far the moving arm reaches from the 7 joint axes [m].
-
-        The arm is elbow, wrist, and what is within `around` [m] of the tool point, at 7 joints q [rad].
-        """
+        """Returns the tool point in the base [m], and how far the moving arm reaches from the 7 joint axes [m]. The
+        arm is elbow, wrist, and what is within `around` [m] of the tool point, at 7 joints q [rad]."""
         return tool_point(self.model, self._tool, q, around)
 
     def fastest_point(self, balls: Sequence[Ball], q: Sequence[float], v: Sequence[float]) -> float:
-        """Returns the speed of the fastest point of elbow, wrist, flange and balls on it [m/s].
-
-        `q`: joints, 7 [rad], `v`: their speeds, 7 [rad/s].
-        """
+        """Returns the speed of the fastest point of elbow, wrist, flange and balls on it [m/s]. `q`: joints, 7
+        [rad], `v`: their speeds, 7 [rad/s]."""
         return fastest_point(self.model, balls, q, v)
 
     def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
         """Returns joints near q, shape (7,) [rad], that bring this arm to a pose to which q brings the nominal arm.
-
-        Here the two arms are the same. A calibrated arm may not reach the pose, shape (4, 4) [m]: then None.
-        """
+        Here the two arms are the same. A calibrated arm may not reach the pose, shape (4, 4) [m]: then None."""
         return q
 
     def inverse(self, T_base_tool: np.ndarray, q_seed: np.ndarray, keep_branch: bool = False) -> IkResult:
-        """Returns joints that bring the tool to a pose, close to the seed.
+        """Returns joints that bring the tool to a pose, close to the seed. Raises ValueError: the pose is not finite or
+        not rigid, or the seed is not seven finite numbers.
 
         Args:
             T_base_tool: pose of the tool in the base, shape (4, 4) [m].
             q_seed: joints to continue from, shape (7,) [rad]: the present ones of the arm.
             keep_branch: whether the arm follows a path: then the branch of the seed is left only where joint 2 or joint
                 6 is near zero, and it is a failure that it does not reach the pose. Otherwise the arm moves there from
-                rest, and the joints are those of all branches to which the motion takes the least time.
-
-        Raises:
-            ValueError: the pose is not finite or not rigid, or the seed is not seven finite numbers.
-        """
+                rest, and the joints are those of all branches to which the motion takes the least time."""
         T, seed_array = self._checked(T_base_tool, q_seed)
         seed = seed_array.tolist()
         flange, position = _axes_and_position(T @ self.T_tool_flange)

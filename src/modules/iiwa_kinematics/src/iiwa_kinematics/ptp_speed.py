@@ -1,8 +1,6 @@
-"""The speed of the arm in a point-to-point motion, before it starts, and the velocity that keeps it down.
-
-A PTP motion turns all joints in step along the straight line q(s) = start + s (goal - start), 0 <= s <= 1, and the
-joint with the longest way reaches its set speed. So a point p(s) of the arm moves at |p'(s)| ds/dt.
-"""
+"""The speed of the arm in a point-to-point motion, before it starts, and the velocity that keeps it down. A PTP
+motion turns all joints in step along the straight line q(s) = start + s (goal - start), 0 <= s <= 1, and the joint
+with the longest way reaches its set speed. So a point p(s) of the arm moves at |p'(s)| ds/dt."""
 
 from __future__ import annotations
 
@@ -23,17 +21,11 @@ EXCESS = 0.02  # the bound of the path speed exceeds the true maximum by this fr
 
 
 def path_speed(model: RobotModel, balls: Sequence[Ball], start: np.ndarray, goal: np.ndarray) -> float:
-    """Returns a bound of |p'(s)| of the arm's fastest point, at most `EXCESS` above the greatest one [m].
-
-    The points are elbow, wrist, flange and those in the balls. It searches by intervals: |p''| <= sum_ij |dq_i| |dq_j|
+    """Returns a bound of |p'(s)| of the arm's fastest point, at most `EXCESS` above the greatest one [m]. The points
+    are elbow, wrist, flange and those in the balls. It searches by intervals: |p''| <= sum_ij |dq_i| |dq_j|
     r_max(i,j), where no point is farther than r_j from axis j, so between two samples |p'| exceeds their mean by at
-    most half of that times their distance.
-
-    Args:
-        model: the arm.
-        balls: what moves with the flange.
-        start, goal: joints, shape (7,) each [rad].
-    """
+    most half of that times their distance. `model`: the arm; `balls`: what moves with the flange; `start`, `goal`:
+    joints, shape (7,) each [rad]."""
     dq = np.asarray(goal, dtype=float) - start
     bend, rates = _bend(model, balls, np.abs(dq)), dq.tolist()
 
@@ -62,11 +54,9 @@ def ptp_velocity(
     velocity: float,
     limit: float = PTP_M_PER_S,
 ) -> float:
-    """Returns the fraction of the full joint speed for a PTP motion, (0, 1]: `velocity`, or less if need be.
-
-    At it no point of elbow, wrist, flange and balls is faster than `limit` [m/s] on the way from `start` to `goal`,
-    joints of shape (7,) each [rad]. A smaller fraction is rounded down to 0.001.
-    """
+    """Returns the fraction of the full joint speed for a PTP motion, (0, 1]: `velocity`, or less if need be. At it
+    no point of elbow, wrist, flange and balls is faster than `limit` [m/s] on the way from `start` to `goal`, joints
+    of shape (7,) each [rad]. A smaller fraction is rounded down to 0.001."""
     allowed = full_speed_time(model, start, goal) * limit
     greatest = velocity * path_speed(model, balls, start, goal)
     return velocity if greatest <= allowed else max(math.floor(1000.0 * velocity * allowed / greatest) / 1000.0, 0.001)

@@ -1,9 +1,7 @@
-"""At the end of the arm's reach: position first. The tool keeps its position, and its orientation gives way.
-
-What ends the reach is the distance of the wrist from the shoulder, and joint 6, the angle between forearm and flange.
+"""At the end of the arm's reach: position first. The tool keeps its position, and its orientation gives way. What
+ends the reach is the distance of the wrist from the shoulder, and joint 6, the angle between forearm and flange.
 Both depend on how far the tool is tilted in the plane through shoulder, wrist and tool point. So the nearest
-orientation within reach is found as the least angle of this tilt, which changes continuously with the desired pose.
-"""
+orientation within reach is found as the least angle of this tilt, which changes continuously with the desired pose."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ NEWTON_STEPS = 5  # two are enough almost everywhere
 
 def tilted(kinematics: Kinematics, T_base_tool: np.ndarray, most: float) -> np.ndarray | None:
     """Returns the pose, shape (4, 4) [m], tilted into the arm's reach by the least angle, at most `most` [rad].
-
-    None: no tilt brings it into reach. Joints 1, 2, 3, 5 and 7 may still be beyond their ranges.
-    """
+    None: no tilt brings it into reach. Joints 1, 2, 3, 5 and 7 may still be beyond their ranges."""
     model = kinematics.model
     T_base_flange = T_base_tool @ kinematics.T_tool_flange
     z = tuple(T_base_flange[:3, 2].tolist())
@@ -77,11 +73,9 @@ def tilted(kinematics: Kinematics, T_base_tool: np.ndarray, most: float) -> np.n
 def approached(
     kinematics: Kinematics, position: np.ndarray, q_seed: np.ndarray, q_goal: np.ndarray, most: np.ndarray
 ) -> np.ndarray | None:
-    """Returns joints on the way from the seed to a goal, shape (7,) [rad], that bring the tool to a position.
-
-    The position has shape (3,) [m]. In the direction of the goal the joints move by `most`, shape (7,) [rad], at most,
-    and then by the least that the position asks for. None: they do not get there within their ranges.
-    """
+    """Returns joints on the way from the seed to a goal, shape (7,) [rad], that bring the tool to a position. The
+    position has shape (3,) [m]. In the direction of the goal the joints move by `most`, shape (7,) [rad], at most,
+    and then by the least that the position asks for. None: they do not get there within their ranges."""
     lower, upper = kinematics.model.lower + MARGIN_RAD, kinematics.model.upper - MARGIN_RAD
     step = q_goal - q_seed
     q = q_seed + step / max(1.0, float(np.max(np.abs(step) / most)))

@@ -4,8 +4,7 @@ Lengths in metres along the outstretched arm, angles in radians. The flange fram
 flange's outer face, z outwards. This is geometry for the controller; masses and shapes stand in rig_description.
 
 Sources: KUKA's data sheets of the LBR iiwa 7 R800 and 14 R820 and of its media flanges; the lengths are also those of
-the KUKA Sunrise Toolbox (table of Denavit-Hartenberg parameters, flange heights).
-"""
+the KUKA Sunrise Toolbox (table of Denavit-Hartenberg parameters, flange heights)."""
 
 from __future__ import annotations
 
@@ -57,11 +56,7 @@ def read_only(values: ArrayLike) -> np.ndarray:
 
 
 def robot_model(robot: str, flange: str) -> RobotModel:
-    """Returns the arm `robot` with the media flange `flange`.
-
-    Raises:
-        ValueError: no such arm or no such flange.
-    """
+    """Returns the arm `robot` with the media flange `flange`. Raises ValueError: no such arm or no such flange."""
     if robot not in _ARMS:
         raise ValueError(f"there is no robot {robot!r}; choose one of {', '.join(_ARMS)}")
     if flange not in FLANGE_HEIGHTS:

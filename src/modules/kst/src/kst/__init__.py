@@ -1,7 +1,5 @@
-"""Client of the KUKA Sunrise Toolbox server on an iiwa's controller; needs numpy only.
-
-`client` is the interface, over `session` (pairs answers with commands), `transport` (socket), `codec` (wire text).
-"""
+"""Client of the KUKA Sunrise Toolbox server on an iiwa's controller; needs numpy only. `client` is the interface,
+over `session` (pairs answers with commands), `transport` (socket), `codec` (wire text)."""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ One socket, no thread of its own. All calls come from one thread; only `abort` m
 lengths in m, forces in N, torques in Nm. The client refuses joint angles outside the limits, and commands that the
 server would never answer in the present mode. Every call returns a result or raises an error of `kst.errors`. The
 client does not plan: servo goals must be smooth by themselves. The caller checks that the arm follows them, because a
-servo mode that the controller stopped still acknowledges its goals (docs/handbook/wire-protocols.md).
-"""
+servo mode that the controller stopped still acknowledges its goals (docs/handbook/wire-protocols.md)."""
 
 from __future__ import annotations
 
@@ -62,8 +61,7 @@ class KstClient:
         MotionRefused: the controller refused with a `nak`, or had left servo mode by itself; the tool is attached
             again.
         WrongMode: the server never answers the command in the present mode; nothing was sent.
-        BadJoints, BadVelocity, ValueError: a goal, velocity or pin out of range; nothing was sent.
-    """
+        BadJoints, BadVelocity, ValueError: a goal, velocity or pin out of range; nothing was sent."""
 
     def __init__(self, session: KstSession, tool: ToolTransform, limits: JointLimits) -> None:
         self._session = session
@@ -99,20 +97,15 @@ class KstClient:
         timeout: float = 5.0,
         timing: KstTiming | None = None,
     ) -> KstClient:
-        """Connects and attaches the tool, T_flange_tool, shape (4, 4) [m]; None is the flange itself.
+        """Connects and attaches the tool, T_flange_tool, shape (4, 4) [m]; None is the flange itself. Raises NoServer:
+        nobody listens, or the connection ended without a word; ForeignServer: something answers, but not as the toolbox
+        does; ServerBusy: the server accepted and stays silent; ToolNotAttached: the server answers but does not attach
+        the tool; ValueError: the tool is not a rigid pose in metres.
 
         Args:
             limits: joint ranges that goals must keep to; None: those of the LBR iiwa.
             timeout: longest wait for the connection, and again for the first answer [s].
-            timing: the other waits.
-
-        Raises:
-            NoServer: nobody listens, or the connection ended without a word.
-            ForeignServer: something answers, but not as the toolbox does.
-            ServerBusy: the server accepted and stays silent.
-            ToolNotAttached: the server answers but does not attach the tool.
-            ValueError: the tool is not a rigid pose in metres.
-        """
+            timing: the other waits."""
         if not isinstance(tool, ToolTransform):
             tool = ToolTransform(np.eye(4) if tool is None else tool)
         timing = KstTiming() if timing is None else timing
@@ -162,10 +155,9 @@ class KstClient:
 
     def silence(self, wait: float) -> float:
         """Returns for how long an answer has been missing [s], 0 if none is; waits up to `wait` seconds for it.
-
-        While one is missing nothing but probes is sent. The server may be frozen, with its connection alive. An answer
-        to a streamed goal counts as missing as soon as the window is full, from the delay on that is usual on the link.
-        """
+        While one is missing nothing but probes is sent. The server may be frozen, with its connection alive. An
+        answer to a streamed goal counts as missing as soon as the window is full, from the delay on that is usual on
+        the link."""
         session = self._session
         if session.in_step and not session.open:
             return 0.0
@@ -207,11 +199,8 @@ class KstClient:
         return self._measure(codec.MOMENT, None)
 
     def ptp_joints(self, q: ArrayLike, velocity: float, timeout: float) -> None:
-        """Moves the arm to q, shape (7,) [rad], and waits until it arrives, at most `timeout` seconds.
-
-        Raises:
-            ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP.
-        """
+        """Moves the arm to q, shape (7,) [rad], and waits until it arrives, at most `timeout` seconds. Raises
+        ReplyTimeout: the arm did not arrive in time. It may still move: the mode stays PTP."""
         self.start_ptp_joints(q, velocity)
         deadline = self.monotonic() + timeout
         while not self.ptp_arrived():
@@ -226,10 +215,8 @@ class KstClient:
             self._session.wait_for_word(deadline)
 
     def knows_guarded_ptp(self) -> bool:
-        """Returns whether the server knows PTP motions that end at a torque; only when idle. Nothing moves.
-
-        Servers before April 2018 do not: they are silent, which takes some seconds to be sure of.
-        """
+        """Returns whether the server knows PTP motions that end at a torque; only when idle. Nothing moves. Servers
+        before April 2018 do not: they are silent, which takes some seconds to be sure of."""
         self._require_idle("a PTP motion")
         session = self._session
         session.expect_final(True)
@@ -251,14 +238,11 @@ class KstClient:
         return True
 
     def start_ptp_joints(self, q: ArrayLike, velocity: float, torques: ArrayLike | None = None) -> None:
-        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1].
-
-        With `torques`, shape (7, 2) [Nm], it ends where the external torque of a joint leaves its range from the lowest
-        to the highest; a server that `knows_guarded_ptp` only. ValueError: not such ranges; nothing was sent.
-
-        A start that is not acknowledged although it may have been carried out counts as a motion that runs: the arm
-        moves, or the server has fallen silent. Then the joints show later what became of it (`ptp_arrived`).
-        """
+        """Starts a motion to q, shape (7,) [rad], at the fraction `velocity` of the greatest speed, in (0, 1]. With
+        `torques`, shape (7, 2) [Nm], it ends where the external torque of a joint leaves its range from the lowest
+        to the highest; a server that `knows_guarded_ptp` only. ValueError: not such ranges; nothing was sent. A
+        start that is not acknowledged although it may have been carried out counts as a motion that runs: the arm
+        moves, or the server has fallen silent. Then the joints show later what became of it (`ptp_arrived`)."""
         goal = self._limits.check(q)
         velocity = check_relative_velocity(velocity)
         start = codec.START_PTP if torques is None else codec.start_guarded_ptp(torques)
@@ -283,15 +267,10 @@ class KstClient:
             raise
 
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has.
-
-        The joints that `joints` reads tell it, too: an arm that has been there for LATE_END_S and then for the wait for
-        an answer (KstTiming.reply) has lost its final word.
-
-        Raises:
-            MotionRefused: the controller gave the motion up, or it never began because its start was wiped.
-            MotionInterrupted: an external torque ended it.
-        """
+        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has. The joints
+        that `joints` reads tell it, too: an arm that has been there for LATE_END_S and then for the wait for an
+        answer (KstTiming.reply) has lost its final word. Raises MotionRefused: the controller gave the motion up, or
+        it never began because its start was wiped; MotionInterrupted: an external torque ended it."""
         if self.mode is not KstMode.PTP:
             raise WrongMode(f"no PTP motion runs (mode {self.mode.value}); start one first", mode=self.mode)
         self._session.poll()
@@ -315,11 +294,9 @@ class KstClient:
         return MotionInterrupted("an external joint torque ended the PTP motion before its goal", torques=torques)
 
     def _arrived_by_joints(self) -> bool:
-        """Returns whether a motion has ended whose words leave that open: by its joints.
-
-        The final word may come somewhat after the arrival, and a motion may begin late, so an arm that stands still is
-        watched as long as an answer is waited for.
-        """
+        """Returns whether a motion has ended whose words leave that open: by its joints. The final word may come
+        somewhat after the arrival, and a motion may begin late, so an arm that stands still is watched as long as an
+        answer is waited for."""
         session, now = self._session, self.monotonic()
         at_goal = session.arm_is_at(self._goal)
         acknowledged = session.acknowledged
@@ -364,16 +341,14 @@ class KstClient:
         self._heed_refusal()
 
     def servo(self, q: ArrayLike, feedback: Feedback = Feedback.DONE) -> np.ndarray | None:
-        """Sets the servo's goal to q, shape (7,) [rad], and returns the feedback.
-
-        DONE is only an acknowledgement. NOTHING is no answer: the caller keeps the pace and sends an answered goal now
-        and then. The others are measurements, taken before the goal acts. UnexpectedReply: also for POSE from a server
-        older than May 2019, which answers the force instead.
+        """Sets the servo's goal to q, shape (7,) [rad], and returns the feedback. DONE is only an acknowledgement.
+        NOTHING is no answer: the caller keeps the pace and sends an answered goal now and then. The others are
+        measurements, taken before the goal acts. UnexpectedReply: also for POSE from a server older than May 2019,
+        which answers the force instead.
 
         Returns:
             JOINTS: shape (7,) [rad]. EXTERNAL_TORQUES, MEASURED_TORQUES: shape (7,) [Nm]. POSE of the tool in the base,
-                shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING.
-        """
+                shape (4, 4) [m]. FORCE at the tool, shape (3,) [N]. None for DONE and NOTHING."""
         self._require_servo()
         command = codec.joint_goal(self._limits.check(q).tolist(), feedback)
         if feedback is Feedback.NOTHING:
@@ -388,11 +363,9 @@ class KstClient:
 
     def stream(self, q: ArrayLike, feedback: Feedback = Feedback.JOINTS, wait: bool = True) -> Feedback:
         """Sets the servo's goal to q, shape (7,) [rad], without waiting for its answer, which `answers` returns.
-
         Waits while the window is full: `KstTiming.servo_window`, or less on a link whose answers come soon. A caller
-        that looks at `silence` before each goal need not `wait`; then no goal becomes old here. Returns the requested
-        feedback: DONE instead of one whose answer could be mistaken for another, if one were lost.
-        """
+        that looks at `silence` before each goal need not `wait`; then no goal becomes old here. Returns the
+        requested feedback: DONE instead of one whose answer could be mistaken for another, if one were lost."""
         self._require_servo()
         angles = self._limits.check(q).tolist()
         if not self._is_unmistakable(feedback):
@@ -412,10 +385,8 @@ class KstClient:
         return len(self._session.open)
 
     def answers(self, wait: float = 0.0) -> list[tuple[Feedback, np.ndarray | UnexpectedReply | None]]:
-        """Returns the answers to streamed goals that have come since the last call, the oldest first.
-
-        Waits up to `wait` seconds until none is open. A value is what `servo` returns, or the error it would raise.
-        """
+        """Returns the answers to streamed goals that have come since the last call, the oldest first. Waits up to
+        `wait` seconds until none is open. A value is what `servo` returns, or the error it would raise."""
         session = self._session
         session.collect(self.monotonic() + wait, every=wait > 0.0)
         found = [(_FEEDBACK[goal.command.word], self._value(goal.command, reply)) for goal, reply in session.arrived]
@@ -456,11 +427,9 @@ class KstClient:
         return bool(self._numbers(command, self._ask(command))[0])
 
     def close(self) -> None:
-        """Stops the servo, ends the server's application and closes the socket, in about a second at most.
-
-        Never raises on a dead link. A running PTP motion continues to its goal; the application ends after it. A server
-        that is silent, frozen perhaps, gets the same words: they wait for it.
-        """
+        """Stops the servo, ends the server's application and closes the socket, in about a second at most. Never
+        raises on a dead link. A running PTP motion continues to its goal; the application ends after it. A server
+        that is silent, frozen perhaps, gets the same words: they wait for it."""
         servo, timing = self.mode is KstMode.SERVO, self._session.timing
         with contextlib.suppress(KstError):
             if servo and self._session.in_step:
@@ -471,11 +440,9 @@ class KstClient:
         self._session.transport.close()
 
     def abort(self) -> None:
-        """Drops the connection without a command to the server; any thread may call it.
-
-        A pending call raises ConnectionLost, and so does every later one. The arm holds its last goal or completes its
-        PTP motion, and somebody must restart the server on the smartPad.
-        """
+        """Drops the connection without a command to the server; any thread may call it. A pending call raises
+        ConnectionLost, and so does every later one. The arm holds its last goal or completes its PTP motion, and
+        somebody must restart the server on the smartPad."""
         self._session.transport.abort()
 
     def _measure(self, command: KstCommand, in_servo: Feedback | None) -> np.ndarray:

@@ -1,9 +1,7 @@
 """Wire text of the KUKA Sunrise Toolbox: commands to lines, bytes to replies. Pure; knows no socket and no time.
-
 Millimetres and the angles A, B, C of the wire end here: poses are 4x4 matrices in metres on this side. The commands
-and their threads: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox". Commands that no server understands, or that
-stop it, are left out.
-"""
+and their threads: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox". Commands that no server understands, or
+that stop it, are left out."""
 
 from __future__ import annotations
 
@@ -107,10 +105,8 @@ class ToolTransform:
 
 
 class Feedback(enum.Enum):
-    """What the server returns on a joint servo goal: the command's prefix and the kind of the answer.
-
-    Servers before May 2019 know neither POSE, which they answer with the force, nor FORCE.
-    """
+    """What the server returns on a joint servo goal: the command's prefix and the kind of the answer. Servers before
+    May 2019 know neither POSE, which they answer with the force, nor FORCE."""
 
     DONE = ("jp", ReplyKind.DONE)
     NOTHING = ("jf", ReplyKind.NOTHING)
@@ -149,8 +145,7 @@ def start_guarded_ptp(torques: ArrayLike) -> KstCommand:
     """Returns the command that starts a PTP motion which ends where an external joint torque leaves its range.
 
     Args:
-        torques: lowest and highest torque of each joint, shape (7, 2) [Nm], finite and in order; else ValueError.
-    """
+        torques: lowest and highest torque of each joint, shape (7, 2) [Nm], finite and in order; else ValueError."""
     ranges = np.asarray(torques, dtype=float)
     if ranges.shape != (7, 2) or not np.all(ranges[:, 0] < ranges[:, 1]):
         raise ValueError(f"the ranges of the torques are {ranges.tolist()}, but must be seven pairs, lowest first")

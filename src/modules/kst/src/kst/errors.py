@@ -1,7 +1,5 @@
-"""What can go wrong between a program and the arm's controller: one class per reaction it calls for.
-
-Each error carries its values as attributes; an attribute that does not apply keeps the default of its class.
-"""
+"""What can go wrong between a program and the arm's controller: one class per reaction it calls for. Each error
+carries its values as attributes; an attribute that does not apply keeps the default of its class."""
 
 from __future__ import annotations
 
@@ -9,10 +7,8 @@ from typing import Any
 
 
 class KstError(Exception):
-    """Base of the errors of this package; keyword arguments become attributes.
-
-    `pending`: the command may take effect all the same.
-    """
+    """Base of the errors of this package; keyword arguments become attributes. `pending`: the command may take
+    effect all the same."""
 
     pending: bool = False
 
@@ -60,9 +56,7 @@ class MotionRefused(KstError):
 
 class MotionInterrupted(KstError):
     """A PTP motion ended before its goal because an external joint torque left its range: the arm touched something.
-
-    `torques`: external torques where it stands, shape (7,) [Nm]; None: they could not be read.
-    """
+    `torques`: external torques where it stands, shape (7,) [Nm]; None: they could not be read."""
 
     torques: Any = None
 

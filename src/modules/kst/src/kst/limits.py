@@ -1,9 +1,6 @@
-"""The last check before numbers leave for the arm: seven finite joint angles within their ranges, a velocity in (0, 1],
-a rigid pose.
-
-The server checks nothing, and a joint angle that is not a number makes it deaf for good. Angles in degrees or poses in
-millimetres that end up here by mistake are outside the ranges.
-"""
+"""The last check before numbers leave for the arm: seven finite joint angles within their ranges, a velocity in (0,
+1], a rigid pose. The server checks nothing, and a joint angle that is not a number makes it deaf for good. Angles in
+degrees or poses in millimetres that end up here by mistake are outside the ranges."""
 
 from __future__ import annotations
 
@@ -81,11 +78,8 @@ def check_relative_velocity(velocity: float) -> float:
 
 
 def check_pose(T: ArrayLike) -> np.ndarray:
-    """Returns T as a read-only float array, shape (4, 4).
-
-    Raises:
-        ValueError: not finite, not rigid (scale, shear, mirror), or the last row is not 0 0 0 1.
-    """
+    """Returns T as a read-only float array, shape (4, 4). Raises ValueError: not finite, not rigid (scale, shear,
+    mirror), or the last row is not 0 0 0 1."""
     T = read_only(T)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")

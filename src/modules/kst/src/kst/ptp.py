@@ -1,8 +1,6 @@
-"""Supervision of one point-to-point motion: progress, stalls, missed readings, interruption, time-out, arrival. Pure.
-
-The toolbox reports only the end of a motion and cannot stop one. A safety stop or a released enabling switch therefore
-shows only in joints that stand still.
-"""
+"""Supervision of one point-to-point motion: progress, stalls, missed readings, interruption, time-out, arrival.
+Pure. The toolbox reports only the end of a motion and cannot stop one. A safety stop or a released enabling switch
+therefore shows only in joints that stand still."""
 
 from __future__ import annotations
 
@@ -27,8 +25,7 @@ class PtpApproach:
         left: absolute distance of each joint to the goal, shape (7,) [rad].
         still: time since the arm came nearer last [s].
         samples: readings since then; the same array again is no new reading.
-        begun: whether the arm has come nearer since the start.
-    """
+        begun: whether the arm has come nearer since the start."""
 
     def __init__(self, goal: np.ndarray) -> None:
         self._goal = read_only(goal)
@@ -106,10 +103,8 @@ class PtpSupervisor:
 
     def observe(self, q: np.ndarray, now: float, arrived: bool = False, interrupted: bool = False) -> PtpProgress:
         """Returns the progress at the measured joints q, shape (7,) [rad], at the monotonic time `now` [s].
-
         `arrived`: the controller reported the end of the motion before the joints were read. `interrupted`: the user
-        wants to wait no longer; the arm continues to its goal.
-        """
+        wants to wait no longer; the arm continues to its goal."""
         self._missed = 0
         approach = self._approach
         approach.observe(q, now)

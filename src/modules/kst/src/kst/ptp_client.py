@@ -33,7 +33,10 @@ def run_ptp(
     report: Callable[[PtpProgress, np.ndarray], None] = lambda progress, joints: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> PtpProgress:
-    """Moves the arm to q, shape (7,) [rad], at `velocity`, a fraction of full speed; returns the last progress.
+    """Moves the arm to q, shape (7,) [rad], at `velocity`, a fraction of full speed; returns the last progress. Raises
+    PtpFailed: the arm stands still or moves for too long, or the motion ended before its goal; ReplyTimeout,
+    UnexpectedReply: too many answers in a row did not come or were unusable; BadJoints, BadVelocity, MotionRefused,
+    WrongMode, ConnectionLost: as for `KstClient.start_ptp_joints`.
 
     Args:
         limits: bounds of the motion.
@@ -41,13 +44,7 @@ def run_ptp(
         interrupted: whether to wait no longer; the arm then continues to its goal, because the toolbox cannot stop it.
 
     Returns:
-        Progress with the state ARRIVED or INTERRUPTED.
-
-    Raises:
-        PtpFailed: the arm stands still or moves for too long, or the motion ended before its goal.
-        ReplyTimeout, UnexpectedReply: too many answers in a row did not come or were unusable.
-        BadJoints, BadVelocity, MotionRefused, WrongMode, ConnectionLost: as for `KstClient.start_ptp_joints`.
-    """
+        Progress with the state ARRIVED or INTERRUPTED."""
     limits = PtpLimits() if limits is None else limits
     joints = read_joints(client, limits.missed)
     client.start_ptp_joints(q, velocity)

@@ -89,8 +89,7 @@ class KstSession:
         final: the final word of the motion, DONE, NAK or INTERRUPTED; None before it comes.
         refused: an unasked `nak` came: the main thread gave up a motion and dropped the tool.
         doubt: only the joints can tell the state of the motion, because the acknowledgement of its start is missing: it
-            may have been wiped, or a `done` came that is the late acknowledgement or the final word.
-    """
+            may have been wiped, or a `done` came that is the late acknowledgement or the final word."""
 
     def __init__(self, transport: KstTransport, timing: KstTiming) -> None:
         self.transport, self.monotonic = transport, transport.monotonic
@@ -152,12 +151,9 @@ class KstSession:
         return len(self.open) < MAX_OPEN and self.monotonic() - self.open[0].sent_at < self.window
 
     def stream(self, command: KstCommand, wait: bool = True) -> None:
-        """Sends a command of the reader thread; its answer will be in `arrived`. May `wait` while the window is full.
-
-        Raises:
-            ReplyTimeout: an earlier answer is missing, and this command was not sent.
-            ConnectionLost: as in `ask`.
-        """
+        """Sends a command of the reader thread; its answer will be in `arrived`. May `wait` while the window is
+        full. Raises ReplyTimeout: an earlier answer is missing, and this command was not sent; ConnectionLost: as in
+        `ask`."""
         if not self.open:
             self.poll()
         elif wait and not self.has_room:
@@ -167,10 +163,8 @@ class KstSession:
         self.open.append(StreamedGoal(command, self._send(command)))
 
     def collect(self, deadline: float, every: bool = False) -> None:
-        """Takes the answers to streamed goals that have come.
-
-        Waits until `deadline`, in seconds of `monotonic`, for room in the window, or for `every` answer.
-        """
+        """Takes the answers to streamed goals that have come. Waits until `deadline`, in seconds of `monotonic`, for
+        room in the window, or for `every` answer."""
         self.poll()
         while self.open and (every or not self.has_room):
             missing_at = self.open[0].sent_at + self.timing.servo_reply
@@ -199,14 +193,10 @@ class KstSession:
                 self._sort(reply)
 
     def ask(self, command: KstCommand, timeout: float | None = None) -> KstReply:
-        """Sends a command and returns its answer; for a command of the main thread that may be a `nak`.
-
-        Raises:
-            ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`); or an earlier answer is still
-                missing, and this command was not sent.
-            UnexpectedReply: an answer that does not fit, or too many lines that are no replies.
-            ConnectionLost: also if the server answers nothing for `KstTiming.silence`.
-        """
+        """Sends a command and returns its answer; for a command of the main thread that may be a `nak`. Raises
+        ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`); or an earlier answer is still
+        missing, and this command was not sent; UnexpectedReply: an answer that does not fit, or too many lines that
+        are no replies; ConnectionLost: also if the server answers nothing for `KstTiming.silence`."""
         timeout = self.timing.reply if timeout is None else timeout
         if self.open:
             self.collect(self.open[-1].sent_at + self.timing.servo_reply, every=True)
@@ -263,8 +253,7 @@ class KstSession:
             ReplyTimeout: the main thread stays silent while the reader thread answers; or the arm moves or is at the
                 goal (`pending`); or the server answers nothing, then the link is not `in_step`.
             UnexpectedReply: as in `ask`.
-            ConnectionLost: the link is lost or silent.
-        """
+            ConnectionLost: the link is lost or silent."""
         for attempt in range(self.timing.tries):
             self._heed(self.resynchronise(patience))
             if attempt > 0:
@@ -293,12 +282,9 @@ class KstSession:
         )
 
     def resynchronise(self, patience: float | None = None) -> KstReply | None:
-        """Restores the pairing after a missing answer, and returns that answer if it came late.
-
-        Raises:
-            ReplyTimeout: the server answers nothing within `patience` seconds (None: `KstTiming.reply`).
-            ConnectionLost: as in `settle`.
-        """
+        """Restores the pairing after a missing answer, and returns that answer if it came late. Raises ReplyTimeout:
+        the server answers nothing within `patience` seconds (None: `KstTiming.reply`); ConnectionLost: as in
+        `settle`."""
         if not self.settle(self.monotonic() + (self.timing.reply if patience is None else patience)):
             raise ReplyTimeout(f"the controller has answered nothing for {self.silent:.1f} s; nothing was sent")
         late, self._late = self._late, None
@@ -306,14 +292,10 @@ class KstSession:
 
     def settle(self, deadline: float) -> bool:
         """Looks for the missing answer until `deadline`, in seconds of `monotonic`; returns whether all came.
-
         Several calls may continue one search. It ends when every probe is answered. If one of them stays unanswered
-        while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An answer
-        of the main thread may also come after that to the probe, within `KstTiming.quiet`.
-
-        Raises:
-            ConnectionLost: the server has answered nothing for `KstTiming.silence`, or much that nobody asked for.
-        """
+        while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An
+        answer of the main thread may also come after that to the probe, within `KstTiming.quiet`. Raises
+        ConnectionLost: the server has answered nothing for `KstTiming.silence`, or much that nobody asked for."""
         if self._unanswered is not None:
             self.poll()
         while self._unanswered is not None:
@@ -362,10 +344,8 @@ class KstSession:
         return bool(np.max(np.abs(np.array(self.ask(codec.JOINTS).numbers) - goal)) <= ARRIVED_RAD)
 
     def farewell(self, stop_servo: bool) -> None:
-        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file.
-
-        It also speaks to a server that is silent: the published one is deaf once its client has gone without a word.
-        """
+        """Ends the server's application: stops servo mode on request, sends `end`, waits for the end of file. It
+        also speaks to a server that is silent: the published one is deaf once its client has gone without a word."""
         self.transport.reopen()
         heard = self.in_step
         if stop_servo:

@@ -1,7 +1,5 @@
-"""What answers where a device is expected, if that is not the device: in words, by its first bytes.
-
-The libraries of the devices stand alone, so each has a copy of this file, by test: no link, which an sdist loses.
-"""
+"""What answers where a device is expected, if that is not the device: in words, by its first bytes. The libraries of
+the devices stand alone, so each has a copy of this file, by test: no link, which an sdist loses."""
 
 from __future__ import annotations
 
@@ -17,9 +15,8 @@ KINDS = {
 
 
 def stranger(address: str, device: str, first: bytes) -> str:
-    """Returns, as a part of a sentence, that what answers at the address is not the `device`, what else it seems
-    to be, and its `first` bytes.
-    """
+    """Returns, as a part of a sentence, that what answers at the address is not the `device`, what else it seems to
+    be, and its `first` bytes."""
     begins = first[:SHOWN].lstrip().lower()
     kind = next((f" but {kind}" for begin, kind in KINDS.items() if begins.startswith(begin)), "")
     shown = repr(first[:SHOWN])[2:-1] + ("…" if len(first) > SHOWN else "")

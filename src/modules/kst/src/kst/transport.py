@@ -1,8 +1,6 @@
-"""The socket to the toolbox server: whole lines out, whole replies in, every wait bounded.
-
-Small packets leave at once (TCP_NODELAY). Keepalive and TCP_USER_TIMEOUT reveal a cable that is pulled out within
-seconds, even while the link is idle or only written to.
-"""
+"""The socket to the toolbox server: whole lines out, whole replies in, every wait bounded. Small packets leave at
+once (TCP_NODELAY). Keepalive and TCP_USER_TIMEOUT reveal a cable that is pulled out within seconds, even while the
+link is idle or only written to."""
 
 from __future__ import annotations
 
@@ -27,8 +25,7 @@ class KstTransport:
 
     Attributes:
         monotonic: the time in which it waits [s]; another transport may bring its own.
-        heard: the first bytes that came.
-    """
+        heard: the first bytes that came."""
 
     monotonic = staticmethod(time.monotonic)
 
@@ -140,11 +137,9 @@ class KstTransport:
         self._shut_down()
 
     def close(self) -> None:
-        """Ends the use of the socket; only from the thread that uses it.
-
-        A peer that is merely silent would lose the last words by answering to a closed socket, which resets the link.
-        So the socket stays open to it, until it is closed a second time or collected.
-        """
+        """Ends the use of the socket; only from the thread that uses it. A peer that is merely silent would lose the
+        last words by answering to a closed socket, which resets the link. So the socket stays open to it, until it
+        is closed a second time or collected."""
         self._lost = self._lost or "the connection is closed"
         if self._closed or self.ended_by_peer or self._aborted.is_set():
             self._shut_down()

@@ -1,8 +1,6 @@
-"""Client of the Leap Motion service: tracking frames as records; needs numpy and websockets only.
-
-`client` keeps the newest frame, `codec` reads the text of the service, `frames` holds the records. The names load on
-first use, because programs that need only the messages import this package too.
-"""
+"""Client of the Leap Motion service: tracking frames as records; needs numpy and websockets only. `client` keeps the
+newest frame, `codec` reads the text of the service, `frames` holds the records. The names load on first use, because
+programs that need only the messages import this package too."""
 
 from __future__ import annotations
 

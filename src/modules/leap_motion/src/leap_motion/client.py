@@ -1,8 +1,6 @@
-"""WebSocket client of the Leap service: always the newest frame, and always a sentence about the link.
-
-A thread keeps only the newest message, as a queue would be delay; the caller's thread decodes it. The service sends
-frames at about 110 Hz, also without hands, so silence is a fault. After a reconnect the policies are sent again.
-"""
+"""WebSocket client of the Leap service: always the newest frame, and always a sentence about the link. A thread
+keeps only the newest message, as a queue would be delay; the caller's thread decodes it. The service sends frames at
+about 110 Hz, also without hands, so silence is a fault. After a reconnect the policies are sent again."""
 
 from __future__ import annotations
 
@@ -103,8 +101,7 @@ class LeapClient:
     `trust_network` allows one that has neither, such as the real one. Raises ValueError for what `wire_fault` says.
     `tap` gets each text after the header as it came, with its
     stamp, in the thread that reads: it must not wait. `runtime`: time and threads, with the names of LeapRuntime.
-    `bounds`: hands and fingers that no hand can be are left out of the frames.
-    """
+    `bounds`: hands and fingers that no hand can be are left out of the frames."""
 
     def __init__(
         self,
@@ -151,10 +148,8 @@ class LeapClient:
             return copy.deepcopy(self._counts)
 
     def next_frame(self, timeout: float) -> StampedFrame | None:
-        """Returns the newest frame that was not returned before, or None if none came within `timeout` [s].
-
-        Unusable frames are counted by their reason, and the wait continues.
-        """
+        """Returns the newest frame that was not returned before, or None if none came within `timeout` [s]. Unusable
+        frames are counted by their reason, and the wait continues."""
         deadline = self._monotonic() + timeout
         while True:
             with self._changed:

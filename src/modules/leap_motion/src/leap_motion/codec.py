@@ -7,8 +7,7 @@ at tipPosition; without bases z comes from the joints and x is near the palm's; 
 of a finger: 10 * id of the hand + type; velocity, sphere, widths, grab and pinch: zero.
 
 Handedness is `type`: some services write right-handed bases for left hands. The knuckles must agree with it and be as
-far apart as a person's.
-"""
+far apart as a person's."""
 
 from __future__ import annotations
 
@@ -59,12 +58,8 @@ class DeviceEvent:
 
 
 def read_header(text: str | bytes) -> str:
-    """Returns the version of the service, if given, in `text`, the first message of a connection.
-
-    Raises:
-        LeapProtocolError: it is not a header.
-        UnknownVersion: its version does not exist.
-    """
+    """Returns the version of the service, if given, in `text`, the first message of a connection. Raises
+    LeapProtocolError: it is not a header; UnknownVersion: its version does not exist."""
     message = _object(text)
     if "version" not in message:
         raise LeapProtocolError("The first message has no protocol version, so this is not a Leap service.")
@@ -80,11 +75,8 @@ def is_simulated(header: str | bytes) -> bool:
 
 
 def read_message(text: str | bytes) -> LeapFrame | DeviceEvent | None:
-    """Returns the frame or device event in `text`, or None for an event of another kind.
-
-    Raises:
-        LeapProtocolError: the text is torn, or the frame is unusable.
-    """
+    """Returns the frame or device event in `text`, or None for an event of another kind. Raises LeapProtocolError:
+    the text is torn, or the frame is unusable."""
     message = _object(text)
     return _checked(_event, message["event"]) if "event" in message else _checked(_frame, message)
 
@@ -262,8 +254,7 @@ def _joints(pointable: dict) -> list:
 
 def _completed(rotations: np.ndarray, wrong: np.ndarray, joints: np.ndarray, palm_axes: np.ndarray) -> np.ndarray:
     """Returns the orientations of the four bones of each finger, shape (n, 4, 3, 3), axes as columns: the service's
-    where they are not `wrong`, the palm's for a bone without length, and without any of the service those that fit.
-    """
+    where they are not `wrong`, the palm's for a bone without length, and without any of the service those that fit."""
     if rotations.size:
         no_length = np.linalg.norm(joints[:, :-1] - joints[:, 1:], axis=-1) < 1e-6
         if (wrong & ~no_length).any():
@@ -274,9 +265,8 @@ def _completed(rotations: np.ndarray, wrong: np.ndarray, joints: np.ndarray, pal
 
 def bone_axes(joints: np.ndarray, across: np.ndarray) -> np.ndarray:
     """Returns axes x, y, z as columns of the four bones of n fingers, shape (n, 4, 3, 3), from their joints, shape
-    (n, 5, 3): z against the bone, x as near as that allows to the x of the axes `across`, shape (3, 3) or (n, 1, 3, 3),
-    which a bone without length has itself.
-    """
+    (n, 5, 3): z against the bone, x as near as that allows to the x of the axes `across`, shape (3, 3) or (n, 1, 3,
+    3), which a bone without length has itself."""
     back = joints[:, :-1] - joints[:, 1:]
     length = np.linalg.norm(back, axis=-1, keepdims=True)
     z = np.where(length < 1e-6, across[..., 2], back / np.maximum(length, 1e-6))

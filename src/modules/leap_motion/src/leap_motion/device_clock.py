@@ -1,8 +1,6 @@
-"""When a frame was taken: its time on the device's clock, brought to the receiver's.
-
-Frames wait in the service, the network and this process, some longer than others. By their times of receipt the frames
-of a burst would be a few milliseconds apart, and a hand that moved steadily would jump.
-"""
+"""When a frame was taken: its time on the device's clock, brought to the receiver's. Frames wait in the service, the
+network and this process, some longer than others. By their times of receipt the frames of a burst would be a few
+milliseconds apart, and a hand that moved steadily would jump."""
 
 from __future__ import annotations
 
@@ -25,10 +23,8 @@ class DeviceClock:
 
     def waited(self, timestamp_us: int, received: float) -> float:
         """Returns how long a frame waited, `timestamp_us` by the device and `received` [s] by the receiver [s].
-
-        Frames stay in their order. A device that repeats its time or restarts, and a clock that is set, tell nothing:
-        then the frame has not waited.
-        """
+        Frames stay in their order. A device that repeats its time or restarts, and a clock that is set, tell
+        nothing: then the frame has not waited."""
         device, before = 1e-6 * timestamp_us, self._device
         self._device = device
         if not 0.0 < device - before <= WINDOW_S or received <= self._taken:

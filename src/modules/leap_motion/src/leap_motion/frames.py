@@ -1,8 +1,6 @@
-"""Tracking frames as records: as the service reports them, and what teleoperation uses of them.
-
-All vectors are in Leap axes: origin on top of the device, x along its long edge to the user's right, y up, z towards
-the user. Lengths are in metres, angles in radians, speeds in metres per second. Arrays are read-only.
-"""
+"""Tracking frames as records: as the service reports them, and what teleoperation uses of them. All vectors are in
+Leap axes: origin on top of the device, x along its long edge to the user's right, y up, z towards the user. Lengths
+are in metres, angles in radians, speeds in metres per second. Arrays are read-only."""
 
 from __future__ import annotations
 

@@ -7,8 +7,7 @@ scale of the hand's bones; how far a palm may move is leap_kuka's to say (hand_a
 
 Sources: lengths, Buryanov and Kotiuk, Proportions of Hand Segments, Int. J. Morphol. 28(3), 2010: bones of fingers of
 16 to 46 mm in the mean, metacarpals of up to 68 mm. Speeds, Darling, Cole and Abbs, Kinematic variability of grasp
-movements, Exp. Brain Res. 73, 1988: the fastest grasps take 0.1 s, so a finger tip goes 4 m/s at most.
-"""
+movements, Exp. Brain Res. 73, 1988: the fastest grasps take 0.1 s, so a finger tip goes 4 m/s at most."""
 
 from __future__ import annotations
 
@@ -83,9 +82,8 @@ class PlausibleHands:
         self._last: tuple[int, float] | None = None  # device time of the newest frame [us], and when it came [s]
 
     def step(self, frame: LeapFrame, now: float) -> LeapFrame:
-        """Returns the frame that came at `now` on a monotonic clock [s] without what no hand does; its `left_out` has a
-        sentence each.
-        """
+        """Returns the frame that came at `now` on a monotonic clock [s] without what no hand does; its `left_out`
+        has a sentence each."""
         if self._last is not None:  # a device's clock may stand, and frames may come in bursts
             self._time += max(1e-6 * (frame.timestamp_us - self._last[0]), now - self._last[1], 0.0)
         self._last = frame.timestamp_us, now

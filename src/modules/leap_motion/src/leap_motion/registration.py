@@ -1,8 +1,7 @@
-"""Where a tracker stands: the rigid transform T_desk_leap from the tracker's own axes to those of the desk.
-
-The desk's axes are like the Leap's, with the origin of the points that the person shows and touches with the tip of the
-index finger: it can be put on a mark within some 3 mm; half the finger's thickness (FINGER_M) is the same everywhere.
-"""
+"""Where a tracker stands: the rigid transform T_desk_leap from the tracker's own axes to those of the desk. The
+desk's axes are like the Leap's, with the origin of the points that the person shows and touches with the tip of the
+index finger: it can be put on a mark within some 3 mm; half the finger's thickness (FINGER_M) is the same
+everywhere."""
 
 from __future__ import annotations
 
@@ -82,9 +81,8 @@ def check_points(points: Mapping[str, ArrayLike]) -> None:
 
 
 def fit(shown: Mapping[str, Sequence[float]], touched: Mapping[str, np.ndarray]) -> PointFit:
-    """Returns the least-squares fit (Kabsch 1976) of the points touched, shape (3,) [m] each in the tracker's axes, to
-    those shown on the desk, with the same names. Raises RegistrationRefused as `check_points` does.
-    """
+    """Returns the least-squares fit (Kabsch 1976) of the points touched, shape (3,) [m] each in the tracker's axes,
+    to those shown on the desk, with the same names. Raises RegistrationRefused as `check_points` does."""
     check_points(shown)
     check_points(touched)
     desk = np.array([shown[name] for name in touched]) + np.array([0.0, FINGER_M, 0.0])
@@ -98,9 +96,8 @@ def fit(shown: Mapping[str, Sequence[float]], touched: Mapping[str, np.ndarray])
 
 
 def fit_level(touched: Mapping[str, np.ndarray]) -> PointFit:
-    """Returns the smallest rotation that makes points of one height, shape (3,) [m] each in the tracker's axes, level;
-    the origin stays. Raises RegistrationRefused as `check_points` does.
-    """
+    """Returns the smallest rotation that makes points of one height, shape (3,) [m] each in the tracker's axes,
+    level; the origin stays. Raises RegistrationRefused as `check_points` does."""
     check_points(touched)
     leap = np.array(list(touched.values()))
     away = leap - leap.mean(axis=0)
@@ -112,8 +109,7 @@ def fit_level(touched: Mapping[str, np.ndarray]) -> PointFit:
 
 def check_fit(found: PointFit, names: Sequence[str], limit: float, scale_limit: float) -> None:
     """Raises RegistrationRefused for a residual above `limit` [m], a scale farther than `scale_limit` from 1, or a
-    tracker that would be turned by more than MAX_TURN_DEG.
-    """
+    tracker that would be turned by more than MAX_TURN_DEG."""
     turn = turn_deg(found.T_desk_leap)
     if not turn <= MAX_TURN_DEG:
         raise RegistrationRefused(
@@ -143,10 +139,8 @@ def tilt_deg(T: np.ndarray) -> float:
 
 
 def still_tip(frames: Sequence[LeapFrame]) -> np.ndarray:
-    """Returns the mean tip of the index finger, shape (3,) [m], over frames of HOLD_S.
-
-    Raises RegistrationRefused unless one hand is seen well, with its index finger stretched, and holds still.
-    """
+    """Returns the mean tip of the index finger, shape (3,) [m], over frames of HOLD_S. Raises RegistrationRefused
+    unless one hand is seen well, with its index finger stretched, and holds still."""
     if len(frames) < MIN_FRAMES:
         raise RegistrationRefused(f"Only {len(frames)} frames came within {HOLD_S:g} s: is the tracker slow or paused?")
     if any(len(frame.hands) > 1 for frame in frames):

@@ -1,9 +1,7 @@
 """The WebSocket to the Leap service, read in the caller's thread: websockets' own client hands each message from a
-thread that reads the socket to the caller's, and waits until that has taken it.
-
-To another machine it goes by TLS, whose certificate must have the fingerprint that the user knows. TLS runs in memory,
-so that it needs of a socket no more than to send and receive.
-"""
+thread that reads the socket to the caller's, and waits until that has taken it. To another machine it goes by TLS,
+whose certificate must have the fingerprint that the user knows. TLS runs in memory, so that it needs of a socket no
+more than to send and receive."""
 
 from __future__ import annotations
 
@@ -48,13 +46,10 @@ class ForeignAnswer(Exception):
 
 
 class LeapSocket(contextlib.AbstractContextManager):
-    """An open connection.
-
-    Raises OSError, EOFError, ValueError or WebSocketException if nobody opens one within OPEN_TIMEOUT_S, of them
-    InvalidStatus for an answer of REFUSALS; ForeignAnswer if something else answers. With the `fingerprint` of the
-    service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent, if it has another one.
-    `code`: what the service asks clients of other machines for.
-    """
+    """An open connection. Raises OSError, EOFError, ValueError or WebSocketException if nobody opens one within
+    OPEN_TIMEOUT_S, of them InvalidStatus for an answer of REFUSALS; ForeignAnswer if something else answers. With
+    the `fingerprint` of the service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent,
+    if it has another one. `code`: what the service asks clients of other machines for."""
 
     def __init__(self, host: str, port: int, code: str = "", fingerprint: str = "") -> None:
         self.ponged = False  # whether the newest ping was answered
@@ -89,8 +84,7 @@ class LeapSocket(contextlib.AbstractContextManager):
 
     def recv(self, timeout: float) -> str | bytes:
         """Returns the next message; raises TimeoutError if none comes within `timeout` [s], ConnectionClosed if the
-        service has ended the connection.
-        """
+        service has ended the connection."""
         deadline = time.monotonic() + timeout
         while not self._messages:
             self._require_open()
@@ -196,11 +190,8 @@ class LeapSocket(contextlib.AbstractContextManager):
 
 
 class _Tls:
-    """The client's half of a TLS connection, in memory.
-
-    The certificate is nobody's but the service's, so that its fingerprint alone can tell whose it is. That the service
-    has the key to it the handshake proves in any case.
-    """
+    """The client's half of a TLS connection, in memory. The certificate is nobody's but the service's, so that its
+    fingerprint alone can tell whose it is. That the service has the key to it the handshake proves in any case."""
 
     def __init__(self) -> None:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

@@ -1,7 +1,5 @@
-"""Client of the ReFlex TakkTile hand on its UDP wire; needs numpy and pyyaml only.
-
-`client` is the interface: a thread over `hand` (the state machine), `transport` (sockets) and `calibration_files`.
-"""
+"""Client of the ReFlex TakkTile hand on its UDP wire; needs numpy and pyyaml only. `client` is the interface: a
+thread over `hand` (the state machine), `transport` (sockets) and `calibration_files`."""
 
 from __future__ import annotations
 

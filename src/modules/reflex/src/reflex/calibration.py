@@ -1,7 +1,5 @@
-"""Calibration of a hand, the yaml text in which it is kept, and how its fingers are calibrated. Pure: no files.
-
-Keys and layout are those of the maker's driver: a comment line, then flow lists, six significant digits for angles.
-"""
+"""Calibration of a hand, the yaml text in which it is kept, and how its fingers are calibrated. Pure: no files. Keys
+and layout are those of the maker's driver: a comment line, then flow lists, six significant digits for angles."""
 
 from __future__ import annotations
 
@@ -61,9 +59,8 @@ DEFAULTS: dict[type, Any] = {
 
 
 def zeros_here(encoders: tuple[int, ...], positions: tuple[int, ...], slack: int) -> FingerZeros:
-    """Returns the zeros of a hand whose fingers are open but have their tendons drawn in by `slack` [ticks], from the
-    knuckle encoders [counts] and the servo positions [ticks]; preshape is at its zero.
-    """
+    """Returns the zeros of a hand whose fingers are open but have their tendons drawn in by `slack` [ticks], from
+    the knuckle encoders [counts] and the servo positions [ticks]; preshape is at its zero."""
     return FingerZeros(
         np.array([raw * ENCODER_RAD for raw in encoders]),
         np.array([zero_reference(i, raw) for i, raw in enumerate(open_positions(positions, slack))]),
@@ -88,9 +85,8 @@ def calibration_text(calibration: FingerZeros | TactileOffsets, simulated: bool 
 
 def parse_calibration(record: type[Calibration], text: str, where: str, simulated: bool = False) -> Calibration:
     """Returns FingerZeros or TactileOffsets from the text of their file, named `where` in the messages; raises
-    CalibrationFileError if it is not yaml, a key is missing, unknown or out of range, or it is a simulated hand's and
-    this one is not `simulated`.
-    """
+    CalibrationFileError if it is not yaml, a key is missing, unknown or out of range, or it is a simulated hand's
+    and this one is not `simulated`."""
     try:
         values = yaml.safe_load(text)
     except Exception as error:  # the library's constructors raise anything: ValueError for the date 2001-13-45
@@ -151,8 +147,7 @@ class FingerCalibration:
 
     The user opens the fingers first. The present encoder values are the encoders' zeros. Each round closes every finger
     whose knuckle has not turned yet by a small step; the motors' zeros lie a slack before the point where it turned.
-    The calibration gives up, with a sentence, on a bound of closing, time or load and on servos that do not answer.
-    """
+    The calibration gives up, with a sentence, on a bound of closing, time or load and on servos that do not answer."""
 
     def __init__(self, settings: HandSettings) -> None:
         self._settings = settings

@@ -13,9 +13,8 @@ from reflex.errors import CalibrationFileError
 
 class CalibrationFiles:
     """Reads and writes the two files in `folder`, which may begin with ~ and is made when something is saved; where
-    none was saved, reads those in `shipped`, or takes this package's values if that is None. The files of a `simulated`
-    hand say so, and serve no real one.
-    """
+    none was saved, reads those in `shipped`, or takes this package's values if that is None. The files of a
+    `simulated` hand say so, and serve no real one."""
 
     def __init__(self, folder: str, shipped: Path | None = None, simulated: bool = False) -> None:
         self.folder = Path(os.path.expanduser(folder))
@@ -23,16 +22,14 @@ class CalibrationFiles:
 
     def load(self) -> tuple[FingerZeros, TactileOffsets, bool]:
         """Returns both calibrations, and whether that of the fingers was saved for this hand; raises
-        CalibrationFileError if a file cannot be read or holds something else.
-        """
+        CalibrationFileError if a file cannot be read or holds something else."""
         zeros, calibrated = self._read(FingerZeros)
         offsets, _ = self._read(TactileOffsets)
         return zeros, offsets, calibrated
 
     def save(self, calibration: FingerZeros | TactileOffsets) -> Path:
         """Writes one calibration and returns its file; raises CalibrationFileError if the disk is full or the folder
-        cannot be written: the old file stays whole.
-        """
+        cannot be written: the old file stays whole."""
         path = self.folder / calibration.FILE
         try:
             _write_whole(path, calibration_text(calibration, self._simulated))

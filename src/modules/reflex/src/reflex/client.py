@@ -2,8 +2,7 @@
 
 with ReflexHand(interface="eth0") as hand:
     hand.close()
-    print(hand.state.joint_angles)
-"""
+    print(hand.state.joint_angles)"""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ class ReflexHand:
     Any thread may call any method. A command that the hand cannot follow raises CommandRefused, with the reason; what
     waits raises HandSilent if the hand falls silent. The constructor raises WireFault if the interface does not exist
     or has no IPv4 address, or the port is taken, CalibrationFileError if a calibration file cannot be read or holds
-    something else.
-    """
+    something else."""
 
     def __init__(
         self,
@@ -138,9 +136,8 @@ class ReflexHand:
         self.move((angle, angle, angle, self.state.joint_angles[3]), timeout)
 
     def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
-        """Moves the motors to four angles [rad], clamped to their travel; returns when they stand still, wherever that
-        is, and after `timeout` seconds at the latest.
-        """
+        """Moves the motors to four angles [rad], clamped to their travel; returns when they stand still, wherever
+        that is, and after `timeout` seconds at the latest."""
         self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
         self.command(angles)
         last, still, deadline = self.state.joint_angles, 0, self._monotonic() + timeout
@@ -172,8 +169,7 @@ class ReflexHand:
 
     def calibrate_fingers(self, wait: bool = True) -> None:
         """Calibrates the fingers, which must be open and free, and saves the result; with `wait`, a calibration that
-        failed raises CommandRefused.
-        """
+        failed raises CommandRefused."""
         self._request(self._logic.calibrate_fingers)
         if not wait:
             return

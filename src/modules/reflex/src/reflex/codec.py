@@ -1,8 +1,6 @@
 """The bytes of the ReFlex TakkTile hand: state packets come in little endian, command packets go out big endian.
-
-Pure. Raw counts only; `conversions` turns them into radians. The wire carries no sequence number and no checksum. The
-first byte of a state packet equals the code of the mode command, so the length distinguishes them.
-"""
+Pure. Raw counts only; `conversions` turns them into radians. The wire carries no sequence number and no checksum.
+The first byte of a state packet equals the code of the mode command, so the length distinguishes them."""
 
 from __future__ import annotations
 
@@ -46,9 +44,8 @@ class StatePacket:
 
 
 def decode_state(data: bytes) -> StatePacket:
-    """Returns the state packet in `data`, without the palm's bank and the sensors' temperatures; raises PacketError for
-    a wrong format code or length.
-    """
+    """Returns the state packet in `data`, without the palm's bank and the sensors' temperatures; raises PacketError
+    for a wrong format code or length."""
     if not data or data[0] != _STATE_CODE:
         raise PacketError(f"A datagram begins with {data[:1].hex() or 'nothing'}; state packets begin with 01.")
     if len(data) != STATE_BYTES:
@@ -67,8 +64,7 @@ def encode_mode(mode: int) -> bytes:
 
 def encode_target(raw: Sequence[int]) -> bytes:
     """Returns the packet with the targets of f1, f2, f3, preshape: ticks in position mode, units in velocity mode;
-    raises ValueError unless they are four whole numbers in 0..65535.
-    """
+    raises ValueError unless they are four whole numbers in 0..65535."""
     if len(raw) != 4 or not all(isinstance(r, int) and 0 <= r <= _LAST_RAW for r in raw):
         raise ValueError(f"targets are four whole numbers in 0..{_LAST_RAW}, not {list(raw)}")
     return _TARGET.pack(_TARGET_CODE, *raw)

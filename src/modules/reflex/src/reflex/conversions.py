@@ -1,8 +1,6 @@
-"""Raw counts of the ReFlex TakkTile hand to angles, speeds and loads of its joints.
-
-A motor's joint angle is the turn of its tendon spool [rad], 0 = open. Motors in the order f1, f2, f3, preshape; closing
-lowers the position of f2 and preshape. Constants as in the maker's driver, where pi is entered as 3.141596.
-"""
+"""Raw counts of the ReFlex TakkTile hand to angles, speeds and loads of its joints. A motor's joint angle is the
+turn of its tendon spool [rad], 0 = open. Motors in the order f1, f2, f3, preshape; closing lowers the position of f2
+and preshape. Constants as in the maker's driver, where pi is entered as 3.141596."""
 
 from __future__ import annotations
 
@@ -42,8 +40,7 @@ def zero_reference(motor: int, raw: float) -> float:
 
 def raw_target(motor: int, angle: float, zero: float) -> int:
     """Returns the servo position [ticks], truncated, of a joint angle [rad]; raises ValueError if the angle is not
-    finite, or the position is outside of what the hand may be sent.
-    """
+    finite, or the position is outside of what the hand may be sent."""
     raw = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
     if not math.isfinite(raw) or not 0 <= raw <= MAX_TARGET_TICKS:
         where = f"{angle} rad of motor {MOTORS[motor]} is position {raw:g}"
@@ -63,10 +60,8 @@ def servo_fault(positions: Sequence[int]) -> str:
 
 
 def speed_units(motor: int, speed: float) -> int:
-    """Returns the moving-speed register for a joint speed [rad/s]; never 0, which means full speed.
-
-    Raises ValueError if the speed is not finite.
-    """
+    """Returns the moving-speed register for a joint speed [rad/s]; never 0, which means full speed. Raises
+    ValueError if the speed is not finite."""
     if not math.isfinite(speed):
         raise ValueError(f"the speed of motor {MOTORS[motor]} is {speed}")
     units = int(min(abs(speed) * RATIOS[motor] / SPEED_UNIT_RAD_S, MAX_SPEED_UNITS))
@@ -76,10 +71,8 @@ def speed_units(motor: int, speed: float) -> int:
 
 
 def proximal_angle(raw: int, zero: float) -> float:
-    """Returns the proximal angle [rad] of a knuckle encoder at `raw` counts that is open at `zero` [rad].
-
-    Closing lowers the count. The encoder wraps; the angle is the one in [-pi/2, 3 pi/2), the range of a finger.
-    """
+    """Returns the proximal angle [rad] of a knuckle encoder at `raw` counts that is open at `zero` [rad]. Closing
+    lowers the count. The encoder wraps; the angle is the one in [-pi/2, 3 pi/2), the range of a finger."""
     return float((zero - raw * ENCODER_RAD + PI / 2) % (2 * PI) - PI / 2)
 
 

@@ -1,9 +1,6 @@
-"""The hand as one state machine: packets and requests go in, packets to send and readings come out.
-
-Pure: each call takes the time `now` [s, monotonic] and returns a HandUpdate. Angles are joint angles [rad] of f1, f2,
-f3, preshape; 0 is open. A target goes only to a hand that sends packets, has torque and whose angles fit its
-calibration.
-"""
+"""The hand as one state machine: packets and requests go in, packets to send and readings come out. Pure: each call
+takes the time `now` [s, monotonic] and returns a HandUpdate. Angles are joint angles [rad] of f1, f2, f3, preshape;
+0 is open. A target goes only to a hand that sends packets, has torque and whose angles fit its calibration."""
 
 from __future__ import annotations
 
@@ -62,9 +59,8 @@ calibration after its end, and what needs a packet with the next one."""
 
 
 class HandRecovery(Enum):
-    """After what the hand is there again: level and sentence of the note, and whether its servos may have lost torque,
-    speed and turn. Each ends a calibration.
-    """
+    """After what the hand is there again: level and sentence of the note, and whether its servos may have lost
+    torque, speed and turn. Each ends a calibration."""
 
     CONNECTED = "info", "The hand is connected.", True
     RESUMED = "info", "The hand is heard again.", False
@@ -97,8 +93,7 @@ class HandUpdate:
 
 class HandLogic:
     """State machine of one hand, with its last `reading`; unless the zeros are this hand's own (`calibrated`), it
-    refuses commands until it is calibrated.
-    """
+    refuses commands until it is calibrated."""
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
         self._settings, self._zeros, self._offsets = settings, zeros, offsets
@@ -142,9 +137,8 @@ class HandLogic:
         return HandUpdate(send=(encode_mode(POSITION),))
 
     def stop(self, hold: bool = False) -> HandUpdate:
-        """Returns the last packet of a driver: torque off. With `hold` the motors keep torque and goals: no packet, but
-        in the midst of a change of speed torque on.
-        """
+        """Returns the last packet of a driver: torque off. With `hold` the motors keep torque and goals: no packet,
+        but in the midst of a change of speed torque on."""
         if hold:
             kept = "The motors keep torque and goals, without protection from overload, until a driver starts again."
             send = (encode_mode(POSITION),) if self.motion.changing_speed else ()

@@ -1,8 +1,6 @@
-"""Filters the datagrams on the hand's multicast group, and finds pauses and restarts of the hand.
-
-Pure: datagrams, their senders and the time [s] come in as arguments. The device time in a state packet is the hand's
-clock [microseconds since power-up], which tells a pause of the network from a restart of the hand.
-"""
+"""Filters the datagrams on the hand's multicast group, and finds pauses and restarts of the hand. Pure: datagrams,
+their senders and the time [s] come in as arguments. The device time in a state packet is the hand's clock
+[microseconds since power-up], which tells a pause of the network from a restart of the hand."""
 
 from __future__ import annotations
 
@@ -108,9 +106,8 @@ class PacketFilter:
         return arrival, packet, ""
 
     def _relate(self, packet: StatePacket, now: float) -> PacketArrival:
-        """Compares the hand's clock with the host's. A busy host reads packets late, so the hand's clock only appears
-        to fall behind: that counts as a restart only after a silence that `watch` reported.
-        """
+        """Compares the hand's clock with the host's. A busy host reads packets late, so the hand's clock only
+        appears to fall behind: that counts as a restart only after a silence that `watch` reported."""
         if self._last is None:
             return PacketArrival.FIRST
         host_step = now - self._last_time

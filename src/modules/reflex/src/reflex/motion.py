@@ -1,8 +1,6 @@
-"""Goals of the motors, their limits, protection of the fingers, changes of speed, and the packets for them.
-
-Goals are servo positions [ticks], so that a goal that stays is sent again unchanged. During a change of speed the hand
-would read a target as a speed; the newest target waits. Pure: time [s] comes in, packets come out.
-"""
+"""Goals of the motors, their limits, protection of the fingers, changes of speed, and the packets for them. Goals
+are servo positions [ticks], so that a goal that stays is sent again unchanged. During a change of speed the hand
+would read a target as a speed; the newest target waits. Pure: time [s] comes in, packets come out."""
 
 from __future__ import annotations
 
@@ -35,10 +33,9 @@ class HandNote:
 
 
 class MotorSpeedChange:
-    """One change of the four joint speeds [rad/s], begun at `now` [s]: three packets with pauses between them, as the
-    hand reads targets as speeds in velocity mode, in which torque is off.
-    Raises ValueError if a speed is not finite.
-    """
+    """One change of the four joint speeds [rad/s], begun at `now` [s]: three packets with pauses between them, as
+    the hand reads targets as speeds in velocity mode, in which torque is off. Raises ValueError if a speed is not
+    finite."""
 
     def __init__(self, speeds: Sequence[float], now: float) -> None:
         units = [speed_units(i, speed) for i, speed in enumerate(speeds)]
@@ -59,8 +56,7 @@ class MotorSpeedChange:
 class EffortGuard:
     """Protects the fingers: loosens an overloaded motor, closes a hot one no further. Such a motor gets a bound just
     before its measured angle, which stays until a command turns back from it, so that it is not squeezed again and
-    again [rad].
-    """
+    again [rad]."""
 
     def __init__(self, settings: HandSettings) -> None:
         self._settings = settings
@@ -85,9 +81,8 @@ class EffortGuard:
         return tuple(name for name, low, high, most in limits if low > 0 or high < most)
 
     def clip(self, goals: Sequence[float]) -> tuple[float, ...]:
-        """Returns the goals [rad] within travel and bounds. A goal that turns back from a bound removes it; the bound
-        of a hot motor follows instead, so that it only opens.
-        """
+        """Returns the goals [rad] within travel and bounds. A goal that turns back from a bound removes it; the
+        bound of a hot motor follows instead, so that it only opens."""
         clipped = []
         for i, (goal, most) in enumerate(zip(goals, self._settings.travel)):
             wanted = min(max(float(goal), 0.0), float(most))
@@ -101,11 +96,9 @@ class EffortGuard:
     def check(
         self, reading: HandReading, goals: Sequence[float], calibrated: bool
     ) -> tuple[tuple[float, ...], list[str]]:
-        """Returns goals [rad] that protect the fingers, equal to `goals` where nothing is wrong, and news as sentences.
-
-        A motor outside of its travel, or of a hand that is not calibrated, is only stopped, because its distance from
-        open is unknown.
-        """
+        """Returns goals [rad] that protect the fingers, equal to `goals` where nothing is wrong, and news as
+        sentences. A motor outside of its travel, or of a hand that is not calibrated, is only stopped, because its
+        distance from open is unknown."""
         settings = self._settings
         new_goals, notes = list(goals), []
         for i, name in enumerate(MOTORS):
@@ -153,10 +146,8 @@ class MotorGoals:
         self.guard.reset()
 
     def change_speed(self, speeds: Sequence[float], now: float) -> tuple[bytes, ...]:
-        """Begins to set the joint speeds [rad/s]; returns the first packet.
-
-        Raises ValueError if a speed is not finite.
-        """
+        """Begins to set the joint speeds [rad/s]; returns the first packet. Raises ValueError if a speed is not
+        finite."""
         self._change = MotorSpeedChange(speeds, now)
         return self._change.step(now)
 
@@ -172,9 +163,8 @@ class MotorGoals:
         return packets if waiting is None else (*packets, *self.aim(waiting))
 
     def aim(self, positions: tuple[int, ...]) -> tuple[bytes, ...]:
-        """Makes these positions [ticks] the goals, as they are; raises ValueError, and the goals stay, unless they are
-        four positions that a packet can hold.
-        """
+        """Makes these positions [ticks] the goals, as they are; raises ValueError, and the goals stay, unless they
+        are four positions that a packet can hold."""
         packet = encode_target(positions)
         self._goals = positions
         if self._change:
@@ -185,9 +175,8 @@ class MotorGoals:
     def command(
         self, angles: Sequence[float], positions: Sequence[int], zeros: np.ndarray
     ) -> tuple[tuple[bytes, ...], str]:
-        """Makes finite joint angles [rad] the goals, within travel and the guard's bounds, from the servos' positions
-        [ticks] and zeros [joint rad]; returns the packets and the reason of a refusal.
-        """
+        """Makes finite joint angles [rad] the goals, within travel and the guard's bounds, from the servos'
+        positions [ticks] and zeros [joint rad]; returns the packets and the reason of a refusal."""
         margin, travel = self._settings.travel_margin, self._settings.travel
         fault = servo_fault(positions)
         if fault:
@@ -207,8 +196,7 @@ class MotorGoals:
     ) -> tuple[tuple[bytes, ...], list[HandNote]]:
         """Holds a motor whose servo suddenly counts from another turn, since it would wind on to its old goal, and
         loosens an overloaded one; the others keep their goals. `previous` is the packet before the reading, and
-        `calibrated` says whether the zeros [joint rad] are this hand's own. Returns the packets and the news.
-        """
+        `calibrated` says whether the zeros [joint rad] are this hand's own. Returns the packets and the news."""
         here = reading.packet.positions
         if servo_fault(here):
             return (), []

@@ -1,7 +1,5 @@
-"""Measurements of the hand in units of its joints: the maker's conversions of a state packet.
-
-Fingers f1, f2, f3 (index, middle, thumb), motors f1, f2, f3, preshape; angles in rad, 0 = open.
-"""
+"""Measurements of the hand in units of its joints: the maker's conversions of a state packet. Fingers f1, f2, f3
+(index, middle, thumb), motors f1, f2, f3, preshape; angles in rad, 0 = open."""
 
 from __future__ import annotations
 
@@ -67,9 +65,7 @@ def measure(
 
 
 def joint_positions(reading: HandReading) -> tuple[float, ...]:
-    """Returns the positions [rad] of the joints of the hand's model, in the order of JOINT_NAMES.
-
-    The two swivels turn against each other about axes that point the same way.
-    """
+    """Returns the positions [rad] of the joints of the hand's model, in the order of JOINT_NAMES. The two swivels
+    turn against each other about axes that point the same way."""
     spread = reading.joint_angles[3]
     return (spread, -spread, *reading.proximal, *reading.distal)

@@ -1,8 +1,5 @@
-"""Settings of the hand's client; vectors of four are f1, f2, f3, preshape.
-
-The ROS driver takes the ranges and meanings of its parameters from here, and their values from
-config/reflex_takktile.yaml, which are the same.
-"""
+"""Settings of the hand's client; vectors of four are f1, f2, f3, preshape. The ROS driver takes the ranges and
+meanings of its parameters from here, and their values from config/reflex_takktile.yaml, which are the same."""
 
 from __future__ import annotations
 

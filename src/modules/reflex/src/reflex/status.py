@@ -11,9 +11,8 @@ ERROR_BITS = ("voltage", "angle limit", "overheating", "range", "checksum", "ove
 
 
 def status(hand: HandLogic, wire_fault: str, now: float) -> tuple[str, str, dict[str, object]]:
-    """Returns level ("ok", "warning", "error"), one sentence, and the values at `now` [s]; `wire_fault` is a fault of
-    the sockets, or empty.
-    """
+    """Returns level ("ok", "warning", "error"), one sentence, and the values at `now` [s]; `wire_fault` is a fault
+    of the sockets, or empty."""
     state = hand.state(now)
     reading, guard, errors = hand.reading, hand.motion.guard, []
     values: dict[str, object] = {

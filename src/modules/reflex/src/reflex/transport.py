@@ -1,7 +1,5 @@
 """The UDP multicast sockets between host and hand: both directions on one group and port, on one named interface.
-
-Drops the host's own packets, which come back on `lo`, and nothing else.
-"""
+Drops the host's own packets, which come back on `lo`, and nothing else."""
 
 from __future__ import annotations
 
@@ -24,9 +22,7 @@ _INTERFACE_REQUEST = struct.Struct("256s")
 
 class HandTransport:
     """Sends to and receives from the hand on one interface, such as eth0 or lo; hand and host use the same port.
-
-    Raises WireFault if there is no such interface, it has no IPv4 address, or the port is taken.
-    """
+    Raises WireFault if there is no such interface, it has no IPv4 address, or the port is taken."""
 
     def __init__(self, interface: str, port: int) -> None:
         self._name = f"{GROUP}:{port} on {interface}"
@@ -53,8 +49,7 @@ class HandTransport:
 
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
         """Returns the next datagram and its sender, or None after `timeout` [s] or for a packet of our own; raises
-        WireFault if the interface is gone.
-        """
+        WireFault if the interface is gone."""
         self._receiver.settimeout(timeout)
         try:
             data, source = self._receiver.recvfrom(MAX_DATAGRAM_BYTES)
@@ -79,8 +74,7 @@ class HandTransport:
 
 def interface_address(name: str) -> str:
     """Returns the IPv4 address of an interface; raises WireFault if there is no such interface, or it has no IPv4
-    address, and lists those that could be used.
-    """
+    address, and lists those that could be used."""
     addresses = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
         for _, other in socket.if_nameindex():

@@ -1,9 +1,7 @@
-"""Frames of the Leap service from a page's messages, one for each frame of the headset.
-
-A message has the page's clock `t` [ms], the number `place` of its request for a new placement, `head`, and `left` and
-`right`: 75 numbers, or null for a hand that is not seen. A hand that is missing or implausible is no hand; one that
-jumps is another hand, with a new number. Late messages, and more than MAX_RATE_HZ, are ignored.
-"""
+"""Frames of the Leap service from a page's messages, one for each frame of the headset. A message has the page's
+clock `t` [ms], the number `place` of its request for a new placement, `head`, and `left` and `right`: 75 numbers, or
+null for a hand that is not seen. A hand that is missing or implausible is no hand; one that jumps is another hand,
+with a new number. Late messages, and more than MAX_RATE_HZ, are ignored."""
 
 from __future__ import annotations
 
@@ -35,10 +33,9 @@ class HandFrame:
 
 
 class HandStream:
-    """Makes frames of messages. The box is placed `ahead` of the head and `below` it [m] at the first message, when the
-    page or both hands ask for it, and when its height above the Leap changes. `note` is a sentence for the person, or
-    empty; `placement` is None before the first.
-    """
+    """Makes frames of messages. The box is placed `ahead` of the head and `below` it [m] at the first message, when
+    the page or both hands ask for it, and when its height above the Leap changes. `note` is a sentence for the
+    person, or empty; `placement` is None before the first."""
 
     def __init__(self, ahead: float, below: float) -> None:
         self._ahead, self._below = ahead, below
@@ -66,10 +63,8 @@ class HandStream:
 
     def step(self, message: dict, now: float, height: float, steers: bool) -> HandFrame | None:
         """Returns the frame of a message that came at `now` [s], or None if it is ignored. The box is `height` above
-        the Leap [m]; while a hand `steers`, pinching does not place it anew.
-
-        Raises ValueError for a message of another form.
-        """
+        the Leap [m]; while a hand `steers`, pinching does not place it anew. Raises ValueError for a message of
+        another form."""
         sent: Any = message.get("t")
         place, head = message.get("place"), message.get("head")
         if not (_number(sent) and type(place) is int and isinstance(head, list) and len(head) == 7):

@@ -1,8 +1,6 @@
-"""Where the virtual Leap stands in the headset's room, and the joints of a hand in its axes.
-
-Both have y up. The room is a WebXR reference space [m], the Leap's joints are in millimetres. A heading is the angle
-[rad] about the vertical from -z of the room to where the person looks, positive to the left.
-"""
+"""Where the virtual Leap stands in the headset's room, and the joints of a hand in its axes. Both have y up. The
+room is a WebXR reference space [m], the Leap's joints are in millimetres. A heading is the angle [rad] about the
+vertical from -z of the room to where the person looks, positive to the left."""
 
 from __future__ import annotations
 
@@ -35,10 +33,8 @@ class Placement:
 
 def placement(head: np.ndarray, ahead: float, below: float, height: float) -> Placement:
     """Returns the placement for which the middle of the box is `ahead` [m] of the head and `below` it [m]. `head` is
-    its position [m] and its quaternion x, y, z, w, shape (7,); the box is `height` above the Leap [m].
-
-    Raises ValueError for a head that is not a pose, or that looks too far up or down to have a heading.
-    """
+    its position [m] and its quaternion x, y, z, w, shape (7,); the box is `height` above the Leap [m]. Raises
+    ValueError for a head that is not a pose, or that looks too far up or down to have a heading."""
     position, (x, y, z, w) = head[:3], head[3:]
     if not (np.isfinite(head).all() and abs(position).max() < REACH_M and abs(head[3:] @ head[3:] - 1.0) < 0.1):
         raise ValueError("The headset does not know where it is.")

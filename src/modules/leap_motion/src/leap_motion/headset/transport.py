@@ -3,8 +3,7 @@
 The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a sentence} and
 the end. One headset drives at a time. Each of its frames is answered: {"leap": [x, y, z, heading] or null, "note": a
 sentence, ...scene}; it sends no more while several answers are missing. {"away": true}, silence and the end of the page
-count as an unplugged tracker.
-"""
+count as an unplugged tracker."""
 
 from __future__ import annotations
 
@@ -47,9 +46,8 @@ class Scene(NamedTuple):
 
 class HandsEndpoint:
     """Takes the hands of one headset at a time. `scene` is asked for with each message, `say` gets sentences for the
-    person at the terminal, `say_code` the one with the code, which belongs into no log; without it `say` gets that too.
-    `driven` is whether a headset drives.
-    """
+    person at the terminal, `say_code` the one with the code, which belongs into no log; without it `say` gets that
+    too. `driven` is whether a headset drives."""
 
     def __init__(
         self,

@@ -32,9 +32,8 @@ LEVELS = {LeapLink.STREAMING: DiagnosticStatus.OK, LeapLink.UNUSABLE: Diagnostic
 
 
 class LinkReport:
-    """Logs a state of the link that lasts, and again every 10 s while no frames come; `registration`, of that `name`,
-    counts for the tracker that it was made with alone.
-    """
+    """Logs a state of the link that lasts, and again every 10 s while no frames come; `registration`, of that
+    `name`, counts for the tracker that it was made with alone."""
 
     def __init__(self, client: LeapClient, registration: TrackerRegistration | None = None, name: str = "") -> None:
         self._client = client
@@ -117,9 +116,8 @@ class LinkReport:
 
 
 def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda _: None) -> None:
-    """Publishes until ROS shuts down; each message goes to `pass_on` as well. Raises RigError for a registration that
-    cannot be used.
-    """
+    """Publishes until ROS shuts down; each message goes to `pass_on` as well. Raises RigError for a registration
+    that cannot be used."""
     registration = load(config.registration, clock.time()) if config.registration else None
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
     publisher = DirectPublisher("leap_motion/leap_device", Human, queue_size=1)

@@ -21,9 +21,8 @@ DIRECTION, NORMAL, LABEL = 100, 101, 102  # numbers of the markers; those of bon
 def hand_markers(
     hands: Iterable[TrackedHand], frame: str, lifetime: rospy.Duration, details: bool = False
 ) -> list[Marker]:
-    """Returns bones and joints of the hands, red where the tracker is not confident, green where it is; with `details`
-    also palm, its axes and a label, and of a hand without joints these alone.
-    """
+    """Returns bones and joints of the hands, red where the tracker is not confident, green where it is; with
+    `details` also palm, its axes and a label, and of a hand without joints these alone."""
     markers = []
     for hand in hands:
         drawn = skeleton(hand)

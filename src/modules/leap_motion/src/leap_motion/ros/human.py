@@ -8,8 +8,7 @@ That driver has two errors. `compatible` repeats them, for programs written for 
 | arm.direction | the arm's centre | unit vector from elbow to wrist |
 
 `direction` and `normal` of the hand, and every position, are the same in both. All vectors stay in the Leap's own axes.
-Gestures, which this driver does not ask for, and the texts of hands, fingers and bones stay empty.
-"""
+Gestures, which this driver does not ask for, and the texts of hands, fingers and bones stay empty."""
 
 from __future__ import annotations
 
@@ -49,10 +48,8 @@ NO_HAND = bytes(
 
 
 class FrameMessage(Human):
-    """The message of a frame received at `stamp`; of several hands of one side the one tracked longest.
-
-    It has no fields but the header. Its bytes are made where they are sent, which rospy does for subscribers only.
-    """
+    """The message of a frame received at `stamp`; of several hands of one side the one tracked longest. It has no
+    fields but the header. Its bytes are made where they are sent, which rospy does for subscribers only."""
 
     def __init__(self, frame: LeapFrame, stamp: rospy.Time, orientation: str = COMPATIBLE) -> None:
         self.header = Header(0, stamp, FRAME_ID.decode())

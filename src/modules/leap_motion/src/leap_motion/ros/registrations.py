@@ -79,9 +79,8 @@ def store(path: Path, found: PointFit, serial: str, now: float, simulated: bool)
 
 
 def load(name: str, now: float) -> TrackerRegistration:
-    """Returns the registration of that name at `now` [s since 1970]; raises RigError or ConfigError if it is missing or
-    may not be used.
-    """
+    """Returns the registration of that name at `now` [s since 1970]; raises RigError or ConfigError if it is missing
+    or may not be used."""
     path = registration_file(name)
     again = f"Run rosrun leap_motion register_tracker.py {name}."
     try:

@@ -1,6 +1,5 @@
-"""From the topic leap_motion/leap_device to tracking frames: of our own driver's messages only what they hold is read,
-of any other one genpy reads all fields.
-"""
+"""From the topic leap_motion/leap_device to tracking frames: of our own driver's messages only what they hold is
+read, of any other one genpy reads all fields."""
 
 from __future__ import annotations
 
@@ -115,11 +114,9 @@ class _UnusualLayout(Exception):
 def subscribe(
     on_frame: Callable[[TrackingFrame, rospy.Time], None], kind: type[ReceivedHuman] = ReceivedHuman
 ) -> rospy.Subscriber:
-    """Calls `on_frame` with the newest tracking frame and its stamp; older ones that still wait are skipped.
-    An `on_frame` that takes its time thus sees fewer frames, and those skipped cost next to nothing.
-
-    A process subscribes once: rospy gives the same kind of message to all subscribers of a topic in a process.
-    """
+    """Calls `on_frame` with the newest tracking frame and its stamp; older ones that still wait are skipped. An
+    `on_frame` that takes its time thus sees fewer frames, and those skipped cost next to nothing. A process
+    subscribes once: rospy gives the same kind of message to all subscribers of a topic in a process."""
 
     def on_human(human: ReceivedHuman) -> None:
         with while_running():

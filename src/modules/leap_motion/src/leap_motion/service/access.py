@@ -1,7 +1,5 @@
-"""Who may connect over the network: how many at once, by which name of this computer, and with which code.
-
-Not for several threads.
-"""
+"""Who may connect over the network: how many at once, by which name of this computer, and with which code. Not for
+several threads."""
 
 from __future__ import annotations
 
@@ -44,10 +42,9 @@ class ConnectionLimits:
 
 
 class AccessCode:
-    """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at most;
-    meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a program
-    that reconnects, is no further guess.
-    """
+    """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at
+    most; meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a
+    program that reconnects, is no further guess."""
 
     def __init__(self, code: str) -> None:
         self.code = code
@@ -78,10 +75,8 @@ class AccessCode:
 
 
 class HeadsetAccess:
-    """Who may drive the robot over the network: whoever knows the code that stands on the rig's terminal.
-
-    A code is good for one headset, which gets a key for when its connection is lost; the next one needs the next code.
-    """
+    """Who may drive the robot over the network: whoever knows the code that stands on the rig's terminal. A code is
+    good for one headset, which gets a key for when its connection is lost; the next one needs the next code."""
 
     def __init__(self) -> None:
         self._keys: set[str] = set()
@@ -96,10 +91,8 @@ class HeadsetAccess:
         return self._check.wait(address, now)
 
     def admit(self, secret: object, address: str, now: float) -> str | None:
-        """Returns the key of a page that sent the code, which is void then, or its key; None for one that sent neither.
-
-        A key, which nobody guesses, is good while its address waits.
-        """
+        """Returns the key of a page that sent the code, which is void then, or its key; None for one that sent
+        neither. A key, which nobody guesses, is good while its address waits."""
         text = secret if isinstance(secret, str) else ""
         for key in self._keys:
             if hmac.compare_digest(text.encode("utf-8", "replace"), key.encode()):
@@ -125,10 +118,8 @@ def is_loopback(host: str) -> bool:
 
 
 def is_own_host(host: str, arrived_at: str, names: Iterable[str] = ()) -> bool:
-    """Returns whether the Host of a request names the address that it arrived at, or is one of `names`.
-
-    Otherwise a page of another site has bound its own name to this address, to be taken for ours (DNS rebinding).
-    """
+    """Returns whether the Host of a request names the address that it arrived at, or is one of `names`. Otherwise a
+    page of another site has bound its own name to this address, to be taken for ours (DNS rebinding)."""
     name = hostname(f"//{host}") if HOST.fullmatch(host) else ""
     if name and name in {each.lower() for each in names}:
         return True

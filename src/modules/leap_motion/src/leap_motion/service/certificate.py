@@ -50,10 +50,8 @@ def fingerprint_of(der: bytes) -> str:
 
 
 def own_certificate(folder: Path) -> Certificate:
-    """Returns certificate and key in `folder`, which openssl makes when either is missing.
-
-    Raises CertificateError if it cannot.
-    """
+    """Returns certificate and key in `folder`, which openssl makes when either is missing. Raises CertificateError
+    if it cannot."""
     certificate, key = folder / "certificate.pem", folder / "key.pem"
     if not (certificate.is_file() and key.is_file()):
         names = f"subjectAltName=DNS:localhost,IP:127.0.0.1,DNS:{socket.gethostname()}"

@@ -1,9 +1,7 @@
-"""A hand as the Leap service reports it, from the positions of its joints.
-
-Millimetres, millimetres per second and seconds, as in the messages; Leap axes: x to the user's right, y up, z towards
-the user. Palm axes: x to the pinky's side, y out of the back of the hand, z to the wrist; those of a left hand are
-mirrored. The service's hand is one scaled template whose palm is rigid.
-"""
+"""A hand as the Leap service reports it, from the positions of its joints. Millimetres, millimetres per second and
+seconds, as in the messages; Leap axes: x to the user's right, y up, z towards the user. Palm axes: x to the pinky's
+side, y out of the back of the hand, z to the wrist; those of a left hand are mirrored. The service's hand is one
+scaled template whose palm is rigid."""
 
 from __future__ import annotations
 
@@ -96,10 +94,8 @@ def hand_from_joints(
     before: ReportedHand | None = None,  # the report of the same hand in the frame before
 ) -> ReportedHand:
     """Returns the report of a hand. Palm and its axes are those of the template that fits the knuckles and the wrist
-    best; the forearm, which nobody measures, continues the hand.
-
-    Raises ValueError for a side, number or joints that no hand has.
-    """
+    best; the forearm, which nobody measures, continues the hand. Raises ValueError for a side, number or joints that
+    no hand has."""
     if side not in ("right", "left"):
         raise ValueError(f"The side of the hand is {side!r}, but must be right or left.")
     joints, wrist = np.array(joints, dtype=float), np.array(wrist, dtype=float)
@@ -157,8 +153,7 @@ def extended(flexion: np.ndarray) -> tuple[bool, ...]:
 
 def _palm(knuckles: np.ndarray, wrist: np.ndarray, mirror: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Returns the palm's axes as columns of a proper rotation, shape (3, 3), its scale and its centre, from the
-    knuckles of index to pinky, shape (4, 3), and the wrist (Kabsch 1976).
-    """
+    knuckles of index to pinky, shape (4, 3), and the wrist (Kabsch 1976)."""
     template = KNUCKLES_MM[1:] * mirror
     points, places = np.vstack([template, WRIST_MM * mirror]), np.vstack([knuckles, wrist])
     left, stretch, right = np.linalg.svd((points - points.mean(axis=0)).T @ (places - places.mean(axis=0)))
@@ -174,9 +169,8 @@ def _palm(knuckles: np.ndarray, wrist: np.ndarray, mirror: np.ndarray) -> tuple[
 
 
 def _flexion(bones: np.ndarray) -> np.ndarray:
-    """Returns the flexion of all hinges of a finger added, shape (5,) [rad], from its bones in palm axes, proximal to
-    distal, shape (5, 3, 3).
-    """
+    """Returns the flexion of all hinges of a finger added, shape (5,) [rad], from its bones in palm axes, proximal
+    to distal, shape (5, 3, 3)."""
     bent = np.arctan2(-bones[..., 1], -bones[..., 2])
     turns = (np.diff(bent, axis=1) + math.pi) % (2.0 * math.pi) - math.pi
     flexion = bent[:, 0] + turns.sum(axis=1)

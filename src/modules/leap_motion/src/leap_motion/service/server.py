@@ -66,8 +66,7 @@ class LeapService(SocketService):
     A `host` that is no loopback address opens `secure_port` to other machines, by TLS with a `certificate`; they are
     served at /v6.json?code=CODE only. Only a web page of this machine is served: any other would see the hands, and
     take every second frame of a "gemini". Raises LeapServiceError if a port is taken, or such a host has no code or
-    certificate.
-    """
+    certificate."""
 
     def __init__(
         self,
@@ -104,9 +103,8 @@ class LeapService(SocketService):
         return len(self._clients)
 
     def offer(self, *frames: str) -> None:
-        """Sends a frame, or several at once, oldest first; from any thread. A client that has not yet taken the frames
-        offered before gets the new ones instead. While the device is unplugged nothing is sent.
-        """
+        """Sends a frame, or several at once, oldest first; from any thread. A client that has not yet taken the
+        frames offered before gets the new ones instead. While the device is unplugged nothing is sent."""
         self._soon(self._hand_out, frames)
 
     def plug(self, attached: bool) -> None:

@@ -1,7 +1,5 @@
-"""A WebSocket server in an event loop of its own, whose connections are few, and end if they are not used.
-
-asyncio accepts again by itself a second after the system had no descriptor or memory for a connection.
-"""
+"""A WebSocket server in an event loop of its own, whose connections are few, and end if they are not used. asyncio
+accepts again by itself a second after the system had no descriptor or memory for a connection."""
 
 from __future__ import annotations
 
@@ -53,9 +51,8 @@ class EndingConnection(ServerConnection):
 
 
 class SocketService(ABC):
-    """Serves WebSockets on listening sockets, with TLS or without, until `stop`; a subclass answers requests in `_meet`
-    and converses in `_converse`.
-    """
+    """Serves WebSockets on listening sockets, with TLS or without, until `stop`; a subclass answers requests in
+    `_meet` and converses in `_converse`."""
 
     max_message_bytes = 4096
     write_limit = 2**15  # bytes that may wait in the program before `send` waits

@@ -1,8 +1,6 @@
 """Messages of the services as JSON text: header, device event, frames in the field sets of both; millimetres.
-
 Service "2.3" is leapd 2.0 to 2.3.1, which prints six digits; "gemini" is UltraleapTrackingWebSocket, the server for
-Ultraleap's tracking services 5 and 6, with its departures (https://github.com/ultraleap/UltraleapTrackingWebSocket).
-"""
+Ultraleap's tracking services 5 and 6, with its departures (https://github.com/ultraleap/UltraleapTrackingWebSocket)."""
 
 from __future__ import annotations
 
@@ -58,9 +56,8 @@ def text(message: dict) -> str:
 
 
 def header(version: int, service: str, service_version: str, simulated: bool = False) -> dict:
-    """Returns the first message of a connection; a service whose hands are simulated or recorded says that in a key of
-    its own, as programs that do not know it read the others.
-    """
+    """Returns the first message of a connection; a service whose hands are simulated or recorded says that in a key
+    of its own, as programs that do not know it read the others."""
     named = service == "2.3" and version >= 5
     first = {"serviceVersion": service_version, "version": version} if named else {"version": version}
     return {**first, "simulated": True} if simulated else first
@@ -94,9 +91,8 @@ class Frame(NamedTuple):
 
 
 def frame(hands: Sequence[ReportedHand], rate: float, service: str = "2.3", order: Sequence[int] = range(5)) -> Frame:
-    """Returns a frame. `rate`: the service's estimate of the frame rate [Hz]; `order`: of the fingers of a hand, which
-    service 2.3 does not sort. Raises ValueError for a number that is not finite.
-    """
+    """Returns a frame. `rate`: the service's estimate of the frame rate [Hz]; `order`: of the fingers of a hand,
+    which service 2.3 does not sort. Raises ValueError for a number that is not finite."""
     if not math.isfinite(rate):
         raise ValueError(f"The frame rate is {rate}.")
     hand_id = max((hand.id for hand in hands), default=0)

@@ -18,9 +18,8 @@ SIDES = {"Left": "right", "Right": "left"}  # MediaPipe names the side of a hand
 
 
 class HandDetector:
-    """Finds hands in the images of one camera, which are not mirrored: one, or all. One takes half the time, as nobody
-    looks for another one while it is tracked. Raises WebcamError without MediaPipe.
-    """
+    """Finds hands in the images of one camera, which are not mirrored: one, or all. One takes half the time, as
+    nobody looks for another one while it is tracked. Raises WebcamError without MediaPipe."""
 
     def __init__(self, single: bool) -> None:
         warnings.filterwarnings("ignore", module="google.protobuf")

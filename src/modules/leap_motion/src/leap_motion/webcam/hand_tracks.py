@@ -1,8 +1,6 @@
-"""Which hands a webcam's frames show, and what of them can be trusted.
-
-A hand is reported from its third frame on and keeps its id while it is tracked. One that cannot be trusted is withheld,
-and `FrameHands.remark` says why. Before its neutral pose is taken its confidence is 0, with which no arm follows it.
-"""
+"""Which hands a webcam's frames show, and what of them can be trusted. A hand is reported from its third frame on
+and keeps its id while it is tracked. One that cannot be trusted is withheld, and `FrameHands.remark` says why.
+Before its neutral pose is taken its confidence is 0, with which no arm follows it."""
 
 from __future__ import annotations
 
@@ -105,9 +103,8 @@ class HandTracks:
         return self._centred
 
     def step(self, seen: Sequence[SeenHand], brightness: float, now: float) -> FrameHands:
-        """Returns the hands of a frame that was taken at `now` [s], in Leap axes; `brightness`: the image's mean, 0 to
-        255.
-        """
+        """Returns the hands of a frame that was taken at `now` [s], in Leap axes; `brightness`: the image's mean, 0
+        to 255."""
         self._stamps.append(now)
         if self._renewed:
             self._renewed, self._settled = False, now + SETTLE_S
@@ -145,9 +142,8 @@ class HandTracks:
         return [remark for remark in remarks if remark] if taken else [NO_HAND]
 
     def _distance(self, seen: SeenHand) -> float:
-        """Returns how far a hand is from the nearest one that is followed, in its own sizes, infinite for a new one: a
-        hand that is followed comes before a surer one that reaches over it.
-        """
+        """Returns how far a hand is from the nearest one that is followed, in its own sizes, infinite for a new one:
+        a hand that is followed comes before a surer one that reaches over it."""
         rays = seen.rays[PALM]
         centre, size = rays.mean(axis=0), float(np.abs(rays - rays.mean(axis=0)).max())
         followed = [track.centre for track in self._tracks if track.frames >= LEAST_FRAMES]

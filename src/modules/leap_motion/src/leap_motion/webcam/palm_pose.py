@@ -51,9 +51,8 @@ class CameraHand:
 
 
 def camera_hand(side: str, rays: np.ndarray, world: np.ndarray, palm_width: float) -> CameraHand | None:
-    """Returns the hand whose landmarks have these rays, shape (21, 2), and world landmarks, shape (21, 3) [any unit];
-    `palm_width` [mm]. None where no hand in front of the camera has them.
-    """
+    """Returns the hand whose landmarks have these rays, shape (21, 2), and world landmarks, shape (21, 3) [any
+    unit]; `palm_width` [mm]. None where no hand in front of the camera has them."""
     if not (np.isfinite(rays).all() and np.isfinite(world).all() and np.abs(rays).max() < MAX_RAY):
         return None
     world = world - world[PALM].mean(axis=0)
@@ -84,9 +83,8 @@ def _along(ray: np.ndarray) -> np.ndarray:
 
 
 def _position(points: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray | None, float]:
-    """Returns the shift that brings points, shape (n, 3) [mm], onto rays, shape (n, 2), by least squares, and the RMS
-    distance of the rays from the shifted points' against the spread of the rays; None for one behind the camera.
-    """
+    """Returns the shift that brings points, shape (n, 3) [mm], onto rays, shape (n, 2), by least squares, and the
+    RMS distance of the rays from the shifted points' against the spread of the rays; None for one behind the camera."""
     n = len(points)
     matrix = np.zeros((2 * n, 3))
     matrix[0::2, 0] = matrix[1::2, 1] = 1.0

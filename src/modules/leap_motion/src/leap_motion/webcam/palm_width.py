@@ -46,10 +46,8 @@ def find_tag(image: np.ndarray) -> np.ndarray | None:
 
 def palm_width(corners: np.ndarray, size: tuple[float, float], rays: np.ndarray) -> float | None:
     """Returns the width of a palm [mm] that lies in the plane of a rectangle of a size (width, height) [mm].
-
     `corners`: rays of its corners, shape (4, 2); `rays`: of the hand's landmarks, shape (21, 2). None where no such
-    rectangle looks so, or no palm is so wide.
-    """
+    rectangle looks so, or no palm is so wide."""
     w, h = size
     model = 0.5 * np.array([[-w, -h, 0.0], [w, -h, 0.0], [w, h, 0.0], [-w, h, 0.0]])
     good, turn, shift = cv2.solvePnP(model, corners[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_SQPNP)

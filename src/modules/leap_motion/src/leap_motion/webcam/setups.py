@@ -1,8 +1,6 @@
-"""From camera axes to Leap axes: where the camera stands, and what orientation of the hand counts as level.
-
-Leap axes: x to the user's right, y up, z towards the user; millimetres. The Leap frame is placed so that a point
-`distance` in front of the camera lies where leap_kuka's interaction box has its centre.
-"""
+"""From camera axes to Leap axes: where the camera stands, and what orientation of the hand counts as level. Leap
+axes: x to the user's right, y up, z towards the user; millimetres. The Leap frame is placed so that a point
+`distance` in front of the camera lies where leap_kuka's interaction box has its centre."""
 
 from __future__ import annotations
 
@@ -59,11 +57,9 @@ def placement(setup: str, tilt: float = 0.0, distance: float | None = None) -> C
 
 
 class NeutralPose:
-    """The pose of a hand that counts as level, and as the middle: taken while the hand is held still.
-
-    `level` turns palm axes so that the neutral ones are Leap axes: shape (3, 3), or None before it is taken; `middle`
-    is where the palm was then, shape (3,) [mm].
-    """
+    """The pose of a hand that counts as level, and as the middle: taken while the hand is held still. `level` turns
+    palm axes so that the neutral ones are Leap axes: shape (3, 3), or None before it is taken; `middle` is where the
+    palm was then, shape (3,) [mm]."""
 
     def __init__(self) -> None:
         self.level: np.ndarray | None = None

@@ -114,10 +114,8 @@ class CameraSource(VideoSource):
 
 
 class FileSource(VideoSource):
-    """A video file in real time, again and again; each round slides in and ends with a pause.
-
-    Raises WebcamError if it cannot be read.
-    """
+    """A video file in real time, again and again; each round slides in and ends with a pause. Raises WebcamError if
+    it cannot be read."""
 
     def __init__(self, path: Path, mirrored: bool) -> None:
         super().__init__(mirrored)

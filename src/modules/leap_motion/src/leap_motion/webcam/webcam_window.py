@@ -21,10 +21,8 @@ HELP = "N: new neutral pose    Esc: quit"
 
 
 class WebcamWindow(QWidget):
-    """Shows what `view` returns, the program's newest TrackerView; `renew` takes a new neutral pose.
-
-    A camera that looks at the person is shown as a mirror, `mirror`.
-    """
+    """Shows what `view` returns, the program's newest TrackerView; `renew` takes a new neutral pose. A camera that
+    looks at the person is shown as a mirror, `mirror`."""
 
     def __init__(self, view: Callable[[], object], renew: Callable[[], None], mirror: bool) -> None:
         super().__init__()

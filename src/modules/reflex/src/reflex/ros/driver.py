@@ -151,8 +151,7 @@ def hand_message(reading: HandReading) -> Hand:
 
 def main() -> None:
     """Reads the private parameters and drives the hand until ROS shuts down; raises ConfigError if a parameter or a
-    calibration file is wrong, DeviceError if the network interface or the port cannot be used.
-    """
+    calibration file is wrong, DeviceError if the network interface or the port cannot be used."""
     config = wait_for_config(ReflexDriverConfig, rospy.get_name())
     try:
         HandDriver(config).run()
