@@ -14,11 +14,10 @@ MIN_LENGTH_M = 1e-3  # a vector shorter than this has no direction
 
 
 def flexion(palm: np.ndarray, normal: np.ndarray, fingers: FingerPoints) -> np.ndarray:
-    """Returns alpha, beta, gamma, delta, shape (4,) [rad]. alpha, beta, gamma: between the palm normal and the
-    vectors to the tips of index, middle finger and thumb; about 90 deg for a flat hand, less for a closed one.
-    delta: between the vectors to the intermediate bones of index and middle finger. Takes the palm centre, shape
-    (3,) [m], the unit vector out of the palm, and the fingers in the same frame. Raises ValueError: a number is not
-    finite, or a point lies in the palm centre."""
+    """Returns alpha, beta, gamma, delta, shape (4,) [rad]: between the palm normal and the vectors from the palm, shape
+    (3,) [m], to the tips of index, middle finger and thumb, about 90 deg for a flat hand, less for a closed one; delta:
+    between those to the intermediate bones of index and middle finger. Raises ValueError: not finite, or a point in the
+    palm centre."""
     tips = (fingers.index_tip, fingers.middle_tip, fingers.thumb_tip)
     spread = angle_between(fingers.index_bone - palm, fingers.middle_bone - palm)
     return np.array([*(angle_between(normal, tip - palm) for tip in tips), spread])

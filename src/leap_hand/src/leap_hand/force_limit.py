@@ -1,7 +1,6 @@
-"""Stops a finger of the robot hand from closing further when it presses. A finger is limited once a taxel or its
-motor's load exceeds the limit, until all have fallen below a fraction of it: it may open but not close further.
-Without a state of the robot hand all fingers are limited. Angles of commands [rad], 0 = open; the spread is not
-limited."""
+"""Stops a finger of the robot hand from closing further when it presses: once a taxel or its motor's load exceeds the
+limit, until all have fallen below a fraction of it. Without a state of the robot hand all fingers are limited. Angles
+of commands [rad], 0 = open; the spread is not limited."""
 
 from __future__ import annotations
 

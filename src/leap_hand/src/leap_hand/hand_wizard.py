@@ -1,9 +1,7 @@
-"""Measures how far a person opens and closes the hand, for the finger mapping.
-
-The person holds the hand open and closed twice in turn; a phase ends when the hand was still for HOLD_S, with the
-medians of its angles [deg]. Repetitions that differ come again. The less open and the less closed one, each a margin
-inwards, become [open, closed]. A finger that moves by less than MIN_RANGE_DEG keeps its own open end and gets the width
-of the default; the spread starts where neither hand spreads the robot hand."""
+"""Measures how far a person opens and closes the hand, for the finger mapping: open and closed twice in turn. A phase
+ends when the hand was still for HOLD_S, with the medians of its angles [deg]; repetitions that differ come again. The
+less open and the less closed one, each a margin inwards, become [open, closed]. A finger that moves by less than
+MIN_RANGE_DEG gets the width of the default; the spread starts where neither hand spreads the robot hand."""
 
 from __future__ import annotations
 
@@ -102,7 +100,6 @@ class HandWizard:
         return WizardStep(INSTRUCTIONS[self._phase], hint, min(1.0, counted / (2 * self._repetitions)), self.done)
 
     def _take(self, hands: Iterable[TrackedHand], stamp: float) -> str:
-        """Adds a frame; returns what hinders, or an empty text."""
         hand, reason = self._hand(tuple(hands))
         try:
             angles = (
@@ -172,7 +169,6 @@ class HandWizard:
         return MIN_OPEN_DEG if not closed else float((opened[-1] + closed[-1])[:3].mean() / 2.0)
 
     def _difference(self) -> str:
-        """Returns how the newest repetitions differ, or an empty text."""
         for phase, levels in self._levels.items():
             newest = np.array(levels[-REPETITIONS:])[:, :3]
             differences = np.ptp(newest, axis=0)

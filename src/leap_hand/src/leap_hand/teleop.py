@@ -3,10 +3,10 @@
 Arm and robot hand have one owner: the hand that leap_kuka has locked (`steered_by`), while it goes on reporting that.
 Without one any hand in view may move the fingers, by the same lock without a box; with `fingers_follow: steering` none.
 
-The hand opens when gripper control is off, and `grip_hold` after the last good frame of the hand that it follows, or as
-long as leap_kuka keeps the tool: a held object must not fall. Until it has opened no other hand moves the fingers, and
-after an engagement none that was in view then. At an engagement each finger keeps its command until the operator's
-comes near it, if a grip was kept or another hand moved the fingers. Silence opens it once, after MAX_SILENCE_S."""
+The hand opens when gripper control is off, and `grip_hold` after the last good frame of its hand or as long as
+leap_kuka keeps the tool: a held object must not fall. Until it has opened no other hand moves the fingers, and after an
+engagement none that was in view then. At an engagement each finger keeps its command until the operator's comes near
+it, if a grip was kept or another hand moved the fingers. Silence opens it once, after MAX_SILENCE_S."""
 
 from __future__ import annotations
 
@@ -156,7 +156,6 @@ class HandTeleop:
         return hand, ""
 
     def _alone_refused(self, now: float) -> str:
-        """Returns why no hand may move the fingers without steering the arm, or an empty string."""
         if self._hand_only:
             return ""
         if now - self._reported_at > OLD_ROWS_S:
@@ -171,7 +170,6 @@ class HandTeleop:
         return (hand.id, hand.is_left) == self._owner and now - self._reported_at <= OLD_ROWS_S
 
     def _continues(self, hand: TrackedHand, frame: TrackingFrame, stamp: float) -> bool:
-        """Returns whether it is the hand that was followed last, perhaps with a new id."""
         if self._followed is None:
             return False
         before, seen = self._followed

@@ -23,12 +23,9 @@ class ChoiceAnswer(NamedTuple):
 
 
 class ArmChoice:
-    """The choice, `chosen`: an arm, BOTH, or NOBODY. The region of an arm is where its interaction box is nearer along
-    the Leap's x axis than the others'. The hand that chooses is the one that is in view longest.
-
-    Args:
-        how: SERVICE or REGION.
-        boxes: by arm, where its interaction box stands along x [m]."""
+    """The choice, `chosen`: an arm, BOTH, or NOBODY, `how` by SERVICE or REGION. The region of an arm is where its
+    interaction box, at `boxes` along the Leap's x axis [m], is nearer than the others'. The hand that chooses is the
+    one that is in view longest."""
 
     def __init__(self, how: str, boxes: Mapping[str, float]) -> None:
         self._how, self._boxes = how, dict(boxes)

@@ -1,9 +1,9 @@
-"""The hand frame of one hand over its newest samples, without outliers, filtered against tremor.
+"""The hand frame of one hand over its newest samples, without outliers, filtered against tremor: x along the hand, z
+out of the palm, y completes it, for left and right hands alike. Vectors are in the Leap frame [m].
 
-The hand frame has x along the hand, z out of the palm, and y completes it, for left and right hands alike. Vectors are
-in the Leap frame [m]. The window is in seconds, so that a slow tracker adds no delay: `size` samples at the nominal
-rate, at least two. Its mean gives the confidence, and the frame unless there is a filter (hand_filter.py); above
-FILTER_SIZE samples the filter's results are averaged over the rest of the window.
+The window is in seconds, so that a slow tracker adds no delay: `size` samples at the nominal rate, at least two. Its
+mean gives the confidence, and the frame unless there is a filter (hand_filter.py); above FILTER_SIZE samples the
+filter's results are averaged over the rest of the window.
 
 An outlier is a palm that moves more than 20 mm between two frames, and faster than 2 m/s over a longer gap, or 0.3 m/s
 over one of more than 0.1 s, or a hand with invalid numbers. After MAX_LEFT_OUT outliers in a row the hand is lost."""
@@ -163,7 +163,6 @@ def hand_frame(hand: TrackedHand) -> np.ndarray:
 
 
 def _pose(numbers: Sequence[float]) -> np.ndarray:
-    """Returns the hand frame of nine numbers: palm, direction and normal."""
     return read_only(pose(hand_rotation(numbers[3:6], numbers[6:9]), numbers[:3]))
 
 

@@ -1,9 +1,6 @@
-"""Filters of palm, direction and normal of one hand against tremor and noise of the tracker.
-
-A sample is nine numbers in the Leap frame: the palm [m], then the unit vectors of direction and normal. A hand that is
-turned and shifted gives the result turned and shifted. `OneEuro` is a low-pass whose cutoff rises with the speed
-(Casiez, Roussel, Vogel, 1 Euro Filter, CHI 2012). `Kalman` models the tremor beside the motion, so it hardly delays the
-motion (docs/handbook/hand-filter.md)."""
+"""Filters of palm, direction and normal of one hand against tremor and noise; nine numbers in the Leap frame, palm in
+m. `OneEuro` is a low-pass whose cutoff rises with the speed (Casiez, Roussel, Vogel, 1 Euro Filter, CHI 2012). `Kalman`
+models the tremor beside the motion, so it hardly delays the motion (docs/handbook/hand-filter.md)."""
 
 from __future__ import annotations
 
@@ -126,7 +123,6 @@ class MotionKalman:
         return self._values
 
     def _update(self, sample: Sequence[float], dt: float) -> None:
-        """Predicts the states over `dt` [s], and corrects them by the sample."""
         half, jerk = 0.5 * dt * dt, self._motion.jerk
         decay = math.exp(-TREMOR_DAMPING * TREMOR_RAD_S * dt)
         sine = decay * math.sin(DAMPED_RAD_S * dt) * TREMOR_RAD_S / DAMPED_RAD_S

@@ -1,9 +1,7 @@
-"""What a stream starts from: which pose of the tool belongs to which pose of the hand.
-
-Absolute: the hand's angles count from a level hand of the stream's heading, for which the tool is as at home. A held
-tool that is taken over shifts and turns the virtual Leap so that palm and heading match; the tilt that is left fades
-out in FADE_S. Relative: they count from the hand's orientation at the start, and the virtual Leap is shifted such that
-the palm is at the tool."""
+"""What a stream starts from: which pose of the tool belongs to which pose of the hand. Absolute: the hand's angles
+count from a level hand of the stream's heading; a held tool that is taken over shifts and turns the virtual Leap so
+that palm and heading match, and the tilt that is left fades out in FADE_S. Relative: they count from the hand's
+orientation at the start, and the virtual Leap is shifted such that the palm is at the tool."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
 """From tracking frames to the desired tool frame of the arm: lock on a hand, filter, start gate, virtual Leap, tool.
 
-A stream is one engagement of one hand (common.hand_tracking.HandLock); engagement.py has the table of what follows when
-something happens. Poses are in the frame of the virtual Leap; `T_base_virtual` is its pose in the robot's base; metres
-and radians. Where leap/hand names a side, other hands steer nothing, but may clutch or enable. Absolute and relative
-streams differ in their origin (origin.py); a relative one starts where the tool is, and when it stops the tool is kept
-for hold_time. While no hand steers, a program may hold the tool for the next one (tool_hold.py)."""
+A stream is one engagement of one hand (common.hand_tracking.HandLock). Poses are in the frame of the virtual Leap;
+`T_base_virtual` is its pose in the robot's base; metres and radians. Where leap/hand names a side, other hands steer
+nothing, but may clutch or enable. A relative stream starts where the tool is, and when it stops the tool is kept for
+hold_time. While no hand steers, a program may hold the tool for the next one (tool_hold.py)."""
 
 from __future__ import annotations
 
@@ -238,7 +237,6 @@ class ArmTeleop:
         self._reason = Reason(why, (ReasonCode.TRACKER_SILENT,))
 
     def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "") -> Reason:
-        """Goes to the state that the table says, and does what that means; returns the reason."""
         jumped = trigger is EngagementTrigger.HAND_LOST and bool(detail)
         code = ReasonCode.HAND_JUMPED if jumped else trigger.code
         reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code,))
@@ -365,7 +363,6 @@ class ArmTeleop:
         self._reason, self._obstacle = reason, reason.text
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, Reason]:
-        """Returns the conditions of a start, apart from the hand's own, that are not met, with a reason each."""
         switches, not_ready = self.switches, self._not_ready(now)
         came_in = "it was in the box already, or was found there; take it out of the box and back in"
         rows = (  # condition, whether it is not met, sentence and code
@@ -448,7 +445,6 @@ class ArmTeleop:
         return absolute(T_base_virtual, psi, self._mounting.tool_reversed, self._R_home)
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
-        """Returns T_virtual_tool as the hand of the stream asks for it."""
         T_base_virtual = self._origin.T_base_virtual
         R_base_virtual, p_base_virtual = T_base_virtual[:3, :3], T_base_virtual[:3, 3]
         out = self._border.back(R_base_virtual @ mean.palm + p_base_virtual, self._scaling)

@@ -105,10 +105,9 @@ def virtual_leap_pose(mounting: MountingFrame, ws_center: np.ndarray, box_center
 
 
 def attitude(R_leap_hand: np.ndarray, heading: float, before: Attitude | None = None) -> Attitude:
-    """Returns the attitude of the hand frame, shape (3, 3), relative to the reference hand turned to `heading`
-    [rad]. Two triples of angles, plus full turns, describe each orientation. This returns the smallest, measured by
-    the sum; unless that is within UPRIGHT, the nearest to the attitude `before`. So a hand pitched beyond the
-    vertical has a pitch above 90 deg, and its yaw does not flip by 180 deg from one limit to the other."""
+    """Returns the attitude of the hand frame, shape (3, 3), relative to the reference hand turned to `heading` [rad].
+    Of the two triples of angles, plus full turns: the smallest sum if within UPRIGHT, else the nearest to `before`, so
+    the yaw of a hand pitched beyond the vertical does not flip by 180 deg from one limit to the other."""
     yaw, pitch, roll = zyx_from_rotation(R_LEAP_REFERENCE.T @ R_leap_hand)
     triples = (yaw - heading, pitch, roll), (yaw - heading + math.pi, math.pi - pitch, roll + math.pi)
 

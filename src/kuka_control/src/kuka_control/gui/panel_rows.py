@@ -95,7 +95,6 @@ class OperatorRows(QWidget):
 
 
 def _spoken(row: Row) -> str:
-    """Returns a row as a sentence, for a screen reader."""
     items = []
     for label, value in zip(row.labels, row.values):
         items.append(f"{label} {('yes' if value else 'no') if row.kind == TICKS else f'{100 * value:.0f} %'}")

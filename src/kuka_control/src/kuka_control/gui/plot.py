@@ -129,7 +129,6 @@ def _draw_arm(axes: Axes3D, corners: np.ndarray) -> None:
 
 
 def _draw_tube(axes: Axes3D, ends: np.ndarray, width: float, colour: str) -> None:
-    """Draws a line with a dark rim and a light middle, so that it looks round."""
     for order, (fraction, shade) in enumerate(((1.0, 0.75), (0.78, 1.0), (0.3, 1.25))):
         axes.plot(*ends.T, color=_shaded(colour, shade), linewidth=fraction * width, solid_capstyle="round",
                   zorder=FRONT - 1 + 0.1 * order)  # fmt: skip
@@ -141,7 +140,6 @@ def _shaded(colour: str, factor: float) -> np.ndarray:
 
 
 def _draw_triad(axes: Axes3D, T: np.ndarray, name: str, to_the_right: np.ndarray, size: float = 1.0) -> None:
-    """Draws the axes of a frame, and its name on the side that they leave free."""
     origin = T[:3, 3]
     text, side = (f"{name}   ", "right") if to_the_right @ T[:3, :2].sum(axis=1) > 0.0 else (f"   {name}", "left")
     for column, colour in zip(T[:3, :3].T, AXES):
@@ -152,7 +150,6 @@ def _draw_triad(axes: Axes3D, T: np.ndarray, name: str, to_the_right: np.ndarray
 
 
 def _set_view(axes: Axes3D, picture: WorkspacePicture) -> None:
-    """Gives all axes the same scale, and looks at the arm's plane from in front and above."""
     foot = [[-0.15, -0.15, 0.0], [0.15, 0.15, 0.0]]
     shown = np.vstack([picture.arm, *boundary_lines(picture.rig.workspace), foot])
     low, high = np.append(shown.min(axis=0)[:2] - 0.05, 0.0), shown.max(axis=0) + 0.05
@@ -263,7 +260,6 @@ def _fill(axes: Axes, outline: np.ndarray) -> None:
 
 
 def _draw_pale_arm(axes: Axes, corners: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> None:
-    """Draws the arm pale, behind the samples, and the axes of the tool frame."""
     for i, width in enumerate(PALE_WIDTHS):
         axes.plot(*corners[i : i + 2].T, color="#f6c9a0", linewidth=width, solid_capstyle="round", zorder=3)
     axes.plot(*corners[4:6].T, color="#c3c9d0", linewidth=3, zorder=3)

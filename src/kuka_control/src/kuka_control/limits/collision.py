@@ -1,14 +1,10 @@
 """The collision guard: how near the robot is to itself and to what stands around it, and how fast it may come nearer.
+It slows the approach of a pair of convex bodies with the distance, ends it SOFT_M before the margin, and leaves the
+retreat free.
 
-    joints -> distances of pairs of convex bodies -> bounds of the joint velocities; and whether a path stays out
-
-Far pairs are not measured: the distance of a pair falls by no more than the joints turn, times how far the body can be
-from their axes. A pair is measured when this bound says that it may matter.
-
-The guard slows the approach of a pair with the distance, ends it SOFT_M before the margin, and leaves the retreat free.
-The guard of stops (speed_change.py) asks it whether the path to a stop keeps the margin itself: of the goals, and of
-the arm, which follows them with a lag and so cuts corners. A pair that is nearer than the margin already, because an
-obstacle has appeared, may only part.
+A pair is measured when it may matter: its distance falls by no more than the joints turn, times how far the body can be
+from their axes. The path to a stop is looked at for the goals, and for the arm, whose lag makes it cut corners. A pair
+that is nearer than the margin already, because an obstacle has appeared, may only part.
 
 Any failure, also a number that is not finite, raises GuardError: the arm then stops."""
 
@@ -75,11 +71,8 @@ class NearestPair(NamedTuple):
 
 
 class PathCheck:
-    """The check of one path, a part of it at a time, for any opening of the hand.
-
-    Attributes:
-        done: whether the check has ended.
-        fault: what is in the way, the end of a sentence; None: nothing so far."""
+    """The check of one path, a part of it at a time, for any opening of the hand; `fault` is what is in the way, the
+    end of a sentence, None if nothing so far."""
 
     def __init__(self, distances: Iterator[str | None]) -> None:
         self.done = False
@@ -103,7 +96,6 @@ class CollisionGuard:
     """Pairs of bodies that must keep a distance; for one thread.
 
     Args:
-        kinematics: of the arm with its tool.
         ring: whether the marker board's ring is behind the hand.
         obstacles: the bodies around the arm, and what is mounted at its flange.
         margin: the distance that is kept [m].
@@ -111,7 +103,6 @@ class CollisionGuard:
         opening: of the hand; None: wherever the fingers may come to be.
 
     Attributes:
-        bodies: all of them.
         scale: fraction of the last desired velocity that was left, 0 to 1.
         nearest: the nearest pair of those that may have been too fast for it; None if none was."""
 
@@ -259,10 +250,9 @@ class CollisionGuard:
             before, time = goal, now
 
     def check(self, path: Sequence[np.ndarray], softly: bool = False) -> PathCheck:
-        """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of
-        them. A pair that is within the margin at the start may part. Between two samples no pair moves by more than
-        it has room: a check without a fault holds for the whole path. `softly`: no pair comes where its approach
-        would end."""
+        """Returns the check of a path along joints, shape (7,) each [rad], with all joints in step between two of them.
+        A check without a fault holds for the whole path. A pair within the margin at the start may part. `softly`: no
+        pair comes where its approach would end."""
         return PathCheck(self._check(path, self._bound + (SOFT_M if softly else 0.0)))
 
     def _check(self, path: Sequence[np.ndarray], bound: float) -> Iterator[str | None]:

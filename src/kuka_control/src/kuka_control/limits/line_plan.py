@@ -1,7 +1,6 @@
-"""A straight line of the tool, planned and checked as a whole before it starts. The tool point moves evenly along
-the line while the tool turns about one axis. The joints of evenly spaced poses come from the closed form, each
-solution continuing the one before; a cubic curve connects them. One pace holds for the whole line, so that nowhere
-on it a joint, or a point of the arm, passes a limit; what a narrow place needs slows the whole line."""
+"""A straight line of the tool, planned and checked as a whole before it starts; the tool turns about one axis. A cubic
+curve connects the closed form's joints of evenly spaced poses. One pace holds for the whole line, so that nowhere on it
+a joint, or a point of the arm, passes a limit."""
 
 from __future__ import annotations
 
@@ -45,12 +44,8 @@ class LineLimits:
 
 
 class LinePlan:
-    """Joints along a line, at times from its start.
-
-    Attributes:
-        length: of the way, with `LEVER_M` for each rad of turn [m].
-        duration: from rest to rest [s].
-        q_goal: joints at the end, shape (7,) [rad]."""
+    """Joints along a line, at times from its start; `length` of the way, with `LEVER_M` for each rad of turn [m],
+    `duration` from rest to rest [s], and `q_goal`, joints at the end, shape (7,) [rad]."""
 
     def __init__(self, q: np.ndarray, length: float, pace: Trajectory) -> None:
         self.length, self.duration = length, pace.duration

@@ -1,15 +1,11 @@
 """Servo goals within limits of speed, acceleration and jerk: the motion of the goal in one cycle.
 
-First the desired velocity: that of the target plus a correction of the distance to it, no faster than the joints can
-brake before the target. One factor scales all joints down to what the joint speeds, the speed of the arm's fastest
-point and the lag of the arm allow, so that the path stays straight. Then Ruckig changes the present velocity into the
-desired one within the limits of acceleration and jerk, evenly over a few cycles where it can.
-
-A target that moves steadily within the limits is met without lag. Velocities change in a straight line from one allowed
-velocity to the next. The guard (speed_change.py) takes a step only if the arm could then still stop in time.
-
-Near a singular pose the joints would have to race: there the slowest joint sets the pace of all, on the way in and on
-the way out."""
+The desired velocity is that of the target plus a correction of the distance to it, no faster than the joints can brake
+before the target. One factor scales all joints down to what the joint speeds, the speed of the arm's fastest point and
+the lag of the arm allow, so that the path stays straight. Ruckig then changes the present velocity into the desired
+one; the guard (speed_change.py) takes a step only if the arm could then still stop in time. A target that moves
+steadily within the limits is met without lag. Near a singular pose the slowest joint sets the pace of all, on the way
+in and out."""
 
 from __future__ import annotations
 
@@ -55,12 +51,8 @@ class LimitedGoal:
 
 
 class MotionLimits:
-    """Follows a moving target within the limits.
-
-    Args:
-        joint_speeds: speed limits of the joints, shape (7,) [rad/s].
-        shape: limits of acceleration and jerk.
-        room: the joint ranges and the workspace that no goal leaves, and the speed limit of the arm's points."""
+    """Follows a moving target within the limits; `joint_speeds`: of shape (7,) [rad/s]; `room`: the joint ranges and
+    the workspace that no goal leaves, and the speed limit of the arm's points."""
 
     def __init__(self, joint_speeds: np.ndarray, shape: ShapeLimits, room: GuardedRoom) -> None:
         self._joint_speeds = joint_speeds.tolist()
@@ -200,7 +192,6 @@ class MotionLimits:
         return [max(room, 0.0) * rate for rate in desired], "lag of the arm"
 
     def _joint_fraction(self, velocity: list[float]) -> float:
-        """Returns the greatest fraction of a joint's speed limit that a velocity uses."""
         return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])
 
     def _arm_fraction(self, velocity: list[float], enough: float = 0.0) -> float:

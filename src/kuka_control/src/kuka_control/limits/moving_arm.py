@@ -1,7 +1,6 @@
-"""The moving arm as its limits see it: the state of the joints, how fast they may change it, the points whose speed
-counts, and when a path to a stop is looked at. Those points are elbow, wrist and flange, the tool point, and what
-else the flange carries: the finger tips, and what is mounted or held there. They stand for the whole arm: of a rigid
-body the farthest point is the fastest."""
+"""The moving arm as its limits see it: joint states, and the points whose speed counts: elbow, wrist and flange, the
+tool point, the finger tips, and what is mounted or held at the flange. They stand for the whole arm: of a rigid body
+the farthest point is the fastest."""
 
 from __future__ import annotations
 

@@ -119,18 +119,13 @@ class _Stop:
 
 
 class StoppingGuard:
-    """Limits each step so that the arm can still stop within bounds.
+    """Limits each step so that the arm can still stop within bounds; changes the desired velocity as little as
+    possible.
 
-    A step that keeps them is not changed. Otherwise the guard changes the desired velocity as little as possible. A
-    joint that could not stop within its range brakes by itself. At a bound of the workspace the guard removes the part
-    that carries the tool out, by a motion that changes neither the other directions nor the orientation of the tool, so
-    that the tool slides along the bound. If that is not enough, the arm gets too fast, or bodies would come nearer
-    than their margin, it scales the rest down.
-
-    Args:
-        change: of the velocities.
-        room: what is kept to.
-        acceleration: deceleration of each joint when it brakes, shape (7,) [rad/s^2]."""
+    A joint that could not stop within its range brakes by itself. At a bound of the workspace the tool slides: only
+    what carries it out is removed, by a motion that keeps the other directions and the orientation. If that is not
+    enough, the arm gets too fast, or bodies would come nearer than their margin, the rest is scaled down.
+    `acceleration`: of each joint when it brakes, shape (7,) [rad/s^2]."""
 
     def __init__(self, change: SpeedChange, room: GuardedRoom, acceleration: np.ndarray) -> None:
         self._change = change

@@ -119,7 +119,6 @@ class Arm(ABC):
 
 
 def _second_try(call: Callable[[], _T]) -> _T:
-    """Calls a second time if the first call brought no usable answer."""
     try:
         return call()
     except NO_READING:
@@ -127,20 +126,14 @@ def _second_try(call: Callable[[], _T]) -> _T:
 
 
 class KstArm(Arm):
-    """The arm behind the toolbox's server.
-
-    Servo goals are streamed: the next one does not wait for the answer to the one before. Each of them brings joints.
-    Four out of ten bring another quantity as their own answer, one each, so at 250 goals a second those come at 25 Hz;
-    then the joints are requested after it, unless the link is slow.
+    """The arm behind the toolbox's server. Servo goals are streamed: the next one does not wait for the answer to the
+    one before. Each brings joints, and four out of ten another quantity, so at 250 goals a second those come at 25 Hz.
 
     A server in a safety stop answers requests for joints only; then `read` requests nothing else until the server has
-    accepted the next motion.
-
-    The toolbox does not report the moment in servo mode; then it is estimated from each reading of the external
-    torques. Servers before May 2019 report neither pose nor force there; the first start of servo mode finds that out.
+    accepted the next motion. In servo mode the moment is estimated from the external torques. Servers before May 2019
+    report neither pose nor force there; the first start of servo mode finds that out.
 
     Args:
-        client: connected to the server.
         wrench: force and moment at the tool point, shape (3,) each, from joints and external torques, shape (7,) each.
         sent: gets each goal when it was sent, shape (7,) [rad], and the velocity of a PTP motion, else 0.
         guarded: whether PTP motions are to end at a torque, if the server knows such."""

@@ -1,15 +1,13 @@
 """The part that both control loops share: a state machine from the first motion home to the last motion to zero.
 
-    observation, now -> step: one command for the arm, and what there is to report
-
-A cycle looks at everything that came since the last one and answers with one command; it waits for nothing. Each state
-has a handler, which answers a command, or the trigger that ends the state. transitions.py has the table that says what
-follows. While a motion runs, desired tool frames are disregarded; afterwards only new ones count.
+A cycle looks at everything that came since the last one and answers with one command; it waits for nothing. A state's
+handler answers a command, or the trigger for the table in transitions.py. While a motion runs, desired tool frames are
+disregarded; afterwards only new ones count.
 
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
-was switched off and on again, with a motion home. A hand is followed only if its stream of desired tool frames begins
-while control is on, so that the conditions under which a stream starts hold when the arm starts. A stream that no hand
-brings is taken over if it is near. And no motion that nobody asked for is repeated at once (own_motions.py)."""
+was switched off and on again, with a motion home. A hand is followed only if its stream begins while control is on, so
+that the conditions under which a stream starts hold when the arm starts. A stream that no hand brings is taken over if
+it is near. No motion that nobody asked for is repeated at once (own_motions.py)."""
 
 from __future__ import annotations
 
@@ -123,11 +121,9 @@ class ControlLoop(ABC, Generic[Settings]):
     """The shared part; a subclass says how a new target is followed.
 
     Attributes:
-        counts: of what happened so far.
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
-        outlook: what becomes of the desired tool frame that comes now, once control goes on, a sentence; None if none
-            comes."""
+        outlook: what becomes of the desired tool frame that comes now, once control goes on; None if none comes."""
 
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
@@ -343,7 +339,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return "home", settings.q_home, velocity
 
     def _checked(self, row: Transition, cycle: Cycle) -> tuple[bool, str | None]:
-        """Returns what `_guard_refusal` says about the motion of a transition, if it begins one."""
         if row.action is Action.PTP:
             name, q, _ = self._motion(row.target)
             return self._guard_refusal(f"motion to {name}", (cycle.observation.joints, q), False)
@@ -409,7 +404,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return too_far(*self._chain.away(desired.T_base_tool, self._scaling, self._settings.q_home))
 
     def _look_out(self, observation: Observation, fresh: DesiredFrame | None, now: float) -> None:
-        """Says what would become of the desired tool frame if control went on now."""
         if observation.inputs.switches.control_on or not self._stream.runs:
             self.outlook = None
         elif fresh is not None:
@@ -572,7 +566,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return (1.0 - min(left / way, 1.0) if way > 0.0 else 1.0), left
 
     def _end_move(self, target: State, cause: Trigger | None, because: str) -> None:
-        """Notes how the running motion ended, on the way to the state `target`."""
         assert self._move is not None and self._progress is not None, "a motion runs"
         state, sentence = MoveState.ABORTED, because
         if target is State.AT_GOAL and cause is Trigger.ARRIVED:
@@ -603,7 +596,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.EXIT) if self._exits(cycle) else None
 
     def _switched(self, cycle: Cycle) -> Fired | None:
-        """Returns which switch, or which infeasible position, ends what the arm does."""
         ends = self._ends(cycle)
         if ends is not None:
             return ends
@@ -614,7 +606,6 @@ class ControlLoop(ABC, Generic[Settings]):
         return None
 
     def _leaves(self, cycle: Cycle) -> Fired | None:
-        """Returns why the arm is to go home or to zero instead of following."""
         switched = self._switched(cycle)
         if switched is not None:
             return switched

@@ -1,8 +1,6 @@
-"""One cycle of a controller: read the arm, step the control loop, execute its command. And the wait for a lost arm.
-A robot that does not answer is waited for in four steps. From the first missing answer nothing is sent and the
-control loop stands still: the goals hold. After `NAMED_S` that is reported as a lost link. After `OFF_S` control
-goes off, and the same connection is probed until the client gives it up. Only then it is closed, and a new one is
-tried."""
+"""One cycle of a controller: read the arm, step the control loop, execute its command. And the wait for a lost arm:
+from the first missing answer nothing is sent and the goals hold; after `NAMED_S` the link is reported lost; after
+`OFF_S` control goes off. A new connection is tried only once the client has given up the old one."""
 
 from __future__ import annotations
 
@@ -46,15 +44,13 @@ WARN_EVERY_S = 1.0  # shortest time between two warnings about missed answers [s
 
 
 class ReconnectSupervisor:
-    """Stands in for the control loop after a lost link to the robot: waits for the robot, then for the operator. First
-    the robot may answer again on the same connection. Once that is `lost`, it says when the next attempt to connect is
-    due, with growing pauses. When the robot is back the arm stays where it is. When control is switched on, or an exit
-    is requested, a fresh control loop takes over and starts with the motion home.
+    """Stands in for the control loop after a lost link to the robot: waits for the robot, then for the operator. The
+    arm stays where it is until control is switched on or an exit is requested; then a fresh control loop begins with
+    the motion home.
 
     Attributes:
         counts: the counters of the previous control loop, which continue.
-        reason: the published reason.
-        next_try: time of the next attempt to connect, monotonic [s]."""
+        next_try: time of the next attempt to connect, monotonic [s]; the pauses grow."""
 
     def __init__(self, error: KstError, counts: Counter[str], make_loop: Callable[[], ControlLoop]) -> None:
         self.counts = counts
@@ -146,8 +142,7 @@ class Controller:
 
     Attributes:
         missed: number of answers of the robot's controller that were late or unusable.
-        holds: number of times that a missing answer held the goals.
-        moving, in_servo: whether a PTP motion runs, and whether the arm follows servo goals."""
+        holds: number of times that a missing answer held the goals."""
 
     def __init__(self, arm: Arm, loop: ControlLoop | ReconnectSupervisor) -> None:
         self.missed = self.holds = 0

@@ -90,17 +90,13 @@ class MovingTarget:
 
 
 class TargetMotion:
-    """Continues joint targets between frames.
+    """Continues joint targets between frames, which come at 74 or 115 Hz and unevenly, at the speed that the stamps
+    show: goals at 250 Hz pass through the joints of each frame without lag.
 
-    Frames come at 74 or 115 Hz and unevenly; goals leave at 250 Hz. After a frame the target continues at the speed
-    that the stamps show. So goals pass through the joints of each frame without lag, at any frame rate.
-
-    Two rules limit the extrapolation. The speed is the smaller of that over the last frame and that over the last few,
-    and zero where their signs differ, so that a hand that slows down or trembles is not extrapolated. And a frame is
-    continued for little longer than the time between frames; then the target comes to rest.
-
-    The clock of the stamps may differ from ours, and frames are delayed in transit. The least delayed of the recent
-    frames gives the difference of the clocks; every other frame counts as older by its additional delay.
+    The speed is the smaller of that over the last frame and that over the last few, and zero where their signs differ,
+    so that a hand that slows down or trembles is not extrapolated. A frame is continued for little longer than the time
+    between frames. The least delayed of the recent frames gives the difference of the clocks; every other one counts as
+    older by its additional delay.
 
     Args:
         lower, upper: joint ranges, shape (7,) [rad], that no extrapolation leaves.
@@ -170,11 +166,8 @@ def rare_frames(rate: float) -> str:
 
 
 class RateLimit:
-    """How fast the arm may follow frames that come at a rate: less often seen, a hand is followed more slowly.
-
-    Attributes:
-        holds: whether they come too rarely.
-        rate: at which they came last [Hz]."""
+    """How fast the arm may follow frames that come at a `rate` [Hz]: less often seen, a hand is followed more slowly;
+    `holds` says whether they come too rarely."""
 
     def __init__(self) -> None:
         self._rate = FrameRate(RATE_WINDOW_S)

@@ -15,10 +15,7 @@ RESUMES_S = 0.25  # the plan reaches its pace again in this time [s]
 
 class LineStream(ServoStream):
     """Makes the goals of one line; other arguments as `ServoStream`. Within the limits, the goals catch up from the
-    joints q to where the plan begins.
-
-    Attributes:
-        fraction: of the way that is done, 0 to 1."""
+    joints q to where the plan begins. `fraction` of the way is done, 0 to 1."""
 
     def __init__(
         self,

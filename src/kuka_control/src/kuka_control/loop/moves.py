@@ -65,13 +65,9 @@ class MoveProgress:
 
 
 class MovePlanner:
-    """Checks what programs ask for. It has no state, so any thread may ask it.
-
-    Args:
-        rig: the arm, its workspace and its home.
-        named: joints [rad], shape (7,), by name; home and zero are known besides.
-        usual, greatest: velocities of PTP motions, fractions of the full joint speed.
-        line: the limits of straight lines; None if this controller makes none."""
+    """Checks what programs ask for. It has no state, so any thread may ask it. `named`: joints by name, shape (7,)
+    [rad], home and zero are known besides; `usual`, `greatest`: velocities of PTP motions, fractions of the full joint
+    speed; `line`: the limits of straight lines, None if this controller makes none."""
 
     def __init__(
         self, rig: Rig, named: Mapping[str, np.ndarray], usual: float, greatest: float, line: LineLimits | None

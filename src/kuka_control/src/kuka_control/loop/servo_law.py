@@ -1,9 +1,9 @@
 """The law of the robot's servo loop, the goal that makes the arm go to the wanted joints, and the law's identification.
 
 Every millisecond the loop gives the drives a destination: measured joint + f(goal - measured joint). The published
-server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS; one build of it has f(e) = e. Under the LTS law small
-distances vanish ever more slowly. A goal of measured joint + f^-1(wanted step) makes the destination the wanted one.
-(Source: docs/handbook/wire-protocols.md, "Servo mode".)"""
+server has f(e) = sign(e) a (1 - exp(-(e/b)^2)), here called LTS, by which small distances vanish ever more slowly; one
+build has f(e) = e. A goal of measured joint + f^-1(wanted step) makes the destination the wanted one. (Source:
+docs/handbook/wire-protocols.md, "Servo mode".)"""
 
 from __future__ import annotations
 
@@ -52,11 +52,8 @@ AT_NOISE_RAD = WIDTH_RAD * math.sqrt(-math.log1p(-NOISE_RAD / REACH_RAD))  # the
 
 class LtsGoals:
     """Goals with which a server of the LTS law reaches the wanted joints, from the start of servo mode on. The measured
-    joints are some milliseconds old, while the loop uses the present ones. They are extrapolated at the speed that the
-    goal had a moment ago. The remaining error is of second order: near the goal f is flat.
-
-    Args:
-        lower, upper: joint ranges, shape (7,) [rad], that no goal leaves."""
+    joints, some milliseconds old, are extrapolated at the speed that the goal had a moment ago; the error that is left
+    is of second order. No goal leaves the joint ranges `lower`, `upper`, shape (7,) [rad]."""
 
     def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
         self._ranges = list(zip(lower.tolist(), upper.tolist()))
@@ -159,12 +156,10 @@ class Approach:
 
 
 class ServoLawIdentification:
-    """Watches a small motion of the last joint, out and back, from the joints q, shape (7,) [rad].
-
-    The goal turns joint 7 by half a degree and rests there. An arm that goes straight for its goal works off the rest
-    by the same fraction in every moment; under the LTS law ever more slowly: from a half to an eighth of the motion it
-    takes about 0.04 s in one case and 0.7 s in the other, with drives of 40 ms. The LTS law is sure only if the times
-    to a quarter and to an eighth fit it too, on the way out and on the way back; otherwise the law is unclear."""
+    """Watches a small motion of joint 7, out and back by half a degree, from the joints q, shape (7,) [rad]. An arm
+    that goes straight for its goal works off the rest by the same fraction in every moment; under the LTS law ever more
+    slowly: from a half to an eighth of the motion 0.04 s and 0.7 s, with drives of 40 ms. The LTS law is sure only if
+    the times to a quarter and to an eighth fit it too, both ways; otherwise the law is unclear."""
 
     def __init__(self, q: np.ndarray) -> None:
         self.rest = read_only(q)

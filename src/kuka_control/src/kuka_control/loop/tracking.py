@@ -24,15 +24,9 @@ MOST_GOALS = 1000  # so many are remembered where no joints come
 
 class JointCheck:
     """Compares each reading of the joints, shape (7,) [rad], with the reading before and the goals that the arm had.
-    The arm moves from where it was towards its goals and stops there, at no more than full speed. Joints that are
-    measured elsewhere are measured wrongly, or something else moves the arm: no goal may be made from them.
-
-    Args:
-        joint_speeds: full speeds of the joints, shape (7,) [rad/s].
-
-    Attributes:
-        where: the least and the greatest joints that the arm can have had at the last reading, shape (7,) each [rad];
-            meaningful once a reading was wrong."""
+    Joints elsewhere than between those, at full `joint_speeds`, shape (7,) [rad/s], are measured wrongly, or something
+    else moves the arm: no goal may be made from them. `where`: the least and the greatest joints that the arm can have
+    had at the last reading, shape (7,) each [rad]; meaningful once a reading was wrong."""
 
     where: tuple[np.ndarray, np.ndarray]
 
@@ -138,18 +132,10 @@ SAMPLES_AT_END = 3  # a verdict needs more readings than this
 
 
 class PtpSupervision:
-    """Watches one PTP motion by measured joints, cycle by cycle. The toolbox does not report a safety stop: the end of
-    the motion just does not come, and the joints come no nearer to the goal. The duration of a motion says nothing,
-    because the smartPad's speed override is not known.
-
-    Args:
-        name: the goal in words, such as "home".
-        q: the goal, shape (7,) [rad].
-
-    Attributes:
-        name, q: as given.
-        held: whether something holds the arm now.
-        was_held: whether something held it since the motion began."""
+    """Watches one PTP motion to the joints q, shape (7,) [rad], cycle by cycle; `name` is the goal in words, such as
+    "home". The toolbox does not report a safety stop: the joints just come no nearer to the goal. The duration of a
+    motion says nothing, because the smartPad's speed override is not known. `held`: whether something holds the arm
+    now, `was_held`: since the motion began."""
 
     def __init__(self, name: str, q: np.ndarray) -> None:
         self.name, self.q = name, q

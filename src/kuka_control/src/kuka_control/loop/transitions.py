@@ -1,7 +1,6 @@
-"""The states of a control loop and the one table of their transitions. A handler of the present state
-(control_loop.py, algorithms.py) names the trigger that ends the state. The table names the next state, the command
-to the arm, and the reason. A pair of state and trigger that has no row is an error. docs/reference/control-loop.md
-is made from this table."""
+"""The states of a control loop and the one table of their transitions: for the trigger that a state's handler names,
+the next state, the command to the arm, and the reason. A pair of state and trigger that has no row is an error.
+docs/reference/control-loop.md is made from this table."""
 
 from __future__ import annotations
 

@@ -60,10 +60,9 @@ def placement_faults(arms: Arms, name: str, mounting: np.ndarray, workspaces: Ma
 
 
 def walls(arms: Arms, name: str) -> tuple[ConvexBody, ...]:
-    """Returns the walls for the collision guard of the arm `name`, in its base: one halfway to each other arm. Each
-    arm keeps the guard's margin from its face of the wall, also in motions that leave the workspace. So no part of
-    one arm comes nearer to another arm than both margins and WALL_M, whatever either does. What a hand holds is no
-    part of the arm: it may reach through."""
+    """Returns the walls for the collision guard of the arm `name`, in its base: one halfway to each other arm. No part
+    of one arm comes nearer to another arm than both margins and WALL_M, whatever either does; what a hand holds is no
+    part of it."""
     T_base_world = inverse(arms.placements[name].T_world_base)
     here = arms.placements[name].position
     found = []

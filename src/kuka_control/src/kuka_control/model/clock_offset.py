@@ -1,9 +1,6 @@
-"""How far the clock of another machine is from this one's, by a two-way exchange: asked at `sent`, answered at
-`received`, the other clock showed the `stated` second meanwhile. No delay on the way is taken for an offset.
-
-An answer bounds the offset from both sides; what all answers of one measurement have in common is the offset, to the
-time of one exchange if one of them comes just before a second of the other clock ends, and one just after. Times in s.
-"""
+"""How far the clock of another machine is from this one's [s], by a two-way exchange: asked at `sent`, answered at
+`received`, the other clock showed the `stated` second meanwhile. No delay on the way is taken for an offset: each
+answer bounds it from both sides, most closely just before and just after a second of the other clock ends."""
 
 from __future__ import annotations
 
@@ -36,11 +33,9 @@ class OffsetMeasurement:
 
 
 class ClockOffset:
-    """The offset of one node's clock, by which the stamps of its frames are corrected.
-
-    Attributes:
-        value: the other clock less this machine's [s]; 0 where they agree to what can be measured.
-        number: how often another one was measured."""
+    """The offset of one node's clock, by which the stamps of its frames are corrected: `value`, the other clock less
+    this machine's [s], 0 where they agree to what can be measured; `number` counts how often another one was
+    measured."""
 
     def __init__(self) -> None:
         self.value, self.number = 0.0, 0

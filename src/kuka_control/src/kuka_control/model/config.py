@@ -193,10 +193,9 @@ class DhDeviations:
 
 
 def robot_address(values: object, given: Mapping, prefix: str = "") -> RobotAddress:
-    """Returns the robot that the parameters of either controller describe; ConfigError: with all faults. Keys that
-    do not belong to an address are ignored. Options are `given` by their keys, None: not given; they override the
-    parameters, and a given tool_length is the whole tool. In messages `prefix` stands before each key, such as
-    "kuka/"."""
+    """Returns the robot that the parameters of either controller describe; ConfigError: with all faults. Options
+    `given` (None: not) override the parameters; a given tool_length is the whole tool. In messages `prefix` stands
+    before each key."""
     changes = {key: value for key, value in given.items() if value is not None}
     if "tool_length" in changes:
         changes["use_tool_transform"] = False

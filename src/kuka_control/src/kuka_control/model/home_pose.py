@@ -1,15 +1,10 @@
 """The home position: the tool in the workspace centre, its z axis down, upper arm and forearm in one upright plane.
 
-Joint 3 is zero: shoulder, elbow and wrist lie in a plane through the base's z axis, the elbow above the line between
-the others. For a center_line with x >= 0, joint 1 turns that plane towards it and the tool's x axis points back to the
-base. Otherwise joint 1 turns the plane the opposite way, the arm leans over backwards (joints 2, 4 and 6 change sign),
-and the tool's x axis points along center_line. So joint 1 never turns by more than 90 deg. If the orientation of the
-tool fits into the plane, as for a plain length, joints 5 and 7 are zero too; otherwise they turn as little as possible.
-
-If the arm is not mounted upright, "down" is that of the world (see common.mounting); the plane contains the base's z
-axis, and the elbow is up along that axis. Base frame, metres, radians.
-
-This holds for an arm as in its data sheet. A calibrated arm has the same tool pose, but other joints."""
+Joint 3 is zero and the elbow is above the line from shoulder to wrist. For a center_line with x >= 0, joint 1 turns the
+plane towards it and the tool's x axis points back to the base; otherwise the arm leans over backwards (joints 2, 4 and
+6 change sign), and the tool's x axis points along center_line. So joint 1 never turns by more than 90 deg. Joints 5 and
+7 turn as little as the orientation of the tool asks for. "Down" is that of the world (see common.mounting); the plane
+contains the base's z axis. A calibrated arm has the same tool pose, but other joints. Base frame, metres, radians."""
 
 from __future__ import annotations
 
@@ -142,7 +137,6 @@ def _out_of_range(model: RobotModel, q: np.ndarray) -> str:
 
 
 def _tool(T_flange_tool: np.ndarray) -> str:
-    """Returns the tool as a part of a sentence."""
     return f"a tool of {np.linalg.norm(T_flange_tool[:3, 3]):g} m"
 
 

@@ -1,7 +1,7 @@
 """The external joint torques of a PTP motion that touches nothing, and what is said where the arm touched something.
-The robot's controller ends the motion where a torque leaves its range. It takes for external what it does not
-explain by the arm and its tool. The toolbox attaches a tool without mass, so weight and inertia of hand and load are
-external; on a cabinet that knows of them they are not. The ranges hold in both cases."""
+The robot's controller ends the motion where a torque leaves its range. The toolbox attaches a tool without mass, so
+weight and inertia of hand and load count as external, unless the cabinet knows of them: the ranges hold in both
+cases."""
 
 from __future__ import annotations
 

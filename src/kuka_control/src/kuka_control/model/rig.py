@@ -44,10 +44,9 @@ class Rig:
         obstacles: tuple[ConvexBody, ...] | None = None,
         lifted: bool = False,
     ) -> Rig:
-        """Returns the rig that a configuration describes. `dh` and `obstacles` are what the files hold that
-        dh_parameters and guard_obstacles name; `lifted`: the bounds of the workspace do not act. Raises ValueError:
-        a file is named, but not handed in; HomeError: the home position cannot be reached or lies outside the
-        workspace."""
+        """Returns the rig that a configuration describes; `dh`, `obstacles`: what the files that it names hold;
+        `lifted`: the bounds of the workspace do not act. Raises ValueError: a named file is not handed in; HomeError:
+        no home position in reach and in the workspace."""
         if config.dh_parameters and dh is None:
             raise ValueError(f"what {config.dh_parameters} says has to be read and handed in")
         model = robot_model(config.robot, config.flange)

@@ -1,12 +1,10 @@
-"""From the desired tool frame to a joint target: scaling, workspace, inverse kinematics.
+"""From the desired tool frame to a joint target: scaling, workspace, inverse kinematics. Positions in the base frame
+[m].
 
-The scaling factor says how far the tool moves for a motion of the hand, from the workspace centre; rotations are not
-scaled. A factor that is changed while the arm follows changes that from the present pose on: an offset keeps the tool
-where it is. Positions in the base frame [m].
-
-Position first: a tool frame out of the arm's reach is tilted by the least angle that brings it into reach. An arm that
-follows reaches and leaves such a target steadily: where the joints would have to hurry although the tool does not, the
-tool keeps its position and its orientation comes after it."""
+The factor scales displacements from the workspace centre, not rotations. Changed while the arm follows, it acts from
+the present pose on: an offset keeps the tool where it is. Position first: a tool frame out of the arm's reach is tilted
+by the least angle that brings it into reach. Where the joints would have to hurry although the tool does not, the tool
+keeps its position and its orientation comes after it."""
 
 from __future__ import annotations
 
@@ -231,11 +229,10 @@ def check_tool_pose(
     follows: bool = False,
     collision: Callable[[np.ndarray], str | None] = lambda q: None,
 ) -> ToolCheck:
-    """Returns whether the tool can be brought to a pose, shape (4, 4) [m], by the steps of a desired tool frame. The
-    answer holds for the joints `q_seed`, shape (7,) [rad], from which the arm would go there: those that it has
-    while it follows the desired tool frame, else those of the home position, since it always goes there first. It
-    does not check the path. In servo mode the arm `follows`: it does not fold differently, and nearer to a body than
-    the collision guard allows it stops by itself. `collision` returns which bodies meet at joints, shape (7,) [rad]."""
+    """Returns whether the tool can be brought to a pose, shape (4, 4) [m], from the joints `q_seed`, shape (7,) [rad]:
+    those of an arm that follows, else of home, where it always goes first. It does not check the path. In servo mode
+    the arm `follows`: it does not fold differently, and nearer to a body than the collision guard allows it stops by
+    itself. `collision` returns which bodies meet at joints, shape (7,) [rad]."""
     reason = rejection_reason(T_base_tool)
     if reason is not None:
         return refused(reason)

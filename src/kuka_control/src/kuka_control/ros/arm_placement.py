@@ -29,9 +29,8 @@ class PlaceBesideOthers(NamedTuple):
 
 def placed_beside_others(config: ControllerConfig, frames: ArmFrames, found: str, patience: float) -> PlaceBesideOthers:
     """Returns where this arm stands beside others, by the parameter `arms`, whose whole name is `found`. Of an arm
-    whose controller runs counts what that started with. It waits for the parameters of the others, from the first of
-    an arm on for `patience` [s]. Raises ConfigError: the arms may not move beside each other, or the controllers do
-    not place them alike."""
+    whose controller runs counts what that started with. Waits for the others' parameters for `patience` [s] from the
+    first on. Raises ConfigError: the arms may not move beside each other, or are not placed alike."""
     values = rospy.get_param(found)
     arms = arms_from(values, "arms/")
     again = "Calibrate the camera to both real arms, then run rosrun vision register_arms.py."

@@ -62,15 +62,13 @@ KEPT = 32  # transforms of a frame that does not concern the desired tool frame
 
 
 class DesiredTool:
-    """Listens to tf and wakes the control loop when something came that concerns the desired tool frame.
+    """Listens to tf and wakes the control loop when something came that concerns the desired tool frame. Only frames
+    that the base or that frame stand in go to tf2; the newest transforms of the others are kept in case this changes.
 
-    A frame that two nodes publish jumps between what both say, so it is left out; if the desired tool frame stands in
-    it, that one counts as refused. So it does without a way to the base, when a frame that it stands in jumps, and when
-    ROS time goes back. A transform with bad numbers, or a desired tool frame whose stamp is far from this machine's
-    clock, is refused: in tf2 one of the future would hide those after it. Where the node that publishes it runs on
-    another machine, whose clock differs, the stamps of all its frames are corrected before tf2 gets them
-    (other_clock.py). Only frames that the base or the desired tool frame stand in, directly or not, go to tf2; the
-    newest transforms of the others are kept in case this changes.
+    A frame that two nodes publish is left out; a desired tool frame that stands in it counts as refused, as it does
+    without a way to the base, when a frame that it stands in jumps, and when ROS time goes back. Bad numbers and stamps
+    far from this machine's clock are refused: in tf2 one of the future would hide those after it. Stamps of a publisher
+    on another machine, whose clock differs, are corrected before (other_clock.py).
 
     Attributes:
         stamp: that of the newest desired tool frame, as it came; None before the first.

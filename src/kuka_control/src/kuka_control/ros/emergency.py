@@ -107,7 +107,6 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
 
 
 def _ended(process: ControllerProcess, deadline: float) -> bool:
-    """Waits until the process has ended, at most until the deadline."""
     while runs(process):
         if clock.monotonic() >= deadline:
             return False

@@ -1,7 +1,6 @@
-"""What the collision guard shows, kuka/guard and kuka/guard_markers; and the opening of the hand, for speed limits.
-`kuka/guard` (rig_msgs/GuardState) at 10 Hz. `kuka/guard_markers` for RViz has the namespaces nearest (the nearest
-pair, green to red by the scale), distance, around (obstacles) and robot (the bodies that stand for it). Both only
-when heard."""
+"""What the collision guard shows, where heard, and the opening of the hand, for speed limits. `kuka/guard`
+(rig_msgs/GuardState) at 10 Hz. `kuka/guard_markers` has the namespaces nearest (the nearest pair, green to red by the
+scale), distance, around (obstacles) and robot (the bodies that stand for it)."""
 
 from __future__ import annotations
 

@@ -23,15 +23,9 @@ START_S = 1.0  # the control loop has this long to start or refuse a motion [s]
 
 
 class MoveServer:
-    """Offers kuka/move: one motion at a time; another goal meanwhile is rejected.
-
-    Args:
-        planner: checks a goal.
-        read: returns the last step of the control loop, None before the first, and the measured joints, shape (7,).
-        frames: of the arm.
-
-    Attributes:
-        move: the motion that the control loop is to make, None while nothing is asked for."""
+    """Offers kuka/move: one motion at a time; another goal meanwhile is rejected. `read` returns the last step of the
+    control loop, None before the first, and the measured joints, shape (7,); `move` is the motion that the control loop
+    is to make, None while nothing is asked for."""
 
     def __init__(
         self,

@@ -29,11 +29,8 @@ class NoAnswer(Exception):
 
 
 class NodeClock:
-    """The clock of one node, in ROS time of this machine.
-
-    Attributes:
-        offset: what its stamps are corrected by.
-        finding: what is known about stamps of it that are far from now, the end of a sentence."""
+    """The clock of one node, in ROS time of this machine: `offset` corrects its stamps; `finding` is what is known
+    about those that are far from now, the end of a sentence."""
 
     def __init__(self, node: str) -> None:
         self.node, self.offset = node, ClockOffset()

@@ -1,7 +1,6 @@
-"""Connects the control panel to the controller: status in, service calls out, none of them in Qt's thread. Three
-kinds of threads: rospy's brings the status, one watches the master and keeps the services' addresses, and every
-request runs in one of its own. They leave what they know in attributes and in a queue; a timer in Qt's thread shows
-it."""
+"""Connects the control panel to the controller: status in, service calls out, none of them in Qt's thread. rospy's
+thread, one that watches the master and one per request leave what they know in attributes and a queue; a timer in Qt's
+thread shows it."""
 
 from __future__ import annotations
 

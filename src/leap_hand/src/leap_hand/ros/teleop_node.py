@@ -90,7 +90,6 @@ class HandTeleopNode:
             self._state_received.set()
 
     def _carry_out(self, result: GripperResult | None) -> None:
-        """Sends the command of a result and logs a change of the state."""
         if result is None:
             return
         if result.command is not None:
@@ -102,7 +101,6 @@ class HandTeleopNode:
         self._result = result
 
     def _send(self, wanted: np.ndarray) -> None:
-        """Sends the part of a command that the force limit allows, and logs changes of the limit."""
         before, allowed = self._limited, self._force_limit.clip(wanted, clock.monotonic())
         self._commands.publish(RadianServoCommands(allowed.command.tolist()))
         self._commands_sent += 1

@@ -124,7 +124,6 @@ class _Terminal:
 
 
 def _ask(question: str) -> None:
-    """Raises WizardRefused unless the person says yes."""
     if not sys.stdin.isatty():
         raise WizardRefused(f"{question.partition('?')[0].rpartition('. ')[0]}; --force replaces it.")
     if input(question).strip().lower() not in ("y", "yes"):

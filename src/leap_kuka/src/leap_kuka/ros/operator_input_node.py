@@ -49,7 +49,6 @@ class OperatorInputNode:
         self._close()
 
     def _read(self) -> None:
-        """Reads what the device has to say within POLL_S."""
         if self._file is None and self._path and clock.monotonic() >= self._retry_at:
             self._open()
         if self._file is None:
@@ -80,7 +79,6 @@ class OperatorInputNode:
         rospy.loginfo("Input device %s is open; press and release its clutch once, if it has one.", self._path)
 
     def _lost(self, why: str) -> None:
-        """Takes the device for lost, says so once, and tries again later."""
         if self._file is not None:
             self._close()
             with self._lock:
@@ -117,7 +115,6 @@ class OperatorInputNode:
         return True, f"{what} is {'pressed' if request.data else 'released'} by the service."
 
     def _publish(self) -> None:
-        """Publishes a change, and the state every PERIOD_S."""
         with self._lock:
             now = clock.monotonic()
             state = self._input.state(now)

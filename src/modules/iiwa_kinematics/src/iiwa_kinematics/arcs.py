@@ -1,11 +1,9 @@
-"""Sets of angles on the circle, and the angles at which a sinusoid is positive.
-
-A joint limit forbids the arm angles at which one sinusoid, or two at once, are positive; what all limits leave free is
-a few intervals. All of it is closed form, nothing is sampled.
+"""Sets of angles on the circle, and the angles at which a sinusoid is positive: a joint limit forbids the arm angles at
+which one sinusoid, or two at once, are positive. All in closed form.
 
 An arc is (start, length): the angles from `start` to `start + length` [rad]; length 2 pi is the whole circle. An
-interval is (low, high) with -pi <= low <= pi and low <= high < low + 2 pi, so that one that contains pi runs beyond it.
-"""
+interval is (low, high) with -pi <= low <= pi and low <= high < low + 2 pi, so that one that contains pi runs beyond
+it."""
 
 from __future__ import annotations
 

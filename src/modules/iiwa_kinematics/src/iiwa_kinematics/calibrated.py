@@ -1,10 +1,9 @@
 """Kinematics of a calibrated arm: the closed form of the nominal arm, refined by Newton steps on the real one.
 
-A calibrated arm has no exact spherical shoulder and wrist, so it has no closed form. It differs from the nominal arm by
-a few millimetres only. The closed form therefore chooses the solution: it is asked for the pose that the nominal arm
-must reach for the calibrated one to arrive near its target. The difference between the two arms is taken at the present
-joints, so a tool at rest leaves the joints at rest. Newton steps of least length on the calibrated arm remove the
-remaining error. They have no component along the self-motion: the elbow stays where the closed form put it."""
+A calibrated arm has no exact spherical shoulder and wrist, so no closed form. That of the nominal arm is asked for the
+pose that it must reach for the calibrated one to arrive near its target; the difference of the two is taken at the
+present joints, so a tool at rest leaves the joints at rest. Newton steps of least length remove the remaining error.
+They have no component along the self-motion: the elbow stays where the closed form put it."""
 
 from __future__ import annotations
 

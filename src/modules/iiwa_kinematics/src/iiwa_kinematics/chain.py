@@ -79,9 +79,8 @@ def jacobian(model: RobotModel, q: np.ndarray, T_flange_tool: np.ndarray | None 
 
 def tool_point(model: RobotModel, tool: Vector, q: Sequence[float], around: float) -> tuple[Vector, list[float]]:
     """Returns the tool point in the base [m], and how far the moving arm reaches from the axes of joints 1 to 7 [m].
-    `tool` is the tool point in the flange [m], q the 7 joint angles [rad]. The arm is the elbow, the wrist, and all
-    that is no farther than `around` [m] from the tool point. The points are carried to the base: each joint turns
-    them about its own axis."""
+    The arm is the elbow, the wrist, and all within `around` [m] of the tool point, `tool` in the flange [m], at joints
+    q, 7 [rad]."""
     q1, q2, q3, q4, q5, q6, q7 = q
     upper, fore = model.shoulder_elbow, model.elbow_wrist
     x, y, z = tool[0], tool[1], tool[2] + model.wrist_flange

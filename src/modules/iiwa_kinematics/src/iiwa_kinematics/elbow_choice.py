@@ -1,16 +1,13 @@
 """Where the elbow is chosen: of all joints that reach a tool pose, those that continue best from the present ones.
 
-The pose leaves one angle free, the elbow's position on its circle, and up to eight branches. The criteria, in this
-order: all joints within their ranges; close to the seed; then a slow return to the preferred arm angle, away from the
-ends of the joint ranges and from the singular poses in which joint 2 or joint 6 is zero.
+In this order: all joints within their ranges; close to the seed; then a slow return to the preferred arm angle, away
+from the ends of the joint ranges and from the singular poses in which joint 2 or joint 6 is zero. An arm that follows a
+path keeps its branch, except where joint 2 or 6 is near zero. From rest all eight branches are compared by the time
+that the motion takes.
 
-An arm that follows a path keeps its branch, except where joint 2 or 6 is near zero. For a motion from rest all eight
-branches are compared by the time that the motion takes.
-
-Close means a small weighted joint step in which joint 3 counts most. With joint 3 nearly fixed, the arm moves like one
-with six joints: its elbow stays in its plane, and the tool may pass over positions in which joint 2 goes through zero
-without any joint racing. The slow return adds at most a fraction of the joint step that the tool asks for, so an arm
-whose tool is at rest does not move."""
+Close means a small weighted joint step in which joint 3 counts most: with it nearly fixed, the elbow stays in its
+plane, and the tool may pass over positions in which joint 2 goes through zero without any joint racing. The slow return
+adds at most a fraction of the joint step that the tool asks for, so an arm whose tool is at rest does not move."""
 
 from __future__ import annotations
 

@@ -58,12 +58,8 @@ class IkResult:
 
 
 class Kinematics:
-    """An arm with its tool, as in its data sheet.
-
-    Args:
-        model: the arm.
-        T_flange_tool: pose of the tool in the flange, shape (4, 4) [m]; the flange itself if omitted.
-        elbow_preference: arm angle to which the elbow slowly returns [rad]; 0 is up."""
+    """An arm with its tool, as in its data sheet; `T_flange_tool`: pose of the tool in the flange, shape (4, 4) [m],
+    the flange itself if omitted; `elbow_preference`: arm angle to which the elbow slowly returns [rad], 0 is up."""
 
     calibrated = False  # whether this arm differs from the one that the robot's own controller computes with
     slack = 0.0, 0.0  # how much earlier this arm's reach may end than the data sheet's, in length [m] and angle [rad]

@@ -1,7 +1,6 @@
-"""At the end of the arm's reach: position first. The tool keeps its position, and its orientation gives way. What
-ends the reach is the distance of the wrist from the shoulder, and joint 6, the angle between forearm and flange.
-Both depend on how far the tool is tilted in the plane through shoulder, wrist and tool point. So the nearest
-orientation within reach is found as the least angle of this tilt, which changes continuously with the desired pose."""
+"""At the end of the arm's reach: position first. The tool keeps its position, and its orientation gives way by the
+least tilt in the plane through shoulder, wrist and tool point that brings the wrist's distance from the shoulder and
+joint 6 into reach; this changes continuously with the desired pose."""
 
 from __future__ import annotations
 

@@ -1,10 +1,7 @@
 """The arms: lengths, joint ranges and joint speeds of the KUKA LBR iiwa, with the media flange that is mounted on it.
-
-Lengths in metres along the outstretched arm, angles in radians. The flange frame lies in the centre of the media
-flange's outer face, z outwards. This is geometry for the controller; masses and shapes stand in rig_description.
-
-Sources: KUKA's data sheets of the LBR iiwa 7 R800 and 14 R820 and of its media flanges; the lengths are also those of
-the KUKA Sunrise Toolbox (table of Denavit-Hartenberg parameters, flange heights)."""
+Metres along the outstretched arm, radians. The flange frame lies in the centre of the media flange's outer face, z
+outwards. Sources: KUKA's data sheets of the LBR iiwa 7 R800 and 14 R820 and of its media flanges; the lengths are also
+those of the KUKA Sunrise Toolbox (table of Denavit-Hartenberg parameters, flange heights)."""
 
 from __future__ import annotations
 

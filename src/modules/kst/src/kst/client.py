@@ -1,10 +1,10 @@
 """Client of the KUKA Sunrise Toolbox server on the arm's controller: point-to-point motions, joint servo, measurements.
 
-One socket, no thread of its own. All calls come from one thread; only `abort` may come from another. Angles in rad,
-lengths in m, forces in N, torques in Nm. The client refuses joint angles outside the limits, and commands that the
-server would never answer in the present mode. Every call returns a result or raises an error of `kst.errors`. The
-client does not plan: servo goals must be smooth by themselves. The caller checks that the arm follows them, because a
-servo mode that the controller stopped still acknowledges its goals (docs/handbook/wire-protocols.md)."""
+One socket, no thread of its own: all calls come from one thread, but `abort`. Angles in rad, lengths in m, forces in N,
+torques in Nm. The client refuses joint angles outside the limits, and commands that the server would never answer in
+the present mode. It does not plan: servo goals must be smooth by themselves. The caller checks that the arm follows
+them, because a servo mode that the controller stopped still acknowledges its goals
+(docs/handbook/wire-protocols.md)."""
 
 from __future__ import annotations
 
@@ -267,10 +267,9 @@ class KstClient:
             raise
 
     def ptp_arrived(self) -> bool:
-        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has. The joints
-        that `joints` reads tell it, too: an arm that has been there for LATE_END_S and then for the wait for an
-        answer (KstTiming.reply) has lost its final word. Raises MotionRefused: the controller gave the motion up, or
-        it never began because its start was wiped; MotionInterrupted: an external torque ended it."""
+        """Returns whether the motion has ended at its goal; does not wait. Ends the mode PTP when it has. An arm that
+        has been at the goal for LATE_END_S and then for KstTiming.reply has lost its final word. Raises MotionRefused:
+        the controller gave the motion up, or its start was wiped; MotionInterrupted: an external torque ended it."""
         if self.mode is not KstMode.PTP:
             raise WrongMode(f"no PTP motion runs (mode {self.mode.value}); start one first", mode=self.mode)
         self._session.poll()

@@ -1,7 +1,6 @@
-"""Wire text of the KUKA Sunrise Toolbox: commands to lines, bytes to replies. Pure; knows no socket and no time.
-Millimetres and the angles A, B, C of the wire end here: poses are 4x4 matrices in metres on this side. The commands
-and their threads: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox". Commands that no server understands, or
-that stop it, are left out."""
+"""Wire text of the KUKA Sunrise Toolbox: commands to lines, bytes to replies. Pure. Millimetres and the angles A, B, C
+of the wire end here: poses are 4x4 matrices in metres. Commands and their threads: docs/handbook/wire-protocols.md,
+"Arm: Sunrise Toolbox"; those that no server understands, or that stop it, are left out."""
 
 from __future__ import annotations
 

@@ -16,10 +16,7 @@ MOVED_RAD = math.radians(0.02)  # a smaller approach to the goal is not a motion
 
 
 class PtpApproach:
-    """Whether the joints come nearer to the goal of a motion; its first reading is the start.
-
-    Args:
-        goal: joints after the motion, shape (7,) [rad].
+    """Whether the joints come nearer to the `goal` of a motion, shape (7,) [rad]; its first reading is the start.
 
     Attributes:
         left: absolute distance of each joint to the goal, shape (7,) [rad].

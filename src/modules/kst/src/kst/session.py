@@ -1,18 +1,15 @@
 """Pairs replies with commands on a link that numbers neither.
 
 The server's reader thread answers in order. Its main thread clears the shared command word after each answer, so a
-main-thread command that comes too early is wiped without a reply (docs/handbook/wire-protocols.md, "Arm: Sunrise
-Toolbox"). Therefore the session pauses after such an answer and sends a wiped command again. The final word of a motion
-comes unasked and is not an answer.
+command for it that comes too early is wiped without a reply (docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox"):
+the session pauses after such an answer and sends a wiped command again. The final word of a motion comes unasked.
 
-After a missing answer nothing is sent but probes: questions to the reader thread that ask for a reply of another kind
-than the missing one. What comes before the answer to a probe is late. A server that answers no probe for
-`KstTiming.silence` is given up; until then it may have been frozen, while its kernel kept the connection.
+After a missing answer nothing is sent but probes: questions to the reader thread that ask for a reply of another kind.
+What comes before the answer to a probe is late. A server that answers no probe for `KstTiming.silence` is given up.
 
-Servo goals may be streamed: a further one is sent before the answers to those before it have come. The reader thread
-answers in order, so each answer belongs to the oldest goal that is open. The window bounds the age of that one: what a
-stalled link holds back reaches the arm in one go, and the arm jumps by as much. So it follows the link's usual delay.
-"""
+Servo goals may be streamed; each answer belongs to the oldest goal that is open. The window bounds the age of that one:
+what a stalled link holds back reaches the arm in one go, and the arm jumps by as much. It follows the link's usual
+delay."""
 
 from __future__ import annotations
 
@@ -80,7 +77,6 @@ class KstSession:
 
     Attributes:
         monotonic: the transport's time [s].
-        counts: events so far.
         round_trip: time from the sending of the last answered command to its answer [s]; None before the first.
         open: the streamed goals whose answers have not come, the oldest first.
         arrived: the streamed goals with their answers, as they came, until somebody takes them. An answer that does not

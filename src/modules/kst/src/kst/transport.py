@@ -22,10 +22,8 @@ _RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad an
 
 class KstTransport:
     """One TCP connection; used from one thread, except `abort`. Every use of a lost link raises ConnectionLost.
-
-    Attributes:
-        monotonic: the time in which it waits [s]; another transport may bring its own.
-        heard: the first bytes that came."""
+    `monotonic`: the time in which it waits [s]; another transport may bring its own. `heard`: the first bytes that
+    came."""
 
     monotonic = staticmethod(time.monotonic)
 

@@ -203,7 +203,6 @@ class LeapClient:
         self._set_status(LeapLink.CLOSED, f"The link to the Leap service on {self._address} is closed.")
 
     def _converse(self) -> None:
-        """Opens one connection and reads it to its end; a _LinkFault says why it ended."""
         try:
             connection = LeapSocket(self._host, self._port, self._code, self._fingerprint)
         except UnknownService as error:
@@ -313,7 +312,6 @@ class LeapClient:
             dropped[reason if reason in dropped or len(dropped) < MAX_REASONS else "other reasons"] += 1
 
     def _judge(self, reason: str | None) -> None:
-        """Notes whether a frame was usable: `reason` says why not."""
         with self._changed:
             self._unusable = None if reason is None else self._unusable or (self._monotonic(), reason)
 

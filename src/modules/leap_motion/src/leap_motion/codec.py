@@ -314,7 +314,6 @@ def _number(message: dict, key: str, missing: float | None = None) -> float:
 
 
 def _vectors(name: str, value: Any, shape: tuple[int, ...], scale: float = 1.0) -> np.ndarray:
-    """Returns `value` as a read-only array of the shape, times `scale`."""
     try:
         array = np.array(value)
     except ValueError:

@@ -1,7 +1,6 @@
-"""Where a tracker stands: the rigid transform T_desk_leap from the tracker's own axes to those of the desk. The
-desk's axes are like the Leap's, with the origin of the points that the person shows and touches with the tip of the
-index finger: it can be put on a mark within some 3 mm; half the finger's thickness (FINGER_M) is the same
-everywhere."""
+"""Where a tracker stands: the rigid transform T_desk_leap from the tracker's own axes to those of the desk, which are
+like the Leap's. The person touches the points with the tip of the index finger, within some 3 mm; half the finger's
+thickness (FINGER_M) is the same everywhere."""
 
 from __future__ import annotations
 

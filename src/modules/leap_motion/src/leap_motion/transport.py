@@ -1,7 +1,6 @@
-"""The WebSocket to the Leap service, read in the caller's thread: websockets' own client hands each message from a
-thread that reads the socket to the caller's, and waits until that has taken it. To another machine it goes by TLS,
-whose certificate must have the fingerprint that the user knows. TLS runs in memory, so that it needs of a socket no
-more than to send and receive."""
+"""The WebSocket to the Leap service: websockets' own client hands each message from its reading thread to the caller's,
+and waits until that has taken it. To another machine it goes by TLS in memory, whose certificate must have the
+fingerprint that the user knows."""
 
 from __future__ import annotations
 
@@ -110,7 +109,6 @@ class LeapSocket(contextlib.AbstractContextManager):
         self._flush()
 
     def __exit__(self, *_exception: object) -> None:
-        """Closes the connection in CLOSE_TIMEOUT_S at most."""
         deadline = time.monotonic() + CLOSE_TIMEOUT_S
         with self._socket, contextlib.suppress(OSError):
             if self._protocol.state is State.OPEN:
@@ -128,7 +126,6 @@ class LeapSocket(contextlib.AbstractContextManager):
             raise UnknownService(tls.fingerprint())
 
     def _receive(self, deadline: float) -> bytes:
-        """Waits for bytes; raises TimeoutError if none come in time."""
         rest = deadline - time.monotonic()
         if rest <= 0.0:
             raise TimeoutError
@@ -139,7 +136,6 @@ class LeapSocket(contextlib.AbstractContextManager):
             raise TimeoutError from None  # the two are one from Python 3.10 on
 
     def _read(self, deadline: float) -> None:
-        """Waits for bytes, and takes the messages in them; raises TimeoutError if none come in time."""
         self._flush()
         data = self._receive(deadline)
         ended = not data

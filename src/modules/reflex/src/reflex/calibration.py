@@ -144,10 +144,9 @@ class CalibrationStep:
 
 class FingerCalibration:
     """Finds the open position of the fingers: draws the tendons in, step by step, until each knuckle begins to turn.
-
-    The user opens the fingers first. The present encoder values are the encoders' zeros. Each round closes every finger
-    whose knuckle has not turned yet by a small step; the motors' zeros lie a slack before the point where it turned.
-    The calibration gives up, with a sentence, on a bound of closing, time or load and on servos that do not answer."""
+    The user opens the fingers first: the present encoder values are the encoders' zeros; the motors' zeros lie a slack
+    before the point where the knuckle turned. It gives up, with a sentence, on a bound of closing, time or load and on
+    servos that do not answer."""
 
     def __init__(self, settings: HandSettings) -> None:
         self._settings = settings

@@ -207,7 +207,6 @@ class ReflexHand:
         self._report(notes)
 
     def _wait_while(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Returns whether the condition ended within `timeout` seconds."""
         deadline = self._monotonic() + timeout
         while condition():
             if self._monotonic() > deadline or self._stopped.is_set():

@@ -278,7 +278,6 @@ class HandLogic:
         self._notes.append(HandNote(level, text))
 
     def _refused(self, request: HandRequest, now: float) -> str:
-        """Returns why the hand refuses a request now, a sentence, or an empty text."""
         holds = {
             HandStatus.SILENT: not self.link.alive(now),
             HandStatus.TORQUE_OFF: not self._torque,
@@ -372,7 +371,6 @@ class HandLogic:
         self._send.extend(self.motion.aim(positions))
 
     def _command(self, angles: tuple[float, ...]) -> str:
-        """Sends the motors to `angles`; returns the reason of a refusal, or an empty text."""
         if not self.calibrated or self.reading is None:
             return "This hand has never been calibrated: calibrate the fingers."
         zeros = self._zeros.motor_zero_reference

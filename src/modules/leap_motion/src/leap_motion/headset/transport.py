@@ -1,9 +1,8 @@
-"""The conversation with a headset's page, on a WebSocket that the server of the page has accepted.
-
-The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a sentence} and
-the end. One headset drives at a time. Each of its frames is answered: {"leap": [x, y, z, heading] or null, "note": a
-sentence, ...scene}; it sends no more while several answers are missing. {"away": true}, silence and the end of the page
-count as an unplugged tracker."""
+"""The conversation with a headset's page, on a WebSocket that the server of the page has accepted; one headset drives
+at a time. The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a
+sentence} and the end. Each frame is answered: {"leap": [x, y, z, heading] or null, "note": a sentence, ...scene}; the
+page sends no more while several answers are missing. {"away": true}, silence and the end of the page count as
+unplugged."""
 
 from __future__ import annotations
 
@@ -187,7 +186,6 @@ async def _send(connection: ServerConnection, message: dict) -> None:
 
 
 def _read(text: str | bytes) -> dict:
-    """Returns the message in a text, an empty one if the text holds none."""
     try:
         message = json.loads(text)
     except (ValueError, RecursionError):

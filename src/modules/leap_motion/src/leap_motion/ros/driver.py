@@ -96,7 +96,6 @@ class LinkReport:
         return refusal(self._what, of.simulated, status.simulated, cure)
 
     def _remark(self, status: LeapStatus) -> str:
-        """Returns what the person has to make sure of, or ""."""
         of = self._registration
         if of is None:
             return ""
@@ -105,7 +104,6 @@ class LinkReport:
         return f"{which} {doubt(self._what, of.simulated, status.simulated)}".strip()
 
     def _checked_status(self) -> LeapStatus:
-        """Returns the state of the link, which is refused while the registration is another tracker's."""
         status = self._client.status
         if self._registration is None or status.link is not LeapLink.STREAMING:
             return status

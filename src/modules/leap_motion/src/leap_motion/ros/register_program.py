@@ -151,7 +151,6 @@ def _touch(client: LeapClient, instruction: str, ask: Callable[[str], str]) -> n
 
 
 def _frames(client: LeapClient) -> list[LeapFrame]:
-    """Returns the frames of the next HOLD_S."""
     client.next_frame(0.0)  # one from before
     frames, end = [], clock.monotonic() + HOLD_S
     while (left := end - clock.monotonic()) > 0.0:

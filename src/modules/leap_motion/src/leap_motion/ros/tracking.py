@@ -160,7 +160,6 @@ class FramesHere:
 
 
 def _hand_at(data: bytes, at: int, is_left: bool, with_fingers: bool, with_joints: bool) -> tuple[TrackedHand, int]:
-    """Returns the hand that begins at a byte, and where it ends."""
     head = HAND.unpack_from(data, at)
     at += HAND.size
     if (head[3], head[6], head[21], head[30], *head[34:]) != (len(FRAME_ID), True, CENTER, CENTER, 0, 5):

@@ -75,7 +75,6 @@ class SocketService(ABC):
         self._stopping = True
 
     def _open(self, listener: socket.socket, tls: ssl.SSLContext | None = None) -> None:
-        """Serves a listening socket from the next `_serving` on."""
         limits = ConnectionLimits(MAX_CONNECTIONS, MAX_OF_ADDRESS)
         self._doors.append((BoundedListener(listener, limits), tls))
 

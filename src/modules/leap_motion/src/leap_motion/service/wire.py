@@ -164,7 +164,6 @@ def six(values: float | np.ndarray | list[Any]) -> Any:
 
 
 def _slots(number: str, *shape: int) -> str:
-    """Returns the text of an array with places for its numbers, each printed as `number`."""
     return "[" + ",".join([_slots(number, *shape[1:]) if shape[1:] else number] * shape[0]) + "]"
 
 

@@ -125,7 +125,6 @@ class HandTracks:
         return FrameHands(hands, remarks[0] if remarks else "", rate, distances)
 
     def _follow(self, seen: Sequence[SeenHand], light: float, now: float) -> list[str]:
-        """Updates the tracks; returns remarks, the most important first."""
         found = sorted((s for s in seen if _finite(s)), key=lambda s: (self._distance(s), -s.score))
         taken: list[tuple[np.ndarray, float]] = []
         remarks: list[str] = []
@@ -151,7 +150,6 @@ class HandTracks:
         return nearest / size if nearest < SAME_SIZES * size else math.inf
 
     def _judge(self, seen: SeenHand, centre: np.ndarray, size: float, light: float, now: float) -> str:
-        """Adds a hand to its track, if it can be trusted; returns what is wrong with it, or an empty text."""
         track = self._track(seen, centre, size, now)
         hand = camera_hand(track.side, seen.rays, seen.world, self._palm_width)
         fault = _fault(seen, hand)
@@ -170,7 +168,6 @@ class HandTracks:
         return remark if holds else HOLD_STILL
 
     def _track(self, seen: SeenHand, centre: np.ndarray, size: float, now: float) -> _Track:
-        """Returns the track of a hand, a new one for a hand that has none."""
         for track in self._tracks:
             if track.seen < now and np.linalg.norm(track.centre - centre) < SAME_SIZES * size:
                 track.other_side = track.other_side + 1 if seen.side != track.side else 0
@@ -229,7 +226,6 @@ def _inside(landmarks: np.ndarray) -> bool:
 
 
 def _fault(seen: SeenHand, hand: CameraHand | None) -> str:
-    """Returns why a hand cannot be trusted, or an empty text."""
     if not _inside(seen.landmarks[PALM]):
         return CUT
     if hand is None or hand.residual > WORST_RESIDUAL:

@@ -4,10 +4,8 @@ Camera axes: x to the image's right, y down, z out of the camera; millimetres. L
 four joints of thumb to pinky. "Rays" are landmarks in the image plane at distance 1: (x / z, y / z). "World landmarks"
 are MediaPipe's estimate of the hand's shape: without place, of unsure size, turned as seen along the ray to the hand.
 
-The palm is taken as rigid: the Leap's own template, scaled to the person's palm width. Its orientation comes from the
-world landmarks, its position from perspective: the position at which the template, so turned, projects to the rays.
-Solving for the orientation as well (PnP) doubles the jitter of the angles: a palm seen from the front is nearly flat.
-"""
+The palm is the Leap's own rigid template, scaled to the person's palm width: orientation from the world landmarks,
+position by least squares of the rays. Solving for the orientation as well (PnP) doubles the jitter of the angles."""
 
 from __future__ import annotations
 

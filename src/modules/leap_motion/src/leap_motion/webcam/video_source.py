@@ -97,7 +97,6 @@ class CameraSource(VideoSource):
         return ""
 
     def _read(self, camera: cv2.VideoCapture) -> bool:
-        """Takes images until the camera fails; returns whether one came."""
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
         for key, value in ((cv2.CAP_PROP_FRAME_WIDTH, SIZE_PX[0]), (cv2.CAP_PROP_FRAME_HEIGHT, SIZE_PX[1])):
             camera.set(key, value)

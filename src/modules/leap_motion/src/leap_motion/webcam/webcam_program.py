@@ -119,7 +119,6 @@ class WebcamTracker:
             self._see(taken, number, start)
 
     def _see(self, taken: VideoImage, number: int, start: float) -> None:
-        """Serves the hands of an image."""
         if self._renew:
             self._renew = False
             self._tracks.renew()
@@ -137,7 +136,6 @@ class WebcamTracker:
         )
 
     def _tell(self, remark: str, view: TrackerView | None) -> None:
-        """Shows the view, and logs a remark that is new, now and then."""
         self.view = view or TrackerView(None, None, self._tracks.camera, False, [], remark)
         now = time.monotonic()
         if (kind := NUMBERS.sub("", remark)) != self._told and now - self._told_at > BETWEEN_LINES_S:
@@ -178,7 +176,6 @@ def main(arguments: list[str] | None = None, no_window: Callable[[], str] = str)
 
 
 def _show(tracker: WebcamTracker, stopped: threading.Event, mirror: bool) -> None:
-    """Shows the window until it is closed or `stopped`."""
     from python_qt_binding.QtCore import QTimer
     from python_qt_binding.QtWidgets import QApplication
 
@@ -194,7 +191,6 @@ def _show(tracker: WebcamTracker, stopped: threading.Event, mirror: bool) -> Non
 
 
 def _measure(options: argparse.Namespace, stopped: threading.Event) -> int:
-    """Measures the palm of a person and stores it; returns the exit code."""
     path = _palm_file(options.measure)
     find, size = (find_tag, (options.tag, options.tag)) if options.tag else (find_card, CARD_MM)
     scale = f"the tag of {options.tag:g} mm" if options.tag else "a bank card"
