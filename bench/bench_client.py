@@ -1,7 +1,5 @@
 """The toolbox client against the simulated controller, a process of its own: servo goals, paced and without pause.
-
-Called as a program, `python -m bench.bench_client LINK COUNT` measures one of BAD_LINKS, in a network of its own.
-"""
+Called as a program, `python -m bench.bench_client LINK COUNT` measures one of BAD_LINKS, in a network of its own."""
 
 from __future__ import annotations
 
@@ -50,11 +48,8 @@ def rows(quick: bool) -> list[Row]:
 
 @contextlib.contextmanager
 def simulated_controller(host: str = "127.0.0.1") -> Iterator[int]:
-    """Runs a simulated controller on a free port of a loopback address; yields the port.
-
-    Raises:
-        BenchError: it did not start.
-    """
+    """Runs a simulated controller on a free port of a loopback address; yields the port. Raises BenchError: it did not
+    start."""
     command = (sys.executable, str(PROGRAM), "--host", host, "--port", "0", "--control-port", "0")
     process = subprocess.Popen(
         command, env=_environment(), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

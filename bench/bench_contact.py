@@ -1,8 +1,6 @@
 """The largest force on a post in the way of a PTP motion, by what ends the motion. Simulated time: the same everywhere.
-
 The arm turns one joint or several on its way home, towards a post that stands fast. Nothing ends the motion, or the
-cabinet's stop at 25 Nm, or the torque ranges of the controllers alone (ptp_contact_torque).
-"""
+cabinet's stop at 25 Nm, or the torque ranges of the controllers alone (ptp_contact_torque)."""
 
 from __future__ import annotations
 

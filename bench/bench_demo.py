@@ -44,8 +44,7 @@ LEAST_SHARE = 5.0  # programs that take less of a processor are not listed [%]
 @dataclass(frozen=True)
 class DemoRun:
     """One demo: its report, the times until the arm was at home and until it was ready for a hand [s], the CPU share of
-    each program [%], and how often the measured flange came on tf [Hz].
-    """
+    each program [%], and how often the measured flange came on tf [Hz]."""
 
     report: dict
     home_s: float
@@ -55,11 +54,8 @@ class DemoRun:
 
 
 def rows(quick: bool) -> list[Row]:
-    """Returns delays, CPU shares, time to start and rates of one demo without a screen.
-
-    Raises:
-        BenchError: the demo did not run to its end, or found a fault.
-    """
+    """Returns delays, CPU shares, time to start and rates of one demo without a screen. Raises BenchError: the demo did
+    not run to its end, or found a fault."""
     slices = 4 if quick else 15
     run = run_demo(slices)
     how = f"a demo of {run.report['duration_s']:.0f} s"
@@ -94,11 +90,7 @@ def rows(quick: bool) -> list[Row]:
 
 
 def run_demo(slices: int) -> DemoRun:
-    """Runs a demo without a screen.
-
-    Raises:
-        BenchError: the demo did not run to its end, or found a fault.
-    """
+    """Runs a demo without a screen. Raises BenchError: the demo did not run to its end, or found a fault."""
     with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as others:
         report, log = Path(folder) / "report.json", Path(folder) / "demo.log"
         env = {

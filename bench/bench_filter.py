@@ -26,8 +26,7 @@ LEVEL = ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0))
 
 def rows(quick: bool) -> list[Row]:
     """Returns per filter its lag, the fractions of tremor and of noise that pass, and its processor time; what depends
-    on the size of the buffer also for larger ones.
-    """
+    on the size of the buffer also for larger ones."""
     seconds, hands = 10.0 if quick else 60.0, recorded()
     where = f"{seconds:g} s of reaches of 20 cm in 0.8 s at {RATE_HZ:g} Hz, with 1 mm of tremor, 4 to 12 Hz"
     measured = {}

@@ -1,7 +1,5 @@
-"""From a depth image to a grasp, stage by stage, with one processor; what is measured is its time.
-
-GG-CNN is measured where its published weights, which are not shipped, are in `shared/data/ggcnn`.
-"""
+"""From a depth image to a grasp, stage by stage, with one processor; what is measured is its time. GG-CNN is measured
+where its published weights, which are not shipped, are in `shared/data/ggcnn`."""
 
 from __future__ import annotations
 

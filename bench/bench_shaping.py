@@ -1,7 +1,5 @@
-"""What shaping costs and what it spares, and how far the arm is behind its goals and the hand.
-
-Simulated time: the same on every machine.
-"""
+"""What shaping costs and what it spares, and how far the arm is behind its goals and the hand. Simulated time: the same
+on every machine."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ HAND_S = 20.0
 
 def rows(quick: bool) -> list[Row]:
     """Returns the lag and the largest acceleration of the goals beside those without shaping, and the arm's lag with
-    compensation of the servo law beside that without.
-    """
+    compensation of the servo law beside that without."""
     seconds = 3.0 if quick else 6.0
     table = []
     for rate in RATES_HZ[:1] if quick else RATES_HZ:
@@ -117,8 +114,7 @@ def path_lag(points: np.ndarray, times: np.ndarray, tool: Callable[[float], np.n
         points: shape (n, 3) [m].
         times: of the points, shape (n,) [s].
         tool: the tool frame that was wanted, shape (4, 4) [m], at a time [s].
-        speed: along the way [m/s].
-    """
+        speed: along the way [m/s]."""
     along = np.array([tool(t + 1e-4)[:3, 3] - tool(t - 1e-4)[:3, 3] for t in times])
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.sum((np.array([tool(t)[:3, 3] for t in times]) - points) * along, axis=1) / speed

@@ -1,7 +1,5 @@
 """How the goals come to rest from a motion at 0.5 m/s, by cause. Simulated time: the same on every machine.
-
-Acceleration and jerk are those of the slowest joint; the limits of the faster ones are higher in proportion.
-"""
+Acceleration and jerk are those of the slowest joint; the limits of the faster ones are higher in proportion."""
 
 from __future__ import annotations
 
@@ -59,8 +57,7 @@ def _rows(cause: str) -> list[Row]:
 
 def run(cause: str) -> tuple[SimulatedRig, np.ndarray, np.ndarray, int]:
     """Returns the rig, the times of its goals [s], the goals, shape (n, 7) [rad], and the number of those before the
-    cause came; of a gap only the goals after it.
-    """
+    cause came; of a gap only the goals after it."""
     rig = SimulatedRig("none", time_out=0.2).at_home()
     rig.newest, rig.start = None, np.inf
     home = rig.rig.kinematics.forward(rig.rig.home.q)

@@ -1,7 +1,5 @@
-"""Processor time of one image, 640 x 480, of the simulated camera, registration, tag detection and headset view.
-
-All threads of the process count: the software renderer and OpenCV have their own.
-"""
+"""Processor time of one image, 640 x 480, of the simulated camera, registration, tag detection and headset view. All
+threads of the process count: the software renderer and OpenCV have their own."""
 
 from __future__ import annotations
 
@@ -141,8 +139,7 @@ def _detection(count: int, camera: CameraModel) -> list[Row]:
 
 def board_image(camera: CameraModel, tags: tuple, x: float, seed: int) -> np.ndarray:
     """Returns a grey image, shape (height, width), uint8, of tags on a white board, `x` [m] beside the camera's axis
-    and 1 m away, turned by 25 deg, before a wall of patches; without the camera's distortion.
-    """
+    and 1 m away, turned by 25 deg, before a wall of patches; without the camera's distortion."""
     rng = np.random.default_rng(seed)
     patches = np.random.default_rng(0).uniform(-50.0, 50.0, (12, 16)).astype(np.float32)
     image = WALL + cv2.resize(patches, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST)

@@ -53,8 +53,7 @@ class Row:
         unit: of both.
         how: samples and settings, or why there is no number.
         goal: what it should be.
-        peer: what it is compared with.
-    """
+        peer: what it is compared with."""
 
     what: str
     median: float | None

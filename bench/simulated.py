@@ -83,8 +83,7 @@ class SimulatedRig:
     Attributes:
         goals: what the limiter made, one row per goal, shape (n, 7) [rad]; sent: what went to the arm.
         q, v: joints of the arm at those times, shape (n, 7).
-        times: of the goals [s].
-    """
+        times: of the goals [s]."""
 
     def __init__(
         self, server_law: str = "lts", robot: Robot | None = None, dh: DhDeviations | None = None, **changes
@@ -121,10 +120,8 @@ class SimulatedRig:
         jitter: Callable[[], float] | None = None,
         frames_for: float = math.inf,
     ) -> SimulatedRig:
-        """Follows a tool frame, shape (4, 4) [m], that is a function of time [s], in frames at `rate` [Hz].
-
-        `jitter` returns how late each frame comes [s]; no frames come after `frames_for` [s].
-        """
+        """Follows a tool frame, shape (4, 4) [m], that is a function of time [s], in frames at `rate` [Hz]. `jitter`
+        returns how late each frame comes [s]; no frames come after `frames_for` [s]."""
         if self.newest is None:
             for control_on in [False] * 100 + [True]:  # a stream counts only if it begins while control is on
                 self._cycle(control_on)

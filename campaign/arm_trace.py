@@ -46,8 +46,7 @@ class ArmTrace:
             speeds [rad/s], speed of the tool point [m/s], shape (16,).
         events: what its controller received besides goals and questions, and said of itself, as (time, text).
         pauses: when this process did not run or the arm did not answer for more than 0.1 s, as (end, duration) [s].
-        heard: when the arm last answered [s].
-    """
+        heard: when the arm last answered [s]."""
 
     def __init__(self, host: str, port: int, patience: float = 2.0) -> None:
         self._client = ControlClient(host, port, patience)

@@ -19,8 +19,7 @@ class Clock:
     """The machine's clock, which nobody changes.
 
     Args:
-        folder: for its files.
-    """
+        folder: for its files."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -33,11 +32,9 @@ class Clock:
 
 
 class ShiftedClock(Clock):
-    """The wall clocks of all programs that are started from now on; `step` sets them all at the same moment.
-
-    No namespace of the kernel has a wall clock of its own, so each program's `time.time` is another one, from which ROS
-    takes its time.
-    """
+    """The wall clocks of all programs that are started from now on; `step` sets them all at the same moment. No
+    namespace of the kernel has a wall clock of its own, so each program's `time.time` is another one, from which ROS
+    takes its time."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder / "clock")

@@ -1,9 +1,7 @@
-"""Whether a measure of a running program grows: the slope of its curve after the warm-up, with its interval.
-
-The slope is the median of the slopes between all pairs of points (Theil 1950, Sen 1968): peaks, as while a fault lasts,
-hardly move it. The points are medians of blocks, which are nearly independent of each other, as the interval needs.
-Written here, because scipy would be 40 MB more to install for these formulas.
-"""
+"""Whether a measure of a running program grows: the slope of its curve after the warm-up, with its interval. The slope
+is the median of the slopes between all pairs of points (Theil 1950, Sen 1968): peaks, as while a fault lasts, hardly
+move it. The points are medians of blocks, which are nearly independent of each other, as the interval needs. Written
+here, because scipy would be 40 MB more to install for these formulas."""
 
 from __future__ import annotations
 
@@ -36,8 +34,7 @@ def growth(hours: np.ndarray, values: np.ndarray) -> Growth | None:
 
     Args:
         hours: times since the start, rising, shape (n,) [h].
-        values: the measure at these times, shape (n,); NaN where it is missing.
-    """
+        values: the measure at these times, shape (n,); NaN where it is missing."""
     hours, values = np.asarray(hours, dtype=float), np.asarray(values, dtype=float)
     known = np.isfinite(values)
     if known.any():

@@ -1,10 +1,8 @@
 #!/usr/bin/env python3
-"""The simulated Leap service with a hand that does what a test tells it, frame by frame and without noise.
-
-Run as a program, with the loopback address of its service, it prints the ports on which it listens: that of the
-service, its control port, and the port on which the calls of `HandPuppet` are taken. A process of its own, because the
-frames must not wait for the tests.
-"""
+"""The simulated Leap service with a hand that does what a test tells it, frame by frame and without noise. Run as a
+program, with the loopback address of its service, it prints the ports on which it listens: that of the service, its
+control port, and the port on which the calls of `HandPuppet` are taken. A process of its own, because the frames must
+not wait for the tests."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Hostile peers of the running rig: nodes that publish tf frames, tracking frames, or ask services, with bad values.
-
-As a program, `python -m campaign.hostile NAME X Y Z`, it is a node of that name which publishes a frame `MOUNT` without
-rotation in the arm's base, at X Y Z [m], from SIGUSR1 on until it is ended.
-"""
+"""Hostile peers of the running rig: nodes that publish tf frames, tracking frames, or ask services, with bad values. As
+a program, `python -m campaign.hostile NAME X Y Z`, it is a node of that name which publishes a frame `MOUNT` without
+rotation in the arm's base, at X Y Z [m], from SIGUSR1 on until it is ended."""
 
 from __future__ import annotations
 
@@ -59,8 +57,7 @@ class FrameStream:
 
     Args:
         path: returns the frames to publish at a time since the start [s]. May be replaced.
-        silent: whether none are published until this changes.
-    """
+        silent: whether none are published until this changes."""
 
     def __init__(self, path: Callable[[float], Iterable[Frame]], silent: bool = False, rate: float = RATE_HZ) -> None:
         self.path, self.silent, self._period = path, silent, 1.0 / rate

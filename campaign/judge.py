@@ -14,8 +14,7 @@ The reactions, as the arm shows them from the fault until the operator acts:
   planned motion: it does not turn back on its way, and stands at the end.
 - S: servo mode is left by its command.
 - L: the mode is `stopped` and the arm stays, until the operator acts.
-- R: the input is refused with its reason, and moves nothing.
-"""
+- R: the input is refused with its reason, and moves nothing."""
 
 from __future__ import annotations
 
@@ -80,14 +79,11 @@ class Expected:
 
 @dataclass
 class Evidence:
-    """What was seen.
-
-    `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's speed [m/s]; the arm
-    stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended, when the operator
-    acted, and when the watch ended. `heard`: when the arm last answered, as without steps it stands, or nobody looks.
-    `statuses`: mode of the controller and whether control was on; `entered`: each mode that it entered. `failed`: what
-    the row found wrong. `exact`: whether the times are virtual.
-    """
+    """What was seen. `steps`: rows of time [s], joints [rad], their speeds [rad/s], shape (n, 16), last the tool's
+    speed [m/s]; the arm stood still in between. `fault`, `mended`, `operator`, `end`: when the fault began and ended,
+    when the operator acted, and when the watch ended. `heard`: when the arm last answered, as without steps it stands,
+    or nobody looks. `statuses`: mode of the controller and whether control was on; `entered`: each mode that it
+    entered. `failed`: what the row found wrong. `exact`: whether the times are virtual."""
 
     steps: np.ndarray
     fault: float

@@ -1,6 +1,5 @@
 """The node leap_kuka_node with a fault: after SIGUSR1 each tracking frame raises an exception in its callback, after
-the next one none does. `python -m campaign.planted_fault __name:=leap_kuka_node`
-"""
+the next one none does. `python -m campaign.planted_fault __name:=leap_kuka_node`"""
 
 from __future__ import annotations
 

@@ -80,8 +80,7 @@ class RigUnderTest:
         folder: for the output of the programs.
         wire: a link that may become bad, of the arm, the Leap or ROS (see worker.master); else they meet on loopback.
         core: the ROS master (worker.Core), for rows that kill it.
-        arguments: of rig.launch, besides the ports.
-    """
+        arguments: of rig.launch, besides the ports."""
 
     exact = False
 

@@ -56,11 +56,8 @@ class Rig:
         threading.Thread(target=self._read, daemon=True).start()
 
     def judge(self, entry: Row) -> dict:
-        """Runs a row and returns its verdict, a failure if the worker dies of it.
-
-        Raises:
-            OSError: the row did not begin, because the row before has left no sound rig.
-        """
+        """Runs a row and returns its verdict, a failure if the worker dies of it. Raises OSError: the row did not
+        begin, because the row before has left no sound rig."""
         if not self._started and self._line(START_S) != "ready":
             self._process.terminate()
             raise OSError(f"the rig did not start; {self._end_of_log()}")

@@ -109,8 +109,7 @@ class Rig:
 
     def processes(self, seconds: float) -> dict[str, dict[str, float]]:
         """Returns the measures of each node, the master and roslaunch by name, and its share of a processor in the last
-        `seconds` [%]. What a node starts for a moment is left out.
-        """
+        `seconds` [%]. What a node starts for a moment is left out."""
         used, found = {}, {}
         for pid, (words, time_used) in processes_below(self._launch.pid).items():
             name = next((os.fsdecode(word[len(NAME) :]) for word in words if word.startswith(NAME)), None)

@@ -1,7 +1,5 @@
-"""What an endurance run's file says: does anything grow, and its judgement as text, JSON and curves.
-
-The run itself is campaign/soak.py; how to read the result: docs/handbook/endurance.md.
-"""
+"""What an endurance run's file says: does anything grow, and its judgement as text, JSON and curves. The run itself is
+campaign/soak.py; how to read the result: docs/handbook/endurance.md."""
 
 from __future__ import annotations
 
@@ -161,10 +159,8 @@ def check_name(path: Path) -> None:
 
 
 def report(path: Path) -> int:
-    """Writes the JSON and the picture of a run beside its data, prints the judgement; returns the exit code.
-
-    RigError: the run is too short to judge anything, or the file is not of a run.
-    """
+    """Writes the JSON and the picture of a run beside its data, prints the judgement; returns the exit code. RigError:
+    the run is too short to judge anything, or the file is not of a run."""
     check_name(path)
     records = read(path)
     result = judge(records)

@@ -1,6 +1,5 @@
 """The TCP connections of another process with their options, seen through duplicates of its descriptors; and one that
-nobody reads.
-"""
+nobody reads."""
 
 from __future__ import annotations
 
@@ -48,10 +47,8 @@ def connections(pid: int) -> dict[int, Connection]:
 
 
 def _connection(libc: ctypes.CDLL, pidfd: int, number: int) -> Connection | None:
-    """Returns the connection of a descriptor; None if the descriptor is not a TCP connection.
-
-    No Python socket is made of the duplicate: it would change the mode of the other process's socket, too.
-    """
+    """Returns the connection of a descriptor; None if the descriptor is not a TCP connection. No Python socket is made
+    of the duplicate: it would change the mode of the other process's socket, too."""
     own = libc.syscall(PIDFD_GETFD, pidfd, number, 0)
     if own < 0:
         error = ctypes.get_errno()

@@ -10,8 +10,7 @@
 The function provokes and waits; what the arm does meanwhile is judged afterwards from the trace (campaign.judge).
 Between two rows the rig comes to rest (`RigUnderTest.calm`), so a row leaves nothing to tidy up but what it did beside
 the control ports. What cannot be provoked here is a row with `instead`: a sentence that says why, and
-what stands for it.
-"""
+what stands for it."""
 
 from __future__ import annotations
 
@@ -99,8 +98,7 @@ class Trial:
 
     Attributes:
         rig: the running rig (campaign.rig.RigUnderTest).
-        killed: names of the nodes that the row itself ends.
-    """
+        killed: names of the nodes that the row itself ends."""
 
     rig: Any
     killed: set[str] = field(default_factory=set)
@@ -132,8 +130,7 @@ class Trial:
 
     def link(self, **fields: Any) -> dict[str, int]:
         """Makes the link of the rig's wire bad, see campaign.network.link.Link; without fields it is good again.
-        Returns how many packets came and how many were lost on it since the change before.
-        """
+        Returns how many packets came and how many were lost on it since the change before."""
         counts = self.rig.wire.set(Link(**fields))
         if fields:
             self.begins()
@@ -185,8 +182,7 @@ class Trial:
 
     def reads(self, pattern: str, timeout: float = 5.0) -> str:
         """Waits until the rig's log says what a regular expression describes, since the rig was at rest; returns the
-        line. For programs that say so on their terminal alone, and while no node passes the log on.
-        """
+        line. For programs that say so on their terminal alone, and while no node passes the log on."""
         find = re.compile(rf".*(?:{pattern}).*").search
         line = self.rig.wait(lambda: find(self.rig.log_since_calm), f"a line with /{pattern}/ in the log", timeout)[0]
         self.rig.hear("log", line.strip())
@@ -203,10 +199,8 @@ class Trial:
         self.rig.watch(seconds)
 
     def stands(self, within: float) -> None:
-        """Waits until the arm stands after the fault, for the first time; notes whether it did so in time [s].
-
-        What may come then, a motion home or the next hand, is no matter here.
-        """
+        """Waits until the arm stands after the fault, for the first time; notes whether it did so in time [s]. What may
+        come then, a motion home or the next hand, is no matter here."""
         found: list[float] = []
 
         def rested() -> bool:

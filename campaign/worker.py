@@ -1,8 +1,6 @@
 """One rig with a master of its own: reads numbers of rows, a line each, and writes verdicts as JSON lines.
-
 `python -m campaign.worker VARIANT [FOLDER FOR TRACES]` within `unshare -rn`, where the kernel allows it: there no robot
-can be reached. It ends at the end of its input, or after a row that leaves no rig behind.
-"""
+can be reached. It ends at the end of its input, or after a row that leaves no rig behind."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """What common.clock offers, in virtual time.
 
 with virtual_time(seed=1) as scheduler:  # in place of the standard library, in common.clock
-    ...                                  # this thread takes part, with all that it makes by common.clock
-"""
+    ...                                  # this thread takes part, with all that it makes by common.clock"""
 
 from __future__ import annotations
 

@@ -8,8 +8,7 @@
 A node is a group of threads. rospy's own classes and functions work on the graph while it is there, so tf2_ros and
 message_filters do, too. As with rospy, a message is written to bytes by its publisher and read by each subscriber, in a
 thread of its own; it takes up to DELAY_S, what is sent before the connection is there is lost, and a full queue loses
-the oldest. The thread that made the graph is a node, /test.
-"""
+the oldest. The thread that made the graph is a node, /test."""
 
 from __future__ import annotations
 
@@ -50,8 +49,7 @@ class Node:
     Attributes:
         name: of the node, once it has one; before, that of the program.
         returncode: None while it runs.
-        log: what it has printed and logged.
-    """
+        log: what it has printed and logged."""
 
     def __init__(self, graph: Graph, group: str, argv: list[str]) -> None:
         self.graph, self.group, self.argv, self.args = graph, group, argv, argv
@@ -199,8 +197,7 @@ class Graph:
         nodes: all that were started.
         on_log: called with the name of a node and each sentence that it logs.
         master_answers: whether a node that asks the master learns something; topics and services go on without.
-        master_hangs: whether the answer does not come.
-    """
+        master_hangs: whether the answer does not come."""
 
     def __init__(self, seed: int = 0, trace: bool = False) -> None:
         self.master_answers, self.master_hangs = True, False
@@ -250,10 +247,8 @@ class Graph:
         return self.start(executable, lambda: runpy.run_path(str(script), run_name="__main__"), str(script), *args)
 
     def launch(self, package: str, file: str, **args: Any) -> Launch:
-        """Sets the parameters of a launch file, and starts its nodes; without a package, `file` is its path.
-
-        Those that are not this project's, such as RViz and robot_state_publisher, are no Python, and are left out.
-        """
+        """Sets the parameters of a launch file, and starts its nodes; without a package, `file` is its path. Those that
+        are not this project's, such as RViz and robot_state_publisher, are no Python, and are left out."""
         loaded = launched.config(package, file, tuple(f"{key}:={value}" for key, value in args.items()))
         for name in loaded.clear_params:
             with contextlib.suppress(KeyError):

@@ -6,8 +6,7 @@
         wire.hand.press(finger=1, cell=2, value=15)
 
 The hand's own cycle runs, rig_simulation.devices.reflex.program.run, and its faults; only UDP is replaced. With a
-HandNetwork alone, programs such as world.py bring their hands.
-"""
+HandNetwork alone, programs such as world.py bring their hands."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ class HandNetwork(contextlib.AbstractContextManager):
 
     Attributes:
         broken: why it is down, "" while it is up: what the host sends fails, and nothing comes.
-        links: those of the hands, by their ports.
-    """
+        links: those of the hands, by their ports."""
 
     def __init__(self, interface: str = "lo") -> None:
         self.interface, self.broken = interface, ""
@@ -77,8 +75,7 @@ class HandWire(HandNetwork):
 
     Attributes:
         hand: the simulated hand.
-        faults: those of HAND_FAULTS, in both directions.
-    """
+        faults: those of HAND_FAULTS, in both directions."""
 
     def __init__(self, seed: int = 0, interface: str = "lo", port: int = 11333) -> None:
         super().__init__(interface)

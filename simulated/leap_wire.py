@@ -4,8 +4,7 @@
         service = wire.play(Playback(GuidedOperator(ScriptedOperator(Script()))))
         node = graph.run("leap_motion", "leap_driver.py", f"_port:={service.port}")
 
-They stand on simulated.wires: `play` starts the simulated service itself, `serve` one that may break its protocol.
-"""
+They stand on simulated.wires: `play` starts the simulated service itself, `serve` one that may break its protocol."""
 
 from __future__ import annotations
 
@@ -52,8 +51,7 @@ class LeapService:
     Attributes:
         heard: what clients have sent and a conversation has received.
         paths: those of the requests.
-        ended: set at its end.
-    """
+        ended: set at its end."""
 
     def __init__(self, conversations: tuple[Conversation, ...], port: int) -> None:
         self.heard: list[Any] = []

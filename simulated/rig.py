@@ -4,8 +4,7 @@
         rig.calm()
         rig.follow(right=-0.06)
 
-It has the methods of campaign.rig.RigUnderTest, so rows of the campaign and tests of the safety run on both.
-"""
+It has the methods of campaign.rig.RigUnderTest, so rows of the campaign and tests of the safety run on both."""
 
 from __future__ import annotations
 

@@ -45,8 +45,7 @@ class BadLink:
     Packets that come twice, and a limited rate, are not modelled.
 
     Attributes:
-        port: of the device.
-    """
+        port: of the device."""
 
     def __init__(self, graph: Graph, name: str) -> None:
         self.name, self.port = name, 0

@@ -1,8 +1,6 @@
 """Virtual time: real threads of which one runs at a time; time passes only while all of them wait, and then jumps.
-
 Which of several ready threads runs next is drawn from the seed: one seed makes one run, bit for bit; other seeds try
-other orders. A thread gives way only where it waits, and at some of its uses of locks, events and queues.
-"""
+other orders. A thread gives way only where it waits, and at some of its uses of locks, events and queues."""
 
 from __future__ import annotations
 
@@ -50,8 +48,7 @@ class Task:
 
     Attributes:
         group: what it belongs to, such as a node; a thread's threads belong to the same.
-        waits_for: what it waits for, in words; None while it is ready or runs.
-    """
+        waits_for: what it waits for, in words; None while it is ready or runs."""
 
     def __init__(self, name: str, group: str) -> None:
         self.name, self.group = name, group
@@ -79,8 +76,7 @@ class Scheduler:
         on_crash: called with what threading.excepthook takes, by each thread that an exception ends.
         crashed: name and exception of each thread that an exception has ended.
         trace: time and thread of each turn, if it was asked for.
-        ahead: by how much the wall clock of a group is ahead [s].
-    """
+        ahead: by how much the wall clock of a group is ahead [s]."""
 
     def __init__(self, seed: int = 0, trace: bool = False, in_place: dict[str, Any] | None = None) -> None:
         self._in_place = in_place or {}
@@ -172,9 +168,7 @@ class Scheduler:
 
     def wait(self, waiters: list[Task], timeout: float | None, what: str) -> bool:
         """Waits until it is taken from `waiters` by `notify`; returns whether it was, before `timeout` [s] had passed.
-
-        `what` says for what, if nobody comes.
-        """
+        `what` says for what, if nobody comes."""
         task = self._current()
         task.waits += 1
         task.waits_for, task.notified, task.torn, task.asked = what, False, False, 0
@@ -237,10 +231,8 @@ class Scheduler:
 
     @contextlib.contextmanager
     def in_group(self, group: str) -> Iterator[None]:
-        """Context in which this thread, and those that it makes, belong to the group.
-
-        It keeps its turn as long as it need not wait: what becomes of the group must not become of it.
-        """
+        """Context in which this thread, and those that it makes, belong to the group. It keeps its turn as long as it
+        need not wait: what becomes of the group must not become of it."""
         task = self._current()
         before, visited = task.group, task.visits
         task.group, task.visits = group, True
@@ -424,10 +416,8 @@ class Scheduler:
 
 
 class _Looks:
-    """Counts the looks in a row at which a thread slept, and had not woken since the one before.
-
-    It is no clock that counts: this process may be stopped, and starved, for any time.
-    """
+    """Counts the looks in a row at which a thread slept, and had not woken since the one before. It is no clock that
+    counts: this process may be stopped, and starved, for any time."""
 
     def __init__(self) -> None:
         self._last: tuple[threading.Thread | None, int] | None = None
@@ -456,11 +446,7 @@ class _Active:
 
 
 def active() -> Scheduler:
-    """The scheduler that runs.
-
-    Raises:
-        RuntimeError: none does.
-    """
+    """The scheduler that runs. Raises RuntimeError: none does."""
     if _Active.scheduler is None:
         raise RuntimeError("no scheduler runs: virtual time is over")
     return _Active.scheduler

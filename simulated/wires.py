@@ -5,8 +5,7 @@
 
 A connection has two ways, which a test may worsen: `wires.connections[-1].up.stalls = [(begin, end)]`. What a thread
 opens belongs to its group, and closes with it. As by the kernel, a connection is accepted, and bytes are kept, for a
-group whose threads stand still.
-"""
+group whose threads stand still."""
 
 from __future__ import annotations
 
@@ -77,8 +76,7 @@ class Way:
         stalls: from when to when nothing arrives [s].
         room: how many bytes it takes that nobody has read.
         unread: how many there are.
-        sent: called with each packet and its time [s].
-    """
+        sent: called with each packet and its time [s]."""
 
     def __init__(self, rng: random.Random) -> None:
         self.changed: Callable[[], None] = lambda: None  # called where stalls or room are set
@@ -170,8 +168,7 @@ class Wires:
     Attributes:
         connections: all that were made, in this order.
         on_connect: called with each new one.
-        client_address: where new ones come from.
-    """
+        client_address: where new ones come from."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self.client_address = "127.0.0.1"
@@ -282,10 +279,8 @@ class Wires:
             each.really_close()
 
     def wait(self, ready_at: Callable[[], float], watched: Iterable[Socket], deadline: float) -> bool:
-        """Waits until the time that `ready_at` tells, or the deadline [s]; returns whether it came.
-
-        The time may change as one of the sockets does.
-        """
+        """Waits until the time that `ready_at` tells, or the deadline [s]; returns whether it came. The time may change
+        as one of the sockets does."""
         if ready_at() <= self.scheduler.now or self.scheduler.now >= deadline:
             return ready_at() <= self.scheduler.now
         changed = clock.Event()
@@ -312,8 +307,7 @@ class Socket:
         group: whose it is.
         address: its own.
         incoming: the way on which bytes come to it.
-        watchers: events that are set at each change.
-    """
+        watchers: events that are set at each change."""
 
     family, type, proto = socket.AF_INET, socket.SOCK_STREAM, 0
 

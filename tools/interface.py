@@ -75,8 +75,7 @@ class Graph:
     """Publishers, subscribers and services; names without the leading slash.
 
     Attributes:
-        frames: child -> (parent, node that publishes it, whether it is static).
-    """
+        frames: child -> (parent, node that publishes it, whether it is static)."""
 
     types: dict[str, str] = field(default_factory=dict)
     publishers: dict[str, set[str]] = field(default_factory=lambda: defaultdict(set))
@@ -97,8 +96,7 @@ def section(graph: Graph, part: Part, known: Collection[str] = ()) -> str:
     Args:
         graph: what runs.
         part: what was started.
-        known: nodes and lines of tables that another section has; they are left out.
-    """
+        known: nodes and lines of tables that another section has; they are left out."""
     topics = sorted({*graph.publishers, *graph.subscribers})
     tables = {
         "Topics": (

@@ -1,6 +1,5 @@
-"""`launcher.py roslaunch|roscore ARGUMENTS`: ROS's program as one of this Python, as tests start it.
-Its XML-RPC server ends when it is closed; that of the installed program takes a processor until all has ended.
-"""
+"""`launcher.py roslaunch|roscore ARGUMENTS`: ROS's program as one of this Python, as tests start it. Its XML-RPC server
+ends when it is closed; that of the installed program takes a processor until all has ended."""
 
 import sys
 

@@ -324,11 +324,7 @@ def _sheet(scenario: str, name: str, options: Sequence[str] = (), robots: int = 
 
 
 def _record(scenario: str, file: Path, options: Sequence[str] = (), robots: int = 1) -> None:
-    """Runs a scenario of the demo and films it.
-
-    Raises:
-        CalledProcessError: the scenario failed.
-    """
+    """Runs a scenario of the demo and films it. Raises CalledProcessError: the scenario failed."""
     ports = _ports()
     world = next(port.split(":=")[1] for port in ports if port.startswith("world_port"))
     recorder = ("rosrun", "rig_simulation", "record.py", str(file), "--port", world, "--wait", "120", *options)

@@ -1,8 +1,6 @@
-"""`python -m tools.python38`: what the source uses that Python 3.8, that of ROS Noetic, does not have.
-
-These are the errors that mypy finds for that version and not for the newest one; other errors, as where types are not
-written down, are the same for both. What has no type it cannot see: tests/test_architecture.py looks for that.
-"""
+"""`python -m tools.python38`: what the source uses that Python 3.8, that of ROS Noetic, does not have. These are the
+errors that mypy finds for that version and not for the newest one; other errors, as where types are not written down,
+are the same for both. What has no type it cannot see: tests/test_architecture.py looks for that."""
 
 from __future__ import annotations
 

@@ -33,8 +33,7 @@ class Part:
         title: its heading.
         says: what runs, for the reader.
         commands: returns what is started.
-        started: returns the ROS nodes and other programs that each way to start it has, by the way's name.
-    """
+        started: returns the ROS nodes and other programs that each way to start it has, by the way's name."""
 
     title: str
     says: str
@@ -138,11 +137,8 @@ PARTS = {
 
 @contextlib.contextmanager
 def running(part: Part) -> Iterator[None]:
-    """Runs a part on a ROS master of its own, which this process then uses.
-
-    Raises:
-        SystemExit: a command ended at once; with what it printed.
-    """
+    """Runs a part on a ROS master of its own, which this process then uses. Raises SystemExit: a command ended at once;
+    with what it printed."""
     port = free_port()
     with tempfile.TemporaryDirectory() as folder, screen() as display:
         os.environ.update(

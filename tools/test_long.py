@@ -1,7 +1,5 @@
-"""`make test-long`: what takes hours and goes by the real clock, before a release.
-
-Runs each part, also after one that failed, and prints a table of them at the end; it belongs into the changelog.
-"""
+"""`make test-long`: what takes hours and goes by the real clock, before a release. Runs each part, also after one that
+failed, and prints a table of them at the end; it belongs into the changelog."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""A TUN device between this network and itself: what is sent to its far address is handed over as IPv4 packets.
-
-A connection to the far address leaves by the device. A packet that is handed back with its two addresses exchanged
+"""A TUN device between this network and itself: what is sent to its far address is handed over as IPv4 packets. A
+connection to the far address leaves by the device. A packet that is handed back with its two addresses exchanged
 arrives at the near address, from the far one: so both ends of a real TCP connection are in one network, and its packets
-pass by here. The sums of the headers stay right, as they do not depend on the order of the two addresses.
-"""
+pass by here. The sums of the headers stay right, as they do not depend on the order of the two addresses."""
 
 from __future__ import annotations
 
@@ -22,13 +20,8 @@ NETMASK, HOST_MASK = "255.255.255.252", "255.255.255.255"
 
 
 class Tun:
-    """The device, until it is closed; needs a network of its own, see `unshare`.
-
-    Addresses in 127.0.0.0/8 are as good as others: who listens on loopback alone, listens there.
-
-    Raises:
-        OSError: this process may not make one.
-    """
+    """The device, until it is closed; needs a network of its own, see `unshare`. Addresses in 127.0.0.0/8 are as good
+    as others: who listens on loopback alone, listens there. Raises OSError: this process may not make one."""
 
     def __init__(self, name: str, near: str) -> None:
         self._file = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK)

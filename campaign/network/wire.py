@@ -33,10 +33,7 @@ NETWORKS = {"arm": "127.77.1.", "leap": "127.77.2.", "ros": "10.77.3."}
 
 class Wire:
     """The program, until `close`. `name`: of NETWORKS; `near`: address to listen on; `far`: where clients reach it.
-
-    Raises:
-        OSError: this process may not make a network device.
-    """
+    Raises OSError: this process may not make a network device."""
 
     def __init__(self, name: str, seed: int = 0) -> None:
         self.name = name

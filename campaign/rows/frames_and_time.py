@@ -54,8 +54,7 @@ def error_of(trial, T):
 
 def off_the_turn(R, R_start, axis, least, most):
     """Returns how far an orientation R is from a turn by `least` to `most` about an axis of the base that begins at
-    R_start, shapes (3, 3) and (3,), and where on the turn it is nearest, both in rad.
-    """
+    R_start, shapes (3, 3) and (3,), and where on the turn it is nearest, both in rad."""
     R_turned = R @ R_start.T
     sine = axis @ (R_turned[[2, 0, 1], [1, 2, 0]] - R_turned[[1, 2, 0], [2, 0, 1]])
     turn = min(max(math.atan2(sine, np.trace(R_turned) - axis @ R_turned @ axis), least), most)
@@ -63,10 +62,8 @@ def off_the_turn(R, R_start, axis, least, most):
 
 
 def stays_on_the_turn(trial, what, T_start, axis, least, most, since):
-    """Notes whether the tool has made at least half of a turn since a time of the arm's clock, and has not left it.
-
-    An angle that wraps on the way sends it elsewhere for a moment, from where a pick-up motion may bring it back.
-    """
+    """Notes whether the tool has made at least half of a turn since a time of the arm's clock, and has not left it. An
+    angle that wraps on the way sends it elsewhere for a moment, from where a pick-up motion may bring it back."""
     seen = [
         off_the_turn(sample.T_base_tool[:3, :3], T_start[:3, :3], axis, least, most)
         for sample in trial.rig.arm.since(since)

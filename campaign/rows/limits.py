@@ -1,7 +1,5 @@
-"""Rows 57 to 63: the bounds of the workspace, the reach, singular poses, joint ranges and collisions.
-
-Rows without a letter are no faults that stop the arm: it must continue, more slowly or elsewhere.
-"""
+"""Rows 57 to 63: the bounds of the workspace, the reach, singular poses, joint ranges and collisions. Rows without a
+letter are no faults that stop the arm: it must continue, more slowly or elsewhere."""
 
 from __future__ import annotations
 

@@ -36,10 +36,8 @@ def way(positions, direction=None):
 
 
 def fastest(trial, since):
-    """Returns the largest speed of the tool since a time of the arm's clock, over any 0.15 s [m/s].
-
-    Frames and goals come unevenly from a busy machine, and the arm's speed wavers with them.
-    """
+    """Returns the largest speed of the tool since a time of the arm's clock, over any 0.15 s [m/s]. Frames and goals
+    come unevenly from a busy machine, and the arm's speed wavers with them."""
     samples = trial.rig.arm.since(since)
     times, places = np.array([sample.time for sample in samples]), tools(trial, since)
     later = np.searchsorted(times, times + 0.15)

@@ -168,8 +168,7 @@ class Board:
     stands where it sees the board well while the arm is at home.
 
     Attributes:
-        ambiguous: whether every other detection is the other solution, in which a small tag is tilted the other way.
-    """
+        ambiguous: whether every other detection is the other solution, in which a small tag is tilted the other way."""
 
     def __init__(self, rig) -> None:
         self._rig, self.ambiguous = rig, False

@@ -1,6 +1,5 @@
 """Python imports this by itself where this folder is on PYTHONPATH: the wall clock of a process as campaign.clocks sets
-it, by a number of seconds in the file `all` of the folder CAMPAIGN_CLOCK, and another in a file named as the node.
-"""
+it, by a number of seconds in the file `all` of the folder CAMPAIGN_CLOCK, and another in a file named as the node."""
 
 import mmap
 import os

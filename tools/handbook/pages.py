@@ -31,8 +31,7 @@ class Block:
         text: the commands.
         marks: how tests run them; empty for those that just end by themselves.
         language: "bash" or "python".
-        section: number of the heading below which they stand.
-    """
+        section: number of the heading below which they stand."""
 
     page: Path
     line: int

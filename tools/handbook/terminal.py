@@ -51,8 +51,7 @@ class Terminal:
 
     Attributes:
         command: what was typed.
-        log: file with what is shown.
-    """
+        log: file with what is shown."""
 
     def __init__(self, command: str, folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.command = command

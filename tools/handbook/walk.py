@@ -36,8 +36,7 @@ class Walk:
     """Runs blocks in one folder.
 
     Attributes:
-        faults: what was wrong, a paragraph for each, which ends with the fault.
-    """
+        faults: what was wrong, a paragraph for each, which ends with the fault."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self.faults: list[str] = []

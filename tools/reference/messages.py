@@ -11,11 +11,7 @@ DEFINITIONS = (Path("/usr/share"), Path("/opt/ros/noetic/share"))
 
 
 def page() -> str:
-    """Returns the page.
-
-    Raises:
-        ImportError: genmsg of ROS is not installed.
-    """
+    """Returns the page. Raises ImportError: genmsg of ROS is not installed."""
     import genmsg
 
     context = genmsg.MsgContext.create_default()

@@ -19,8 +19,7 @@ class Node:
 
     Attributes:
         schemas: `module:Class` by the section that it checks; an empty section is the node itself.
-        files: yaml files, `package/config/file.yaml`, by the section that a launch file loads them into.
-    """
+        files: yaml files, `package/config/file.yaml`, by the section that a launch file loads them into."""
 
     schemas: Mapping[str, str]
     files: Mapping[str, tuple[str, ...]]

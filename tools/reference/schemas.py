@@ -32,8 +32,7 @@ def row(key: Key, name: str, values: Mapping[str, Any], comment: str = "") -> li
         key: of the schema.
         name: how the page calls the key.
         values: of the yaml file; a key that is missing there has the schema's default.
-        comment: used where the schema has no meaning.
-    """
+        comment: used where the schema has no meaning."""
     return [
         markdown.code(name),
         markdown.code(value(values[key.name])) if key.name in values else _absent(key),

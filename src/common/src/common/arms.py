@@ -46,9 +46,7 @@ class Arms:
 
 def arms_from(values: Any, prefix: str = "") -> Arms:
     """Returns what a yaml mapping of `margin` and the arms' names describes; raises ConfigError with all faults.
-
-    `prefix`, such as "arms/", stands before each key in messages.
-    """
+    `prefix`, such as "arms/", stands before each key in messages."""
     if not isinstance(values, Mapping):
         raise ConfigError(
             [f"{prefix or 'The file '}is {values!r}, but must be a mapping: margin, and each arm's name."]

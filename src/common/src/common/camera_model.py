@@ -1,10 +1,7 @@
 """A pinhole camera with the distortion that ROS calls plumb_bob, or its extension rational_polynomial, as
-`sensor_msgs/CameraInfo` describes it.
-
-Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the CENTRE of the first pixel at (0, 0), as in
-OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag libraries count from the pixel's corner:
-their coordinates are larger by 0.5.
-"""
+`sensor_msgs/CameraInfo` describes it. Optical frame: x right, y down, z forward. Pixel coordinates (u, v) have the
+CENTRE of the first pixel at (0, 0), as in OpenCV and CameraInfo; the image reaches from -0.5 to width - 0.5. AprilTag
+libraries count from the pixel's corner: their coordinates are larger by 0.5."""
 
 from __future__ import annotations
 
@@ -47,8 +44,7 @@ class CameraModel:
 
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px]; raises ValueError where
-        the distortion is not invertible.
-        """
+        the distortion is not invertible."""
         distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
         if not self.D.any():
@@ -70,8 +66,7 @@ class CameraModel:
 
     def _distort(self, xy: np.ndarray) -> np.ndarray:
         """Returns the undistorted directions xy, shape (..., 2), after distortion (Brown-Conrady, with the additions of
-        OpenCV).
-        """
+        OpenCV)."""
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = np.pad(self.D, (0, COEFFICIENTS[-1] - len(self.D)))
         x, y = xy[..., 0], xy[..., 1]
         r2 = x * x + y * y
@@ -90,8 +85,7 @@ def pinhole(name: str, width: int, height: int, K: ArrayLike) -> CameraModel:
 
 def distortion(model: object, coefficients: ArrayLike) -> np.ndarray:
     """Returns `CameraModel.D` of the coefficients that drivers and calibrations give for a `model`; raises ValueError
-    if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0.
-    """
+    if it is of another kind. plumb_bob may come with four, or with more of which the rest are 0."""
     D = np.asarray(coefficients, dtype=float).ravel()
     if not D[COEFFICIENTS[-1] :].any():  # the others are those of a tilted sensor
         D = D[: COEFFICIENTS[-1]]

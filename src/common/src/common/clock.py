@@ -1,7 +1,5 @@
-"""Time, and what waits for it: the standard library's. A simulation may put its own in place of these names.
-
-Used as a module, `clock.monotonic()`: a name that is imported from here would stay the standard library's.
-"""
+"""Time, and what waits for it: the standard library's. A simulation may put its own in place of these names. Used as a
+module, `clock.monotonic()`: a name that is imported from here would stay the standard library's."""
 
 from queue import Empty, Full, Queue, SimpleQueue
 from threading import Condition, Event, Lock, RLock, Thread, Timer, current_thread

@@ -15,8 +15,7 @@ key, the value and what is allowed. A missing key is a fault, and so is an unkno
             return []
 
 A field with `absent` may be missing and then has that value: the key is newer than the files that people have, or it is
-a private parameter of a node, for which there is no file.
-"""
+a private parameter of a node, for which there is no file."""
 
 from __future__ import annotations
 
@@ -37,8 +36,7 @@ REQUIRED = object()  # stands for the value of a key that must be given
 
 class WrittenMapping(dict):
     """A mapping with the `texts` of those of its scalars, and of those of its lists, that are known as they were
-    written: a name such as 007, on, null or 2001-01-01, which yaml reads as another type.
-    """
+    written: a name such as 007, on, null or 2001-01-01, which yaml reads as another type."""
 
     def __init__(self, values: Any = (), texts: Mapping[str, Any] | None = None) -> None:
         super().__init__(values)
@@ -139,8 +137,7 @@ def parse(schema: type[Schema], values: Mapping[str, Any], prefix: str = "", oth
     """Returns the configuration that `values`, of the yaml file or the parameter server, describe; raises ConfigError
     with all faults.
     The fields of `schema`, a frozen dataclass, were made by the functions above; `prefix`, such as "kuka/", precedes
-    each key in the messages; the keys `others`, of another owner, may stand beside the schema's own.
-    """
+    each key in the messages; the keys `others`, of another owner, may stand beside the schema's own."""
     if not isinstance(values, Mapping):
         raise ConfigError([f"{prefix or 'the configuration'} is {values!r}, but must be a mapping of keys to values."])
     fields = {f.name: f for f in dataclasses.fields(schema)}  # type: ignore[arg-type]  # a TypeVar cannot say "a dataclass"

@@ -9,8 +9,7 @@ FEWEST = 3  # frames that have a rate
 
 class FrameRate:
     """Counts frames over the last `window` [s] at least: from the newest stamp that is older, so that bursts of frames
-    do not count as a fast stream.
-    """
+    do not count as a fast stream."""
 
     def __init__(self, window: float) -> None:
         self._window = window

@@ -1,8 +1,6 @@
-"""The tf frames of the rig, each name once. They are part of the ROS interface.
-
-Below `BASE`: the arm's frames, the operator's, and the camera's. The links of the robot description (`kuka/link_1`,
-`reflex/...`) are named in rig_description; of these, only `BASE` and `FLANGE` are used elsewhere.
-"""
+"""The tf frames of the rig, each name once. They are part of the ROS interface. Below `BASE`: the arm's frames, the
+operator's, and the camera's. The links of the robot description (`kuka/link_1`, `reflex/...`) are named in
+rig_description; of these, only `BASE` and `FLANGE` are used elsewhere."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 In each window of time the tool's velocity is fitted as a fixed linear map of the palm's velocity some time before; the
 delay is the one of the best fit. The map stands for the virtual Leap's orientation and the scaling, so no frame needs
 to be known. Filter, wires, control loop, servo law and drives are all in the delay. A window counts where the palm
-moves and the fit explains the tool's motion: not at the bounds of the workspace, nor while the arm catches up.
-"""
+moves and the fit explains the tool's motion: not at the bounds of the workspace, nor while the arm catches up."""
 
 from __future__ import annotations
 
@@ -39,10 +38,8 @@ class HandDelay:
 
 
 class Track:
-    """Positions over time, of the palm or the tool: of the newest `kept` seconds.
-
-    One thread may add while another one reads.
-    """
+    """Positions over time, of the palm or the tool: of the newest `kept` seconds. One thread may add while another one
+    reads."""
 
     def __init__(self, kept: float = math.inf) -> None:
         self._kept = kept
@@ -70,10 +67,8 @@ class DelayMeter:
         self._due = -math.inf
 
     def at(self, now: float) -> HandDelay | None:
-        """Returns the delay at the time `now` [s], by the clock of the samples; None where too little moved to tell.
-
-        It is computed at most every PERIOD_S.
-        """
+        """Returns the delay at the time `now` [s], by the clock of the samples; None where too little moved to tell. It
+        is computed at most every PERIOD_S."""
         if not self._due - PERIOD_S <= now < self._due:
             self._due = now + PERIOD_S
             palm = self.palm.samples
@@ -104,10 +99,8 @@ def hand_delay(palm: Track, tool: Track) -> HandDelay | None:
 
 
 def _delay_in_window(given: np.ndarray, wanted: np.ndarray) -> float | None:
-    """Returns the delay [s] of the tool's velocities in a window, shape (n, 3) [m/s], or None if it cannot tell.
-
-    The palm's velocities `given` begin the longest delay earlier, and end the shortest one later.
-    """
+    """Returns the delay [s] of the tool's velocities in a window, shape (n, 3) [m/s], or None if it cannot tell. The
+    palm's velocities `given` begin the longest delay earlier, and end the shortest one later."""
     moved = float(np.square(wanted).sum())
     if not moved >= SLOWEST_M_S**2 * len(wanted):  # NaN: a gap
         return None
@@ -130,10 +123,8 @@ def _delay_in_window(given: np.ndarray, wanted: np.ndarray) -> float | None:
 
 
 def _velocities(samples: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Returns the velocities, shape (n, 3) [m/s], about the times `at`, shape (n,) [s]; NaN in a gap.
-
-    `samples`: times [s] and positions [m], shape (m, 4).
-    """
+    """Returns the velocities, shape (n, 3) [m/s], about the times `at`, shape (n,) [s]; NaN in a gap. `samples`: times
+    [s] and positions [m], shape (m, 4)."""
     times, positions = samples[:, 0], samples[:, 1:]
     ends = [
         np.column_stack([np.interp(at + half, times, column) for column in positions.T])

@@ -1,8 +1,6 @@
 """Whether the stream of tracking frames is alive and fast enough, and which of the hands in view is the operator's.
-
 Times are seconds of a monotonic clock; only `age`, arrival less the frame's stamp, uses the clock of the stamps. The
-time of a frame's stamp is its arrival less its age.
-"""
+time of a frame's stamp is its arrival less its age."""
 
 from __future__ import annotations
 
@@ -37,8 +35,7 @@ class FrameArrival:
 
 class FrameWatch:
     """Judges each frame by its number, its age and the time since the frame before; the stream is broken after more
-    than `max_silence` [s] without a usable frame.
-    """
+    than `max_silence` [s] without a usable frame."""
 
     def __init__(self, max_silence: float) -> None:
         self._max_silence = max_silence
@@ -50,8 +47,7 @@ class FrameWatch:
     def arrived(self, frame_id: int, age: float, now: float) -> FrameArrival:
         """Judges a frame that arrived at `now` [s], `age` [s] after its stamp. A repeated number means that the tracker
         hangs, a large age that the clocks differ, or that one was set while the frame was on its way: it is ignored,
-        and the silence continues. A lower number means that the tracker has restarted.
-        """
+        and the silence continues. A lower number means that the tracker has restarted."""
         if not abs(age) <= MAX_SKEW_S:
             skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
             self._refusal = (skewed, now)
@@ -165,8 +161,7 @@ class HandLock(Generic[Hand]):
     yields to another one that may start in the box, so that a hand that cannot start blocks nobody. `hand` is None
     where that hand is not in the newest frame. `changed` tells that it is another one than in the frame before.
     The visible time that the tracker reports is unreliable (early Leap services put the service's uptime there), so the
-    order of appearance is kept here.
-    """
+    order of appearance is kept here."""
 
     def __init__(
         self, max_gap: float, outside: Callable[[np.ndarray], float] | None = None, turn: float = math.inf

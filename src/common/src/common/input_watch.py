@@ -14,12 +14,10 @@ STAMPS = 32  # of each input that are compared with those of its partner
 
 
 class InputWatch:
-    """Takes what a node sees of its inputs, each known by its name (its topic), and says what is first wrong.
-
-    `streams` have to keep coming, of `once` the first message is enough. `slop` [s]: what comes out needs one of each
-    of the first two streams, with stamps that differ no more. `silent` [s]: a stream is silent without a message for so
-    long. All times are monotonic [s], all reasons clauses.
-    """
+    """Takes what a node sees of its inputs, each known by its name (its topic), and says what is first wrong. `streams`
+    have to keep coming, of `once` the first message is enough. `slop` [s]: what comes out needs one of each of the
+    first two streams, with stamps that differ no more. `silent` [s]: a stream is silent without a message for so long.
+    All times are monotonic [s], all reasons clauses."""
 
     def __init__(
         self, streams: Iterable[str], once: Iterable[str] = (), slop: float | None = None, silent: float = OUTPUT_S

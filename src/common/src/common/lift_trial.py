@@ -1,8 +1,6 @@
 """A simulated lift, the same for every gripper: its phases, whether the object that the grasp was meant for rose and
-stayed up, and if not, why.
-
-The shake after the lift varies gravity, which moves the objects in the hand as accelerations of the hand would.
-"""
+stayed up, and if not, why. The shake after the lift varies gravity, which moves the objects in the hand as
+accelerations of the hand would."""
 
 from __future__ import annotations
 

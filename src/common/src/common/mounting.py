@@ -8,8 +8,7 @@ forward: center_line as seen from above. Where center_line rises or falls by mor
     the base's z axis as seen from above: away from the wall.
 home tool: z down, x along forward or against it, whichever leaves joint 7 nearer to zero at home.
 
-For an arm on the floor these are the base's z axis, center_line, and against center_line if center_line.x >= 0.
-"""
+For an arm on the floor these are the base's z axis, center_line, and against center_line if center_line.x >= 0."""
 
 from __future__ import annotations
 
@@ -68,8 +67,7 @@ class MountingFrame:
 
 def mounting_frame(center_line: ArrayLike, mounting: ArrayLike = (0.0, 0.0, 0.0)) -> MountingFrame:
     """Returns the operator's directions. `center_line` is horizontal in the base frame, shape (3,), of any length,
-    `mounting` is roll, pitch, yaw [deg]. Raises ValueError if center_line is zero.
-    """
+    `mounting` is roll, pitch, yaw [deg]. Raises ValueError if center_line is zero."""
     line = unit(center_line)
     up = rotation_of_mounting(mounting)[2]
     level = line - (line @ up) * up

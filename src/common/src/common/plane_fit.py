@@ -1,8 +1,6 @@
-"""A plane through most pixels of a depth image, in inverse depth.
-
-A plane is a vector a, shape (3,) [1/m], with a . X = 1 for its points X; it equals n / D with the unit normal n and the
-distance D. Along a pixel's ray (x, y, 1) the inverse depth is a . ray, which is linear in a.
-"""
+"""A plane through most pixels of a depth image, in inverse depth. A plane is a vector a, shape (3,) [1/m], with a . X =
+1 for its points X; it equals n / D with the unit normal n and the distance D. Along a pixel's ray (x, y, 1) the inverse
+depth is a . ray, which is linear in a."""
 
 from __future__ import annotations
 
@@ -20,8 +18,7 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     deviation of the inliers' errors [1/m]. The pixels have `rays`, shape (n, 3), and inverse depths w, shape (n,)
     [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
     (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
-    triples are the same in every call.
-    """
+    triples are the same in every call."""
     triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
     corners = rays[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-12

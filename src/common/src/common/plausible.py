@@ -1,8 +1,6 @@
-"""What depth images, cameras and sizes can be: anything else is in another unit, or belongs to another image.
-
-The bounds are wide enough for every camera that an arm may have, and narrow enough that metres, centimetres and
-millimetres, and the modes of one camera, are told apart.
-"""
+"""What depth images, cameras and sizes can be: anything else is in another unit, or belongs to another image. The
+bounds are wide enough for every camera that an arm may have, and narrow enough that metres, centimetres and
+millimetres, and the modes of one camera, are told apart."""
 
 from __future__ import annotations
 
@@ -21,10 +19,8 @@ OFF_CENTRE_RECTIFIED = 0.2  # rectification shifts it; that of half the image is
 
 def plausible_depth(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], without the readings beyond `FARTHEST_M`, which become NaN; it stays
-    itself where there is no such reading. Not finite or 0 = no reading.
-
-    Raises ValueError if most readings cannot be metres before a camera.
-    """
+    itself where there is no such reading. Not finite or 0 = no reading. Raises ValueError if most readings cannot be
+    metres before a camera."""
     with np.errstate(invalid="ignore"):
         beyond = depth > FARTHEST_M
         few = depth[::STEP, ::STEP]
@@ -43,8 +39,7 @@ def plausible_depth(depth: np.ndarray) -> np.ndarray:
 def check_intrinsics(matrix: np.ndarray, width: int, height: int, off_centre: float = OFF_CENTRE) -> None:
     """Raises ValueError if a camera matrix, shape (3, 3) or (3, 4) [px], cannot be that of a whole image of this size:
     it is of another size, mode or aspect, or not in pixels. The principal point is at most `off_centre` sides from the
-    middle.
-    """
+    middle."""
     (fx, cx), (fy, cy) = matrix[0, [0, 2]], matrix[1, [1, 2]]
     side, found = max(width, height), ""
     if not all(SHORTEST * side < f < LONGEST * side for f in (fx, fy)):

@@ -33,8 +33,7 @@ def inverse(T: np.ndarray) -> np.ndarray:
 
 def check_pose(T: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns T as a float array, shape (4, 4); raises ValueError if it is not finite, not rigid (scale, shear,
-    reflection), or its last row is not 0 0 0 1.
-    """
+    reflection), or its last row is not 0 0 0 1."""
     T = np.asarray(T, dtype=float)
     if T.shape != (4, 4) or not all(map(math.isfinite, T.ravel().tolist())):
         raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")

@@ -1,7 +1,5 @@
-"""Why an arm follows a hand, or does not: codes for programs, in rig_msgs/TeleopState, and the sentence for people.
-
-Arm and robot hand say the same of the operator's hand in the same words.
-"""
+"""Why an arm follows a hand, or does not: codes for programs, in rig_msgs/TeleopState, and the sentence for people. Arm
+and robot hand say the same of the operator's hand in the same words."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations.
-
-Pinocchio does most of the arithmetic; this module adds the conventions of the rig and the checks of its inputs.
-`R_a_b` is the orientation of b in a: its columns are the axes of b written in a.
-"""
+"""Rotations as 3x3 matrices and unit quaternions (x, y, z, w), refused when they are not rotations. Pinocchio does most
+of the arithmetic; this module adds the conventions of the rig and the checks of its inputs. `R_a_b` is the orientation
+of b in a: its columns are the axes of b written in a."""
 
 from __future__ import annotations
 
@@ -54,8 +52,7 @@ def rotation_about(axis: int, angle: float) -> np.ndarray:
 
 def check_rotation(R: ArrayLike, tolerance: float = 1e-6) -> np.ndarray:
     """Returns R as a float array, shape (3, 3); raises ValueError if R is not finite, not orthonormal within
-    `tolerance`, or a reflection.
-    """
+    `tolerance`, or a reflection."""
     R = np.asarray(R, dtype=float)
     if R.shape != (3, 3) or not all(map(math.isfinite, R.ravel().tolist())):
         raise ValueError(f"a rotation needs 3 x 3 finite numbers, not {R.tolist()}")
@@ -100,8 +97,7 @@ def quaternions_from_rotations(R: np.ndarray) -> np.ndarray:
 
 def rotation_from_quaternion(q: ArrayLike) -> np.ndarray:
     """Returns the rotation, shape (3, 3), of the quaternion x, y, z, w, shape (4,); raises ValueError if its numbers
-    are not finite, or its norm is off by more than `UNIT_TOLERANCE`.
-    """
+    are not finite, or its norm is off by more than `UNIT_TOLERANCE`."""
     q = np.asarray(q, dtype=float)
     if q.shape != (4,) or not np.all(np.isfinite(q)):
         raise ValueError(f"a quaternion needs four finite numbers, not {q.tolist()}")

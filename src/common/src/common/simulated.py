@@ -1,9 +1,7 @@
-"""Real or simulated devices: what a calibration says of them, and which rig may use it.
-
-A calibration keeps for ever, under `simulated`, whether a simulated device took part in it: the simulated camera's
-serial number is SIMULATED, the simulated arm and hand listen on this machine alone, the simulated Leap service says
-what it is. Files from before this key do not say.
-"""
+"""Real or simulated devices: what a calibration says of them, and which rig may use it. A calibration keeps for ever,
+under `simulated`, whether a simulated device took part in it: the simulated camera's serial number is SIMULATED, the
+simulated arm and hand listen on this machine alone, the simulated Leap service says what it is. Files from before this
+key do not say."""
 
 from __future__ import annotations
 
@@ -46,8 +44,7 @@ def any_simulated(*devices: bool | None) -> bool | None:
 
 def refusal(what: str, simulated: bool | None, rig_simulated: bool | None, cure: str) -> str:
     """Returns why a calibration may not be used, in a sentence, or "": a real rig, and one that does not say what it
-    is, takes none that was simulated; the simulated rig takes any. `what` begins the sentence, `cure` is one itself.
-    """
+    is, takes none that was simulated; the simulated rig takes any. `what` begins the sentence, `cure` is one itself."""
     if not simulated or rig_simulated:
         return ""
     return f"{what} was measured with simulated devices, which says nothing of real ones: it is not used. {cure}"

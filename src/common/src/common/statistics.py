@@ -1,7 +1,5 @@
-"""Proportions, medians and differences with their 95 % confidence intervals.
-
-Kept instead of scipy.stats: scipy would be 40 MB more to install for these formulas.
-"""
+"""Proportions, medians and differences with their 95 % confidence intervals. Kept instead of scipy.stats: scipy would
+be 40 MB more to install for these formulas."""
 
 from __future__ import annotations
 
@@ -70,11 +68,9 @@ def median(values: ArrayLike, seed: int = 0) -> Estimate:
 def paired_difference(
     one: ArrayLike, other: ArrayLike, statistic: Callable[..., np.ndarray] = np.mean, seed: int = 0
 ) -> Estimate:
-    """Returns the statistic (numpy's mean or median) of `one` less that of `other`, both for the same cases.
-
-    The bootstrap draws whole cases, so that what is common to both, such as a case's difficulty, does not widen the
-    interval. Raises ValueError for no cases or different numbers of values.
-    """
+    """Returns the statistic (numpy's mean or median) of `one` less that of `other`, both for the same cases. The
+    bootstrap draws whole cases, so that what is common to both, such as a case's difficulty, does not widen the
+    interval. Raises ValueError for no cases or different numbers of values."""
     pairs = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
     n = len(pairs[0])
     if not n or len(pairs[1]) != n:

@@ -12,7 +12,6 @@ def utc(seconds: float) -> str:
 
 def moment(text: str) -> float:
     """Returns the moment [s since 1970] of a text as `utc` writes it, or with another zone as +01:00. Without a zone,
-    as earlier files have it, it is in this computer's zone. Raises ValueError for another text.
-    """
+    as earlier files have it, it is in this computer's zone. Raises ValueError for another text."""
     zoned = f"{text[:-1]}+00:00" if text.endswith("Z") else text
     return datetime.fromisoformat(zoned).timestamp()

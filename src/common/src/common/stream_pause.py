@@ -1,8 +1,6 @@
-"""The pause that divides two streams of desired tool frames, as their receiver and their sender count it.
-
-The controller of the arm (kuka_control) takes frames after a longer pause for a new stream, which the arm goes to by a
-motion of its own; what steers the arm (leap_kuka) must not begin anew before. Whoever changes one changes both.
-"""
+"""The pause that divides two streams of desired tool frames, as their receiver and their sender count it. The
+controller of the arm (kuka_control) takes frames after a longer pause for a new stream, which the arm goes to by a
+motion of its own; what steers the arm (leap_kuka) must not begin anew before. Whoever changes one changes both."""
 
 from __future__ import annotations
 

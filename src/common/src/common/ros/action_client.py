@@ -6,10 +6,8 @@ import actionlib
 
 
 class ActionClient(actionlib.SimpleActionClient):
-    """actionlib's simple client, which also notes what happens to a goal before `send_goal` has returned.
-
-    actionlib's own drops that: on a busy machine it never learned that a goal was refused.
-    """
+    """actionlib's simple client, which also notes what happens to a goal before `send_goal` has returned. actionlib's
+    own drops that: on a busy machine it never learned that a goal was refused."""
 
     def send_goal(self, *args, **options) -> None:
         """Sends a goal; see actionlib.SimpleActionClient."""

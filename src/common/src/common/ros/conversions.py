@@ -14,8 +14,7 @@ from common.rotations import quaternion_from_rotation, rotation_from_quaternion
 
 def stamped_transform(T: np.ndarray, parent: str, child: str, stamp: rospy.Time) -> TransformStamped:
     """Returns the tf message of the pose T, shape (4, 4), of `child` in `parent`; raises ValueError for frames that no
-    listener takes.
-    """
+    listener takes."""
     if not parent or not child or parent == child:
         raise ValueError(f"tf takes no frame {child!r} in {parent!r}: set the frame_id in the driver of the images")
     return TransformStamped(Header(0, stamp, parent), child, transform_message(T))
@@ -28,8 +27,7 @@ def transform_message(T: np.ndarray) -> Transform:
 
 def pose_from_transform(transform: Transform) -> np.ndarray:
     """Returns the pose, shape (4, 4), of a Transform message; raises ValueError if a number is not finite, or the
-    quaternion is not a unit quaternion.
-    """
+    quaternion is not a unit quaternion."""
     return _pose(transform.translation, transform.rotation)
 
 

@@ -21,12 +21,10 @@ BURST_S = 0.1
 
 
 class Diagnostics:
-    """Publishes a node's state and counters on /diagnostics twice a second.
-
-    They stand there under `name`; where there are two arms, behind the prefix of this node's arm, or of that in the
-    namespace `of`. `read` returns (level, message, values): a DiagnosticStatus level, one sentence, and the counters.
-    Raises ConfigError if the parameter tf_prefix is invalid.
-    """
+    """Publishes a node's state and counters on /diagnostics twice a second. They stand there under `name`; where there
+    are two arms, behind the prefix of this node's arm, or of that in the namespace `of`. `read` returns (level,
+    message, values): a DiagnosticStatus level, one sentence, and the counters. Raises ConfigError if the parameter
+    tf_prefix is invalid."""
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]], of: str = "") -> None:
         self._name, self._read = arm_frames(of)(name), read
@@ -44,13 +42,10 @@ class Diagnostics:
 
 class StageTimes:
     """Publishes when a stage from hand to wire has finished with a frame, so that delays can be measured from outside.
-
     Every stage publishes on one topic: `header.stamp` is the stamp of the tracking frame, `time_ref` the time at which
     the stage passed its result on, `source` the name of the stage. RECEIVED is the first one: when the frame came in,
     which may be later than its stamp. The messages come up to BURST_S later, several at once: to write and to read each
-    of them alone would delay the frames.
-    `of`: the namespace of the arm with a slash, in a node for several.
-    """
+    of them alone would delay the frames. `of`: the namespace of the arm with a slash, in a node for several."""
 
     def __init__(self, stage: str, of: str = "") -> None:
         self._stage = stage
@@ -60,8 +55,7 @@ class StageTimes:
 
     def done(self, frame_stamp: rospy.Time, received: rospy.Time | None = None) -> None:
         """Notes that the stage has just passed on its result for the frame with this stamp; the first stage also says
-        when the frame was received.
-        """
+        when the frame was received."""
         if self._publisher.get_num_connections():
             if received is not None:
                 self._done.append((RECEIVED, frame_stamp, received))

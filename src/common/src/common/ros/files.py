@@ -35,8 +35,7 @@ def read_text(path: Path) -> str:
 
 def text_of(content: bytes) -> str:
     """Returns the text of a file's content, in UTF-8 or as Windows writes it: with a byte order mark, in UTF-16, with
-    its line ends; blanks at the end of a line are left out. Raises ValueError if it is no text.
-    """
+    its line ends; blanks at the end of a line are left out. Raises ValueError if it is no text."""
     utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     text = content.decode("utf-16" if utf16 else "utf-8-sig")
     return "\n".join(line.rstrip(" \t") for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
@@ -52,8 +51,7 @@ def home() -> Path:
 
 class _Loader(yaml.SafeLoader):
     """Mappings keep how texts were written; keys and dates are texts. A key that stands twice is an error: what is
-    under the first would be lost.
-    """
+    under the first would be lost."""
 
     def written(self, node: yaml.MappingNode) -> Iterator[WrittenMapping]:
         """Constructs a mapping, as `SafeLoader.construct_yaml_map` does: first empty, for what refers to it."""
@@ -106,8 +104,7 @@ def file_hash(path: str) -> str:
 
 def write_whole(path: Path, content: str | bytes) -> None:
     """Replaces a file, a text in UTF-8, and makes its folder; raises OSError if that fails, such as on a full disk: the
-    file stays as it is. A killed process leaves a file named by a dot, the file's name, and eight characters.
-    """
+    file stays as it is. A killed process leaves a file named by a dot, the file's name, and eight characters."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(prefix=f".{path.name}", dir=str(path.parent))
     try:

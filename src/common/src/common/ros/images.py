@@ -28,8 +28,7 @@ RGBD_FRAMES = {"rgb": RGB_OPTICAL, "depth": DEPTH_OPTICAL, "depth_registered": R
 
 def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Time) -> Image:
     """Returns the message of an image, shape (height, width) or (height, width, channels); raises ValueError if the
-    array does not have the encoding's type and channels.
-    """
+    array does not have the encoding's type and channels."""
     kind, channels = TYPES[encoding]
     if array.dtype != kind or array.shape[2:] != ((channels,) if channels > 1 else ()):
         raise ValueError(f"an array of {array.dtype}, shape {array.shape}, does not have the encoding {encoding}")
@@ -44,8 +43,7 @@ def image_message(array: np.ndarray, encoding: str, frame: str, stamp: rospy.Tim
 
 def array_from_image(message: Image) -> np.ndarray:
     """Returns a read-only view of the image in a message, shape (height, width[, channels]); raises ValueError for an
-    unknown encoding, or if the data do not have the stated size.
-    """
+    unknown encoding, or if the data do not have the stated size."""
     if message.encoding not in TYPES:
         raise ValueError(f"the encoding {message.encoding!r} is unknown; supported are {', '.join(TYPES)}")
     kind, channels = TYPES[message.encoding]
@@ -69,8 +67,7 @@ def metres_from_millimetres(depth: np.ndarray) -> np.ndarray:
 
 def colour_from_image(message: Image) -> np.ndarray:
     """Returns the colour image in a message, shape (height, width, 3), red first; raises ValueError for another
-    encoding or incomplete data.
-    """
+    encoding or incomplete data."""
     if message.encoding not in COLOUR:
         raise ValueError(f"the colour image has the encoding {message.encoding}, not one of {', '.join(COLOUR)}")
     array = array_from_image(message)[..., :3]
@@ -79,8 +76,7 @@ def colour_from_image(message: Image) -> np.ndarray:
 
 def depth_from_image(message: Image) -> np.ndarray:
     """Returns the depth image in a message, shape (height, width), float32 [m], not finite = none; raises ValueError
-    for another encoding, incomplete data, or if it cannot be in metres.
-    """
+    for another encoding, incomplete data, or if it cannot be in metres."""
     array = array_from_image(message)
     if array.dtype == np.uint16:
         return plausible_depth(metres_from_millimetres(array))
@@ -104,10 +100,8 @@ def camera_model_from_info(
 ) -> CameraModel:
     """Returns the camera of a message as image_geometry of ROS takes it: without R it is not turned, without P not
     rectified, and binning and region of interest change size and matrices. `size` is (width, height) of an image of
-    this camera, which then has that size where the message says none. Of `rectified` images, P alone counts.
-
-    Raises ValueError without a calibration, for another distortion model, or for an image of another size.
-    """
+    this camera, which then has that size where the message says none. Of `rectified` images, P alone counts. Raises
+    ValueError without a calibration, for another distortion model, or for an image of another size."""
     K, R, P = np.reshape(message.K, (3, 3)), np.reshape(message.R, (3, 3)), np.reshape(message.P, (3, 4))
     if not all(np.all(np.isfinite(matrix)) for matrix in (K, R, P)):
         raise ValueError("the numbers of the camera_info are not finite")
@@ -161,11 +155,9 @@ def same_camera(a: CameraModel, b: CameraModel) -> bool:
 
 class RgbdTopics:
     """Publishes the images of an RGB-D camera, each only while it has subscribers, as openni2_camera names them:
-
     `rgb/image_raw` (rgb8); `depth/image_raw` (16UC1, mm, 0 = none) and `depth/image` (32FC1, m, NaN = none);
     `depth_registered/image_raw` (16UC1, in the colour camera's pixels); `camera_info` beside each of the three images.
-    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before publication.
-    """
+    `rgb` and `depth` are the cameras' intrinsics; `outgoing` is applied to each image message before publication."""
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, outgoing: Outgoing = lambda message: message) -> None:
         self._outgoing = outgoing

@@ -20,10 +20,8 @@ NUMBERS = re.compile(r"\d+(\.\d+)?")
 
 
 class NodeInputs:
-    """Subscribes to topics and watches them as InputWatch does, which has their resolved names.
-
-    A callback that raises ValueError gave no output; its text is the reason. `done` tells that there was one.
-    """
+    """Subscribes to topics and watches them as InputWatch does, which has their resolved names. A callback that raises
+    ValueError gave no output; its text is the reason. `done` tells that there was one."""
 
     def __init__(
         self, streams: Iterable[str], once: Iterable[str] = (), slop: float | None = None, silent: float = OUTPUT_S
@@ -77,8 +75,7 @@ def clause(error: Exception) -> str:
 
 class FaultLog:
     """Called with the present fault, a clause or empty, as often as that is looked at: logs it once it has lasted, when
-    more than its numbers has changed, and its end.
-    """
+    more than its numbers has changed, and its end."""
 
     def __init__(self) -> None:
         self._kind, self._since = "", clock.monotonic()

@@ -32,8 +32,7 @@ KEEPALIVE = {socket.TCP_KEEPIDLE: 5, socket.TCP_KEEPINTVL: 2, socket.TCP_KEEPCNT
 
 def check_surroundings() -> None:
     """Raises RigError, with a sentence, if this process cannot be a node with any master; rospy would wait for ever, or
-    print a traceback.
-    """
+    print a traceback."""
     check_namespace()
     _check_address()
     check_host()
@@ -67,8 +66,7 @@ def _check_address() -> None:
 
 def check_master(patience: float) -> None:
     """Raises NoMaster unless a ROS master answers; one that starts, or is busy with the nodes that do, has `patience`
-    [s].
-    """
+    [s]."""
     uri, deadline = rosgraph.get_master_uri(), clock.monotonic() + patience
     while fault := _why_no_master(uri):
         if rospy.core.is_shutdown_requested() or clock.monotonic() >= deadline:
@@ -141,8 +139,7 @@ class MasterWatch:
     a sentence when the master is gone. If the one that answers later does not know this node, the node exits.
 
     Attributes:
-        fault: why the node exits, a sentence; None while the master is the same.
-    """
+        fault: why the node exits, a sentence; None while the master is the same."""
 
     def __init__(self) -> None:
         self.lost: list[Callable[[str], None]] = []

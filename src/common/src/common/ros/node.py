@@ -37,12 +37,10 @@ REPEAT_S = 10.0  # the same exception of a callback is logged again after this t
 
 def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
     """Starts the node `name`, runs `main` and exits the process: with 0 when main returns or ROS shuts down, with 1
-    after a RigError, whose sentence goes to the log and to stderr, and when the ROS master was started anew.
-    Any other exception is a defect of the program and keeps its traceback.
-
-    A `disposable` process exits as soon as ROS has shut down and the rospy.on_shutdown callbacks are done, wherever
-    main is, and without destroying the interpreter's objects. For nodes with torch: both take seconds.
-    """
+    after a RigError, whose sentence goes to the log and to stderr, and when the ROS master was started anew. Any other
+    exception is a defect of the program and keeps its traceback. A `disposable` process exits as soon as ROS has shut
+    down and the rospy.on_shutdown callbacks are done, wherever main is, and without destroying the interpreter's
+    objects. For nodes with torch: both take seconds."""
     prepare_process(disposable)
     try:
         _begin(name, master.PATIENCE_S)
@@ -60,8 +58,7 @@ def run(name: str, main: Callable[[], None], disposable: bool = False) -> None:
 
 def join(name: str, anonymous: bool = False, argv: list[str] | None = None) -> None:
     """Makes a program a node, whose ROS time is known then; for `run_program`. Raises RigError, with a sentence, if its
-    surroundings do not allow it: no ROS master, no clock, ...
-    """
+    surroundings do not allow it: no ROS master, no clock, ..."""
     _begin(name, 0.0, anonymous=anonymous, argv=argv)
     _wait_for_clock()
 
@@ -112,11 +109,9 @@ def leave_after_all_threads(code: int) -> None:
 def run_program(
     name: str, main: Callable[[], int | None], interrupted: str, errors: tuple[type[Exception], ...] = (RigError,)
 ) -> None:
-    """Runs `main` of a program that a person starts, and exits the process.
-
-    The exit code is that of `main`, 0 for None; 1 after one of the `errors`, whose sentences go to stderr; 130 after
-    Ctrl-C or SIGTERM, which print `interrupted`.
-    """
+    """Runs `main` of a program that a person starts, and exits the process. The exit code is that of `main`, 0 for
+    None; 1 after one of the `errors`, whose sentences go to stderr; 130 after Ctrl-C or SIGTERM, which print
+    `interrupted`."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     end_closed_servers()
     hide_closed_connections()
@@ -178,8 +173,7 @@ def check_folder() -> None:
 
 def _close_watches_with_topics() -> None:
     """Makes a topic that is closed close the file that watches its connections. Rospy leaves it to Python's collector:
-    a node that subscribes on demand a hundred times an hour, or a camera that restarts, had ever more open files.
-    """
+    a node that subscribes on demand a hundred times an hour, or a camera that restarts, had ever more open files."""
     close = rospy.topics._TopicImpl.close
 
     def close_with_watch(topic) -> None:
@@ -209,11 +203,9 @@ class RepeatedExceptions(logging.Filter):
 
 
 def _log_without_the_master() -> None:
-    """Looks up once whether messages of the log name the node's topics; rospy asks the master with each message.
-
-    Then a node hangs where it logs while its master hangs. And the question also registers the node: one that logs
-    after a newer node of its name has begun has the master end the newer one.
-    """
+    """Looks up once whether messages of the log name the node's topics; rospy asks the master with each message. Then a
+    node hangs where it logs while its master hangs. And the question also registers the node: one that logs after a
+    newer node of its name has begun has the master end the newer one."""
     get_param_server_cache().set(LOG_TOPICS, bool(rospy.get_param(LOG_TOPICS, False)))
 
 
@@ -236,8 +228,7 @@ def _without_os_errors(emit: Callable[[logging.LogRecord], None]) -> Callable[[l
 def end_closed_servers() -> None:
     """Ends the thread of a node's XML-RPC server when rospy closes it at shutdown. It would ask the closed socket again
     and again (https://github.com/ros/ros_comm/issues/2238), and take a processor and Python's lock from what the node
-    still does, such as braking an arm.
-    """
+    still does, such as braking an arm."""
     rosgraph.xmlrpc.ThreadingXMLRPCServer.service_actions = _end_if_closed
 
 
@@ -309,12 +300,10 @@ def _wait_for_clock() -> None:
 
 def _shut_down_beside_the_main_thread(leave: bool) -> None:
     """Takes SIGINT and SIGTERM out of rospy's hands, whose handler closes the topics in the main thread: if that thread
-    is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs.
-    With `leave` the process exits afterwards. After END_S it prints where its threads are, and exits with 1.
-
-    The kernel may give a signal to any thread, and a main thread that waits for a lock would not learn of it. So it
-    comes through a socket (signal.set_wakeup_fd).
-    """
+    is publishing or asks the master, it holds the lock that the handler waits for, and the node hangs. With `leave` the
+    process exits afterwards. After END_S it prints where its threads are, and exits with 1. The kernel may give a
+    signal to any thread, and a main thread that waits for a lock would not learn of it. So it comes through a socket
+    (signal.set_wakeup_fd)."""
     reader, writer = socket.socketpair()
     writer.setblocking(False)
     numbers = (signal.SIGINT, signal.SIGTERM)
@@ -340,8 +329,7 @@ def _shut_down_beside_the_main_thread(leave: bool) -> None:
 
 def run_together(*jobs: Callable[[], None]) -> None:
     """Runs each job in a thread of its own until all have returned; if one raises, the reason goes to the log, ROS
-    shuts down, which ends the others, and the exception is raised here.
-    """
+    shuts down, which ends the others, and the exception is raised here."""
     ended: clock.Queue[BaseException | None] = clock.Queue()
 
     def run(job: Callable[[], None]) -> None:
@@ -390,10 +378,8 @@ def while_running() -> Iterator[None]:
 
 
 def repeat(job: Callable[[], None], period: float, name: str) -> None:
-    """Calls `job` every `period` [s] in a thread of its own, until ROS shuts down.
-
-    rospy.Timer prints a traceback where it sleeps between the request to shut down and the end.
-    """
+    """Calls `job` every `period` [s] in a thread of its own, until ROS shuts down. rospy.Timer prints a traceback where
+    it sleeps between the request to shut down and the end."""
     stop = clock.Event()
     rospy.on_shutdown(stop.set)
 

@@ -29,8 +29,7 @@ def private_values() -> dict[str, Any]:
 
 def _with_texts(values: Any, texts: Mapping[str, str]) -> Any:
     """Returns the values with the texts of those keys, such as name and part/name, that are what yaml, by which rospy
-    reads the texts, makes of them: the others were set later.
-    """
+    reads the texts, makes of them: the others were set later."""
     if not isinstance(values, dict):
         return values
     lost = {key: text for key, text in texts.items() if not isinstance(values.get(key, ""), (str, list, dict))}
@@ -49,19 +48,15 @@ def _read(text: str) -> Any:
 
 
 def private_config(schema: type[Schema], section: str = "", others: Iterable[str] = ()) -> Schema:
-    """Returns the node's private parameters, or those of ~section/; `others` may stand beside the schema's own.
-
-    Raises ConfigError if a parameter is missing, unknown or out of range.
-    """
+    """Returns the node's private parameters, or those of ~section/; `others` may stand beside the schema's own. Raises
+    ConfigError if a parameter is missing, unknown or out of range."""
     values = private_values().get(section, {}) if section else private_values()
     return parse(schema, values, prefix=f"~{section}/" if section else "~", others=others)
 
 
 def arm_frames(of: str = "") -> ArmFrames:
-    """Returns the tf frames of this node's arm, by the parameter tf_prefix in its namespace or one above it.
-
-    `of`: the namespace of the arm with a slash, in a node for several. Raises ConfigError if that is no prefix.
-    """
+    """Returns the tf frames of this node's arm, by the parameter tf_prefix in its namespace or one above it. `of`: the
+    namespace of the arm with a slash, in a node for several. Raises ConfigError if that is no prefix."""
     name = f"{of}tf_prefix" if of else rospy.search_param("tf_prefix")
     values = {} if name is None or not rospy.has_param(name) else {"tf_prefix": rospy.get_param(name)}
     return parse(ArmFrames, values, prefix="" if name is None else name[: -len("tf_prefix")])
@@ -83,12 +78,10 @@ def wait_for_param(name: str):
 def wait_for_config(
     schema: type[Schema], namespace: str, others: Iterable[str] = (), patience: float = UPLOAD_S
 ) -> Schema:
-    """Returns the configuration under `namespace`; waits for its parameters and reports that.
-
-    A launch file uploads a yaml key by key: this waits until the last key of the schema is there, at most `patience`
-    [s] after the first. The keys `others` may stand beside the schema's own. Raises ConfigError if values are missing,
-    unknown or out of range, rospy.ROSInterruptException if ROS shuts down while waiting.
-    """
+    """Returns the configuration under `namespace`; waits for its parameters and reports that. A launch file uploads a
+    yaml key by key: this waits until the last key of the schema is there, at most `patience` [s] after the first. The
+    keys `others` may stand beside the schema's own. Raises ConfigError if values are missing, unknown or out of range,
+    rospy.ROSInterruptException if ROS shuts down while waiting."""
     wait_for_param(namespace)
     names = [f.name for f in dataclasses.fields(schema)]
     values = _uploaded(namespace, names, min(patience, UPLOAD_S))

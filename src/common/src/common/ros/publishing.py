@@ -10,12 +10,10 @@ from rospy.exceptions import TransportTerminated
 
 
 class DirectPublisher(rospy.Publisher):
-    """A publisher that writes to its subscribers in the caller's thread and never waits for them.
-
-    rospy's own hands each message to one more thread per subscriber, and gives up its turn on the processor each time.
-    While a subscriber does not read, its newest `queue_size` messages wait, and the next `publish` sends them; so for
-    topics that are published all the time, or whose few messages fit into a socket's buffer.
-    """
+    """A publisher that writes to its subscribers in the caller's thread and never waits for them. rospy's own hands
+    each message to one more thread per subscriber, and gives up its turn on the processor each time. While a subscriber
+    does not read, its newest `queue_size` messages wait, and the next `publish` sends them; so for topics that are
+    published all the time, or whose few messages fit into a socket's buffer."""
 
     def __init__(self, name: str, kind: type[rospy.Message], queue_size: int, latch: bool = False) -> None:
         super().__init__(name, kind, tcp_nodelay=True, queue_size=queue_size, latch=latch)
@@ -45,8 +43,7 @@ class _Outbox:
 
     def write(self, data: bytes) -> bool:
         """Sends as much as the subscriber takes; called under the lock of the topic. Raises OSError or
-        TransportTerminated if the connection is closed.
-        """
+        TransportTerminated if the connection is closed."""
         connection, waiting = self._connection, self._waiting
         if connection.done or connection.socket is None:
             raise TransportTerminated("the connection is closed")

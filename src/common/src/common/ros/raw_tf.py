@@ -1,7 +1,5 @@
-"""Messages as bytes: a node needs few of the many on /tf, and rospy would build all of them.
-
-The one place that knows what rospy keeps of a message beside its fields.
-"""
+"""Messages as bytes: a node needs few of the many on /tf, and rospy would build all of them. The one place that knows
+what rospy keeps of a message beside its fields."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 `rospy.ServiceProxy` waits for ever for a node that hangs, and asks the master before every call. Here each call runs in
 a thread of its own, and a `ServiceClient` keeps the service's address. The request is sent after the node has answered
 the handshake, and only if the caller still waits: a node that hangs never executes a call that was given up before.
-A call that was given up ends too, so a node that hangs costs one thread and one socket at most per client.
-"""
+A call that was given up ends too, so a node that hangs costs one thread and one socket at most per client."""
 
 from __future__ import annotations
 
@@ -57,10 +56,8 @@ class ServiceClient:
         self._unfinished: _Attempt | None = None  # given up, but not ended
 
     def look_up(self) -> None:
-        """Asks the master for the address; a service that it does not know keeps its last one.
-
-        Raises MasterLost if the master does not answer.
-        """
+        """Asks the master for the address; a service that it does not know keeps its last one. Raises MasterLost if the
+        master does not answer."""
         uri = ask_master("lookupService", rospy.resolve_name(self.name))
         if uri is not None:
             family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
@@ -72,8 +69,7 @@ class ServiceClient:
 
     def __call__(self, *values, timeout: float, wait: float = 0.0):
         """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
-        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time.
-        """
+        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time."""
         start, before = clock.monotonic(), self._unfinished
         if before is not None and not before.done.wait(wait + timeout):
             raise ServiceFailed(self.name, "still does not answer: nothing was requested", False)
@@ -188,8 +184,7 @@ class _Transport(TCPROSTransport):
 
 def ask_master(method: str, *arguments):
     """Returns the value of a method of the ROS master's interface, None if the master has none; raises MasterLost if it
-    does not answer within `MASTER_TIMEOUT_S`.
-    """
+    does not answer within `MASTER_TIMEOUT_S`."""
     uri = rosgraph.get_master_uri()
     try:
         master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())

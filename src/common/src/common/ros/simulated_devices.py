@@ -19,8 +19,7 @@ REFUSED = (
 
 def announce() -> rospy.Publisher:
     """Tells all on this ROS master that this node belongs to simulated devices, until it ends or the returned publisher
-    is unregistered.
-    """
+    is unregistered."""
     publisher = rospy.Publisher(TOPIC, String, queue_size=1, latch=True)
     publisher.publish(rospy.get_name())
     return publisher

@@ -1,8 +1,6 @@
-"""Short sounds on engage, release, limit and stop: which change sounds which, and how it sounds.
-
-There is no sound without a change, and at most one every GAP_S; of changes within that time the most important one
-sounds afterwards, and a stop is never left out. A limit sounds at most every LIMIT_GAP_S.
-"""
+"""Short sounds on engage, release, limit and stop: which change sounds which, and how it sounds. There is no sound
+without a change, and at most one every GAP_S; of changes within that time the most important one sounds afterwards, and
+a stop is never left out. A limit sounds at most every LIMIT_GAP_S."""
 
 from __future__ import annotations
 

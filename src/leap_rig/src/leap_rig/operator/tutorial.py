@@ -1,9 +1,7 @@
-"""Leads a visitor through the first minutes at the rig: a step is ticked when it was really done.
-
-The tutorial is fed with records of what the rig publishes, and asked for its view about ten times a second. Steps come
-in a fixed order and never go back. A step counts only what happens in it, and only fresh records: while something is
-silent, nothing is ticked. Texts are keys of tutorial_texts.py.
-"""
+"""Leads a visitor through the first minutes at the rig: a step is ticked when it was really done. The tutorial is fed
+with records of what the rig publishes, and asked for its view about ten times a second. Steps come in a fixed order and
+never go back. A step counts only what happens in it, and only fresh records: while something is silent, nothing is
+ticked. Texts are keys of tutorial_texts.py."""
 
 from __future__ import annotations
 

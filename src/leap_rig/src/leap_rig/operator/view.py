@@ -1,8 +1,6 @@
-"""What the operator is shown, out of the newest messages: always the same rows in the same order.
-
-A record that is old is shown as it was, marked as stale; one that never came as a dash. Numbers that are not finite
-are shown as missing, and never as a bar.
-"""
+"""What the operator is shown, out of the newest messages: always the same rows in the same order. A record that is old
+is shown as it was, marked as stale; one that never came as a dash. Numbers that are not finite are shown as missing,
+and never as a bar."""
 
 from __future__ import annotations
 

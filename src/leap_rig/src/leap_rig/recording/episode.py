@@ -22,12 +22,9 @@ CHANNELS = {"rgb8": (3, [0, 1, 2]), "bgr8": (3, [2, 1, 0]), "rgba8": (4, [0, 1, 
 
 @dataclass(frozen=True, eq=False)
 class TrainingEpisode:
-    """Rows at `times`; arm joints first, then the hand's motors where the run has them.
-
-    The state is what was measured last. The action of a row is what had been commanded one period later: the newest
-    servo goal, or the measured joints while none was sent; and the newest command of the hand, or its angles before
-    the first one.
-    """
+    """Rows at `times`; arm joints first, then the hand's motors where the run has them. The state is what was measured
+    last. The action of a row is what had been commanded one period later: the newest servo goal, or the measured joints
+    while none was sent; and the newest command of the hand, or its angles before the first one."""
 
     names: tuple[str, ...]
     times: np.ndarray  # since the epoch, shape (n,) [s]

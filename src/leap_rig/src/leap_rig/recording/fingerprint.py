@@ -28,9 +28,7 @@ NOTHING = "nothing"
 
 def fingerprint(kuka: object, content: Callable[[str], str]) -> dict[str, dict[str, Any]]:
     """Returns values by group and key from the parameters under `kuka/`; empty groups if they describe no robot.
-
-    `content` returns what stands for the content of a file, such as its hash.
-    """
+    `content` returns what stands for the content of a file, such as its hash."""
     config = controller_config(kuka)
     found: dict[str, dict[str, Any]] = {group: {} for group in GROUPS}
     if config is None:
@@ -45,8 +43,7 @@ def fingerprint(kuka: object, content: Callable[[str], str]) -> dict[str, dict[s
 
 def started_with(kuka: Mapping[str, Any]) -> tuple[object, Mapping[str, str]]:
     """Returns the parameters with which the controller started, whatever is set under `kuka/` since, and the hashes of
-    its files then by their names; without a controller what is set, and none.
-    """
+    its files then by their names; without a controller what is set, and none."""
     started = kuka.get("running")
     if not isinstance(started, Mapping):
         return kuka, {}

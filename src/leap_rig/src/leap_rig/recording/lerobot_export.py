@@ -1,7 +1,5 @@
-"""Recordings as a LeRobot dataset (v3), by LeRobot's own library: https://huggingface.co/docs/lerobot.
-
-Runs in the environment of requirements-lerobot.txt, without ROS and without the rig's own environment.
-"""
+"""Recordings as a LeRobot dataset (v3), by LeRobot's own library: https://huggingface.co/docs/lerobot. Runs in the
+environment of requirements-lerobot.txt, without ROS and without the rig's own environment."""
 
 from __future__ import annotations
 
@@ -36,10 +34,8 @@ def main() -> None:
 
 
 def export(recordings: list[Path], folder: Path, fps: int, task: str) -> None:
-    """Writes one dataset with an episode for each recording; `task` for those that name none.
-
-    Raises RecordingFault if the folder exists, a recording has no task, or the recordings do not fit together.
-    """
+    """Writes one dataset with an episode for each recording; `task` for those that name none. Raises RecordingFault if
+    the folder exists, a recording has no task, or the recordings do not fit together."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     if folder.exists():
@@ -80,8 +76,7 @@ def _features(episode: TrainingEpisode, shape: tuple[int, ...] | None) -> dict[s
 
 def _images(recording: Path, episode: TrainingEpisode) -> Iterator[np.ndarray]:
     """Yields for each row of the episode the newest color image, or the first one before it came; none without any.
-    RecordingFault: their size changes, which no video has.
-    """
+    RecordingFault: their size changes, which no video has."""
     decode, newest = MessageDecoders(), None
     messages = between(recording, [topics.COLOR], 0.0, float("inf"))
     coming = next(messages, None)

@@ -6,8 +6,7 @@
     NAME/...               other files of the start, such as calibrations
 
 Every half second the messages so far become a chunk of their own, which is written and synced: a killed recorder, or
-a power cut, loses what came after. The manifest is replaced as a whole, so there is always one.
-"""
+a power cut, loses what came after. The manifest is replaced as a whole, so there is always one."""
 
 from __future__ import annotations
 
@@ -159,8 +158,7 @@ class RecordingWriter:
         files: content of further files, by name.
         reserve: bytes that are kept free for the end.
 
-    Raises RecordingFault if the folder exists or cannot be written.
-    """
+    Raises RecordingFault if the folder exists or cannot be written."""
 
     def __init__(
         self, folder: Path, about: Mapping[str, Any], files: Mapping[str, bytes], now: int, reserve: int = RESERVE_BYTES
@@ -208,8 +206,7 @@ class RecordingWriter:
 
     def flush(self, dropped: Mapping[str, int] = MappingProxyType({})) -> None:
         """Brings all messages so far to the disk, but first how many were `dropped` among them by topic, which a reader
-        must know even of a recording that is killed. Raises OSError if the disk does not take them; then `close`.
-        """
+        must know even of a recording that is killed. Raises OSError if the disk does not take them; then `close`."""
         if self._manifest["dropped"] != dropped:
             self._manifest["dropped"] = dict(dropped)
             self._write_manifest()
@@ -218,8 +215,7 @@ class RecordingWriter:
 
     def close(self, now: int, ended_by: str, dropped: Mapping[str, int]) -> None:
         """Completes the recording, also on a full disk. Raises RecordingFault if not even the index could be written;
-        what was flushed stays readable.
-        """
+        what was flushed stays readable."""
         self._spare.close()
         self._manifest.update(ended_by=ended_by, dropped=dict(dropped))
         try:
@@ -271,10 +267,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def verify(folder: Path) -> tuple[dict[str, Any], str]:
-    """Returns the manifest, and a sentence if the recording was not completed, else "".
-
-    Raises RecordingFault if a file is missing or not the one that was recorded.
-    """
+    """Returns the manifest, and a sentence if the recording was not completed, else "". Raises RecordingFault if a file
+    is missing or not the one that was recorded."""
     manifest = read_manifest(folder)
     for name, expected in manifest["files"].items():
         try:
@@ -306,8 +300,7 @@ def _missing(path: Path) -> str:
 
 def write_mcap(path: Path, stored: Iterable[StoredMessage], attachments: Mapping[str, bytes]) -> int:
     """Writes messages and files into one MCAP file and returns the number of messages; RecordingFault: it exists, the
-    disk does not take it, or there is no message.
-    """
+    disk does not take it, or there is no message."""
     count = 0
     with new_file(path) as file:
         sink = McapSink(file, CHUNK_BYTES)
@@ -364,10 +357,8 @@ def _sha256(path: Path) -> str:
 
 
 def messages(path: Path) -> Iterator[StoredMessage]:
-    """Yields the messages of an MCAP file in the order of their receipt, up to where the file is whole.
-
-    Raises RecordingFault if the file cannot be read.
-    """
+    """Yields the messages of an MCAP file in the order of their receipt, up to where the file is whole. Raises
+    RecordingFault if the file cannot be read."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, tuple[str, MessageKind]] = {}
     try:

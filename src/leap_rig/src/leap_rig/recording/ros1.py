@@ -30,11 +30,9 @@ class MessageFault(RigError):
 
 
 def decoder(kind: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
-    """Returns what decodes messages of the type `kind`, such as std_msgs/Bool, with its full definition.
-
-    A message is a dict by field; times and durations are nanoseconds, arrays of numbers and of times numpy arrays,
-    uint8[] is bytes. Raises MessageFault, as does what it returns.
-    """
+    """Returns what decodes messages of the type `kind`, such as std_msgs/Bool, with its full definition. A message is a
+    dict by field; times and durations are nanoseconds, arrays of numbers and of times numpy arrays, uint8[] is bytes.
+    Raises MessageFault, as does what it returns."""
     texts = {kind: ""}
     for part in re.split(r"^=+\n", definition, flags=re.MULTILINE):
         named = re.match(r"MSG: (\S+)\n", part)

@@ -66,8 +66,7 @@ class MessageDecoders:
 
 def between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
     """Returns the messages of the `wanted` topics, of all for None, that were received between `start` and `end` [s]
-    after the start of the recording; of latched topics also those before. RecordingFault: there is no time between.
-    """
+    after the start of the recording; of latched topics also those before. RecordingFault: there is no time between."""
     if not start < end:  # nor NaN
         raise RecordingFault(f"There is nothing from {start:g} to {end:g} s.")
     return _between(folder, wanted, start, end)
@@ -85,10 +84,8 @@ def _between(folder: Path, wanted: Iterable[str] | None, start: float, end: floa
 
 
 def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> RecordedRun:
-    """Returns a recording, or what was received between `start` and `end` [s] after its start.
-
-    Raises RecordingFault, of a file that is missing or was changed, or MessageFault.
-    """
+    """Returns a recording, or what was received between `start` and `end` [s] after its start. Raises RecordingFault,
+    of a file that is missing or was changed, or MessageFault."""
     manifest, remark = verify(folder)
     decode = MessageDecoders()
     found: dict[str, list[tuple[int, Any]]] = {key: [] for key in (*READ, *POSES)}
@@ -120,9 +117,8 @@ def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> Recorde
 
 
 def _rows(topic: str, received: int, value: dict[str, Any]) -> list[tuple[int, Any]]:
-    """Returns what a message holds: times [ns] and what was then; for a goal its joints and velocity. A tf message
-    has a key of POSES instead of its topic. Raises whatever a message with other fields makes.
-    """
+    """Returns what a message holds: times [ns] and what was then; for a goal its joints and velocity. A tf message has
+    a key of POSES instead of its topic. Raises whatever a message with other fields makes."""
     if topic == topics.RAW_FRAMES:
         if not isinstance(value["text"], str):
             raise TypeError("the text is not a string")
@@ -157,8 +153,7 @@ def _seconds(nanoseconds: list[int]) -> np.ndarray:
 
 def pose_in_base(transforms: Iterable[dict[str, Any]], frame: str) -> list[tuple[int, np.ndarray]]:
     """Returns the stamp [ns] of a frame and its pose in the base, shape (4, 4) [m]; nothing if the transforms of this
-    message do not lead to the base, or one of them is no pose.
-    """
+    message do not lead to the base, or one of them is no pose."""
     by_child = {frame_name(transform["child_frame_id"]): transform for transform in transforms}
     T, name = np.eye(4), frame
     for _ in range(MAX_CHAIN):

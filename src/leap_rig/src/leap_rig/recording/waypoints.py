@@ -39,10 +39,8 @@ def streamed_motions(
     times: np.ndarray, goals: np.ndarray, velocities: np.ndarray, forward: Callable[[np.ndarray], np.ndarray]
 ) -> list[StreamedMotion]:
     """Returns the streams among the goals that were sent: at `times`, shape (n,) [s], joints, shape (n, 7) [rad], and
-    `velocities` of PTP motions, shape (n,), 0 for servo goals. `forward` returns the tool pose of joints.
-
-    A clock that was set back parts two streams too. Raises RecordingFault for a goal that is not finite.
-    """
+    `velocities` of PTP motions, shape (n,), 0 for servo goals. `forward` returns the tool pose of joints. A clock that
+    was set back parts two streams too. Raises RecordingFault for a goal that is not finite."""
     bad = np.flatnonzero(~np.isfinite(goals).all(axis=1) | ~np.isfinite(velocities))
     if len(bad):
         raise RecordingFault(f"Goal {bad[0]} of the recording is not finite: {goals[bad[0]].tolist()}.")
@@ -58,9 +56,8 @@ def streamed_motions(
 
 
 def lines_along(times: np.ndarray, poses: np.ndarray, rate: float, fastest: float) -> list[RecordedLine]:
-    """Returns lines along poses, shape (n, 4, 4) [m], at `times` [s], shape (n,), `rate` times as fast as recorded,
-    at most `fastest` [m/s]. They begin at the first pose.
-    """
+    """Returns lines along poses, shape (n, 4, 4) [m], at `times` [s], shape (n,), `rate` times as fast as recorded, at
+    most `fastest` [m/s]. They begin at the first pose."""
     kept = [0]
     for i in range(1, len(times)):
         if times[i] - times[kept[-1]] >= SAMPLE_S or i == len(times) - 1:

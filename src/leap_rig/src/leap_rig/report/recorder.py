@@ -1,6 +1,5 @@
 """Records a run of the rig from plain values; times in seconds, lengths in metres, angles in radians. `report.py`
-summarises the record.
-"""
+summarises the record."""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ class ObjectTrack:
         hands: tuple[str, ...] = (),
     ) -> None:
         """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
-        robot touch the object; `hands`: the arms, of several, whose hands do.
-        """
+        robot touch the object; `hands`: the arms, of several, whose hands do."""
         self.at = float(T_world_object[0, 3]), float(T_world_object[1, 3])
         if clearance > OFF_TABLE_M and hands and (not self.held_by or self.held_by[-1][1] != hands):
             self.held_by.append((now, hands))

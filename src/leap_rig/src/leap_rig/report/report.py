@@ -49,8 +49,7 @@ COUNTERS = {
 
 def summarise(recorder: Recorder, now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()) -> dict:
     """Returns the summary of a run until `now` [s] as a mapping that JSON can hold. `faults` lists why the run failed,
-    with a clause for each node that died; `warnings`, with the remarks, do not make it fail.
-    """
+    with a clause for each node that died; `warnings`, with the remarks, do not make it fail."""
     began = recorder.started if recorder.started is not None else now
     # The seconds of the simulated world in a second of the run; None without a world.
     world, wall = (recorder.count("simulated_world", name) for name in ("world_s", "wall_s"))
@@ -288,9 +287,8 @@ def _errors(errors: TrackingErrors) -> dict:
 
 
 def _delays(stamps: dict[float, float], times: dict[str, dict[float, float]]) -> dict:
-    """Returns percentiles of the delay of each stage, and of the two wires after the received frame. What the
-    tracker's service kept a frame is not ours: it is the first line, and no part of the last two.
-    """
+    """Returns percentiles of the delay of each stage, and of the two wires after the received frame. What the tracker's
+    service kept a frame is not ours: it is the first line, and no part of the last two."""
     received = times["received"]
     spans = {
         "Leap service: frame sent late": (stamps, received),

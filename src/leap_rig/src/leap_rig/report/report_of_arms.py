@@ -14,11 +14,8 @@ def summarise(
     recorders: Mapping[str, Recorder], now: float, deaths: Iterable[str] = (), remarks: Iterable[str] = ()
 ) -> dict:
     """Returns the summary of a run until `now` [s] as a mapping that JSON can hold. `recorders`: of each arm by its
-    name; an only arm has none, and its summary is that of `report.summarise`.
-
-    Several arms stand under `arms`, each with the keys that it does not share. `faults` and `warnings` begin with the
-    name of the arm that they are of.
-    """
+    name; an only arm has none, and its summary is that of `report.summarise`. Several arms stand under `arms`, each
+    with the keys that it does not share. `faults` and `warnings` begin with the name of the arm that they are of."""
     if len(recorders) == 1:
         return report.summarise(next(iter(recorders.values())), now, deaths, remarks)
     deaths, parts = list(deaths), {arm: report.summarise(recorder, now) for arm, recorder in recorders.items()}

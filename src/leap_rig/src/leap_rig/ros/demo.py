@@ -178,8 +178,7 @@ def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
 
 class Deaths(ProcessListener):
     """Records the processes that exit during the run: `sentences` about the nodes that the rig needs, `remarks` about
-    the others. Nodes in `expected` may exit; `ended` are all that exited. Names are those in the demo's namespace.
-    """
+    the others. Nodes in `expected` may exit; `ended` are all that exited. Names are those in the demo's namespace."""
 
     def __init__(self) -> None:
         self._namespace = rosgraph.names.get_ros_namespace()[1:]
@@ -264,8 +263,7 @@ class Interrupts:
     """Turns Ctrl-C, a closed terminal and SIGTERM into KeyboardInterrupt, but not while nodes start or stop. Without
     this, roslaunch would stop the nodes and swallow the interrupt, and the demo would continue without a rig. In the
     background, where a shell ignores SIGINT, Python would raise nothing. An interrupt between the start of a process
-    and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called.
-    """
+    and roslaunch's record of it would leave the process behind, so interrupts wait until `heed` is called."""
 
     def __init__(self) -> None:
         self._came, self._waits = False, True
@@ -350,8 +348,7 @@ def wait_for_end(
     listeners: Mapping[str, RigListener], deaths: Deaths, status: LiveStatus, duration: float | None, visitor: bool
 ) -> str:
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
-    `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S.
-    """
+    `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S."""
     from leap_rig.report.report import TUTORIAL  # as late as in `run`
 
     first = next(iter(listeners.values()))

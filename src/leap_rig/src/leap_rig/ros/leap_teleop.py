@@ -1,9 +1,7 @@
 """The node leap_teleop: leap_driver, leap_kuka_node and leap_hand_node in one process, with their topics and services.
-
-A tracking frame is read once and wakes one process instead of three; the messages go out for whoever listens.
-Without a robot hand the arm's teleoperation runs alone, as with three nodes. The teleoperations of several arms run
-here beside each other, each with the names of its namespace; and what chooses the arm that one hand steers.
-"""
+A tracking frame is read once and wakes one process instead of three; the messages go out for whoever listens. Without a
+robot hand the arm's teleoperation runs alone, as with three nodes. The teleoperations of several arms run here beside
+each other, each with the names of its namespace; and what chooses the arm that one hand steers."""
 
 from __future__ import annotations
 

@@ -3,8 +3,7 @@
 Corners have the convention of OpenCV and CameraInfo (the centre of the first pixel is 0, 0) and the order top left, top
 right, bottom right, bottom left of the printed tag. The library counts from the corner of a pixel, half a pixel more.
 Its pose estimates are not used, and its options refine_* and border have no effect. The detector remembers the last
-orientation of each target: it decides between two poses that fit equally well.
-"""
+orientation of each target: it decides between two poses that fit equally well."""
 
 from __future__ import annotations
 
@@ -48,8 +47,7 @@ class TagDetection:
 
 class TagFinder:
     """Finds tags of one family. Create one finder per process: the library never frees a detector's memory. Raises
-    ImportError if the module `apriltag` is not the PyPI package.
-    """
+    ImportError if the module `apriltag` is not the PyPI package."""
 
     def __init__(self, settings: DetectorSettings) -> None:
         if not hasattr(apriltag, "DetectorOptions"):  # Debian's package has the same name and another interface
@@ -69,8 +67,7 @@ class TagFinder:
 
     def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
         """Returns the tags that count in a grey image, shape (height, width), uint8; raises ValueError for another
-        shape or type.
-        """
+        shape or type."""
         if grey.ndim != 2 or grey.dtype != np.uint8:
             raise ValueError(
                 f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"
@@ -133,8 +130,7 @@ class TagDetector:
     def detect(self, grey: np.ndarray, camera: CameraModel, now: float) -> DetectionResult:
         """Returns the detections in a grey image, shape (height, width), uint8, with the time stamp `now` [s]. With the
         setting `rectified` the camera's rectified projection is used. Raises ValueError if the image does not have the
-        camera's size, or is not grey.
-        """
+        camera's size, or is not grey."""
         if grey.shape != (camera.height, camera.width):
             size = (
                 f"the image is {grey.shape[1]} x {grey.shape[0]}, but camera_info says {camera.width} x {camera.height}"

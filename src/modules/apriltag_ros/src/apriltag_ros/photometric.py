@@ -2,8 +2,7 @@
 rendered as the camera would see them. Gauss-Newton steps with damping change pose and blur until the sum of squared
 differences to the image is smallest; brightness and contrast are fitted for each tag. Where a second pose explains
 nearly the same corners, the search also starts from it, and the result with the smaller residual wins. The raw image is
-used and the lens distortion is part of the rendering: rectification would blur the image again.
-"""
+used and the lens distortion is part of the rendering: rectification would blur the image again."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ class PhotometricRefiner:
     def refine(self, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> PoseRefinement:
         """Returns the pose whose rendering matches the raw grey image, shape (height, width), uint8, best. T_start is
         the pose by the corners, shape (4, 4) [m], and the camera has its distortion. Raises ValueError if the image
-        does not have the camera's size, or is not grey.
-        """
+        does not have the camera's size, or is not grey."""
         if grey.shape != (camera.height, camera.width) or grey.dtype != np.uint8:
             raise ValueError(
                 f"the image has shape {grey.shape} and type {grey.dtype}, but the camera's grey image is "

@@ -1,8 +1,6 @@
 """The schemas of settings.yaml and tags.yaml, with the keys of the published ROS package apriltag_ros, and the targets.
-
 A target is a tag, or a bundle of tags that are rigidly fixed to each other. The frame of a tag has its origin in the
-centre. Seen by a viewer who looks at the upright tag, x points right, y up and z towards the viewer.
-"""
+centre. Seen by a viewer who looks at the upright tag, x points right, y up and z towards the viewer."""
 
 from __future__ import annotations
 
@@ -54,8 +52,7 @@ class TagTarget:
 
     def matched(self, corners: dict[int, np.ndarray]) -> tuple[tuple[TargetTag, ...], np.ndarray, np.ndarray]:
         """Returns the detected tags of the target, and their corners in the target, shape (4 n, 3) [m], and in the
-        image, shape (4 n, 2) [px], from the detected corners by tag id, each shape (4, 2) [px].
-        """
+        image, shape (4 n, 2) [px], from the detected corners by tag id, each shape (4, 2) [px]."""
         tags = tuple(tag for tag in self.tags if tag.id in corners)
         if not tags:
             return (), np.empty((0, 3)), np.empty((0, 2))
@@ -65,8 +62,7 @@ class TagTarget:
 @dataclass(frozen=True)
 class DetectorSettings:
     """The settings of the detector. A key that the library does not support accepts only the library's own value; a
-    missing key has the default of the published package.
-    """
+    missing key has the default of the published package."""
 
     tag_family: str = choice(*FAMILIES, doc="family of the tags", absent=DEFAULT_FAMILY)
     tag_threads: int = integer(
@@ -114,15 +110,13 @@ TAG_KEYS = ("standalone_tags", "tag_bundles")
 
 def detector_settings(values: Mapping[str, Any], prefix: str = "", others: tuple[str, ...] = ()) -> DetectorSettings:
     """Returns the settings in `values`, with the defaults of the published package; raises ConfigError with all
-    faults.
-    """
+    faults."""
     return parse(DetectorSettings, values, prefix, others=(*TAG_KEYS, *others))
 
 
 def targets(values: Mapping[str, Any]) -> tuple[TagTarget, ...]:
     """Returns the targets in `standalone_tags` and `tag_bundles`, either of which may be missing or empty; raises
-    ConfigError with all faults.
-    """
+    ConfigError with all faults."""
     if not isinstance(values, Mapping):
         raise ConfigError([f"The tags are {values!r}, but must be a mapping with the keys {' and '.join(TAG_KEYS)}."])
     faults: list[str] = []

@@ -2,8 +2,7 @@
 corners first. Two poses, tilted to opposite sides of the line of sight, explain most perspective images of a plane
 (Schweighofer and Pinz 2006; Collins and Bartoli 2014, whose closed form IPPE returns both). Each is refined to the
 smallest sum of squared reprojection errors (Levenberg-Marquardt). If these errors differ clearly, the smaller one
-decides; otherwise a known orientation does, from an earlier or from a depth image.
-"""
+decides; otherwise a known orientation does, from an earlier or from a depth image."""
 
 from __future__ import annotations
 
@@ -54,8 +53,7 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
     """Returns the pose of the target with at least four corners `points`, shape (n, 3) [m], at `pixels`, shape (n, 2)
     [px]. The hint is a known rotation from the camera to the target, shape (3, 3), from an earlier or a depth image; it
     decides between two poses that explain the image about equally well. Raises ValueError if there are fewer than four
-    corners, or no pose has them all in front of the camera.
-    """
+    corners, or no pose has them all in front of the camera."""
     points, pixels = np.asarray(points, dtype=float), np.asarray(pixels, dtype=float)
     if len(points) < 4:
         raise ValueError(f"a pose needs at least four corners, not {len(points)}")
@@ -90,8 +88,7 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
 
 def _ambiguity(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, corners: int) -> np.ndarray:
     """Returns the covariance that the possible truth of the `other` pose adds to that of T, shape (6, 6). Its
-    probability follows from both reprojection errors [px], even where a hint decided.
-    """
+    probability follows from both reprojection errors [px], even where a hint decided."""
     gap = 0.5 * corners * (other_rms**2 - rms**2) / CORNER_SIGMA_PX**2
     change = np.concatenate((other[:3, 3] - T[:3, 3], pin.log3(other[:3, :3] @ T[:3, :3].T)))
     return np.outer(change, change) / (1.0 + np.exp(np.clip(gap, -MAX_LOG_ODDS, MAX_LOG_ODDS)))
@@ -99,18 +96,15 @@ def _ambiguity(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, c
 
 def covariance(T: np.ndarray, points: np.ndarray, K: np.ndarray, sigma: float = CORNER_SIGMA_PX) -> np.ndarray:
     """Returns the covariance, shape (6, 6), of the pose T, shape (4, 4) [m], from corners in the target, shape (n, 3)
-    [m], with the camera matrix K and independent errors with the standard deviation `sigma` in each coordinate [px].
-    """
+    [m], with the camera matrix K and independent errors with the standard deviation `sigma` in each coordinate [px]."""
     J = corner_jacobian(T, points, K).reshape(-1, 6)
     return sigma**2 * np.linalg.inv(J.T @ J)
 
 
 def corner_jacobian(T: np.ndarray, points: np.ndarray, K: np.ndarray) -> np.ndarray:
     """Returns the derivative of the undistorted pixels of `points` by the pose T of the target, shape (n, 2, 6).
-
     Columns: translation along the camera's x, y, z [px/m], then small rotations about axes through the target's origin
-    parallel to them [px/rad].
-    """
+    parallel to them [px/rad]."""
     turned = points @ T[:3, :3].T
     x, y, z = (turned + T[:3, 3]).T
     J_pixel = np.zeros((len(points), 2, 3))
@@ -124,8 +118,7 @@ def corner_jacobian(T: np.ndarray, points: np.ndarray, K: np.ndarray) -> np.ndar
 
 def _starts(points: np.ndarray, ideal: np.ndarray, K: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Returns rough poses. For a plane that faces the camera OpenCV's IPPE can return wrong rotations or NaN, so the
-    closed form for any points (SQPnP) is tried too.
-    """
+    closed form for any points (SQPnP) is tried too."""
     flat = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] < PLANE_TOLERANCE_M
     starts = []
     for method in (cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP) if flat else (cv2.SOLVEPNP_SQPNP,):

@@ -1,7 +1,6 @@
 """Renders tags as the camera would see them, for comparison with its image. A pixel is the mean of samples, each a ray
 through the lens to the plane of the tag; the result is blurred in the image plane. The derivatives by the pose follow
-from the gradient of the rendered image: a change of the pose moves each point of the tag in the image.
-"""
+from the gradient of the rendered image: a change of the pose moves each point of the tag in the image."""
 
 from __future__ import annotations
 
@@ -39,8 +38,7 @@ class TagPattern:
 
     def bitmap(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Returns the pattern with `samples` pixels a cell, and the matrix, shape (3, 3), from x, y, 1 in the tag's
-        plane [m] to its pixels.
-        """
+        plane [m] to its pixels."""
         scale = samples * self.cells / self.tag.size
         middle = samples * (self.cells / 2.0 + PAPER) - 0.5
         A = np.array([[scale, 0.0, middle], [0.0, -scale, middle], [0.0, 0.0, 1.0]])
@@ -89,8 +87,7 @@ class TagView:
 
     def render(self, T_camera_target: np.ndarray, blur: float) -> tuple[np.ndarray, np.ndarray]:
         """Returns the rendered values of the compared pixels, shape (n,), 0 black to 1 white, and their derivatives by
-        pose and blur, shape (n, 7).
-        """
+        pose and blur, shape (n, 7)."""
         T = T_camera_target @ self.T_target_tag
         M = np.linalg.inv(T[:3, [0, 1, 3]])
         places = cv2.transform(self.rays, (self.A @ M).astype(np.float32))
@@ -123,8 +120,7 @@ class TagView:
 
 def _area(T: np.ndarray, half: float, camera: CameraModel) -> tuple[np.ndarray, np.ndarray] | None:
     """Returns the image columns and rows round the square from -half to half [m] in the plane of T, with a margin for
-    the blur; None if the image cuts off the square.
-    """
+    the blur; None if the image cuts off the square."""
     grid = np.linspace(-half, half, 5)
     points = np.array([(x, y, 0.0) for x in grid for y in grid]) @ T[:3, :3].T + T[:3, 3]
     if np.any(points[:, 2] <= 0.0):
@@ -146,8 +142,7 @@ def _library() -> ctypes.CDLL:
 @lru_cache(maxsize=None)
 def black_cells(family: str, tag: int) -> np.ndarray:
     """Returns which cells of the black square of a tag are black, top row first, shape (n, n), bool; raises ValueError
-    if the family, one of FAMILIES, has no such tag.
-    """
+    if the family, one of FAMILIES, has no such tag."""
     if family not in FAMILIES:
         raise ValueError(f"unknown tag family {family}; use one of {', '.join(FAMILIES)}")
     table = _library().apriltag_family_create(family.encode()).contents

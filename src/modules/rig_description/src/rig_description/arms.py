@@ -5,8 +5,7 @@ iiwa 14 R820). The torques of the 7 R800 are quoted second-hand: check them agai
 relies on them.
 
 A link's frame is its frame of the modified Denavit-Hartenberg table, but for link 7, whose frame stays at the wrist:
-the 0.126 m to the arm's flange and the media flange follow as a fixed joint.
-"""
+the 0.126 m to the arm's flange and the media flange follow as a fixed joint."""
 
 from __future__ import annotations
 
@@ -143,10 +142,8 @@ def origin_in_parent(arm: ArmDescription, link: int) -> np.ndarray:
 
 def tube(arm: ArmDescription, link: int) -> tuple[float, np.ndarray, np.ndarray]:
     """Returns radius and the centres of both faces [m] of the cylinder nearest to link 0 to 7, in the link's frame.
-
-    Links 1 to 5 alternate: each stands between a seam across the arm and the half of a joint's housing beside the
-    arm's axis. The cylinder is the shape for collisions, and the solid whose inertia stands in for unusable data.
-    """
+    Links 1 to 5 alternate: each stands between a seam across the arm and the half of a joint's housing beside the arm's
+    axis. The cylinder is the shape for collisions, and the solid whose inertia stands in for unusable data."""
     shoulder, upper, fore = arm.lengths
     low, middle, high = arm.seams
     radius, bottom, top = (
@@ -164,11 +161,9 @@ def tube(arm: ArmDescription, link: int) -> tuple[float, np.ndarray, np.ndarray]
 
 
 def link_body(arm: ArmDescription, link: int) -> Body:
-    """Returns the mass properties of link 0 to 7 in its frame.
-
-    The base gets what the data sheet's weight leaves for it. Where the published numbers of a link are unusable, the
-    mass stays and is spread evenly over the link's plain shape.
-    """
+    """Returns the mass properties of link 0 to 7 in its frame. The base gets what the data sheet's weight leaves for
+    it. Where the published numbers of a link are unusable, the mass stays and is spread evenly over the link's plain
+    shape."""
     if link == 0:
         rest = arm.mass - sum(link_body(arm, other).mass for other in range(1, 8))
         return cylinder(rest, *tube(arm, 0))

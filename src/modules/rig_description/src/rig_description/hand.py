@@ -9,8 +9,7 @@ the ranges of preshape and flexure (two joints of pi/6, each) from simulators of
 those of the servo behind each tendon.
 
 The printed ring of the marker board (cad/marker_connector) goes between flange and connector; while it is on, the hand
-stands farther from the flange by its length.
-"""
+stands farther from the flange by its length."""
 
 from __future__ import annotations
 
@@ -99,8 +98,7 @@ def body(link: str) -> Body:
 
 def tool_body(distance: float = CONNECTOR_LENGTH) -> Body:
     """Returns connector and hand with the joints at zero as one, in the flange's frame; `distance` is that of the
-    hand's frame from the flange [m].
-    """
+    hand's frame from the flange [m]."""
     yaws, origins = {"base_link": CONNECTOR_YAW}, {"base_link": np.array([0.0, 0.0, distance])}
     for joint in JOINTS:
         yaw, origin = yaws[joint.parent], origins[joint.parent]
@@ -111,9 +109,7 @@ def tool_body(distance: float = CONNECTOR_LENGTH) -> Body:
 
 def finger_balls(distance: float = CONNECTOR_LENGTH) -> tuple[tuple[float, float, float, float], ...]:
     """Returns the balls that the fingers leave at no opening: centre in the flange, x, y, z [m], and radius [m].
-
-    `distance`: of the hand's frame from the flange [m].
-    """
+    `distance`: of the hand's frame from the flange [m]."""
     origins = {"base_link": np.array([0.0, 0.0, distance])}
     for joint in JOINTS:
         origins[joint.child] = origins[joint.parent] + _about_z(CONNECTOR_YAW) @ joint.xyz

@@ -1,9 +1,7 @@
 """What the links of arm and hand look like: meshes, with rings and covers as cylinders; own shapes without CAD data.
-
 Millimetres. The arm's cylinders are in the axes of the upright pose, origin in the link's own origin: each of links 1
 to 4 starts at a seam across the arm and ends in one half of a joint's housing beside the arm's axis. The hand's are in
-the link's own frame.
-"""
+the link's own frame."""
 
 from __future__ import annotations
 

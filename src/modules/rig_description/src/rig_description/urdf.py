@@ -34,10 +34,8 @@ def file_name(robot: str, flange: str, ring: bool = False) -> str:
 
 
 def urdf(robot: str, flange: str, ring: bool = False) -> str:
-    """Returns the URDF of an arm and a media flange, names as in the parameters kuka/robot and kuka/flange.
-
-    `ring`: the ring of the marker board is clamped between flange and connector. Raises KeyError for unknown names.
-    """
+    """Returns the URDF of an arm and a media flange, names as in the parameters kuka/robot and kuka/flange. `ring`: the
+    ring of the marker board is clamped between flange and connector. Raises KeyError for unknown names."""
     arm, height = arms.ARMS[robot], FLANGE_HEIGHTS[flange]
     root = ET.Element("robot", name=f"{robot}_{flange}")
     table = ET.SubElement(root, "link", name="kuka/base_frame")

@@ -1,9 +1,7 @@
-"""The control port of a simulated device: its true state, and physical interventions by users and tests.
-
-Loopback TCP, one JSON object a line in each direction. `{"do": "state"}` is answered by `{"ok": true, ...}` with what
-the handler of that name returns, a request that fails by `{"ok": false, "error": "one sentence"}`. The handbook offers
-this wire form (docs/decisions/control-ports.md), so no RPC library replaces it. A real rig has no such port.
-"""
+"""The control port of a simulated device: its true state, and physical interventions by users and tests. Loopback TCP,
+one JSON object a line in each direction. `{"do": "state"}` is answered by `{"ok": true, ...}` with what the handler of
+that name returns, a request that fails by `{"ok": false, "error": "one sentence"}`. The handbook offers this wire form
+(docs/decisions/control-ports.md), so no RPC library replaces it. A real rig has no such port."""
 
 from __future__ import annotations
 
@@ -33,9 +31,8 @@ class PortClosedError(DeviceError):
 
 class ControlPort(contextlib.AbstractContextManager):
     """Serves the requests of `handlers`, by name, from its own threads until `close`; a handler's ValueError or
-    RigError becomes the error of the answer. Port 0 takes any free one, see the attribute.
-    Raises DeviceError if the address is not a loopback address, or the port is taken.
-    """
+    RigError becomes the error of the answer. Port 0 takes any free one, see the attribute. Raises DeviceError if the
+    address is not a loopback address, or the port is taken."""
 
     def __init__(self, handlers: Mapping[str, Handler], host: str = "127.0.0.1", port: int = 0) -> None:
         self._handlers = {name: (handler, inspect.signature(handler)) for name, handler in handlers.items()}
@@ -48,10 +45,8 @@ class ControlPort(contextlib.AbstractContextManager):
         self._acceptor.start()
 
     def close(self) -> None:
-        """Closes all connections and frees the port; may be called twice.
-
-        Running requests finish first: a thread still inside the physics would crash the program at its exit.
-        """
+        """Closes all connections and frees the port; may be called twice. Running requests finish first: a thread still
+        inside the physics would crash the program at its exit."""
         with self._lock:
             self._closed = True
             clients = dict(self._clients)
@@ -145,8 +140,7 @@ class ControlClient(contextlib.AbstractContextManager):
 
     def ask(self, do: str, **fields: Any) -> dict[str, Any]:
         """Returns the fields of the answer to the request `do`, without "ok"; raises PortClosedError if nothing listens
-        there, DeviceError if no answer came in time or the device refused the request.
-        """
+        there, DeviceError if no answer came in time or the device refused the request."""
         with self._lock:
             answer = self._exchange({"do": do, **fields})
         if answer.pop("ok") is not True:
@@ -201,8 +195,7 @@ class ControlClient(contextlib.AbstractContextManager):
 def listen(host: str, port: int, purpose: str) -> socket.socket:
     """Returns a listening TCP socket on a loopback address, since other machines must not reach a simulator; port 0
     takes any free one. Raises DeviceError, with the port's `purpose`, such as "the control port", if the address is not
-    a loopback address, or the port is taken.
-    """
+    a loopback address, or the port is taken."""
     require_loopback(host, purpose)
     listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:

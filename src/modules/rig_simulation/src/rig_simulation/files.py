@@ -1,7 +1,5 @@
-"""The files of the simulation: robot and meshes of rig_description, scenes and marker boards of this package.
-
-They are found in the source tree and, with ROS, where ROS knows their package.
-"""
+"""The files of the simulation: robot and meshes of rig_description, scenes and marker boards of this package. They are
+found in the source tree and, with ROS, where ROS knows their package."""
 
 from __future__ import annotations
 

@@ -50,11 +50,9 @@ class ColourConfig:
 
 @dataclass(frozen=True)
 class DepthConfig:
-    """The section depth: a projector of infrared points and an infrared camera.
-
-    Each doc names the value that disables its effect. Sources: reference values of structured-light sensors (Nguyen,
-    Izadi, Lovell 2012; Khoshelham 2011; Boehm 2014) and the data sheet of the Xtion Pro Live.
-    """
+    """The section depth: a projector of infrared points and an infrared camera. Each doc names the value that disables
+    its effect. Sources: reference values of structured-light sensors (Nguyen, Izadi, Lovell 2012; Khoshelham 2011;
+    Boehm 2014) and the data sheet of the Xtion Pro Live."""
 
     noise: bool = flag(doc="random error along the axis")
     correlation: float = number("px", low=0.0, high=10.0, doc="reach of the noise over neighbouring pixels; 0 = white")

@@ -1,7 +1,6 @@
 """Which views a calibration uses, and whether its result is accepted. A view is the mean pose of the marker board over
 several images while arm and camera stand still. Its covariance is that of one image, because most of a corner's error
-is the same in every image, plus that of the arm.
-"""
+is the same in every image, plus that of the arm."""
 
 from __future__ import annotations
 
@@ -93,8 +92,7 @@ def refined(
     """Returns the detections with refined poses and an empty string; or, if one image cannot be used, all of them
     unrefined, as the errors of both kinds differ, and the reason, without a full stop. Raises ValueError for an image
     without the camera's size. `pairs`: detections by the corners and their images, shape (height, width), uint8;
-    `camera`: model of the raw images, distortion included.
-    """
+    `camera`: model of the raw images, distortion included."""
     better = []
     for detection, grey in pairs:
         result = refiner.refine(grey, camera, detection.T_camera_board)
@@ -111,9 +109,7 @@ def view_from(
     config: CalibrationConfig,
 ) -> CalibrationView:
     """Returns the view of `detections` at the measured flange pose, shape (4, 4) [m], given the `earlier` views in use.
-
-    Raises ViewRejected if it cannot be used.
-    """
+    Raises ViewRejected if it cannot be used."""
     if len(detections) < config.pictures:
         found = f"the camera detected the marker board in {len(detections)} images"
         raise ViewRejected("detections", f"{found}, but a view needs {config.pictures}")
@@ -141,8 +137,7 @@ def mean_pose(poses: list[np.ndarray]) -> np.ndarray:
 
 def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: CalibrationConfig) -> Verdict:
     """Returns the calibration from the views and the checks that it fails. T_flange_board is the pose of the marker
-    board by its drawing, shape (4, 4) [m]. Raises DegenerateViews if the views do not determine the calibration.
-    """
+    board by its drawing, shape (4, 4) [m]. Raises DegenerateViews if the views do not determine the calibration."""
     if len(views) < config.min_views:
         raise DegenerateViews(f"{len(views)} views are too few: take at least {config.min_views}")
     result = hand_eye.solve(views)
@@ -201,8 +196,7 @@ def judge(views: list[CalibrationView], T_flange_board: np.ndarray, config: Cali
 
 def check_alone(view: CalibrationView, config: CalibrationConfig) -> float:
     """Returns the standard deviation of a point at the marker board [mm] if a single view defines the camera pose;
-    raises ViewRejected if that would be too uncertain.
-    """
+    raises ViewRejected if that would be too uncertain."""
     point = 1e3 * float(np.sqrt(np.trace(view.covariance[:3, :3])))
     turn = float(np.degrees(np.sqrt(np.trace(view.covariance[3:, 3:]))))
     failed = _failed(_uncertainty_checks(point, turn, config))

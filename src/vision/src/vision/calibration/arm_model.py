@@ -1,7 +1,6 @@
 """Kinematics of the arm for the planning of calibration views: link positions, and joints for a wanted flange pose. The
 model is that of the robot description. The inverse takes damped Newton steps from a given seed and keeps its branch, so
-that motions between the views stay short.
-"""
+that motions between the views stay short."""
 
 from __future__ import annotations
 
@@ -38,8 +37,7 @@ class ArmModel:
 
     def bent(self, shift: float, turn: float, rng: np.random.Generator) -> ArmModel:
         """Returns an arm of this kind that was not built exactly: each joint is displaced along and turned about each
-        axis by errors with these standard deviations [m, rad].
-        """
+        axis by errors with these standard deviations [m, rad]."""
         other = copy.copy(self)
         other._model = self._model.copy()
         for joint in range(1, other._model.njoints):

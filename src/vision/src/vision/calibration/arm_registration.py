@@ -1,8 +1,6 @@
-"""Where two arms stand to each other, from one fixed camera that was calibrated to each of them.
-
-`T_first_second = T_first_camera inverse(T_second_camera)`: the marker board is mounted on one arm, then on the other,
-and the camera stays where it is. Small changes of a pose are those of hand_eye.py.
-"""
+"""Where two arms stand to each other, from one fixed camera that was calibrated to each of them. `T_first_second =
+T_first_camera inverse(T_second_camera)`: the marker board is mounted on one arm, then on the other, and the camera
+stays where it is. Small changes of a pose are those of hand_eye.py."""
 
 from __future__ import annotations
 
@@ -34,8 +32,7 @@ class ArmRegistration:
 
     def point_sd(self, point: np.ndarray) -> float:
         """Returns the standard deviation of the distance between what both arms take for a `point` of the second one,
-        shape (3,) in the first base [m].
-        """
+        shape (3,) in the first base [m]."""
         J = np.hstack((np.eye(3), -pin.skew(np.asarray(point) - self.T_first_second[:3, 3])))
         return float(np.sqrt(np.trace(J @ self.covariance @ J.T)))
 

@@ -5,8 +5,7 @@ T_camera_board`, with two unknown poses. The start is the closed form of Shah (2
 the one with the least median of squares over all views is kept, so that wrong views do no harm. Gauss-Newton steps then
 minimise the errors of the consistent views, each weighted by the covariance of its view.
 A small change of a pose has six numbers: a translation, then a rotation about axes through the pose's own origin, both
-along the axes of the frame in which the pose is given [m, rad].
-"""
+along the axes of the frame in which the pose is given [m, rad]."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ class HandEyeSolution:
 def solve(views: list[CalibrationView], seed: int = 0) -> HandEyeSolution:
     """Returns the calibration; views may be wrong as long as more than half are right. The seed is that of the choice
     of triples, if there are more than MAX_TRIPLES. Raises DegenerateViews if there are fewer than three views, or the
-    flange turns about one axis only.
-    """
+    flange turns about one axis only."""
     check_motion(views)
     X, Z = _robust_start(views, np.random.default_rng(seed))
     fits = _fitting(views, X, Z)
@@ -83,8 +81,7 @@ def camera_pose(view: CalibrationView, T_flange_board: np.ndarray) -> np.ndarray
 
 def leave_one_out(views: list[CalibrationView], result: HandEyeSolution) -> np.ndarray:
     """Returns the distance of each consistent view from the prediction of the others, shape (n, 2) [m, rad]. The rest
-    are nan, and so are views without which the flange would turn about one axis only.
-    """
+    are nan, and so are views without which the flange would turn about one axis only."""
     predicted = np.full((len(views), 2), np.nan)
     for i in np.flatnonzero(result.fits):
         others = [view for k, view in enumerate(views) if result.fits[k] and k != i]
@@ -102,8 +99,7 @@ def scales(views: list[CalibrationView], result: HandEyeSolution) -> tuple[np.nd
     """Returns two scale factors of the camera, estimated from the arm's motion, and their standard deviations. The
     first is the factor by which everything appears too large: 1 unless the printed tag size differs from the configured
     one. The second is the factor by which the marker board appears too far away: 1 unless the focal length is wrong,
-    which leaves sideways translations as they are. Both results have the shape (2,).
-    """
+    which leaves sideways translations as they are. Both results have the shape (2,)."""
     X, Z = result.T_flange_board, result.T_base_camera
     rows, errors = [], []
     for view in compress(views, result.fits):

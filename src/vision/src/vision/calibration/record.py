@@ -103,8 +103,7 @@ VIEW_POSES = {"T_base_flange": "T_base_flange", "T_camera_panel": "T_camera_boar
 
 def by_views(verdict: Verdict, views: list[CalibrationView], **head: Any) -> CalibrationRecord:
     """Returns the record of a calibration by views; `head` has date, robot, flange, panel, camera, camera_frame and
-    simulated.
-    """
+    simulated."""
     errors = verdict.result.errors
     norms = (1e3 * np.linalg.norm(errors[:, :3], axis=1), np.degrees(np.linalg.norm(errors[:, 3:], axis=1)))
     return CalibrationRecord(

@@ -2,8 +2,7 @@
 image are tried: wholly in the image, tilted, within the arm's reach, not hidden by the arm, and clear of table, arm,
 camera and an upright second arm. From these, views are chosen greedily so that each gives the greatest determinant of
 the Fisher information. The collision shapes are rough: the arm is a chain of capsules, the hand another capsule, the
-marker board a grid of points, a second arm a column.
-"""
+marker board a grid of points, a second arm a column."""
 
 from __future__ import annotations
 
@@ -61,8 +60,7 @@ class ViewsConfig:
 
 def guessed_camera(config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
     """Returns T_base_camera, shape (4, 4), of a level camera at the guessed position. The guess is given in the upright
-    world, in which the base has the orientation R_world_base, shape (3, 3).
-    """
+    world, in which the base has the orientation R_world_base, shape (3, 3)."""
     forward = unit(config.guess_target - config.guess_position)
     right = unit(np.cross(forward, (0.0, 0.0, 1.0)))
     R = np.column_stack((right, np.cross(forward, right), forward))
@@ -71,10 +69,8 @@ def guessed_camera(config: ViewsConfig, R_world_base: np.ndarray) -> np.ndarray:
 
 class ViewPlanner:
     """Finds the views, as joints of the arm, shape (7,) [rad], and paths between them: joints to visit in turn.
-
     `points`: corners of the tags on the `board`, which is given by its drawing, shape (n, 3) [m]; `R_world_base`:
-    orientation of the base in the upright world, shape (3, 3).
-    """
+    orientation of the base in the upright world, shape (3, 3)."""
 
     def __init__(
         self,
@@ -95,9 +91,7 @@ class ViewPlanner:
         self, T_base_camera: np.ndarray, rng: np.random.Generator, centre_only: bool = False
     ) -> list[np.ndarray]:
         """Returns views in which a camera at the guessed T_base_camera, shape (4, 4) [m], should see the board.
-
-        `centre_only` keeps the board in the image centre, where the camera sees it in spite of a bad guess.
-        """
+        `centre_only` keeps the board in the image centre, where the camera sees it in spite of a bad guess."""
         found: list[np.ndarray] = []
         for _ in range(self._config.tries if not centre_only else self._config.tries // 4):
             T_base_flange = T_base_camera @ self._random_board(rng, centre_only) @ inverse(self._T_flange_board)
@@ -124,8 +118,7 @@ class ViewPlanner:
 
     def tour(self, views: list[np.ndarray], q: ArrayLike, T_base_camera: np.ndarray) -> list[list[np.ndarray]]:
         """Returns a path to each view in turn, the first from q. The nearest view with a clear path comes next,
-        directly or through the start. Views without one are left out.
-        """
+        directly or through the start. Views without one are left out."""
         left, legs, here = list(views), [], np.asarray(q)
         while left:
             left.sort(key=lambda view: float(np.max(np.abs(view - here))))
@@ -140,8 +133,7 @@ class ViewPlanner:
 
     def path_back(self, q: ArrayLike, legs: list[list[np.ndarray]], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns joints to visit from the end of the legs, which began at q, back to the start. The arm retraces its
-        path until the motion to the start is clear; empty if it never is.
-        """
+        path until the motion to the start is clear; empty if it never is."""
         track = [np.asarray(q), *chain(*legs)][::-1]
         for i, here in enumerate(track):
             if self.path_clear(here, self._start, T_base_camera):
@@ -150,8 +142,7 @@ class ViewPlanner:
 
     def path_clear(self, q: np.ndarray, goal: np.ndarray, T_base_camera: np.ndarray) -> bool:
         """Returns whether the straight joint motion from q to goal, shape (7,) [rad], is clear. Where q itself is too
-        close to something, the motion must not come closer.
-        """
+        close to something, the motion must not come closer."""
         steps = max(2, int(np.ceil(np.max(np.abs(goal - q)) / PATH_STEP_RAD)) + 1)
         least = min(0.0, self.clearance(q, T_base_camera) - TOLERANCE_M)
         path = (q + part * (goal - q) for part in np.linspace(0.0, 1.0, steps)[1:])
@@ -159,8 +150,7 @@ class ViewPlanner:
 
     def clearance(self, q: ArrayLike, T_base_camera: np.ndarray) -> float:
         """Returns the distance of arm, hand and marker board at q from table, camera, arm and a second arm beyond the
-        minimum [m].
-        """
+        minimum [m]."""
         spine, plate, hand = self._bodies(q)
         held = np.concatenate((plate, hand[1:]))
         low = self._config.min_height
@@ -176,8 +166,7 @@ class ViewPlanner:
 
     def _beside_other_arm(self, spine: np.ndarray, plate: np.ndarray, hand: np.ndarray) -> float:
         """Returns the level distance of these points of arm, marker board and hand from a second arm beyond the minimum
-        [m]; inf without one.
-        """
+        [m]; inf without one."""
         if self._config.other_arm is None:
             return np.inf
         axis = self._config.other_arm[None]

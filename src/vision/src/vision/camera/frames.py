@@ -1,7 +1,6 @@
 """The frames of the RGB-D camera: the poses of its two cameras in camera_link, and their optical frames. camera_link
 and the two camera frames: x forward, y left, z up. Optical frames: x right, y down, z forward. Each optical frame has
-two names: the driver's, which the image headers carry, and camera/rgb_frame or camera/depth_frame.
-"""
+two names: the driver's, which the image headers carry, and camera/rgb_frame or camera/depth_frame."""
 
 from __future__ import annotations
 

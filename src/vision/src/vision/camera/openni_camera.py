@@ -1,6 +1,5 @@
 """Driver of the Xtion Pro Live with OpenNI 2; every missing part is reported in one sentence. It needs the library
-libOpenNI2 with its drivers, and the Python package openni, which wraps it.
-"""
+libOpenNI2 with its drivers, and the Python package openni, which wraps it."""
 
 from __future__ import annotations
 
@@ -46,8 +45,7 @@ class OpenniFrame:
 
 class OpenniCamera:
     """One device, not thread-safe. The intrinsics `rgb` and `depth` define the sizes of the images. Raises DeviceError
-    if the library or the Python package is missing.
-    """
+    if the library or the Python package is missing."""
 
     def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel) -> None:
         self._config = config
@@ -58,8 +56,7 @@ class OpenniCamera:
 
     def connect(self) -> str:
         """Opens the device, starts both streams and returns the device's name. Raises DeviceError if there is no
-        device, or it does not support the configuration.
-        """
+        device, or it does not support the configuration."""
         self.disconnect()
         openni = self._openni
         uri = None if self._config.device == ANY else self._config.device.encode()
@@ -92,8 +89,7 @@ class OpenniCamera:
 
     def read(self, timeout: float) -> OpenniFrame | None:
         """Returns the next image of either stream, or None after `timeout` [s]; raises DeviceError if the device is
-        lost.
-        """
+        lost."""
         names, streams = list(self._streams), list(self._streams.values())
         try:
             ready = self._openni.wait_for_any_stream(streams, timeout)

@@ -1,7 +1,6 @@
 """Registers depth to the pixels of the rectified colour camera, rectifies colour, and makes a coloured point cloud. A
 depth pixel becomes a point, and the point a pixel of the rectified colour camera; where several coincide, the nearest
-wins. Everything that depends on the cameras alone is computed once.
-"""
+wins. Everything that depends on the cameras alone is computed once."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ class PairsConfig:
 class Registration:
     """Registers the images of a colour camera with a depth camera at T_rgb_depth, shape (4, 4) [m]; both images are
     raw. All results belong to `camera`, the rectified colour camera. Raises ValueError if a distortion cannot be
-    inverted, and, as do its methods, for an image without its camera's size.
-    """
+    inverted, and, as do its methods, for an image without its camera's size."""
 
     def __init__(self, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self.camera = rgb.rectified()
@@ -52,9 +50,7 @@ class Registration:
 
     def register(self, depth: np.ndarray) -> np.ndarray:
         """Returns the raw depth image in the rectified colour camera's pixels; both float32 [m], NaN where unknown.
-
-        Raises ValueError for another size.
-        """
+        Raises ValueError for another size."""
         self._check(depth.shape, self._shape, "depth")
         raw = depth.ravel()
         height, width = self._x.shape
@@ -84,8 +80,7 @@ class Registration:
 
     def cloud(self, registered: np.ndarray, rectified: np.ndarray) -> np.ndarray:
         """Returns the points, shape (height, width), type POINT, in the rectified colour camera's frame, from the
-        results of `register` and, in RGB, of `rectify`.
-        """
+        results of `register` and, in RGB, of `rectify`."""
         rgb = cv2.cvtColor(rectified, cv2.COLOR_RGB2BGRA).view(np.int32)
         rgb &= 0x00FFFFFF
         coordinates = (self._x * registered, self._y * registered, registered)

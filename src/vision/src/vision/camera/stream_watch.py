@@ -1,6 +1,5 @@
 """Monitors a stream of images: new ones have to arrive, often enough, and with new content. Times are passed in as
-seconds of a monotonic clock. Stamps and image digests are only compared with the previous ones.
-"""
+seconds of a monotonic clock. Stamps and image digests are only compared with the previous ones."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 points X; it equals n / D with the unit normal n and the distance D. Along a pixel's ray (x, y, 1) the inverse depth is
 1/z = a . ray, which is linear in a. The noise of a structured-light sensor and the smooth errors of a unit are nearly
 constant in inverse depth, so the plane is fitted there. The registered image is not used, because it has holes and
-repeated pixels.
-"""
+repeated pixels."""
 
 from __future__ import annotations
 
@@ -57,10 +56,8 @@ def fit_board(
     depth: np.ndarray, camera: CameraModel, T_depth_board: np.ndarray, plate: float, config: PlanePoseConfig
 ) -> PlaneFit:
     """Returns the marker board's plane in the depth camera's frame; raises ValueError for an image of another size.
-
     `depth`: raw, shape (height, width), float32 [m], NaN where unknown; `T_depth_board`: rough pose by the colour
-    image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m].
-    """
+    image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m]."""
     size = (camera.width, camera.height)
     if depth.shape[::-1] != size:
         raise ValueError(f"the depth image is {depth.shape[::-1]}, but its camera_info says {size}")
@@ -93,8 +90,7 @@ def fit_board(
 def unit_covariance(a: np.ndarray, middle: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
     """Returns the covariance of the plane a from the errors of the sensor unit, shape (3, 3) [1/m^2]. A wrong scale
     stretches a; over the marker board, whose middle is at the ray `middle` (x, y, 1), the smooth error of inverse depth
-    is an offset and two slopes.
-    """
+    is an offset and two slopes."""
     J = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-middle[0], -middle[1], 1.0]])
     smooth = np.diag(np.square([config.warp_slope_sd, config.warp_slope_sd, config.warp_sd]))
     return config.scale_sd**2 * np.outer(a, a) + J @ smooth @ J.T

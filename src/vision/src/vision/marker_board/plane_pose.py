@@ -3,8 +3,7 @@
 Colour-only: least squares over the corners (`apriltag_ros.tag_pose`); inaccurate in range, and in tilt where the board
 faces the camera. Plane: the corners' rays end on the plane, so tilt and range come from depth. Fused: the least squares
 over corners and plane, each weighted by its covariance. A weighted mean of the first two would count the corners twice;
-the least squares count each measurement once.
-"""
+the least squares count each measurement once."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ class RgbdDetection:
 
 class RgbdDetector:
     """Detects one flat marker board on a square plate with the edge `plate` [m] round the origin of its tags. Raises
-    ValueError if the tags do not lie in the plane of the plate.
-    """
+    ValueError if the tags do not lie in the plane of the plate."""
 
     def __init__(self, settings: DetectorSettings, target: TagTarget, plate: float, config: PlanePoseConfig) -> None:
         if np.any(np.abs(target.corners[:, 2]) > 1e-6):
@@ -78,8 +76,7 @@ class RgbdDetector:
     ) -> RgbdDetection | None:
         """Returns the marker board, or None if no tag is visible or the corners fit no pose. Raises ValueError for an
         image of
-        another size than its camera's. `grey`: colour image, shape (height, width), uint8; `now`: stamp [s].
-        """
+        another size than its camera's. `grey`: colour image, shape (height, width), uint8; `now`: stamp [s]."""
         result = self._detector.detect(grey, rgb, now)
         if not result.targets:
             return None
@@ -106,8 +103,7 @@ def rgbd_pose(
     does not have its camera's size, or the corners do not lie in the plate, whose edge is `plate` [m]. `T_rgb_board`:
     colour-only pose, shape (4, 4) [m]; `points`: corners of the tags on the board, shape (n, 3) [m]; `pixels`: the same
     in the colour image, shape (n, 2) [px]; `depth_image`: raw, shape (height, width), float32 [m], NaN where unknown;
-    `T_rgb_depth`: pose of the depth camera in the colour camera, shape (4, 4) [m].
-    """
+    `T_rgb_depth`: pose of the depth camera in the colour camera, shape (4, 4) [m]."""
     if np.abs(points[:, 2]).max() > FLAT_M:
         raise ValueError("the corners do not lie in the plane of the plate, z = 0: correct tags.yaml")
     rays = rgb.rays(pixels)
@@ -132,8 +128,7 @@ def rgbd_pose(
 
 def corner_noise(rays: np.ndarray, K: np.ndarray, config: PlanePoseConfig) -> np.ndarray:
     """Returns the covariance of the corners' pixels, shape (2n, 2n) [px^2]: independent errors, and a focal length
-    error, which moves all corners away from the image centre together.
-    """
+    error, which moves all corners away from the image centre together."""
     outwards = (rays[:, :2] * (K[0, 0], K[1, 1])).ravel()
     return config.corner_sd**2 * np.eye(len(outwards)) + config.focal_sd**2 * np.outer(outwards, outwards)
 
@@ -147,8 +142,7 @@ def colour_estimate(T: np.ndarray, points: np.ndarray, K: np.ndarray, noise: np.
 
 def range_disagreement(colour: PoseEstimate, a: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Returns the range by colour minus that by the plane a, shape (3,) [1/m], along the line of sight, and the
-    standard deviation of the difference [m].
-    """
+    standard deviation of the difference [m]."""
     p = colour.T_camera_board[:3, 3]
     z = p[2] / (a @ p)
     sd_plane = z * np.sqrt(p @ covariance @ p) / (a @ p)
@@ -161,8 +155,7 @@ def plane_estimate(
     """Returns the pose with tilt and range of the plane, and the corners where their rays meet it. `points`: corners on
     the board, shape (n, 3) [m]; `rays`: theirs, x, y, 1, shape (n, 3); `K`: of the colour camera, shape (3, 3) [px];
     `noise`: covariance of the pixels, shape (2n, 2n) [px^2]; `a, covariance`: the plane in the colour camera's frame,
-    shape (3,) [1/m], and (3, 3) [1/m^2].
-    """
+    shape (3,) [1/m], and (3, 3) [1/m^2]."""
     T = _pose_on_plane(points, rays, a)
     by_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in DIFFERENCE * np.eye(3)]
     by_corner = []
@@ -186,8 +179,7 @@ def fuse(
 ) -> PoseEstimate | None:
     """Returns the pose that fits corners and plane best by their covariances (Gauss-Newton), or None if the search does
     not converge. It starts from the plane's pose, shape (4, 4) [m], which decides between the corners' two solutions;
-    the rest is as for `plane_estimate`.
-    """
+    the rest is as for `plane_estimate`."""
     T, W_corner, W_plane = start, np.linalg.inv(noise), np.linalg.inv(covariance)
     for _ in range(MAX_STEPS):
         seen = points @ T[:3, :3].T + T[:3, 3]

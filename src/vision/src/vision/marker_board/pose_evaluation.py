@@ -1,7 +1,6 @@
 """Errors of marker board poses against the truth, by distance and tilt, as tables; and of whole calibrations. Three
 errors are reported: of the board's centre, of its orientation, and of a point REACH_M away from it, as of an object
-that is grasped there (root mean square over all directions).
-"""
+that is grasped there (root mean square over all directions)."""
 
 from __future__ import annotations
 
@@ -138,8 +137,7 @@ def wrong_lens(camera: CameraModel, focal: float, centre: float = 0.0) -> Camera
 
 def inexact_arm(shift: float, turn: float, rng: np.random.Generator) -> Arm:
     """Returns an arm that reports each pose with other errors, with these standard deviations along and about each axis
-    [m, rad].
-    """
+    [m, rad]."""
 
     def reported(T: np.ndarray) -> np.ndarray:
         moved, turned = shift * rng.normal(size=3), turn * rng.normal(size=3)
@@ -150,8 +148,7 @@ def inexact_arm(shift: float, turn: float, rng: np.random.Generator) -> Arm:
 
 def bent_arm(drawn: ArmModel, q_seed: ArrayLike, shift: float, turn: float, rng: np.random.Generator) -> Arm:
     """Returns an arm with errors at each joint (ArmModel.bent) that reports what the arm as drawn would; it comes to a
-    pose from the joints `q_seed`, shape (7,) [rad].
-    """
+    pose from the joints `q_seed`, shape (7,) [rad]."""
     built = drawn.bent(shift, turn, rng)
 
     def reported(T: np.ndarray) -> np.ndarray | None:
@@ -171,8 +168,7 @@ def calibrate(
 ) -> CalibrationAccuracy:
     """Returns the errors of the calibration from observations, each of them a view of one image within the arm's reach.
     T_base_camera: where the camera truly stands, T_flange_board, both shape (4, 4) [m]; `lens`: the true one and that
-    of the observations, where they differ.
-    """
+    of the observations, where they differ."""
     views: list[CalibrationView] = []
     for observation in observations:
         measured = arm(T_base_camera @ observation.T_truth @ inverse(T_flange_board))

@@ -58,10 +58,8 @@ def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
 
 class PtpArm:
     """Moves the arm with a fraction of full joint speed, (0, 1]; publishes joints and flange, as its controllers do.
-
     Every call raises DeviceError if the robot does not answer or refuses; so does the constructor, also if a controller
-    node has the robot.
-    """
+    node has the robot."""
 
     def __init__(self, address: ArmAddress, model: ArmModel, velocity: float) -> None:
         master = rospy.get_master()
@@ -99,10 +97,8 @@ class PtpArm:
         return T
 
     def move_to(self, q: np.ndarray) -> None:
-        """Moves to q, shape (7,) [rad], and returns on arrival; prints a sentence while the arm is stalled.
-
-        It is slower than the given fraction where a point from elbow to finger tips would pass `PTP_M_PER_S`.
-        """
+        """Moves to q, shape (7,) [rad], and returns on arrival; prints a sentence while the arm is stalled. It is
+        slower than the given fraction where a point from elbow to finger tips would pass `PTP_M_PER_S`."""
         with _device_errors():
             velocity = ptp_velocity(self._robot, FINGERS, read_joints(self._client), q, self._velocity)
             run_ptp(self._client, q, velocity, LIMITS, self._report)

@@ -2,8 +2,7 @@
 upper left corner of its half with pixel centres at +0.5, appears in the direction (x s, y s, 1) with x = (u - cx) pitch
 / SCALE, y likewise, and s a polynomial in r2 = x^2 + y^2; red is bent less and blue more than green. Directions are
 those of an optical frame: x right, y down, z forward. The polynomial is a fit (error 0.003) to the spline of the Oculus
-SDK 0.5; the colour factors hold for 12 mm between lens and eye.
-"""
+SDK 0.5; the colour factors hold for 12 mm between lens and eye."""
 
 from __future__ import annotations
 
@@ -26,8 +25,7 @@ COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))  # red, green, blue: 
 
 def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:
     """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels, shape (..., 2), centres at
-    +0.5 [px], appear to the `eye` (0 = left, 1 = right) in a colour (RED, GREEN or BLUE).
-    """
+    +0.5 [px], appear to the `eye` (0 = left, 1 = right) in a colour (RED, GREEN or BLUE)."""
     xy = (np.asarray(pixels, dtype=float) - CENTRES[eye]) * (PITCH_M / SCALE_M)
     r2 = (xy * xy).sum(axis=-1, keepdims=True)
     constant, with_r2 = COLOURS[colour]
@@ -43,8 +41,7 @@ class _EyeMaps:
 
 class Dk2Lens:
     """Draws the images of eyes with the rectified `camera` as the screen of the Rift DK2 must show them. The
-    magnification 1 shows true angles; `chromatic` bends each colour separately.
-    """
+    magnification 1 shows true angles; `chromatic` bends each colour separately."""
 
     width, height = 2 * WIDTH, HEIGHT
 

@@ -4,8 +4,7 @@
 
 Everything that depends on the camera alone is computed once. The two eyes look along the camera's axis, half their
 distance to its left and right. A point at depth z then lies f b / z pixels farther to the right in the left eye's image
-than in the right eye's, so that it appears at its true distance (depth-image-based rendering).
-"""
+than in the right eye's, so that it appears at its true distance (depth-image-based rendering)."""
 
 from __future__ import annotations
 
@@ -90,8 +89,7 @@ class EyeImages:
 
 class StereoView:
     """Makes the eye images from raw images of `rgb` and depth in its pixels. `camera` is the rectified camera of each
-    eye image; `screen` draws both on one screen.
-    """
+    eye image; `screen` draws both on one screen."""
 
     def __init__(self, rgb: CameraModel, config: StereoViewConfig) -> None:
         self.camera, self._config = rgb.rectified(), config
@@ -112,8 +110,7 @@ class StereoView:
     def eyes(self, colour: np.ndarray, depth: np.ndarray | None) -> EyeImages:
         """Returns both eye images from a raw RGB image, shape (height, width, 3), uint8, and depth in its pixels, shape
         (height, width) [m], NaN where unknown. Without depth the image is flat, at the configured distance, or not
-        shifted at all if the configuration disables depth. Raises ValueError for an image without its camera's size.
-        """
+        shifted at all if the configuration disables depth. Raises ValueError for an image without its camera's size."""
         size = (self.camera.height, self.camera.width)
         for name, image in (("colour", colour), ("depth", depth)):
             if image is not None and image.shape[:2] != size:
@@ -174,8 +171,7 @@ def inverse_depth(depth: np.ndarray, nearest: float, instead: float) -> np.ndarr
     """Returns 1/z for every pixel, float32 [1/m], of a depth image, shape (height, width) [m]. A pixel without depth
     (NaN, infinite, not positive) gets the depth of the farther of its neighbours to the left and right, because most
     gaps are shadows of near objects. A row without any depth gets the farthest of all depths, and an image without any
-    gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it.
-    """
+    gets `instead` [m]. Depths smaller than `nearest` [m] are replaced by it."""
     known = (depth > 0.0) & (depth < np.inf)
     if not known.any():
         return np.full(depth.shape, 1.0 / instead, np.float32)
@@ -194,8 +190,7 @@ def eye_map(shift: np.ndarray, eye: int) -> np.ndarray:
     """Returns the image column that each pixel of an eye's image shows, shape (height, width), float32 [px]. `shift` is
     half the disparity of each pixel, not negative [px]; `eye` is LEFT or RIGHT. Where several pixels coincide, the
     nearest wins. A hole, which opens beside a near object, shows the edge of the background. Columns outside the image
-    are outside the camera's view.
-    """
+    are outside the camera's view."""
     height, width = shift.shape
     move = shift if eye == LEFT else -shift
     target = np.arange(width, dtype=np.float32) + move
@@ -240,8 +235,7 @@ def _without_holes(source: np.ndarray, eye: int) -> np.ndarray:
 
 def _holes(known: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Returns the unknown pixels of an image, flat indices, and of each of their runs along a row the length and the
-    known pixels to the left and to the right, -1 beyond the row.
-    """
+    known pixels to the left and to the right, -1 beyond the row."""
     width = known.shape[1]
     pixels = np.flatnonzero(~known)
     column = pixels % width

@@ -25,10 +25,8 @@ WORST = (RowTone.FAULT, RowTone.WARNING, RowTone.GOOD, RowTone.NORMAL, RowTone.S
 
 
 def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]], frames: ArmFrames = ONE_ARM) -> MarkerArray:
-    """Returns the rows as a text beside the arm, and a bar for each taxel on the back of its finger.
-
-    `pressures` are those of the nine taxels of index, middle and thumb as fractions of a full bar; empty if unknown.
-    """
+    """Returns the rows as a text beside the arm, and a bar for each taxel on the back of its finger. `pressures` are
+    those of the nine taxels of index, middle and thumb as fractions of a full bar; empty if unknown."""
     text = marker("text", Marker.TEXT_VIEW_FACING, 0, frames(BASE), LIFETIME)
     x, y, z = TEXT_AT
     text.pose.position, text.scale.z = Point(x, -y if frames.tf_prefix == RIGHT else y, z), TEXT_HEIGHT_M

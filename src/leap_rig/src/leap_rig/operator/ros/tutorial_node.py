@@ -1,8 +1,6 @@
-"""The node tutorial: watches the rig's topics and leads a visitor, in a window or on the terminal.
-
-Publishes `leap_rig/tutorial` (diagnostic_msgs/DiagnosticStatus, latched): its message is a sentence, its values are
-scenario, step, ticked and failure, as those of simulation/scenario. It commands nothing.
-"""
+"""The node tutorial: watches the rig's topics and leads a visitor, in a window or on the terminal. Publishes
+`leap_rig/tutorial` (diagnostic_msgs/DiagnosticStatus, latched): its message is a sentence, its values are scenario,
+step, ticked and failure, as those of simulation/scenario. It commands nothing."""
 
 from __future__ import annotations
 

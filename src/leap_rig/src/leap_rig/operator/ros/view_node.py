@@ -1,8 +1,6 @@
-"""The node operator_view: what the operator sees, for RViz, the control panel and the headset's page, and hears.
-
-It listens only while somebody looks, or with sounds, and reads no more messages than it shows: a callback that takes
-its period makes rospy skip those in between.
-"""
+"""The node operator_view: what the operator sees, for RViz, the control panel and the headset's page, and hears. It
+listens only while somebody looks, or with sounds, and reads no more messages than it shows: a callback that takes its
+period makes rospy skip those in between."""
 
 from __future__ import annotations
 

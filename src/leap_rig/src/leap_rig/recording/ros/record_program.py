@@ -207,12 +207,9 @@ def _about(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[str,
 
 
 def _commit(file: Path) -> str:
-    """Returns what git calls the commit of a file, with "-dirty" if any file differs; empty if git does not hold it.
-
-    An install space may lie in a repository of something else.
-
-    `git describe --dirty` would write the index, and on a full disk leave it locked.
-    """
+    """Returns what git calls the commit of a file, with "-dirty" if any file differs; empty if git does not hold it. An
+    install space may lie in a repository of something else. `git describe --dirty` would write the index, and on a full
+    disk leave it locked."""
     answers = []
     commit, changes = ("describe", "--always"), ("status", "--porcelain", "--untracked-files=no")
     for question in (("ls-files", str(file)), commit, changes):

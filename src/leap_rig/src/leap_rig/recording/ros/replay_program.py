@@ -339,8 +339,7 @@ def _agrees(question: str) -> bool:
 
 def _move_goals(motion: StreamedMotion, rate: float, fastest: float, usual: float) -> list[MoveGoal]:
     """Returns the motion to where a stream began, at the `rate` of the `usual` fraction of the joint speed, since
-    nothing can stop it, and the lines along it.
-    """
+    nothing can stop it, and the lines along it."""
     velocity = max(rate * usual, min(LEAST_PTP, usual))
     goals = [MoveGoal(kind=MoveGoal.JOINTS, joints=motion.q_start.tolist(), velocity=velocity)]
     for line in lines_along(motion.times, motion.poses, rate, fastest):

@@ -78,8 +78,7 @@ class RigListener:
 
     def _sampled(self, kind, callback, period: float):
         """Returns a callback of a rospy.AnyMsg subscriber that reads one message in `period` [s]: the report needs no
-        more, and to read a message costs more than to receive it.
-        """
+        more, and to read a message costs more than to receive it."""
         due = 0.0
 
         def run(message: rospy.AnyMsg) -> None:
@@ -156,10 +155,8 @@ class RigListener:
                 self._frames[frame] = data
 
     def _fresh(self, frame: str) -> np.ndarray | None:
-        """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old.
-
-        Its publisher sends the frames between the two in the same message.
-        """
+        """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old. Its publisher
+        sends the frames between the two in the same message."""
         if frame not in self._frames:
             return None
         transforms = {frame_name(t.child_frame_id): t for t in TFMessage().deserialize(self._frames[frame]).transforms}

@@ -18,9 +18,7 @@ COMPLAINT = "[${severity}] ${node}: ${message}"
 
 class LiveStatus:
     """One live line on a terminal, a line every five seconds elsewhere; nodes print their own warnings as COMPLAINT.
-
-    `started` is the time of its start [s].
-    """
+    `started` is the time of its start [s]."""
 
     def __init__(self) -> None:
         self._terminal = sys.stdout.isatty()

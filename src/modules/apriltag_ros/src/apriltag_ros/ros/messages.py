@@ -29,8 +29,7 @@ def detection_array(detections: tuple[TargetDetection, ...], header) -> AprilTag
 
 def _detection(detection: TargetDetection, header) -> AprilTagDetection:
     """Returns the message of one target. As in the published package, a bundle has the ids of all its tags, detected or
-    not.
-    """
+    not."""
     T = detection.pose.T_camera_tag
     message = PoseWithCovarianceStamped(header=header)
     message.pose.pose = Pose(Point(*T[:3, 3]), Quaternion(*quaternion_from_rotation(T[:3, :3])))

@@ -46,8 +46,7 @@ class ImageStream:
 
     def next(self, expose: Callable[[], Exposure], stamp: Any, now: float) -> Exposure | None:
         """Returns the exposure to publish at the time `now` [s], or None. `expose` takes new images, unless a fault
-        prevents it; `stamp`: the present time, for old images that pretend to be new.
-        """
+        prevents it; `stamp`: the present time, for old images that pretend to be new."""
         active = self._faults.active()
         if "vanished" in active or ("slow" in active and now < self._last_time + 1.0 / active["slow"]):
             return None

@@ -74,8 +74,7 @@ class Faults:
     ) -> dict[str, list[str]]:
         """Switches a fault (one that is on gets the new value and duration) and returns the names of all that are on
         now, under "active". `value`: its number, None takes the default; `duration`: time until it switches itself off
-        [s], None: never. Raises ValueError for an unknown fault or a number out of range.
-        """
+        [s], None: never. Raises ValueError for an unknown fault or a number out of range."""
         fault = find(self._known.values(), name)
         if not isinstance(on, bool):
             raise ValueError(f"The field on is {on!r}, but must be true or false.")
@@ -165,8 +164,7 @@ def add_option(parser: argparse.ArgumentParser, known: Sequence[Fault], flag: st
 
 def parameter(text: str, known: Sequence[Fault], name: str) -> list[Option]:
     """Returns the faults in the value of the parameter `name`, written as on a command line and separated by blanks;
-    raises ConfigError for an unknown fault, or a number that is invalid or out of range.
-    """
+    raises ConfigError for an unknown fault, or a number that is invalid or out of range."""
     try:
         return [_read(item, known) for item in text.split()]
     except argparse.ArgumentTypeError as error:

@@ -1,9 +1,7 @@
-"""The operator lets the arm move above a proposed grasp, takes over, corrects by hand, and picks the object up.
-
-The operator waits for a proposal on an object, requests its execution, brings the hand in when the arm is above it,
-picks up and puts down as in pick_and_place.py, and leaves; a failed attempt is repeated. Positions in metres in
-`kuka/base_frame`, angles in radians, times in seconds.
-"""
+"""The operator lets the arm move above a proposed grasp, takes over, corrects by hand, and picks the object up. The
+operator waits for a proposal on an object, requests its execution, brings the hand in when the arm is above it, picks
+up and puts down as in pick_and_place.py, and leaves; a failed attempt is repeated. Positions in metres in
+`kuka/base_frame`, angles in radians, times in seconds."""
 
 from __future__ import annotations
 

@@ -27,8 +27,7 @@ class Clutching:
     Attributes:
         clutched: times that the clutch was pressed.
         engagement_step: farthest that the tool was from its place after an engagement [m].
-        travel: distance of the tool from where it started [m].
-    """
+        travel: distance of the tool from where it started [m]."""
 
     STEPS = ("wait", *("reach", "clutch", "back", "release") * STROKES, "done")
 
@@ -40,8 +39,7 @@ class Clutching:
 
     def step(self, grip: np.ndarray, state: str, following: bool, now: float) -> ClutchStep:
         """Takes the tool's position, shape (3,) [m], the state of leap_kuka and whether the arm follows; returns what
-        to do at the time `now` [s].
-        """
+        to do at the time `now` [s]."""
         name = self.STEPS[self._index]
         self._since = now if self._since is None else self._since
         waited, expected = now - self._since, CLUTCHED if name in ("clutch", "back") else RUNNING

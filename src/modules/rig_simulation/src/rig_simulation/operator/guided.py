@@ -1,8 +1,6 @@
-"""An operator under remote control: the hand comes into view, moves from pose to pose, and leaves.
-
-Moves follow the minimum-jerk law of human arm movements (Flash and Hogan 1985). The reports of the hand have the noise
-of a real hand, and its behaviour at entry and exit.
-"""
+"""An operator under remote control: the hand comes into view, moves from pose to pose, and leaves. Moves follow the
+minimum-jerk law of human arm movements (Flash and Hogan 1985). The reports of the hand have the noise of a real hand,
+and its behaviour at entry and exit."""
 
 from __future__ import annotations
 
@@ -94,8 +92,7 @@ class GuidedOperator:
 
     def second(self, curl: float) -> None:
         """Shows the second hand beside the first one, and closes it to `curl`, 0 open to 1 fist; ValueError if
-        invalid.
-        """
+        invalid."""
         _target({"curl": curl})
         with self._lock:
             self._second = curl

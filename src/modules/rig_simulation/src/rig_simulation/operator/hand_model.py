@@ -1,9 +1,7 @@
-"""The hand model of the Leap service: one scaled template with a rigid palm and hinged fingers.
-
-Millimetres in Leap axes (x to the user's right, y up, z towards the user), or in palm axes where stated: x to the
-pinky's side, y out of the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so one template
-serves both hands; so are the bases of its bones, as on the wire of the service.
-"""
+"""The hand model of the Leap service: one scaled template with a rigid palm and hinged fingers. Millimetres in Leap
+axes (x to the user's right, y up, z towards the user), or in palm axes where stated: x to the pinky's side, y out of
+the back of the hand, z to the wrist. Palm axes of a left hand are mirrored, so one template serves both hands; so are
+the bases of its bones, as on the wire of the service."""
 
 from __future__ import annotations
 
@@ -78,8 +76,7 @@ def fingers_for(curl: float) -> tuple[np.ndarray, np.ndarray]:
 class HandModel:
     """A hand of one side, "right" or "left", of `scale` against the template (adults have 1.03 to 1.10); `ends_at_tip`:
     whether the last bone ends at the tip centre, as with newer services; `T_desk_leap`: pose of the device where the
-    poses of the hand are, shape (4, 4) [mm].
-    """
+    poses of the hand are, shape (4, 4) [mm]."""
 
     def __init__(
         self,

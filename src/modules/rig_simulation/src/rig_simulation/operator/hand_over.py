@@ -7,8 +7,7 @@ The giver's hand sways by half a degree, and the other end, half a metre away, b
 taker aims at where that end is, not at where it was, and closes its fingers as soon as it is low enough. And the giver
 does not let go before the taker has the box deep between its fingers: a taker that missed opens them, goes back and
 takes again.
-Positions in metres in `world`, times in seconds.
-"""
+Positions in metres in `world`, times in seconds."""
 
 from __future__ import annotations
 
@@ -134,10 +133,8 @@ class Roles:
 
 def roles(shape: Cuboid, T_world_box: np.ndarray, bases: Mapping[str, np.ndarray]) -> Roles:
     """Returns who gives: the arm that is nearer to the box. They meet in the middle, and the box ends where its mirror
-    image stands.
-
-    `bases`: positions of the bases of two arms, shape (3,) [m]; ValueError if they stand above each other.
-    """
+    image stands. `bases`: positions of the bases of two arms, shape (3,) [m]; ValueError if they stand above each
+    other."""
     middle = T_world_box[:2, 3]
     giver, taker = sorted(bases, key=lambda name: float(np.linalg.norm(bases[name][:2] - middle)))
     across = bases[taker][:2] - bases[giver][:2]
@@ -167,8 +164,7 @@ class BoxHandOver:
     Args:
         forward: by GIVER and TAKER, in which direction that hand points when it comes in, shape (3,), z = 0.
         shape: of the box.
-        roles: who gives and where.
-    """
+        roles: who gives and where."""
 
     def __init__(self, plan: HandOverPlan, forward: Mapping[str, np.ndarray], shape: Cuboid, roles: Roles) -> None:
         self._plan, self._box = plan, LongBox(shape, plan.from_end)

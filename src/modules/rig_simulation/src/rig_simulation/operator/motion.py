@@ -1,9 +1,7 @@
-"""A scripted visit above the Leap: the hand comes in flat, holds still, draws a figure, grips, tilts, and leaves.
-
-A visit is a sequence of segments that start and end at rest: moves from pose to pose follow the minimum-jerk law of
-human reaching (Flash and Hogan 1985), figures have a smooth start and end. A state is x, y, z [mm] from the centre of
-the workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist).
-"""
+"""A scripted visit above the Leap: the hand comes in flat, holds still, draws a figure, grips, tilts, and leaves. A
+visit is a sequence of segments that start and end at rest: moves from pose to pose follow the minimum-jerk law of human
+reaching (Flash and Hogan 1985), figures have a smooth start and end. A state is x, y, z [mm] from the centre of the
+workspace, pitch, yaw, roll [rad], and curl (0 open, 1 fist)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""The operator picks an object up and puts it down: a state machine from observations to moves of the hand.
-
-The operator compares the tool with the object and moves the hand by the difference until they match; all that is known
-of the controller is that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds.
-"""
+"""The operator picks an object up and puts it down: a state machine from observations to moves of the hand. The
+operator compares the tool with the object and moves the hand by the difference until they match; all that is known of
+the controller is that the tool follows the hand. Positions in metres in `kuka/base_frame`, times in seconds."""
 
 from __future__ import annotations
 
@@ -29,9 +27,8 @@ def wrapped(angle: float, period: float = 2.0 * math.pi) -> float:
 
 def turn_to(shape: SceneObject, R_base_object: np.ndarray, fingers: float) -> float:
     """Returns the smallest turn after which the fingers, which close along the direction `fingers`, do so along a side
-    that fits; 0 for a round object.
-    The object of this shape stands upright in the orientation `R_base_object`, shape (3, 3).
-    """
+    that fits; 0 for a round object. The object of this shape stands upright in the orientation `R_base_object`, shape
+    (3, 3)."""
     if not isinstance(shape, Cuboid):
         return 0.0
     sides = shape.size[:2]
@@ -81,10 +78,8 @@ STEPS = ("wait", "above", "down", "close", "lift", "hold", "lower", "open", "awa
 
 
 class PickAndPlace:
-    """The operator at work; call `step` about ten times a second.
-
-    `center_line`: direction of the workspace, shape (3,), z = 0; the hand points along it when it comes in.
-    """
+    """The operator at work; call `step` about ten times a second. `center_line`: direction of the workspace, shape
+    (3,), z = 0; the hand points along it when it comes in."""
 
     def __init__(self, plan: Plan, center_line: np.ndarray) -> None:
         self._plan = plan

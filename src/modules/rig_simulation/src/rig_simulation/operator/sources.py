@@ -1,8 +1,6 @@
 """Sources of frames: no hand, an operator who follows a script, or a recording; and their playback with ids and times.
-
 A source yields (interval, frame): the time since the last frame [s], and a frame that waits for the `id` and
-`timestamp` of the service. The service counts hand ids, so a source gets the first free one.
-"""
+`timestamp` of the service. The service counts hand ids, so a source gets the first free one."""
 
 from __future__ import annotations
 
@@ -143,11 +141,9 @@ class ScriptedOperator:
 
 
 class Recording:
-    """A file of recorded frames, one JSON object a line, as text or compressed by gzip.
-
-    `rate`: playback speed; `offset`: added to every position [mm]; `loop`: whether it repeats, after a pause, with new
-    hand ids. Raises RecordingError if the file cannot be read, or a line is not a frame.
-    """
+    """A file of recorded frames, one JSON object a line, as text or compressed by gzip. `rate`: playback speed;
+    `offset`: added to every position [mm]; `loop`: whether it repeats, after a pause, with new hand ids. Raises
+    RecordingError if the file cannot be read, or a line is not a frame."""
 
     def __init__(self, path: Path, rate: float = 1.0, offset: Sequence[float] = (0, 0, 0), loop: bool = False) -> None:
         self._rate, self._loop = rate, loop
@@ -231,11 +227,9 @@ class PlayedFrame:
 
 
 class Playback:
-    """The clock and counters of the service: frames of the source get rising ids and time stamps.
-
-    Playing starts the source from its beginning; paused, and before, the frames are empty, as those of `service`.
-    The same seed of the noise and the same calls give the same frames.
-    """
+    """The clock and counters of the service: frames of the source get rising ids and time stamps. Playing starts the
+    source from its beginning; paused, and before, the frames are empty, as those of `service`. The same seed of the
+    noise and the same calls give the same frames."""
 
     def __init__(
         self,

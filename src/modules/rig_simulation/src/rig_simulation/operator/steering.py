@@ -1,8 +1,7 @@
 """A hand of the operator that steers a tool: it moves by what the tool lacks to its target.
 
 All that is known of the controller is that the tool follows the hand. Positions in metres, times in seconds, in a frame
-whose z axis points up.
-"""
+whose z axis points up."""
 
 from __future__ import annotations
 
@@ -48,10 +47,7 @@ class Move:
 
 
 class SteeringHand:
-    """The hand.
-
-    `forward`: direction in which it points when it comes in, shape (3,), z = 0.
-    """
+    """The hand. `forward`: direction in which it points when it comes in, shape (3,), z = 0."""
 
     def __init__(self, habits: Habits, forward: np.ndarray) -> None:
         forward = np.asarray(forward, dtype=float) / np.linalg.norm(forward)

@@ -1,7 +1,5 @@
-"""The operator steers the tool against a wall of objects, along it and back: what the collision guard is for.
-
-Pure: observations in, moves of the hand out. Positions in metres in `kuka/base_frame`, times in seconds.
-"""
+"""The operator steers the tool against a wall of objects, along it and back: what the collision guard is for. Pure:
+observations in, moves of the hand out. Positions in metres in `kuka/base_frame`, times in seconds."""
 
 from __future__ import annotations
 
@@ -42,8 +40,7 @@ class WallVisit:
 
     Attributes:
         smallest: smallest distance so far, while the arm followed [m].
-        held: how long the guard held the arm [s].
-    """
+        held: how long the guard held the arm [s]."""
 
     def __init__(self) -> None:
         self.smallest, self.held = float("inf"), 0.0

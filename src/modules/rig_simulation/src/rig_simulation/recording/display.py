@@ -105,8 +105,7 @@ class Shape:
 
 def beyond(parts: Sequence[Shape], towards: np.ndarray, clearance: float) -> np.ndarray:
     """Returns the point from the middle of a body, given by all its shapes, in the direction `towards`, a unit vector
-    in kuka/base_frame, shape (3,), `clearance` [m] beyond the body's farthest point.
-    """
+    in kuka/base_frame, shape (3,), `clearance` [m] beyond the body's farthest point."""
     middle = np.mean([part.T_base_shape[:3, 3] for part in parts], axis=0)
     ends = [
         towards @ part.T_base_shape[:3, 3] + np.abs(towards @ part.T_base_shape[:3, :3]) @ part.size / 2.0

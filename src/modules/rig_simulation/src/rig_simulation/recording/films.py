@@ -43,8 +43,7 @@ class Mp4:
 
     def add(self, image: np.ndarray, time: float) -> None:
         """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s]; raises FilmError if the disk is full or
-        the film cannot be written: earlier images remain.
-        """
+        the film cannot be written: earlier images remain."""
         if shutil.disk_usage(self._path.parent).free < LEAST_FREE_BYTES:
             full = f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free"
             raise FilmError(f"The film {self._path} stops after {self.frames / self._rate:.1f} s: {full}.")
@@ -81,10 +80,8 @@ class Mp4:
 
 
 class ContactSheet:
-    """A sheet of a few images at equal intervals.
-
-    Its duration is unknown beforehand: it keeps up to twice as many images as it shows, and then drops every second.
-    """
+    """A sheet of a few images at equal intervals. Its duration is unknown beforehand: it keeps up to twice as many
+    images as it shows, and then drops every second."""
 
     def __init__(self, path: Path, columns: int = 4, rows: int = 3) -> None:
         self._path, self._columns, self._count = path, columns, columns * rows

@@ -1,7 +1,5 @@
 """The program `viewer.py`: the simulated world in MuJoCo's viewer, in a process of its own that does not slow it down.
-
-Input in the window has no effect on the world.
-"""
+Input in the window has no effect on the world."""
 
 from __future__ import annotations
 

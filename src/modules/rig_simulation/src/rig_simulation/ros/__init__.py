@@ -1,4 +1,2 @@
-"""The nodes of the simulation: the camera, the operator, the fault service, and monitors of the world's truth.
-
-They reach the simulated devices through control ports.
-"""
+"""The nodes of the simulation: the camera, the operator, the fault service, and monitors of the world's truth. They
+reach the simulated devices through control ports."""

@@ -1,7 +1,5 @@
-"""The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.images`).
-
-It takes only images with subscribers; all images of one moment have one stamp.
-"""
+"""The simulated RGB-D camera as a node, with the topics of openni2_camera (`common.ros.images`). It takes only images
+with subscribers; all images of one moment have one stamp."""
 
 from __future__ import annotations
 

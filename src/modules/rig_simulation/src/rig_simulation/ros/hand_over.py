@@ -33,11 +33,9 @@ THING = "box"
 
 
 class HandOverScenario:
-    """Hands the object `box` from the arm that is nearer to it to the other one.
-
-    The progress of each arm names the `thing`, the `giver` and the `taker`. `leapd` and `world` are control ports, as
-    for a Scenario; `arms`: two namespaces.
-    """
+    """Hands the object `box` from the arm that is nearer to it to the other one. The progress of each arm names the
+    `thing`, the `giver` and the `taker`. `leapd` and `world` are control ports, as for a Scenario; `arms`: two
+    namespaces."""
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arms: Sequence[str]) -> None:
         self._leapd, self._world, self._time = leapd, world, 0.0
@@ -87,8 +85,7 @@ class HandOverScenario:
 
     def _come_in_again(self, now: float) -> None:
         """Takes each hand away and back whose stream has ended while its arm keeps the tool, as with relative
-        engagement.
-        """
+        engagement."""
         for who, name in self._roles.names.items():
             arm = self._arms[name]
             if self._visits[name].over(arm.streams, now) and arm.following:
@@ -113,16 +110,14 @@ class HandOverScenario:
 
     def _box(self) -> tuple[np.ndarray, float, list[str]]:
         """Returns the pose of the box in world, shape (4, 4) [m], its clearance above the table [m], and the bodies
-        that touch it.
-        """
+        that touch it."""
         answer = self._world.ask("objects")
         seen, self._time = answer["objects"][THING], answer["time"]
         return pose(rotation_from_quaternion(seen["quaternion"]), seen["position"]), seen["clearance"], seen["touches"]
 
     def _view(self) -> tuple[HandOverView, float]:
         """Returns the observation, and its time in the world, which may be slower than the machine's [s]: the robot's
-        fingers are, too.
-        """
+        fingers are, too."""
         T_world_box, clearance, touches = self._box()
         names = self._roles.names.items()
         touching = frozenset(who for who, arm in names if fingers_at(touches, arm))

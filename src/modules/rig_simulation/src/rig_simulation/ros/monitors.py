@@ -9,8 +9,7 @@ The world: `simulation/object_states` in kuka/base_frame; on /diagnostics the re
 the world. Services: `simulation/reset` puts the objects back to their poses of the scene, `simulation/set_scene` loads
 another scene; arm and hand keep their state. In RViz: `rig_simulation.ros.world_view`.
 The camera, node camera_truth: its true pose, the result of a perfect calibration.
-All devices: the service `simulation/fault` switches their faults.
-"""
+All devices: the service `simulation/fault` switches their faults."""
 
 from __future__ import annotations
 
@@ -58,8 +57,7 @@ START_S = 5.0  # time in which a device may start or restart without a warning
 
 def poll(publish: Callable[[], None], period: float) -> None:
     """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
-    RETRY_PERIOD_S while it raises DeviceError because the device does not answer.
-    """
+    RETRY_PERIOD_S while it raises DeviceError because the device does not answer."""
     due = answered = clock.monotonic()
     while not rospy.is_shutdown():
         try:
@@ -200,8 +198,7 @@ class WorldMonitor:
 
 def camera_in_base(fields: dict) -> np.ndarray:
     """Returns the pose of camera_link in the arm's base, with several arms in world, shape (4, 4), from the world's
-    answer to `scene`.
-    """
+    answer to `scene`."""
     from rig_simulation.world.model import camera_link_pose  # MuJoCo, which the other monitors do without
     from rig_simulation.world.scene import scene_from
 
@@ -268,8 +265,7 @@ LISTENER_S = 0.5
 
 def show_world(config: SimulationConfig) -> None:
     """Publishes the world's markers while somebody shows them. MuJoCo, which costs the node half of its start, is
-    imported for the first one.
-    """
+    imported for the first one."""
     topics = [rospy.Publisher(f"simulation/{name}", MarkerArray, queue_size=1) for name in ("objects", "contacts")]
     while not any(topic.get_num_connections() for topic in topics):
         if rospy.is_shutdown():

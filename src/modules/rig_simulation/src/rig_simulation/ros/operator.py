@@ -1,8 +1,6 @@
-"""The simulated operator: waits for the arm, enables the controls, and holds a hand above the Leap.
-
-It waits until the controller runs and the arm is at home, enables gripper and arm control, and starts the hand of the
-simulated Leap service. With a scenario it then steers the hand by its observations.
-"""
+"""The simulated operator: waits for the arm, enables the controls, and holds a hand above the Leap. It waits until the
+controller runs and the arm is at home, enables gripper and arm control, and starts the hand of the simulated Leap
+service. With a scenario it then steers the hand by its observations."""
 
 from __future__ import annotations
 
@@ -103,9 +101,7 @@ class Operator:
 
     def _start(self, arm: str) -> None:
         """Waits until an arm is at home, and switches its controls on; `arm`: its namespace with a slash, or empty.
-
-        leap_kuka, too, hears from the status that control is on, and follows only a hand that comes in afterwards.
-        """
+        leap_kuka, too, hears from the status that control is on, and follows only a hand that comes in afterwards."""
         of = f" {arm[:-1]}" if arm else ""
         topic, take = f"{arm}kuka/joint_positions", partial(self._take_joints, arm)
         joints = rospy.Subscriber(topic, jointPositions, take, queue_size=1)

@@ -1,8 +1,6 @@
-"""The scenarios of the simulated operator on the running rig: its observations, actions and progress.
-
-seen_arm.py publishes the progress; each of several arms has its own, in its namespace.
-assisted_grasp uses the topics and services of the nodes ggcnn and grasp_execution, and adds `round_values`.
-"""
+"""The scenarios of the simulated operator on the running rig: its observations, actions and progress. seen_arm.py
+publishes the progress; each of several arms has its own, in its namespace. assisted_grasp uses the topics and services
+of the nodes ggcnn and grasp_execution, and adds `round_values`."""
 
 from __future__ import annotations
 
@@ -43,11 +41,9 @@ NETWORK_START_S = 180.0  # on a busy machine, the libraries of the network take 
 
 class Scenario(abc.ABC):
     """The scenario `name`: observes the rig, moves the operator's hand, and publishes the progress when it changes.
-
     `leapd` and `world` are the control ports of the simulated Leap service, which must run guided, and of the world.
-    `arm`: of several, its namespace, which is also the side of the hand that steers it.
-    Raises RigError if the arm is not upright.
-    """
+    `arm`: of several, its namespace, which is also the side of the hand that steers it. Raises RigError if the arm is
+    not upright."""
 
     def __init__(self, name: str, leapd: ControlClient, world: ControlClient, arm: str = "") -> None:
         self._leapd, self._world = leapd, world
@@ -111,8 +107,7 @@ class Scenario(abc.ABC):
 
 class PickScenario(Scenario):
     """Picks the object `thing` up and puts it down; raises RigError if the scene has no such object. With several arms
-    the published values name the `thing`.
-    """
+    the published values name the `thing`."""
 
     def __init__(self, name: str, thing: str, leapd: ControlClient, world: ControlClient, arm: str = "") -> None:
         super().__init__(name, leapd, world, arm)

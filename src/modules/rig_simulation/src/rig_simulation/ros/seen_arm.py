@@ -1,8 +1,6 @@
 """An arm as the simulated operator sees it: where its tool is, what its controller does. Also the scenario's progress.
-
 Publishes `simulation/scenario` (diagnostic_msgs/DiagnosticStatus, latched): its message is the present step, its values
-are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up.
-"""
+are scenario, step, failure, and further ones of the scenario; its level is OK, or ERROR once the operator gave up."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ class SeenArm:
         grip: gripping point of the tool in the base, shape (3,) [m]; likewise.
         mode: of the controller.
         streams: whether the tool follows the hand: not while it is held for it.
-        center_line: direction of the workspace in the base, shape (3,).
-    """
+        center_line: direction of the workspace in the base, shape (3,)."""
 
     def __init__(self, scenario: str, arm: str = "") -> None:
         of = f"{arm}/" if arm else ""

@@ -1,9 +1,6 @@
-"""Shows the simulated world in RViz: table, objects and contact forces.
-
-Topics, both visualization_msgs/MarkerArray in kuka/base_frame, with several arms in world: `simulation/objects`, and
-`simulation/contacts` with an arrow for each pair of touching bodies, 6 cm a newton, and beside each body the forces on
-it, in N.
-"""
+"""Shows the simulated world in RViz: table, objects and contact forces. Topics, both visualization_msgs/MarkerArray in
+kuka/base_frame, with several arms in world: `simulation/objects`, and `simulation/contacts` with an arrow for each pair
+of touching bodies, 6 cm a newton, and beside each body the forces on it, in N."""
 
 from __future__ import annotations
 

@@ -9,8 +9,7 @@ from common import clock
 
 class Clock:
     """Time of the world [s]: at speed 1 the system's monotonic clock, else `speed` seconds of the world in a second;
-    with None it moves only by `move`.
-    """
+    with None it moves only by `move`."""
 
     def __init__(self, speed: float | None) -> None:
         self.speed = speed

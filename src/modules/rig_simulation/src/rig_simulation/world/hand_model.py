@@ -5,8 +5,7 @@ Tendon travel is the turn of both joints together [rad], as in the driver. Witho
 `1 : 0.4`; once the proximal link is blocked, the flexure takes the rest.
 The stiffness of the springs is an assumption, since none is published: their ratio follows from a free finger, the
 preload holds a level finger against its weight (0.055 Nm), and full closing needs a fifth of the motor's torque.
-Lengths in m, angles in rad, in the frames of the URDF.
-"""
+Lengths in m, angles in rad, in the frames of the URDF."""
 
 from __future__ import annotations
 
@@ -64,8 +63,7 @@ def tendon_name(finger: int) -> str:
 def prepare_hand(root: ET.Element) -> None:
     """Adds the mechanics of the hand to a model with its options and the bodies and joints of the robot's URDF: springs
     and damping of its joints, tendons, motors. Replaces its collision shapes by those of this file, and excludes the
-    pairs of links that never touch. Raises KeyError if a body or joint of the hand is missing.
-    """
+    pairs of links that never touch. Raises KeyError if a body or joint of the hand is missing."""
     bodies = {body.get("name", ""): body for body in root.iter("body")}
     joints = {joint.get("name"): joint for joint in root.iter("joint")}
     for name, body in bodies.items():

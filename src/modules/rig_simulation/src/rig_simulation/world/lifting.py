@@ -60,14 +60,11 @@ def lift(
     shake: bool = False,
     ground: float = GROUND_M,
 ) -> lift_trial.LiftResult:
-    """Simulates a grasp.
-
-    `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z = 0; `qpos`: their poses;
-    `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the hand comes from above;
-    `target`: number of the object that the grasp is meant for, None: whichever rises most; `shake`: after the lift;
-    `ground`: least height of the straight fingers' tips above the table [m].
-    Raises ValueError if the line through the fingers is vertical, or `qpos` does not match the scene.
-    """
+    """Simulates a grasp. `scene`: MJCF of objects with free joints, without other joints, on a table whose top is z =
+    0; `qpos`: their poses; `T_world_grasp`: surface point between the fingers, x through both, shape (4, 4) [m]; the
+    hand comes from above; `target`: number of the object that the grasp is meant for, None: whichever rises most;
+    `shake`: after the lift; `ground`: least height of the straight fingers' tips above the table [m]. Raises ValueError
+    if the line through the fingers is vertical, or `qpos` does not match the scene."""
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
@@ -246,8 +243,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def reliability(rows: list[dict[str, Any]]) -> str:
     """Returns Markdown tables of how many objects were lifted by the quality of the grasps, and of how well a quality
-    of `LABELLED` or more foretells it; empty if no grasp has a quality.
-    """
+    of `LABELLED` or more foretells it; empty if no grasp has a quality."""
     ranges = list(zip((-np.inf, *QUALITIES), (*QUALITIES, np.inf)))
     names = ["none", *(f"{low:g} to {high:g}" for low, high in ranges[1:-1]), f"{QUALITIES[-1]:g} and more"]
     judged = [row for row in rows if row["peak"]]

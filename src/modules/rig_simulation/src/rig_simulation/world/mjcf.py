@@ -1,8 +1,6 @@
-"""Elements of MuJoCo's model format and of URDF, and the arm and the hand as bodies of the physics.
-
-Lengths in m, angles in rad, poses as 4x4 matrices. The robot has frames, masses, shapes and names of its URDF. Contacts
-use the collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only.
-"""
+"""Elements of MuJoCo's model format and of URDF, and the arm and the hand as bodies of the physics. Lengths in m,
+angles in rad, poses as 4x4 matrices. The robot has frames, masses, shapes and names of its URDF. Contacts use the
+collision shapes of the URDF; arm and hand do not touch each other. Meshes are visual only."""
 
 from __future__ import annotations
 
@@ -105,11 +103,9 @@ _COLLADA = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
 
 def surface_from_collada(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Returns the surface of one colour in a COLLADA file of rig_description, whose vertices have one normal each:
-
     vertices, shape (n, 3), in the file's unit; triangles, shape (m, 3); red, green, blue from 0 to 1, shape (3,).
     Raises ValueError if the text lacks positions, triangles or the colour. Twenty lines read what rig_description
-    writes; trimesh with pycollada would add two packages and their start time.
-    """
+    writes; trimesh with pycollada would add two packages and their start time."""
     root = ET.fromstring(text)
     paths = ".//c:source[@id='positions']/c:float_array", ".//c:triangles/c:p", ".//c:diffuse/c:color"
     positions, indices, colour = (root.findtext(path, namespaces=_COLLADA) for path in paths)
@@ -130,8 +126,7 @@ ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001  # inertia added to each joint [kg m^2
 def add_robot(root: ET.Element, world: ET.Element, urdf: str, T_world_base: np.ndarray, visuals: bool) -> None:
     """Adds the robot of a URDF's text, with or without visual shapes, to the world body; the assets of the model `root`
     take the meshes. `T_world_base`: pose of the base, shape (4, 4). Raises ValueError if the URDF is not a tree, or has
-    an unsupported shape.
-    """
+    an unsupported shape."""
     description = ET.fromstring(urdf)
     links = {attribute(link, "name"): link for link in description.findall("link")}
     waiting = description.findall("joint")
@@ -156,11 +151,9 @@ SECTIONS = ("contact", "tendon", "actuator")
 
 
 def merge_robot(root: ET.Element, part: ET.Element, prefix: str, number: int, count: int) -> None:
-    """Moves a robot that stands alone in the model `part` into the model `root`, which has other things.
-
-    Its names get the prefix, as left/kuka/joint_1; meshes are shared. The robot with this `number`, of so many, touches
-    the others; an only one is as in `part`.
-    """
+    """Moves a robot that stands alone in the model `part` into the model `root`, which has other things. Its names get
+    the prefix, as left/kuka/joint_1; meshes are shared. The robot with this `number`, of so many, touches the others;
+    an only one is as in `part`."""
     world, asset = child(root, "worldbody"), child(root, "asset")
     for mesh in child(part, "asset"):
         if asset.find(f"mesh[@name='{mesh.get('name')}']") is None:

@@ -6,8 +6,7 @@ With several robots the origin is that of the frame `world`, and a robot's names
 Names: bodies and joints of the robot as in its URDF, and `panel` with `panel/plate` and `panel/tag_<id>` on its flange;
 `table`, `floor`, `post/<name>`; `object/<name>`, each with a free joint of that name; cameras
 `camera_rgb_optical_frame`, `camera_depth_optical_frame`, which look along their own -z with y up, as in MuJoCo: the
-optical frames turned by half a turn about x.
-"""
+optical frames turned by half a turn about x."""
 
 from __future__ import annotations
 
@@ -74,8 +73,7 @@ def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.M
     """Returns the model; visual shapes change neither joints nor bodies, and the physics does not need them.
 
     Raises ConfigError if the scene or the marker board is invalid, FileNotFoundError if there is no description of this
-    robot.
-    """
+    robot."""
     return mujoco.MjModel.from_xml_string(mjcf(description, visuals))
 
 
@@ -167,8 +165,7 @@ def _add_board(root: ET.Element, world: ET.Element, board: MarkerBoard, visuals:
 
 class WorldCopy:
     """The model of the world in the state of the last snapshot: model, data of MuJoCo and the world's `description`,
-    once `follow` was called.
-    """
+    once `follow` was called."""
 
     def __init__(self, client: ControlClient) -> None:
         self._client = client
@@ -178,10 +175,8 @@ class WorldCopy:
         self.data: mujoco.MjData
 
     def follow(self) -> bool:
-        """Copies the present state of the world; returns whether the model is new.
-
-        Raises DeviceError if the world gives no valid answer; the next call then rebuilds the model.
-        """
+        """Copies the present state of the world; returns whether the model is new. Raises DeviceError if the world
+        gives no valid answer; the next call then rebuilds the model."""
         load, self._load = self._load, None
         try:
             snapshot = self._client.ask("snapshot")

@@ -5,8 +5,7 @@ elasticity of the gears: `tau = K (q - q_physics) + D (v - v_physics)`, added to
 planned motion. So the arm does not sink, follows exactly in free space, and is stopped by a table; the torque of the
 springs is what the joint torque sensors of the real arm measure.
 The hand's servos pull the tendons of the physics, and its sensors measure them. Wire and control requests are those of
-the simulated hand; here its moving parts have masses and contacts.
-"""
+the simulated hand; here its moving parts have masses and contacts."""
 
 from __future__ import annotations
 
@@ -33,9 +32,7 @@ def named(prefix: str, name: str) -> str:
 
 class CarriedJoints(Part):
     """The link side of an arm, an ArmEnvironment: takes where the drives hold it; another arm steps the world.
-
-    `prefix`: of the robot's names in the model.
-    """
+    `prefix`: of the robot's names in the model."""
 
     def __init__(self, world: World, prefix: str = "") -> None:
         self._world, self._prefix = world, prefix
@@ -48,10 +45,8 @@ class CarriedJoints(Part):
         world.add(self)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Takes the end angles q of the drives; see ArmEnvironment.
-
-        Raises ValueError if dt differs from the world's time step.
-        """
+        """Takes the end angles q of the drives; see ArmEnvironment. Raises ValueError if dt differs from the world's
+        time step."""
         if abs(dt - self._timestep) > 1e-9:
             raise ValueError(f"The arm steps by {dt} s, but the world by {self._timestep} s.")
         self._q_next = q
@@ -111,11 +106,9 @@ class CarriedJoints(Part):
 
 
 class ArmJoints(CarriedJoints):
-    """The joints of the arm that steps the world, and others that are carried along.
-
-    `pairs`: two steps of the arm are one of the world while nothing pushes on the arm, its hand or what that holds; the
-    world then lags by up to one step.
-    """
+    """The joints of the arm that steps the world, and others that are carried along. `pairs`: two steps of the arm are
+    one of the world while nothing pushes on the arm, its hand or what that holds; the world then lags by up to one
+    step."""
 
     def __init__(self, world: World, pairs: bool = False, prefix: str = "") -> None:
         super().__init__(world, prefix)
@@ -130,10 +123,8 @@ class ArmJoints(CarriedJoints):
         self._carry.append(step)
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Steps the world to the end angles q of the drives at their mean speed; see ArmEnvironment.
-
-        Raises ValueError if dt differs from the world's time step.
-        """
+        """Steps the world to the end angles q of the drives at their mean speed; see ArmEnvironment. Raises ValueError
+        if dt differs from the world's time step."""
         super().follow(q, v, dt)
         for step in self._carry:
             step(dt)

@@ -1,8 +1,6 @@
-"""The physics of the world: one model, one state, one clock. Not thread-safe: its owner holds a lock.
-
-Parts drive the robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets each part
-write its efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and integrates.
-"""
+"""The physics of the world: one model, one state, one clock. Not thread-safe: its owner holds a lock. Parts drive the
+robot's joints: the arm, the hand. In each step the world computes positions and speeds, lets each part write its
+efforts (`data.ctrl`, `data.qfrc_applied` of its own joints), and integrates."""
 
 from __future__ import annotations
 
@@ -54,11 +52,9 @@ class ObjectState:
 
 
 class World:
-    """The world; `seed`: of the poses of scattered objects.
-
-    `model` and `data`, of MuJoCo, are new after a change of the scene. Raises ConfigError if the scene or the marker
-    board is invalid, FileNotFoundError if there is no description of this robot.
-    """
+    """The world; `seed`: of the poses of scattered objects. `model` and `data`, of MuJoCo, are new after a change of
+    the scene. Raises ConfigError if the scene or the marker board is invalid, FileNotFoundError if there is no
+    description of this robot."""
 
     def __init__(self, description: WorldDescription, seed: int = 0) -> None:
         self._parts: list[Part] = []
@@ -84,8 +80,7 @@ class World:
 
     def step(self, count: int = 1) -> None:
         """Advances by so many time steps in one; raises DeviceError if the physics diverged: the state is unusable
-        then.
-        """
+        then."""
         self.model.opt.timestep = count * TIMESTEP_S
         mujoco.mj_step1(self.model, self.data)
         for part in self._parts:
@@ -99,10 +94,8 @@ class World:
             part.after_step()
 
     def reset(self) -> None:
-        """Puts all objects back to their poses of the scene, at rest; arm and hand keep their state.
-
-        Raises ValueError, with nothing changed, if the robot is in the way of an object.
-        """
+        """Puts all objects back to their poses of the scene, at rest; arm and hand keep their state. Raises ValueError,
+        with nothing changed, if the robot is in the way of an object."""
         placed = self._placed(self.model, self._scene, self.data)
         self.data.qpos[:] = placed.qpos
         self.data.qvel[:] = placed.qvel
@@ -110,10 +103,8 @@ class World:
         mujoco.mj_forward(self.model, self.data)
 
     def set_scene(self, values: Mapping[str, Any]) -> None:
-        """Changes the scene to a mapping as in a scene's yaml; arm and hand keep their state.
-
-        Raises ConfigError for an invalid scene, ValueError if the robot is in its way; nothing has changed then.
-        """
+        """Changes the scene to a mapping as in a scene's yaml; arm and hand keep their state. Raises ConfigError for an
+        invalid scene, ValueError if the robot is in its way; nothing has changed then."""
         self._load(dataclasses.replace(self.description, scene=values))
         for part in self._parts:
             part.bind(self)
@@ -129,8 +120,7 @@ class World:
 
     def contacts(self) -> list[dict[str, Any]]:
         """Returns all contacts with a force, as the control port answers them: the names of both bodies, position [m],
-        normal from the first to the second, the force along it [N], and the depth of penetration [m].
-        """
+        normal from the first to the second, the force along it [N], and the depth of penetration [m]."""
         found = []
         force = np.zeros(6)
         for i, bodies in enumerate(_pairs(self.data, self._geom_bodies)):

@@ -1,8 +1,6 @@
-"""The content of the simulated world besides the rig: schema and records of a scene's yaml, and its bodies.
-
-Lengths in m, angles in deg. The world is upright with its origin in the arm's base. Positions of objects are from the
-table's centre along its sides; the origin of an object is the middle of its height.
-"""
+"""The content of the simulated world besides the rig: schema and records of a scene's yaml, and its bodies. Lengths in
+m, angles in deg. The world is upright with its origin in the arm's base. Positions of objects are from the table's
+centre along its sides; the origin of an object is the middle of its height."""
 
 from __future__ import annotations
 
@@ -300,10 +298,8 @@ def _bottle(element: ET.Element, prefix: str, bottle: Bottle, look: dict[str, An
 
 def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns the black cells of a tag as thin plates on z = 0, exact edges that no renderer can blur or mirror:
-
-    vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up.
-    `tag`: id, an index of common.tag36h11.CODES; `size`: edge of the black square [m].
-    """
+    vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up. `tag`: id, an
+    index of common.tag36h11.CODES; `size`: edge of the black square [m]."""
     cell = size / CELLS
     vertices: list[np.ndarray] = []
     for row, cells in enumerate(black_cells(tag)):

@@ -210,9 +210,7 @@ def _conclude(
     options: argparse.Namespace, setup: CalibrationSetup, views: list, measured: dict, comparison: RvizComparison
 ) -> None:
     """Solves, reports, shows, asks and stores; raises CalibrationRefused unless the result is good and confirmed.
-
-    `measured`: the entries of the record that say by which camera frame, and whether by simulated devices.
-    """
+    `measured`: the entries of the record that say by which camera frame, and whether by simulated devices."""
     try:
         verdict = judge(views, setup.board.T_flange_tag, setup.limits)
     except DegenerateViews as error:

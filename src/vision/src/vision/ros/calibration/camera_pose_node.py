@@ -1,8 +1,7 @@
 """The node camera_place: publishes the camera pose in kuka/base_frame, from the stored calibration or live. Live, every
 image that shows the marker board gives a pose: base to flange as measured by the arm, flange to board by its drawing,
 and the board as detected by the camera. Stored, the pose is that of the newest calibration and needs no board. Mode
-auto is stored if there is a calibration, and live otherwise.
-"""
+auto is stored if there is a calibration, and live otherwise."""
 
 from __future__ import annotations
 

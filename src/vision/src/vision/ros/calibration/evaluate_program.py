@@ -86,8 +86,7 @@ def _evaluate(
     folder: Path, board: str, focal: float = 0.0, centre: float = 0.0
 ) -> tuple[list[PoseTrial], Observations, list[str]]:
     """Returns the errors in all images, seen with a wrong lens, the observations, and a sentence for each image left
-    unrefined.
-    """
+    unrefined."""
     images, target = read_images(folder), board_target(board)
     rgb = wrong_lens(images.rgb, focal, centre)
     settings = detector_settings({**read_config("settings.yaml"), "rectified": False})

@@ -24,8 +24,7 @@ VIEWER_WAIT_S, POLL_S = 5.0, 0.05
 
 class RvizComparison:
     """Publishes the frames camera_calibration/old and camera_calibration/new, and a view pyramid for each. Create it at
-    the start of the program: RViz needs a moment to subscribe. The program may exit after `show`.
-    """
+    the start of the program: RViz needs a moment to subscribe. The program may exit after `show`."""
 
     def __init__(self) -> None:
         # rospy's own publisher hands messages to threads, which an exit may leave no time.
@@ -34,8 +33,7 @@ class RvizComparison:
 
     def show(self, old: np.ndarray | None, new: np.ndarray) -> None:
         """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits until RViz is connected,
-        if it has subscribed.
-        """
+        if it has subscribed."""
         deadline = clock.monotonic() + VIEWER_WAIT_S
         while self._markers.get_num_connections() < self._viewers() and clock.monotonic() < deadline:
             clock.sleep(POLL_S)

@@ -41,8 +41,7 @@ class RgbdPair:
 
 class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
     """Pairs images by time. Empties its queues when stamps go back, as when a recording restarts: the later messages
-    would otherwise stay in the queue for ever and push the new ones out.
-    """
+    would otherwise stay in the queue for ever and push the new ones out."""
 
     def add(self, msg, my_queue, my_queue_index=None):
         with self.lock:
@@ -55,8 +54,7 @@ class _Synchronizer(message_filters.ApproximateTimeSynchronizer):
 class RgbdPairs:
     """Subscribes to rgb/image_raw and depth/image_raw, and to their camera_info. `on_pair` gets each pair whose images
     are at most `slop` [s] apart; it raises ValueError if it makes nothing of it. `inputs` says what is wrong with them;
-    `pairs` counts what was made.
-    """
+    `pairs` counts what was made."""
 
     def __init__(self, on_pair: Callable[[RgbdPair], None], slop: float) -> None:
         self._on_pair, self._slop = on_pair, slop

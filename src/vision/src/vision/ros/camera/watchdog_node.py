@@ -1,7 +1,6 @@
 """The node camera_watchdog: reports within a second that the camera froze, vanished or sends garbage, and recovered. It
 subscribes to `rgb/camera_info` and `depth/camera_info`, which are small. It checks the images only while another node
-subscribes to them, so that the watchdog alone does not keep the camera busy.
-"""
+subscribes to them, so that the watchdog alone does not keep the camera busy."""
 
 from __future__ import annotations
 

@@ -31,8 +31,7 @@ RETRY_PERIOD_S = 2.0
 
 class XtionNode:
     """Publishes the images of a camera with these intrinsics and T_rgb_depth, shape (4, 4) [m]; reopens it when it was
-    lost. Raises DeviceError if the library is missing.
-    """
+    lost. Raises DeviceError if the library is missing."""
 
     def __init__(self, config: XtionConfig, rgb: CameraModel, depth: CameraModel, T_rgb_depth: np.ndarray) -> None:
         self._config = config

@@ -36,8 +36,7 @@ BY_CORNERS = "by the corners"
 
 class BoardListener:
     """Subscribes to the detector of the marker board `target`. `on_detection` gets stamp, optical frame and detection
-    for every image that shows the board. `frame` is the optical frame, empty before the first detection.
-    """
+    for every image that shows the board. `frame` is the optical frame, empty before the first detection."""
 
     def __init__(
         self, target: TagTarget, on_detection: Callable[[rospy.Time, str, BoardDetection], None] | None = None
@@ -55,8 +54,7 @@ class BoardListener:
 
     def fault(self) -> str:
         """Returns that the detector publishes nothing, and what it says itself, or that its newest detection is no
-        pose; a clause, empty while there is nothing wrong.
-        """
+        pose; a clause, empty while there is nothing wrong."""
         missing = self._inputs.missing()
         says = f"; the detector says: {self._detector_says}" if missing and self._detector_says else ""
         return f"{missing}{says}" or self._dropped
@@ -100,10 +98,8 @@ class BoardListener:
 
 class ViewCapture:
     """Collects the detections of a view by the corners, and refines them; `camera` is the model of the raw images.
-
     `detector` is the name of the detector node. Raises ConfigError if the pattern of a tag is unknown, and DeviceError
-    if the camera publishes no camera_info.
-    """
+    if the camera publishes no camera_info."""
 
     def __init__(self, setup: CalibrationSetup, listener: BoardListener, detector: str) -> None:
         try:
@@ -131,9 +127,7 @@ class ViewCapture:
 
     def capture(self) -> tuple[list[BoardDetection], str]:
         """Returns the detections from now on, fewer than a view needs after VIEW_TIMEOUT_S, and how they were made.
-
-        Raises ValueError if the detector publishes nothing.
-        """
+        Raises ValueError if the detector publishes nothing."""
         if self._refiner is None:
             return [detection for _, detection in self._collected()], BY_CORNERS
         with self._lock:

@@ -75,8 +75,7 @@ def read_images(folder: Path) -> BoardImageSet:
 
 def render_images(folder: Path, board: str, *options: str) -> None:
     """Lets the simulation fill a folder with images of a board, bundle or single, with further options of
-    panel_pictures.py; raises DeviceError if it fails.
-    """
+    panel_pictures.py; raises DeviceError if it fails."""
     command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", board]
     command += ["--rgb", str(config_file("xtion_rgb.yaml")), "--depth", str(config_file("xtion_depth.yaml")), *options]
     try:

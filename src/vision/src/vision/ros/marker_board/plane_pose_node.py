@@ -1,9 +1,7 @@
 """The node plane_pose: publishes the marker board's pose with depth, in the topics and frames of apriltag_ros. In:
-
 rgb/image_raw, depth/image_raw and camera_info of each. Out: tag_detections_fused (colour and depth by their
 covariances) and tag_detections_plane (tilt and range by depth alone), AprilTagDetectionArray, empty without such a
-pose; in tf the frames <board>/fused and <board>/plane. The detector node publishes the colour-only pose.
-"""
+pose; in tf the frames <board>/fused and <board>/plane. The detector node publishes the colour-only pose."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """Makes the eye images from the newest camera images: images that arrive while one is drawn are skipped. Topics:
-
-rgb/image_raw, rgb/camera_info, and depth/image_raw in the colour camera's pixels.
-"""
+rgb/image_raw, rgb/camera_info, and depth/image_raw in the colour camera's pixels."""
 
 from __future__ import annotations
 

@@ -62,9 +62,7 @@ class RigScene:
 
 class HeadsetHands:
     """Serves the hands of one headset on the port of a Leap service, in a thread; `converse` takes the page's socket.
-
-    Raises DeviceError if the port is taken.
-    """
+    Raises DeviceError if the port is taken."""
 
     def __init__(self, config: WebConfig) -> None:
         try:
@@ -100,6 +98,5 @@ class HeadsetHands:
 
 def _show(sentence: str) -> None:
     """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings, and `make demo` keeps what
-    nodes write to standard output in files.
-    """
+    nodes write to standard output in files."""
     print(sentence, file=sys.stderr, flush=True)

@@ -1,6 +1,5 @@
 """The node stereo_view: shows the headset view in a window and on the topic stereo_view/image. The window is full
-screen on the display that is the Rift, otherwise an ordinary window.
-"""
+screen on the display that is the Rift, otherwise an ordinary window."""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ waits in a queue. Each answer is one text message, {"picture": true, "tangents":
 and then the JPEG with both eyes side by side; or {"picture": false} if no new image arrived for a while. Both have the
 rows of the operator's view beside it, if there are any: "rows": [{name, text, tone, kind, labels, values}, ...]. The
 node subscribes to camera and view only while a page is open. With ~web/hands a headset's page also sends the person's
-hands, on a WebSocket at /hands (leap_motion.headset.transport).
-"""
+hands, on a WebSocket at /hands (leap_motion.headset.transport)."""
 
 from __future__ import annotations
 
@@ -60,10 +59,7 @@ class StereoFrame:
 
 class StereoWeb(SocketService):
     """A server in a thread of its own; `address` is its page's, `fingerprint` its certificate's. `converse` serves
-    /hands, if there is to be that.
-
-    Raises DeviceError without page, certificate or port.
-    """
+    /hands, if there is to be that. Raises DeviceError without page, certificate or port."""
 
     max_message_bytes = MAX_MESSAGE_BYTES
     write_limit = 1  # an image that waits would be late

@@ -71,9 +71,7 @@ class BoardScene:
 
 def random_pose(distance: float, tilt: float, size: float, rng: np.random.Generator) -> np.ndarray:
     """Returns a random pose, shape (4, 4) [m], of a board of edge `size` [m], wholly in the image of the colour camera:
-
-    its centre at `distance` [m], its normal at `tilt` [rad] to the line of sight.
-    """
+    its centre at `distance` [m], its normal at `tilt` [rad] to the line of sight."""
     room = np.clip(HALF_VIEW - size / np.sqrt(2.0) / distance, 0.0, None)
     sight = unit([*(room * rng.uniform(-1.0, 1.0, 2)), 1.0])
     right = unit(np.cross((0.0, 1.0, 0.0), sight))

@@ -1,7 +1,5 @@
-"""The RGB-D camera: one infrared and one colour camera side by side in the simulated world, rendered off-screen.
-
-Depth has its own viewpoint; registered depth has the pixels of the colour image and shares its rendering pass.
-"""
+"""The RGB-D camera: one infrared and one colour camera side by side in the simulated world, rendered off-screen. Depth
+has its own viewpoint; registered depth has the pixels of the colour image and shares its rendering pass."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ class Renderer:
     of view of the model's cameras, in the thread that made it. Close it. `samples`: per pixel, for anti-aliasing (0, 2,
     4, ...); `sky`: whether it is drawn where nothing is; `depth_offset`: position of the depth in its pixel, right and
     up from the centre [px]: a pixel has its samples' mean colour, but the depth of the first. Raises DeviceError if
-    this machine cannot render off-screen.
-    """
+    this machine cannot render off-screen."""
 
     def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int, sky: bool = True) -> None:
         try:
@@ -59,8 +56,7 @@ class Renderer:
 
     def render(self, data: mujoco.MjData, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """Returns colour, shape (height, width, 3), uint8, and inverse depth, shape (height, width), float32 [1/m],
-        rows from the bottom up, of `data` with computed kinematics and cameras; `camera`: its number in the model.
-        """
+        rows from the bottom up, of `data` with computed kinematics and cameras; `camera`: its number in the model."""
         window = self._window
         self._gl.make_current()
         groups = self._model.geom_group.copy()
@@ -117,11 +113,8 @@ class RgbdImages:
 
 
 class RgbdCamera:
-    """Takes images of a model, in one thread only; close it.
-
-    `samples`: of a pixel of the colour image, for anti-aliasing; `seed`: of the unit's errors and of the noise; `clock`
-    measures the duration of the stages [s].
-    """
+    """Takes images of a model, in one thread only; close it. `samples`: of a pixel of the colour image, for
+    anti-aliasing; `seed`: of the unit's errors and of the noise; `clock` measures the duration of the stages [s]."""
 
     def __init__(
         self,

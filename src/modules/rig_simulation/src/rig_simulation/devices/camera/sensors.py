@@ -3,8 +3,7 @@
 The renderer has pinhole cameras only. A lens defines the pinhole window that contains the camera's view, and for each
 pixel of the camera its position in that window. Windows come from OpenGL: their rows run from the bottom up.
 Depth is computed in inverse depth w = 1/z, in which planes are linear in the pixel, and in disparity d = f b w, in
-which the sensor measures: noise, unit errors and quantisation are added there.
-"""
+which the sensor measures: noise, unit errors and quantisation are added there."""
 
 from __future__ import annotations
 
@@ -34,8 +33,7 @@ class PixelWindow:
 
 class CameraLens:
     """Maps the window's image to the camera's; `sample_offset`: position of the window's samples in their pixels, right
-    and up from the centre [px].
-    """
+    and up from the centre [px]."""
 
     def __init__(self, camera: CameraModel, sample_offset: tuple[float, float] = (0.0, 0.0)) -> None:
         self.camera = camera
@@ -61,8 +59,7 @@ class CameraLens:
 
     def distort_nearest(self, image: np.ndarray, shift: np.ndarray | np.int16) -> np.ndarray:
         """Returns the camera's image of the window's nearest pixels, each `shift` beside its own position: to the right
-        and up, shape (height, width, 2) or one number for all, int16 [px].
-        """
+        and up, shape (height, width, 2) or one number for all, int16 [px]."""
         nothing = np.empty(0, np.uint16)
         return cv2.remap(image, self._nearest + shift, nothing, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
 
@@ -72,10 +69,9 @@ SPARE_PX = 1024  # excess of the large field over a cut, in both directions
 
 class NoiseField:
     """Noise of mean 0 and standard deviation 1 at the cost of a copy an image: random cuts of `height` x `width` [px]
-    with 1 to 4 `channels` from one large field.
-    Two cuts share values, but rarely at the same pixel, so a pixel's values in successive images are independent.
-    `correlation`: standard deviation of the Gaussian that smooths the noise [px]; 0 = white.
-    """
+    with 1 to 4 `channels` from one large field. Two cuts share values, but rarely at the same pixel, so a pixel's
+    values in successive images are independent. `correlation`: standard deviation of the Gaussian that smooths the
+    noise [px]; 0 = white."""
 
     def __init__(self, height: int, width: int, channels: int, correlation: float, rng: np.random.Generator) -> None:
         field: np.ndarray = rng.standard_normal((height + SPARE_PX, width + SPARE_PX, channels), dtype=np.float32)
@@ -135,18 +131,16 @@ WARP_NODES = (4, 5)  # nodes of a unit's smooth warp, over height and width of t
 
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
     """Returns the standard deviation added by a surface whose normal has this `angle` to the line of sight [rad], times
-    sqrt(z) [m sqrt(m)] (Nguyen, Izadi, Lovell 2012).
-    """
+    sqrt(z) [m sqrt(m)] (Nguyen, Izadi, Lovell 2012)."""
     angle = np.minimum(angle, np.radians(85.0))
     return np.where(angle > STEEP, 0.0001 * angle**2 / (np.pi / 2.0 - angle) ** 2, 0.0)
 
 
 def hidden(w: np.ndarray, fb: float) -> np.ndarray:
     """Returns which pixels are occluded as seen from a point beside the camera, from the inverse depth w, shape
-    (height, width) [1/m]. The rays of an image row lie in one plane with that point: from there, pixel u appears at
-    `u - fb w`, and pixels that overtake their neighbour in that order are hidden. `fb`: focal length times the point's
-    distance to the right of the camera, negative to the left [px m].
-    """
+    (height, width) [1/m]. The rays of an image row lie in one plane with that point: from there, pixel u appears at `u
+    - fb w`, and pixels that overtake their neighbour in that order are hidden. `fb`: focal length times the point's
+    distance to the right of the camera, negative to the left [px m]."""
     if fb < 0.0:
         return hidden(w[:, ::-1], -fb)[:, ::-1]
     shifted = np.multiply(w.T, np.float32(-fb), order="C")  # whole rows of it are compared
@@ -165,8 +159,7 @@ def hidden(w: np.ndarray, fb: float) -> np.ndarray:
 class DepthSensor:
     """Takes depth images. `rng` gives the unit's errors, drawn first, and the noise; `infrared_offset` is that of the
     infrared camera to the right of the lens [m]: 0 for its own image, the negative distance between the cameras for
-    depth registered to the colour image.
-    """
+    depth registered to the colour image."""
 
     def __init__(
         self, lens: CameraLens, config: DepthConfig, rng: np.random.Generator, infrared_offset: float = 0.0
@@ -203,8 +196,7 @@ class DepthSensor:
     def take(self, inverse_depth: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         """Returns the sensor's image, shape (height, width), uint16 [mm], 0 = no depth, from the lens's window of
         inverse depth, rows from the bottom, float32 [1/m], and its colour image, whose `brightness` replaces the
-        infrared reflection.
-        """
+        infrared reflection."""
         config = self._config
         w = self._with_edges(inverse_depth)
         cosine = self._cosine(w)
@@ -250,8 +242,7 @@ class DepthSensor:
 
     def _signal(self, square: np.ndarray, cosine: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         """Returns the reflected light of the projector, 1 for a white surface, head-on, 1 m away, from the `square` of
-        the inverse depth.
-        """
+        the inverse depth."""
         grey = self._lens.distort(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
         assert self._noise is not None  # the configuration created it
         signal = self._noise.cut() * np.float32(SIGNAL_SPREAD)

@@ -1,3 +1,2 @@
-"""The simulated service of the Leap Motion controller: what the sensor measures of a hand, sent as JSON frames
-on the service's own WebSocket.
-"""
+"""The simulated service of the Leap Motion controller: what the sensor measures of a hand, sent as JSON frames on the
+service's own WebSocket."""

@@ -1,8 +1,6 @@
-"""The tracking of a hand: noise, confidence, and the behaviour at entry and exit.
-
-The noise levels come from recordings of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times worse
-when it moves fast or is poorly recognised. The noise is low-pass: errors of successive frames are similar.
-"""
+"""The tracking of a hand: noise, confidence, and the behaviour at entry and exit. The noise levels come from recordings
+of real hands: a still hand is reported within 0.02 to 0.07 mm, ten times worse when it moves fast or is poorly
+recognised. The noise is low-pass: errors of successive frames are similar."""
 
 from __future__ import annotations
 
@@ -96,8 +94,7 @@ class Tracker:
 
     def report(self, pose: HandPose, curl: float, speed: float, age: float, left: float) -> ReportedHand:
         """Returns the report of the hand in its true pose: `curl` 0 open to 1 fist, `speed` of the palm [mm/s], `age`
-        since it came into view [s], `left` until it leaves the view [s].
-        """
+        since it came into view [s], `left` until it leaves the view [s]."""
         confidence = self._confidence(curl, age, left)
         measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
         hand = at_rest(self._id, self._model, measured, confidence, age, pose.flexion)

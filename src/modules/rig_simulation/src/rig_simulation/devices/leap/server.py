@@ -30,10 +30,8 @@ VERSION = "2.3.1+simulated"
 
 
 class SimulatedLeapService(LeapService):
-    """Plays frames to all clients; port 0 takes any free one, see the attributes.
-
-    Raises DeviceError if a port is taken.
-    """
+    """Plays frames to all clients; port 0 takes any free one, see the attributes. Raises DeviceError if a port is
+    taken."""
 
     def __init__(
         self,

@@ -75,11 +75,9 @@ _PRESHAPE = 3
 
 
 class SimulatedHand:
-    """State of the hand; angles are spool angles at the joint [rad], 0 = open with the tendon just tight.
-
-    `seed`: of its individual values (slack, zeros, rest counts of taxels) and of its noise; `mechanics`: driven by the
-    motors, by default a hand in free space.
-    """
+    """State of the hand; angles are spool angles at the joint [rad], 0 = open with the tendon just tight. `seed`: of
+    its individual values (slack, zeros, rest counts of taxels) and of its noise; `mechanics`: driven by the motors, by
+    default a hand in free space."""
 
     def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
         self._rng = random.Random(seed)

@@ -1,8 +1,6 @@
-"""The servos of the hand, and its mechanics: spools wind tendons, tendons turn the links of the fingers.
-
-Fingers count from 0 (f1, f2, f3), motors too (f1, f2, f3, preshape). Angles in rad, 0 = open. Effort and motion of a
-servo are positive in the direction of rising positions.
-"""
+"""The servos of the hand, and its mechanics: spools wind tendons, tendons turn the links of the fingers. Fingers count
+from 0 (f1, f2, f3), motors too (f1, f2, f3, preshape). Angles in rad, 0 = open. Effort and motion of a servo are
+positive in the direction of rising positions."""
 
 from __future__ import annotations
 
@@ -27,9 +25,7 @@ _SPEED_MASK = 1023
 
 class DynamixelServo:
     """A Dynamixel MX-28 as the firmware uses it: multi-turn positions of 1024 ticks a turn, speed, load, torque.
-
-    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn.
-    """
+    `shaft`: its position [ticks], of any turn; after power-up the servo reports the position within one turn."""
 
     def __init__(self, shaft: float) -> None:
         self.shaft = shaft
@@ -63,11 +59,9 @@ class DynamixelServo:
         self.torque = torque and self._overload_time < OVERLOAD_TIME_S
 
     def step(self, dt: float, low: float, high: float, resistance: float) -> None:
-        """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft].
-
-        Resistance, the effort against the load [0.1 %], slows it down, to a standstill at its largest torque; too long
-        near that, it switches its torque off.
-        """
+        """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft]. Resistance, the
+        effort against the load [0.1 %], slows it down, to a standstill at its largest torque; too long near that, it
+        switches its torque off."""
         before = self.shaft
         if not self.torque:
             self.velocity, self.effort = 0.0, 0.0
@@ -108,8 +102,7 @@ FINGERS = 3
 
 class Mechanics:
     """The moving parts of one hand: here in free space, with kinematics alone and massless links; the physical world
-    has one with masses and contacts.
-    """
+    has one with masses and contacts."""
 
     def __init__(self) -> None:
         self._ends: list[float | None] = [None] * FINGERS

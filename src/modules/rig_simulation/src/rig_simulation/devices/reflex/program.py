@@ -29,9 +29,8 @@ _IP_MULTICAST_ALL = 49
 
 class HandLink:
     """Sends state packets to the group and collects the commands, on a network interface such as lo; port 0 takes a
-    free UDP port, see the attribute.
-    Raises DeviceError if interface or port cannot be used, or another hand already sends there.
-    """
+    free UDP port, see the attribute. Raises DeviceError if interface or port cannot be used, or another hand already
+    sends there."""
 
     def __init__(self, interface: str, port: int) -> None:
         self.interface = interface

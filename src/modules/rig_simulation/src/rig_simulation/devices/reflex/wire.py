@@ -1,8 +1,6 @@
-"""The hand's side of its wire: packs state packets, reads commands.
-
-Written from the packet description (docs/handbook/wire-protocols.md, "Hand: ReFlex"), not from the driver's codec, so
-that tests of one against the other find mistakes in either.
-"""
+"""The hand's side of its wire: packs state packets, reads commands. Written from the packet description
+(docs/handbook/wire-protocols.md, "Hand: ReFlex"), not from the driver's codec, so that tests of one against the other
+find mistakes in either."""
 
 from __future__ import annotations
 

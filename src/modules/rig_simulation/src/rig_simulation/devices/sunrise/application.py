@@ -3,8 +3,7 @@
 The real program has two threads that share one command word. The reader answers goals, joint positions and outputs at
 any time. The main thread answers the other commands one by one and wipes the word afterwards: commands that arrive
 while it moves the arm are lost, but for the last one during a guarded motion. Here both are rules of one object.
-Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox".
-"""
+Source: docs/handbook/wire-protocols.md, "Arm: Sunrise Toolbox"."""
 
 from __future__ import annotations
 
@@ -44,8 +43,7 @@ class ControllerIO:
 
 class Application:
     """Answers lines until `end` was received (`ended`): of the toolbox's commands those that kst sends. The `mode` is
-    idle, ptp or servo, which lasts from the answer to its start until the arm is at rest again.
-    """
+    idle, ptp or servo, which lasts from the answer to its start until the arm is at rest again."""
 
     def __init__(
         self,

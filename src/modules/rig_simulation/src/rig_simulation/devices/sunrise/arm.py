@@ -1,7 +1,5 @@
-"""The arm of the simulated controller: joints that move, a safety stop, torques. No threads; time is handed in.
-
-Joint angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm.
-"""
+"""The arm of the simulated controller: joints that move, a safety stop, torques. No threads; time is handed in. Joint
+angles in rad, positions in m in `kuka/base_frame`, forces in N and torques in Nm."""
 
 from __future__ import annotations
 
@@ -46,14 +44,12 @@ class ArmEnvironment(Protocol):
 
     def follow(self, q: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Advances by dt [s] to where the drives hold the angles q [rad] at the speeds v [rad/s], shape (7,); returns
-        the torques of contacts and load on the joints, shape (7,) [Nm].
-        """
+        the torques of contacts and load on the joints, shape (7,) [Nm]."""
 
 
 class SimulatedArm:
-    """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal`, shape
-    (7,) [rad], is the last goal of the servo mode.
-    """
+    """The arm; starts at rest in the zero position. Without an environment it touches nothing. `goal`, shape (7,)
+    [rad], is the last goal of the servo mode."""
 
     def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
         self.robot = robot
@@ -91,8 +87,7 @@ class SimulatedArm:
 
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
-        `MAX_CATCH_UP_IN_ENVIRONMENT_S`.
-        """
+        `MAX_CATCH_UP_IN_ENVIRONMENT_S`."""
         longest = MAX_CATCH_UP_S if self._environment is None else MAX_CATCH_UP_IN_ENVIRONMENT_S
         if self.time is None or now - self.time > longest + CYCLE_S:
             self.time = now if self.time is None else now - longest
@@ -181,10 +176,8 @@ class SimulatedArm:
         self._check_safety()
 
     def release(self) -> None:
-        """Ends a safety stop, as the run key does; a planned motion resumes.
-
-        Raises ValueError if no stop is active, its cause persists, or the arm still brakes.
-        """
+        """Ends a safety stop, as the run key does; a planned motion resumes. Raises ValueError if no stop is active,
+        its cause persists, or the arm still brakes."""
         if self.safety_stop is None:
             raise ValueError("No safety stop is active; kuka/status reports what the arm waits for.")
         if self.emergency_stop:
@@ -199,8 +192,7 @@ class SimulatedArm:
 
     def back_off(self) -> None:
         """Moves an arm in a safety stop slowly back along its path, as with the smartPad's jog keys, until no external
-        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active.
-        """
+        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active."""
         if self.safety_stop is None:
             raise ValueError("No safety stop is active, so there is nothing to back off from.")
         self._backing_off = True

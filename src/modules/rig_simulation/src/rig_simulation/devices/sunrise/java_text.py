@@ -42,8 +42,7 @@ def vector(values: Iterable[float]) -> str:
 
 def number(source: str) -> float:
     """Returns the double that the text denotes; raises ValueError where Java's parser does, such as for `nan`, `inf`,
-    `1,5` and the empty text.
-    """
+    `1,5` and the empty text."""
     stripped = source.strip(_BLANKS)
     if _DECIMAL.fullmatch(stripped):
         return float(stripped.rstrip("dDfF"))

@@ -1,7 +1,5 @@
-"""The server's stored goals in its own units, and the motions that its main thread plans from them.
-
-Each planner returns the motion from the present position of the arm, or None if the arm is at its target already.
-"""
+"""The server's stored goals in its own units, and the motions that its main thread plans from them. Each planner
+returns the motion from the present position of the arm, or None if the arm is at its target already."""
 
 from __future__ import annotations
 
@@ -67,10 +65,8 @@ def joint_motion(arm: SimulatedArm, goals: Goals) -> JointMove | None:
 
 
 def leaves_torque_ranges(ranges: np.ndarray) -> Callable[[SimulatedArm], bool]:
-    """Returns the condition that interrupts a guarded motion.
-
-    `ranges`: rows of joint index 0 to 6, lowest, highest external torque, shape (n, 3) [Nm].
-    """
+    """Returns the condition that interrupts a guarded motion. `ranges`: rows of joint index 0 to 6, lowest, highest
+    external torque, shape (n, 3) [Nm]."""
     joints, low, high = ranges[:, 0].astype(int), ranges[:, 1], ranges[:, 2]
 
     def condition(arm: SimulatedArm) -> bool:

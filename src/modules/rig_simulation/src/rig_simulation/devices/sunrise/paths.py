@@ -1,8 +1,5 @@
-"""Joint motions planned in advance.
-
-A motion is smooth in speed and synchronises all joints; it is a function of its own time, which the arm may slow down,
-stop and resume.
-"""
+"""Joint motions planned in advance. A motion is smooth in speed and synchronises all joints; it is a function of its
+own time, which the arm may slow down, stop and resume."""
 
 from __future__ import annotations
 
@@ -13,8 +10,7 @@ from common.poses import read_only
 
 class SmoothStep:
     """The path parameter s from 0 to 1: its speed rises as sin^2 over a ramp, stays, and falls likewise; `speed` [1/s]
-    and `acceleration` [1/s^2] are the highest ones.
-    """
+    and `acceleration` [1/s^2] are the highest ones."""
 
     def __init__(self, speed: float, acceleration: float) -> None:
         self._speed = min(speed, (2.0 * acceleration / np.pi) ** 0.5)
@@ -38,8 +34,7 @@ class SmoothStep:
 class JointMove:
     """A line in joint space between two different sets of joint angles, shape (7,) [rad], within the limits `speed` and
     `acceleration` of each joint, shape (7,) [rad/s], [rad/s^2]. `braking_time`: from its greatest speed to rest, at its
-    greatest acceleration [s].
-    """
+    greatest acceleration [s]."""
 
     def __init__(self, start: np.ndarray, end: np.ndarray, speed: np.ndarray, acceleration: np.ndarray) -> None:
         self._start, self._end = read_only(start), read_only(end)

@@ -54,11 +54,9 @@ def make_server(
     lock: clock.RLock | None = None,
     name: str = NAME,
 ) -> SunriseServer:
-    """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer.
-    `name` begins what it reports.
-
-    Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is missing.
-    """
+    """Returns the server that the options of `add_options` describe, with an arm of its own; see SunriseServer. `name`
+    begins what it reports. Raises DeviceError if a port is taken, FileNotFoundError if the robot's description is
+    missing."""
     laws = options.servo_law, options.trajectory_time, options.tool_weight
     arm_settings = ArmSettings(options.safety_torque, options.safety_speed, *laws)
     lost_client = options.wait_for_client, options.deaf_after_lost_client, options.end_exits

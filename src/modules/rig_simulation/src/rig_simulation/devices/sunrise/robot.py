@@ -4,8 +4,7 @@ Positions in metres in the frame `kuka/base_frame`; the hand's joints stand at z
 The server's loop gives DirectServo a destination every cycle: measured joint + f(goal - measured joint). The model of
 DirectServo: each joint moves towards its destination with the mid-point speed of a smooth move of the minimum
 trajectory time (distance / (2/3 T)), never faster than it can brake before the destination, and within its speed and
-acceleration limits. So it approaches a step in the goal from one side, without overshoot.
-"""
+acceleration limits. So it approaches a step in the goal from one side, without overshoot."""
 
 from __future__ import annotations
 
@@ -25,9 +24,8 @@ DAMPING = 1e-6
 
 class Robot:
     """One arm with its media flange and the hand on it, from the text of the URDF; raises ValueError if that lacks one
-    of the seven joints or the flange.
-    `mounting`: roll, pitch and yaw of the base in an upright world [deg]; gravity follows it.
-    """
+    of the seven joints or the flange. `mounting`: roll, pitch and yaw of the base in an upright world [deg]; gravity
+    follows it."""
 
     def __init__(self, urdf: str, mounting: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         full = pin.buildModelFromXML(urdf)
@@ -72,8 +70,7 @@ class Robot:
 
     def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques by
-        damped least squares: there are seven torques for six unknowns, and a singularity hides some of them.
-        """
+        damped least squares: there are seven torques for six unknowns, and a singularity hides some of them."""
         J = self.jacobian(q, T_flange_tool)
         return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
 
@@ -83,8 +80,7 @@ class Robot:
 
     def weight(self, q: np.ndarray, mass: float, com: np.ndarray) -> np.ndarray:
         """Returns the torques that the weight of a mass [kg] at `com` in the flange frame, shape (3,) [m], makes at the
-        joints q, shape (7,) each [rad], [Nm].
-        """
+        joints q, shape (7,) each [rad], [Nm]."""
         J = self.jacobian(q, translation(*com.tolist()))
         return J[:3].T @ (self.flange(q)[:3, :3].T @ (mass * self._model.gravity.linear))
 
@@ -113,8 +109,7 @@ LAWS = {"lts": lts_law, "none": plain_law}
 
 class Drives:
     """Computes the speed of the joints after one step within the limits `speed` and `acceleration` of each joint, shape
-    (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s].
-    """
+    (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s]."""
 
     def __init__(self, speed: np.ndarray, acceleration: np.ndarray, trajectory_time: float) -> None:
         self._acceleration = acceleration
@@ -125,8 +120,7 @@ class Drives:
 
     def towards(self, distance: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Returns the speed, shape (7,) [rad/s], after a step of dt [s] towards a destination at `distance` from the
-        measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s].
-        """
+        measured joints, shape (7,) [rad]; `v`: present speed, shape (7,) [rad/s]."""
         after = []
         for way, now, speed, acceleration, double_braking, linear_range in zip(
             distance.tolist(), v.tolist(), *self._limits

@@ -54,9 +54,7 @@ class ServerSettings:
 
 class SunriseServer:
     """Serves the arm until `stop` is called or the settings end it; port 0 takes any free one, see the attributes.
-
-    Raises DeviceError if a port is taken.
-    """
+    Raises DeviceError if a port is taken."""
 
     def __init__(
         self,
