@@ -111,7 +111,6 @@ def _in_servo(port: int, timing: KstTiming = PATIENT, host: str = "127.0.0.1") -
 
 
 def _streamed_row(client: KstClient, word: str, feedback: Feedback, fast: int) -> Row:
-    """Returns the highest rate of streamed goals, each answer of which is checked."""
     answered = 0
     begin = time.perf_counter()
     for i in range(fast):
@@ -124,7 +123,6 @@ def _streamed_row(client: KstClient, word: str, feedback: Feedback, fast: int) -
 
 
 def _bad_link_row(name: str, count: int) -> Row:
-    """Returns how many goals a second leave on a bad link."""
     command = in_own_network([sys.executable, "-m", "bench.bench_client", name, str(count)])
     done = subprocess.run(command, cwd=ROOT, env=_environment(), capture_output=True, text=True)
     what, unit, goal = f"kst goals, {name}", "1/s", Goal(PACED_HZ, at_least=True)

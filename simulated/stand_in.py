@@ -135,7 +135,6 @@ def stand_in(graph: Graph, patch: pytest.MonkeyPatch) -> None:
 
 
 def _parameters(graph: Graph) -> dict[str, Any]:
-    """rospy's functions of parameters."""
     parameters = graph.parameters
     unset = object()
 

@@ -306,7 +306,6 @@ def _shrink(file: Path) -> None:
 
 
 def _ports() -> list[str]:
-    """Returns launch arguments with free ports for the demo's devices."""
     tcp = ("robot", "robot_control", "hand_control", "leap", "leap_control", "world", "camera_control")
     return [*(f"{name}_port:={free_port()}" for name in tcp), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
 
@@ -410,7 +409,6 @@ def _world(start: Start, *options: str) -> tuple[str, str]:
 
 @contextlib.contextmanager
 def _screen(size: tuple[int, int] = SCREEN) -> Iterator[str]:
-    """Yields the name of a virtual display."""
     reader, writer = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(writer), "-screen", "0", f"{size[0]}x{size[1]}x24"], pass_fds=[writer]

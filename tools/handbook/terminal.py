@@ -148,7 +148,6 @@ class Terminal:
         return {node for node, pid in self._pids.values() if pid in own and self._registered[node][1] < settled}
 
     def _windows(self) -> bool:
-        """Whether a window of this terminal's processes is on the screen."""
         command = ["xdotool", "search", "--onlyvisible", "--name", ".", "getwindowpid", "%@"]
         found = subprocess.run(command, env=self._environment, capture_output=True, text=True, timeout=LONG_S)
         return not self._processes().keys().isdisjoint(int(pid) for pid in found.stdout.split() if pid.isdigit())
@@ -185,7 +184,6 @@ class Terminal:
 
 
 def _wait(condition: Callable[[], bool], seconds: float) -> bool:
-    """Returns whether the condition came true in time."""
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:

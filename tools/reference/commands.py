@@ -74,7 +74,6 @@ def page() -> str:
 
 
 def _as_typed() -> str:
-    """Returns what the report's lines do as they were typed."""
     says = (
         "As typed they mean the real devices, but for the demo. Nothing simulates in place of a device that does not "
         "answer; a [calibration](../handbook/calibration.md) says whether it was simulated.\n"

@@ -59,7 +59,6 @@ def _default(arg: ElementTree.Element) -> str:
 
 
 def _comment(file: Path) -> str:
-    """Returns the first comment of a launch file, its description."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.parse(file, parser).getroot()
     return next((" ".join((child.text or "").split()) for child in root if child.tag is ElementTree.Comment), "")

@@ -134,7 +134,6 @@ def _section(program: str) -> str:
 
 
 def _names(where: str, values: Mapping[str, Any]) -> Iterator[str]:
-    """Yields the names of the keys of a nested mapping."""
     for key, value in values.items():
         yield _name(where, key)
         if isinstance(value, Mapping):

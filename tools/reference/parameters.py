@@ -207,7 +207,6 @@ def _rows(part: Part, values: Any, comments: dict[tuple[str, ...], str]) -> list
 
 
 def _head(words: str) -> str:
-    """Returns the comment at the top of a file, up to its first empty line."""
     lines = []
     for line in words.splitlines():
         if not line.startswith("#") or not line.strip("# "):

@@ -137,7 +137,6 @@ def _given(arguments: argparse.Namespace) -> dict[str, str]:
 
 
 def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
-    """Returns why these arguments do not fit the number of arms."""
     robots, scenario = given.get("robots", "1"), given.get("scenario", "")
     if robots not in ("1", "2"):
         return [f"robots is {robots!r}, but must be 1 or 2"]

@@ -198,7 +198,6 @@ def _add_joint(element: ET.Element, joint: ET.Element) -> None:
 
 
 def _add_link(element: ET.Element, name: str, link: ET.Element) -> None:
-    """Adds mass and contact shapes."""
     inertial = link.find("inertial")
     if inertial is not None:
         inertia = child(inertial, "inertia")

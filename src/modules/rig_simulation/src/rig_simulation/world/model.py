@@ -125,7 +125,6 @@ def _check_panel_arm(description: WorldDescription, placements: Mapping[str, np.
 
 
 def _alone(urdf: str, T_world_base: np.ndarray, visuals: bool) -> ET.Element:
-    """Returns a model of the robot with its hand and nothing else."""
     root = ET.Element("mujoco")
     for section in ("option", "asset"):
         ET.SubElement(root, section)
