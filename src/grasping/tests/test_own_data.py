@@ -1,8 +1,10 @@
-"""From one's own depth images to a network and its figures: label, import, train, find."""
+"""From one's own depth images to a network and its figures: label, import, train, measure, find."""
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 import shutil
 
 import cv2
@@ -12,7 +14,7 @@ import torch
 from test_programs import call
 
 from grasping.lab.dataset import labelled_images as li
-from grasping.lab.programs import find_grasps, import_grasps, train_ggcnn
+from grasping.lab.programs import evaluate, find_grasps, import_grasps, train_ggcnn
 from grasping.network import weights
 from grasping.network.networks import NETWORKS
 
@@ -152,6 +154,44 @@ def test_bad_options_are_refused(images, tmp_path, monkeypatch, capsys, options,
     with pytest.raises(SystemExit):
         call(monkeypatch, import_grasps, images, tmp_path / "shards", *options)
     assert sentence in capsys.readouterr().err and not (tmp_path / "shards").exists()
+
+
+class Knowing(torch.nn.Module):
+    """Says a grasp of given angle and opening where the images' bars are thickest; stands for a trained network."""
+
+    def __init__(self, turned: float) -> None:
+        super().__init__()
+        self.turned = turned
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        mask = (image[0, 0] < image.mean() - 0.02).numpy().astype(np.uint8)
+        (column, row), (width, height), degrees = cv2.minAreaRect(np.argwhere(mask)[:, ::-1].astype(np.float32))
+        angle = -math.radians(degrees) + (0.0 if width < height else math.pi / 2.0) + self.turned
+        maps = torch.zeros((1, 4, *mask.shape))
+        maps[0, 0, round(row) - 3 : round(row) + 4, round(column) - 3 : round(column) + 4] = 1.0
+        maps[0, 1], maps[0, 2], maps[0, 3] = math.cos(2.0 * angle), math.sin(2.0 * angle), 0.25
+        return maps
+
+
+@pytest.mark.parametrize(("turned", "right"), [(0.0, BARS), (0.4, BARS), (0.7, 0)])
+def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(
+    images, tmp_path, monkeypatch, capsys, turned, right
+):
+    file, results = tmp_path / "weights.pt", tmp_path / "results"
+    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    monkeypatch.setattr(evaluate, "network", lambda _file, _precision: Knowing(turned))
+    call(monkeypatch, evaluate, results, "--folder", images, "--weights", "mine", file)
+    with (results / "results.csv").open(newline="") as csv_file:
+        rows = list(csv.DictReader(csv_file))
+    assert [row["right"] for row in rows] == [str(right > 0)] * BARS
+    assert f"| mine | {100 if right else 0} (" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("options", [["--export", "file"], ["results", "--tool", "file"], ["results"]])
+def test_a_folder_goes_with_weights_and_neither_with_export_nor_with_a_hand(images, monkeypatch, capsys, options):
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate, *options, "--folder", images)
+    assert "with --weights, without --export and --tool" in capsys.readouterr().err
 
 
 def test_grasps_are_found_in_a_folder_and_drawn(images, tmp_path, monkeypatch, capsys):

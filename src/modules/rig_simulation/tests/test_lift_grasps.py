@@ -15,6 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_about
 from grasping.lab.synthetic import reflex_labels, samples
 from grasping.lab.synthetic.scene import SceneCamera, height_map
+from rig_simulation.world import lifting
 from rig_simulation.world.lifting import GROUND_M, P_HAND_GRIP, TIPS_M, hand_pose, lift, main, reliability
 
 SCENE = """<mujoco><compiler angle="radian"/><option timestep="0.004" integrator="implicitfast" cone="elliptic"/>
@@ -137,6 +138,28 @@ def test_the_program_tries_each_grasp_once(tmp_path, capsys):
     with pytest.raises(SystemExit):
         main([str(file), "--results", str(results)])
     assert "results.json is there already: name another file." in capsys.readouterr().err
+
+
+@pytest.mark.real
+def test_a_run_that_is_interrupted_leaves_the_trials_until_then(tmp_path, monkeypatch, capsys):
+    class Interrupted:
+        """A bar of progress at whose second scene Ctrl-C comes."""
+
+        def __init__(self, scenes, **_options):
+            self.scenes = scenes
+
+        def __iter__(self):
+            yield next(self.scenes)
+            raise KeyboardInterrupt
+
+    file, results = tmp_path / "grasps.json", tmp_path / "results.json"
+    (scene,) = content()["scenes"]
+    file.write_text(json.dumps({"schema": 2, "scenes": [scene, {**scene, "scene": 4}]}))
+    monkeypatch.setattr(lifting, "tqdm", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        main([str(file), "--results", str(results)])
+    assert [row["scene"] for row in json.loads(results.read_text())] == [3, 3]
+    assert str(results) in capsys.readouterr().err
 
 
 @pytest.mark.real

@@ -24,7 +24,7 @@ from common.plausible import plausible_depth
 from common.ros.files import read_text, write_whole
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.depth_image import NETWORK_SIDE, Crop, prepare
-from grasping.network.maps import WIDTH_SCALE_PX
+from grasping.network.maps import WIDTH_SCALE_PX, Peak
 from grasping.refinement.taste import half_turn
 
 SCHEMA = 1
@@ -292,6 +292,12 @@ def in_network_image(grasp: GraspRectangle, crop: Crop) -> GraspRectangle:
     scale = NETWORK_SIDE / crop.side
     row, column = (scale * (c + 0.5 - first) - 0.5 for c, first in ((grasp.row, crop.row), (grasp.column, crop.column)))
     return GraspRectangle(row, column, grasp.angle, scale * grasp.opening, scale * grasp.breadth)
+
+
+def labels(image: LabelledImage, crop: Crop) -> list[Peak]:
+    """Returns the grasps as the rectangle metric compares them, in the pixels of the network's image."""
+    found = [in_network_image(grasp, crop) for grasp in image.grasps]
+    return [Peak(round(g.row), round(g.column), 1.0, g.angle, g.opening) for g in found]
 
 
 def sample(image: LabelledImage, side: int) -> Sample:

@@ -4,7 +4,8 @@ Half of the scenes hold one object, half three to five. The object that a grasp 
 Results go to results.csv, one line a grasp with its reason, table.md, with paired differences, reliability.png,
 failures_METHOD.png for each network, and settings.json. A NAME given several times is several trainings of one network:
 the tables give their mean as well. With --export scenes and grasps go to a file instead, for the rig's hand (rosrun
-rig_simulation lift_grasps.py).
+rig_simulation lift_grasps.py). With --folder the networks see labelled depth images instead (label_grasps.py's,
+Cornell's or Jacquard's), and the rectangle metric judges.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import csv
 import json
 import multiprocessing
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -32,17 +34,19 @@ from common.config import parse
 from common.errors import RigError
 from common.lift_trial import LIFTED
 from common.ros.files import read_yaml
+from grasping.lab.dataset import labelled_images
 from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.samples import view
 from grasping.lab.synthetic.scene import points, world_xml
 from grasping.network import maps, weights
-from grasping.network.depth_image import NetworkImage, prepare
+from grasping.network.depth_image import CROP_SIDE, NetworkImage, prepare
 from grasping.network.networks import FLOAT32, PRECISIONS, MapNetwork, frozen, infer
 from grasping.pipeline.projection import pixel_size
 from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
+RECTANGLE_COLUMNS = ("image", "method", "quality", "right")
 EXPORT_SCHEMA = 2
 SPLITS = ("test", "validation")
 ORACLE = "oracle"
@@ -195,6 +199,35 @@ def evaluate(folder: Path, tasks: Sequence[Task], processes: int) -> list[dict]:
     return rows
 
 
+def judge_images(folder: Path, images: Path, side: int, trained: Mapping[str, Trained]) -> str:
+    """Judges each network's best grasp in labelled images, in a window of `side` pixels about the labels, by the
+    rectangle metric; writes results.csv and returns a Markdown table. Images that cannot be used are named and left
+    out; raises RigError if there are no others, or as `open_results`.
+    """
+    labelled, left_out = labelled_images.read(images)
+    rows: list[dict] = []
+    with open_results(folder, RECTANGLE_COLUMNS) as writer:
+        for one in tqdm(labelled, unit="image"):
+            try:
+                depth = one.checked_depth()
+                crop = labelled_images.crop_around(one.grasps, depth.shape, side)
+                image = prepare(depth, crop)
+            except (RigError, ValueError) as error:
+                left_out.append(f"{one.name}: {error}")
+                continue
+            wanted = labelled_images.labels(one, crop)
+            for name, of in trained.items():
+                peak = network_grasp(image, of)
+                right = trials.is_right(peak, wanted)
+                rows.append({"image": one.name, "method": name, "quality": peak.quality, "right": right})
+                writer.writerow(rows[-1])
+    sys.stderr.writelines(f"Left out: {sentence}\n" for sentence in left_out)
+    if not rows:
+        raise RigError(f"None of the {len(labelled)} labelled images in {images} can be used.")
+    lines = [[name, tables.fraction(rows, name, "right", lambda _: True)] for name in trained]
+    return tables.markdown_table(("", "right by the rectangle metric %"), lines)
+
+
 def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     add = parser.add_argument
     add("folder", type=Path, nargs="?", help="where the results go")
@@ -214,9 +247,14 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     add("--precision", choices=PRECISIONS, default=FLOAT32, help="of these networks' convolutions")
     add("--processes", type=whole(1, 1024), default=1, help="how many scenes at a time")
     add("--export", type=Path, metavar="FILE", help="write scenes and grasps there, lift nothing")
+    add("--folder", type=Path, metavar="IMAGES", dest="images", help="judge by the labelled images of this folder")
+    side_help = f"with --folder, side of the window about an image's grasps [px], default {CROP_SIDE}; Jacquard: 1024"
+    add("--window", type=whole(1, 16384), default=CROP_SIDE, help=side_help)
     arguments = parser.parse_args()
     if (arguments.folder is None) == (arguments.export is None):
         parser.error("Either a folder for the results is needed, or --export.")
+    if arguments.images is not None and (arguments.export or arguments.tool or not arguments.weights):
+        parser.error("--folder judges networks by rectangles in images: with --weights, without --export and --tool.")
     return arguments
 
 
@@ -245,6 +283,12 @@ def main() -> None:
         trained = networks(arguments.weights, tool, arguments.precision)
     except (OSError, RigError) as error:
         parser.error(str(error))
+    if arguments.images is not None:
+        try:
+            sys.stdout.write(judge_images(arguments.folder, arguments.images, arguments.window, trained))
+        except RigError as error:
+            parser.error(str(error))
+        return
     millimetres, degrees = arguments.error
     conditions = trials.Conditions(0.001 * millimetres, float(np.radians(degrees)), arguments.shake)
     if arguments.export is not None:

@@ -26,7 +26,7 @@ from common.config import is_number
 from common.errors import RigError
 from common.frames import BASE
 from common.poses import check_pose, pose
-from common.ros.files import read_text
+from common.ros.files import read_text, write_whole
 from common.statistics import proportion
 from rig_simulation.files import FLANGES, ROBOTS, read_urdf
 from rig_simulation.world.hand_model import prepare_hand
@@ -289,12 +289,13 @@ def main(arguments: list[str] | None = None) -> int:
         scenes = read(options.file)
         if options.results:
             options.results.open("x").close()  # before the hours of lifting
+            sys.stderr.write(f"After each scene its trials are in {options.results}.\n")
         tasks = [SceneTask(scene, conditions) for scene in scenes]
         with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
             for new in tqdm(pool.imap(try_scene, tasks), total=len(tasks), unit="scene"):
                 rows += new
-        if options.results:
-            options.results.write_text(json.dumps(rows) + "\n")
+                if options.results:
+                    write_whole(options.results, json.dumps(rows) + "\n")
     except FileExistsError:
         parser.error(f"{options.results} is there already: name another file.")
     except (RigError, OSError) as error:
