@@ -291,3 +291,16 @@ def test_a_silent_leap_kuka_keeps_no_grip():
     play.step(hand_with(20.0, 20.0, 20.0))
     assert play.steps(140)[-1].state == GripperState.KEEPING
     assert play.steps(20)[-1].state == GripperState.OPEN
+
+
+def test_a_grip_that_was_kept_for_a_moment_ends_the_following_of_a_hand_without_an_engagement():
+    """Also where the report came and went between two frames: the hand that moved the fingers comes in anew."""
+    play = Player(hand_only=False)
+    play.teleop.switch(True)
+    play.steps(30)
+    assert play.steps(30, hand_with(60.0, 60.0, 60.0))[-1].state == GripperState.FOLLOWING
+    play.teleop.steered_by(None, play.now)
+    assert play.step(hand_with(60.0, 60.0, 60.0)).state == GripperState.FOLLOWING
+    play.teleop.steered_by(None, play.now, keep_grip=True)
+    play.teleop.steered_by(None, play.now)
+    assert play.step(hand_with(20.0, 20.0, 20.0)).state == GripperState.KEEPING

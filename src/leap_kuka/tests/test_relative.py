@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from relative_rig import BOX_HEIGHT, HOLD_S, Rig
 
 from common.poses import pose
+from common.reasons import ReasonCode
 from common.rotations import rotation_angle, rotation_from_zyx
 from leap_kuka.kept_tool import no_measured_tool
 from leap_kuka.start_gate import CONDITIONS, ENABLED, RATE, READY, RELEASED
@@ -152,6 +153,21 @@ def test_the_hold_ends_and_the_arm_goes_home(rig, sample, loss):
     assert any("no hand took it over in time" in frame.reason for frame in frames)
     assert play.steps(100).T_virtual_tool is None and play.mode == "home"
     assert play.steps(30, sample()).state is StreamState.WAITING, "the hand must come in"
+
+
+@pytest.mark.parametrize(
+    ("stop", "code"),
+    [
+        (lambda play: play.device(clutched=True), ReasonCode.CLUTCHED),
+        (lambda play: play.device(enabled=False), ReasonCode.NOT_ENABLED),
+        (lambda play: play.teleop.choose("another arm is steered", False), ReasonCode.ELSEWHERE),
+    ],
+)
+def test_the_code_of_an_end_names_what_the_operator_did(rig, sample, stop, code):
+    play = rig(hold_time=0.0).engaged(sample())
+    stop(play)
+    result = play.step(sample())
+    assert (result.state, result.codes) == (StreamState.WAITING, (code,)), result.reason
 
 
 @pytest.mark.parametrize("stop", [{"clutched": True}, {"enabled": False}])

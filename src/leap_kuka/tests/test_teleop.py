@@ -157,8 +157,17 @@ def test_a_hand_that_is_missing_stops_the_tool_at_once_and_ends_the_stream_after
     assert all(r.T_virtual_tool is r.T_virtual_filtered is r.T_virtual_hand is None and r.obstacle for r in missing)
     result = play.step()
     assert (result.state, result.reason, result.owner) == (StreamState.WAITING, "right hand 12 was lost", None)
+    assert result.codes == (ReasonCode.HAND_GONE,)
     assert play.step().reason == "no hand is seen"
     assert play.come_in(sample(id=13))[-1].state == StreamState.RUNNING
+
+
+@pytest.mark.parametrize("wrong", [{"palm": (0.0, 3.0, 0.0)}, {"direction": (0.0, 0.0, -2.0)}])
+def test_a_hand_whose_numbers_cannot_be_right_has_jumped_and_is_not_gone(play, sample, wrong):
+    play.steps(10, sample())
+    results = play.steps(10, dataclasses.replace(sample(), **{key: np.array(v) for key, v in wrong.items()}))
+    ended = next(result for result in results if result.state is StreamState.WAITING)
+    assert ended.reason.startswith("right hand 12 was lost: ") and ended.codes == (ReasonCode.HAND_JUMPED,)
 
 
 @pytest.mark.parametrize("frames", [0, 1, 5, 19])

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from common.reasons import ReasonCode
 from leap_kuka.config import DEVICE, NONE, LeapConfig
 from leap_kuka.numbers import CLOSED, DEBOUNCE_S, DEVICE_SILENCE_S, GAP_S, LEFT_S, OPENED
 from leap_motion.frames import TrackedHand
@@ -177,3 +178,10 @@ class OperatorSwitches:
         if self.clutched:
             return "the clutch is pressed"
         return None if self.enabled else "the enabling device is not pressed"
+
+    @property
+    def stop_code(self) -> ReasonCode:
+        """The code of `stop`."""
+        if self.elsewhere:
+            return ReasonCode.ELSEWHERE
+        return ReasonCode.CLUTCHED if self.clutched else ReasonCode.NOT_ENABLED

@@ -236,10 +236,10 @@ class ArmTeleop:
         self._forget_hand()
         self._reason = Reason(why, (ReasonCode.TRACKER_SILENT,))
 
-    def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "") -> Reason:
-        jumped = trigger is EngagementTrigger.HAND_LOST and bool(detail)
-        code = ReasonCode.HAND_JUMPED if jumped else trigger.code
-        reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code,))
+    def _fire(
+        self, trigger: EngagementTrigger, now: float, detail: str = "", code: ReasonCode | None = None
+    ) -> Reason:
+        reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code or trigger.code,))
         before = self._state
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
@@ -270,7 +270,7 @@ class ArmTeleop:
             self._fire(EngagementTrigger.CLUTCH_LOST, now)
         if switches.stop:
             self.counts.clutched += self._state.running and switches.clutched
-            self._fire(EngagementTrigger.STOPPED, now, switches.stop)
+            self._fire(EngagementTrigger.STOPPED, now, switches.stop, switches.stop_code)
             if self._state.kept and self._held is not None:
                 self._held = replace(self._held, until=now + self._hold_time)
 
@@ -316,7 +316,8 @@ class ArmTeleop:
         else:
             self._try_start(mean, now)
         if self._average.lost or (self._state.running and mean is None):
-            self._fire(EngagementTrigger.HAND_LOST, now, f": {left_out or 'it turns too fast'}")
+            why = f": {left_out or 'it turns too fast'}"
+            self._fire(EngagementTrigger.HAND_LOST, now, why, ReasonCode.HAND_JUMPED)
             self._forget_hand()
 
     def _try_start(self, mean: MeanHand, now: float) -> None:
