@@ -236,9 +236,7 @@ class ArmTeleop:
         self._forget_hand()
         self._reason = Reason(why, (ReasonCode.TRACKER_SILENT,))
 
-    def _fire(
-        self, trigger: EngagementTrigger, now: float, detail: str = "", code: ReasonCode | None = None
-    ) -> Reason:
+    def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "", code: ReasonCode | None = None) -> Reason:
         reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code or trigger.code,))
         before = self._state
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
