@@ -420,7 +420,7 @@ def slow_frames(trial):
 
 @row(
     83,
-    "Frames come already when control goes on",
+    "Frames come already when control is switched on",
     "",
     dangerous="the arm moves as soon as control is switched on",
     hazards=(1,),

@@ -73,7 +73,7 @@ def service_calls(trial):
         trial.check(f"payload {mass} is refused", not answer.success and "stays 0 kg" in answer.message, answer.message)
     trial.check("the arm follows on", follows(trial), rig.modes[-5:])
     trial.part("the wrong time", Expected("", 1.0))
-    # Many at once: off wins if it comes last, and a hand in the box starts nothing, however often control went on.
+    # Many at once: off wins if it comes last, and a hand in the box starts nothing, however often that is.
     trial.begins()
     clicks = [clock.Thread(target=rig.control, args=(bool(i % 2),)) for i in range(12)]
     for click in clicks:

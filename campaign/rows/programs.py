@@ -321,5 +321,5 @@ def disk_full(trial):
     trial.check("the recording ends with 1", recorder.returncode == 1, text)
     trial.check("and with what was recorded", "Recorded " in text, text)
     modes = {mode for when, mode, _ in rig.statuses if when > trial.begins()}
-    trial.check("control went on", modes <= set(FOLLOWING), modes)
+    trial.check("control was switched on", modes <= set(FOLLOWING), modes)
     trial.check("the arm follows on", moves(trial), rig.modes[-5:])

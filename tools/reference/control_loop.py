@@ -16,7 +16,7 @@ from tools.reference import markdown
 INTRO = (
     "The states of the two controllers of the arm and all transitions between them. The handbook explains "
     "[the control loops](../handbook/control-loops.md); `kuka/mode` and `kuka/status` publish the mode of the state. "
-    "A fault ends in `stopped`, which waits until control goes off and on again."
+    "A fault ends in `stopped`, which waits until control is switched off and on again."
 )
 
 

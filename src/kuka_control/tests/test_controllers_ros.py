@@ -86,7 +86,7 @@ def start(robot, run):
 
 
 def leaves_and_comes_back(hand, node):
-    """The hand leaves the box and comes back, as a stream counts only if it begins after control went on."""
+    """The hand leaves the box and comes back, as a stream counts only if it begins after control was switched on."""
     hand.hide()
     clock.sleep(0.5)
     hand.show()

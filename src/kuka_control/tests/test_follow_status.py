@@ -76,7 +76,7 @@ def outside(world):
 
 CASES = {
     "control off": (off, 80.0, "Control is off"),
-    "a hand that was there before control went on": (early_hand, 80.0, "take the hand out"),
+    "a hand that was there before control was switched on": (early_hand, 80.0, "take the hand out"),
     **{f"{rate:g} Hz": (rare, rate, "Hz, but the arm follows it only from 22 Hz on") for rate in (6.0, 10.0, 19.0)},
     "stamps of the past": (refused, 80.0, "behind this machine's clock"),
     "two publishers": (two_publishers, 80.0, "/a and /b both publish kuka/tool_frame/desired"),
@@ -108,7 +108,7 @@ def test_it_is_logged_and_shown_in_diagnostics(case):
     at_rate(world, rate, tool, 1.0)
     assert world.steps[-1].inhibited or case == "out of reach"
     logged = [event for event in world.events if said in event]
-    assert logged or case == "a hand that was there before control went on"
+    assert logged or case == "a hand that was there before control was switched on"
     assert len(logged) <= 1 + (case == "stamps of the past")
 
 

@@ -93,7 +93,7 @@ def test_a_frame_below_the_tool_that_is_out_of_step_is_named(virtual_graph):
 
 @pytest.mark.parametrize("fault", ["the same stamp", "older"])
 def test_a_foreign_stream_that_falters_stays_the_same_stream(virtual_graph, fault):
-    """Else what bars it, as that it was far away when control went on, would end with the first refused frame."""
+    """Else what bars it, as that it was far away at first, would end with the first refused frame."""
     tool = Publisher()
     tool.run(1.0, (BASE, "desk", now), ("desk", TOOL_DESIRED, now))
     number, last = tool.stream.number, tool.begin + 1.0

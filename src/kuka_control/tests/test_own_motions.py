@@ -1,5 +1,5 @@
 """What the arm does of its own accord: it repeats no motion that nobody asked for at once, whatever comes; it takes a
-stream over that ran before control went on only where that is near; a new scaling factor moves nothing.
+stream over that ran before control was switched on only where that is near; a new scaling factor moves nothing.
 """
 
 from __future__ import annotations
@@ -214,13 +214,13 @@ PAUSES = st.sampled_from([0.0, 0.25, 0.29, 0.35, 0.8, 1.9])
     PAUSES,
 )
 def test_a_publisher_that_lags_does_not_become_a_new_stream(schema, tool, runs, silence):
-    """Whatever pauses of less than 2 s a foreign stream has that was there when control went on: a far one is never
-    followed, a near one only slowly, and announced 1 s before; so it is where two publishers are in conflict meanwhile.
+    """Whatever pauses of less than 2 s a foreign stream has that was there when control was switched on: a far one is
+    never followed, a near one only slowly, and announced 1 s before; the same where two publishers are in conflict.
     """
     world = World(schema).at_home()
     world.foreign = True
     stream(world, 0.5, tool)
-    for pause, seconds in runs:  # control goes on in the midst of the first pause
+    for pause, seconds in runs:  # control is switched on in the midst of the first pause
         world.run(min(pause, 1.0)) if world.enable_count == 0 and pause else None
         pause -= min(pause, 1.0) if world.enable_count == 0 else 0.0
         world.control_on = True

@@ -82,14 +82,15 @@ class TestNode:
         import rospy
         from std_srvs.srv import Empty, EmptyResponse
 
-        from leap_hand.ros.teleop_node import CALIBRATIONS, calibrate
+        from common.robot_hand import HAND
+        from leap_hand.ros.teleop_node import calibrate
 
-        services = [rospy.Service(name, Empty, lambda _: EmptyResponse()) for name in CALIBRATIONS]
+        services = [rospy.Service(name, Empty, lambda _: EmptyResponse()) for name in HAND.calibrations]
         begin = clock.monotonic()
         calibrate(1.0)
         assert clock.monotonic() - begin == pytest.approx(2.05, abs=0.06)
         services[0].shutdown()
-        rospy.Service(CALIBRATIONS[0], Empty, lambda _: clock.sleep(60.0))
+        rospy.Service(HAND.calibrations[0], Empty, lambda _: clock.sleep(60.0))
         begin = clock.monotonic()
         with pytest.raises(DeviceError):
             calibrate(1.0)

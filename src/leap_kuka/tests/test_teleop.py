@@ -222,7 +222,7 @@ def test_control_that_goes_on_ends_a_stream_that_began_before(play, sample):
     assert play.come_in(sample())[-1].state == StreamState.RUNNING
     play.teleop.control(True)
     result = play.step(sample())
-    assert result.state == StreamState.WAITING and "control of the arm went on" in result.reason
+    assert result.state == StreamState.WAITING and "control of the arm was switched on" in result.reason
     assert play.steps(50, sample())[-1].state == StreamState.WAITING
     assert play.come_in(sample())[-1].state == StreamState.RUNNING
 

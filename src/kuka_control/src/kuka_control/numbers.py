@@ -8,7 +8,7 @@ from typing import Final
 
 # A link to the robot that falls silent. TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
 NAMED_S: Final = 0.12  # beyond the link's usual delay: then it is said; with a cycle's wait within 0.2 s
-OFF_S: Final = 1.0  # in servo mode control goes off then; outside of it after twice that: no goals depend on it
+OFF_S: Final = 1.0  # in servo mode control is switched off then; outside of it after twice that: no goals depend on it
 MAX_MISSED: Final = 5  # so many missing or unusable answers in a row end the link,
 MISSING_S: Final = 3.0  # if they took this long at least: a busy machine is late several times in a row
 FIRST_PAUSE_S: Final = 0.5  # before a lost robot is tried again; the pause doubles
@@ -18,7 +18,7 @@ TIMEOUT_S: Final = 5.0  # of a connection at the start, and of its first answer
 AGAIN_TIMEOUT_S: Final = 2.0  # of a try to connect again, likewise
 BRAKING_S: Final = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake
 
-# Whether the arm does what it is told. A safety stop shows within half a second.
+# Whether the arm follows its goals. A safety stop shows within half a second.
 FAR_S: Final = 0.1  # how long goal and joint may be more than FAR_RAD apart
 STILL_S: Final = 0.3  # how long the arm may stand still away from its goal
 UNKNOWN_S: Final = 0.5  # so long at most are goals sent that lie away from the last known joints

@@ -1,6 +1,6 @@
 """From tracking frames to commands of the robot hand: whom it follows, flexion, mapping, and when to open.
 
-Arm and robot hand have one owner: the hand that leap_kuka has locked (`steered_by`), while it goes on reporting that.
+Arm and robot hand have one owner: the hand that leap_kuka has locked (`steered_by`), while it still reports that.
 Without one any hand in view may move the fingers, by the same lock without a box; with `fingers_follow: steering` none.
 
 The hand opens when gripper control is off, and `grip_hold` after the last good frame of its hand or as long as

@@ -71,8 +71,8 @@ class EngagementTrigger(Enum):
     CLUTCH_LOST = "the clutch device is silent", "the clutch device is silent", ReasonCode.CLUTCHED
     TRACKER_LOST = "no frame for 0.2 s, or inconsistent ones", "{detail}", ReasonCode.TRACKER_SILENT
     CONTROL_ON = (
-        "control goes on",
-        "control of the arm went on; take the hand out of the box and back in",
+        "control is switched on",
+        "control of the arm was switched on; take the hand out of the box and back in",
         ReasonCode.CONTROL_ON,
     )
     CONTROL_FOUND_ON = (
@@ -80,7 +80,7 @@ class EngagementTrigger(Enum):
         "control of the arm was on at the start; take the hand out of the box and back in",
         ReasonCode.CONTROL_ON,
     )
-    CONTROL_OFF = "control goes off", "control of the arm is off", ReasonCode.CONTROL_OFF
+    CONTROL_OFF = "control is switched off", "control of the arm is off", ReasonCode.CONTROL_OFF
     ARM_LEFT = (
         "the arm no longer follows",
         "the arm does not follow, its controller is in the mode {detail}",

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from common.modes import Mode
+from common.operator_rows import OLD_ROWS_S
 from kuka_control.numbers import SCALING_DEFAULT
 
-ABSENT_S = 1.5  # without a status for this long the controller counts as absent [s]
+ABSENT_S = OLD_ROWS_S  # without a status for this long the controller counts as absent [s]
 
 
 class Tone(Enum):
@@ -67,7 +69,7 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
         why = "it hangs" if context.runs else "it exited, hangs, or is out of reach"
         line = f"The controller has been silent for {silence:.0f} s: {why}."
         return _absent(status.scaling_factor, line, Tone.FAULT)
-    line, tone = _sentence(status), Tone.FAULT if status.mode == "stopped" else Tone.NORMAL
+    line, tone = _sentence(status), Tone.FAULT if status.mode == Mode.STOPPED else Tone.NORMAL
     if context.master_lost:
         line = f"{line}\nThe ROS master at {context.master} does not answer; this controller still does."
         tone = Tone.WARNING if tone is Tone.NORMAL else tone

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 
-BARRED = f"The desired tool frame moved before control went on and does not count: {HAND_IN_AGAIN}"
+BARRED = f"The desired tool frame moved before control was switched on and does not count: {HAND_IN_AGAIN}"
 BARRED_BY_MOVE = "The desired tool frame began to move while a program moved the arm."
 OFF = "Control is off, so the desired tool frame is not followed."
 SILENT = "No desired tool frame comes."
@@ -68,7 +68,7 @@ class LoopSettings:
     joint_speeds: np.ndarray  # full speeds of the joints, shape (7,) [rad/s]
     time_out: float  # go home after this time without a new desired tool frame [s]
     velocity_home: float  # fraction of the full joint speed to home at the start or after a fault, and to zero
-    velocity_return: float  # the same back home when control goes off or after a time-out, and to a pick-up pose
+    velocity_return: float  # the same back home when control is switched off or after a time-out, and to a pick-up pose
     guard: CollisionGuard | None  # refuses motions that come too near to a body
     torque_ranges: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray] | None
     """From start, goal, velocity and payload of a PTP motion: the ranges of the external joint torques, shape (7, 2)
@@ -123,7 +123,7 @@ class ControlLoop(ABC, Generic[Settings]):
     Attributes:
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
         stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
-        outlook: what becomes of the desired tool frame that comes now, once control goes on; None if none comes."""
+        outlook: what happens to the present desired tool frame once control is switched on; None if none comes."""
 
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
@@ -163,7 +163,7 @@ class ControlLoop(ABC, Generic[Settings]):
         self._enable_count = 0
         self._barred: int | None = None  # the stream of desired tool frames that does not count
         self._barred_because = BARRED
-        self._early: int | None = None  # the stream that ran before control went on, until the arm follows it
+        self._early: int | None = None  # the stream that ran before control was switched on, until the arm follows it
         self._announced: float | None = None  # when it was said that the arm takes it over [s]
         self._own = OwnMotions()
         self._engagement: int | None = None  # of the hand that was accepted last
@@ -389,7 +389,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return waits is not None
 
     def _takes_over(self, fresh: DesiredFrame, now: float) -> bool:
-        """Whether the arm goes to a stream that ran before control went on: a near one, once that was announced."""
+        """Whether the arm goes to a stream from before control was switched on: a near one, once that was announced."""
         far = self._too_far(fresh)
         if far is not None:
             self._barred, self._barred_because, self._early = self._early, far, None
@@ -480,7 +480,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return self._leaves(cycle) or self._new_target(cycle)
 
     def _stopped(self, cycle: Cycle) -> Outcome:
-        """A fault holds the loop until control goes off and on again; no motion begins at joints in doubt."""
+        """A fault holds the loop until control is switched off and on again; no motion begins at joints in doubt."""
         if self._doubt is not None and is_within(cycle.observation.joints, self._doubt):
             self._doubt = None
             self._report("info", "The measured joints are believed again.")

@@ -1,6 +1,6 @@
 """One cycle of a controller: read the arm, step the control loop, execute its command. And the wait for a lost arm:
 from the first missing answer nothing is sent and the goals hold; after `NAMED_S` the link is reported lost; after
-`OFF_S` control goes off. A new connection is tried only once the client has given up the old one."""
+`OFF_S` control is switched off. A new connection is tried only once the client has given up the old one."""
 
 from __future__ import annotations
 

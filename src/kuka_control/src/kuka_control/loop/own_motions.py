@@ -1,5 +1,5 @@
 """What the arm does of its own accord, which is little: no motion that nobody asked for is repeated at once, and a
-stream of desired tool frames that ran before control went on is taken over only where it is near. Times `now` are
+stream of desired tool frames from before control was switched on is taken over only where it is near. Times `now` are
 monotonic [s]."""
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ WAITS = (
     "control is switched off and on."
 )
 TAKEN_OVER = (
-    f"The desired tool frame came before control went on; {ANNOUNCED_S:g} s after it is announced the arm goes there "
-    "slowly and follows it."
+    f"The desired tool frame came before control was switched on; {ANNOUNCED_S:g} s after it is announced the arm "
+    "goes there slowly and follows it."
 )
 
 
@@ -54,7 +54,7 @@ def too_far(distance: float, turn: float) -> str | None:
     if distance <= NEAR_M and turn <= NEAR_RAD:
         return None
     return (
-        f"The desired tool frame came before control went on and is {1e3 * distance:.0f} mm and "
+        f"The desired tool frame came before control was switched on and is {1e3 * distance:.0f} mm and "
         f"{math.degrees(turn):.0f} deg from the tool at home, but the arm takes it over only within "
         f"{1e3 * NEAR_M:.0f} mm and {math.degrees(NEAR_RAD):.0f} deg: bring it nearer and switch control off and on, "
         f"or let it pause for {FOREIGN_PAUSE_S:g} s."

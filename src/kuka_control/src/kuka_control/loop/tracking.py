@@ -184,4 +184,5 @@ class PtpSupervision:
                 f"The motion to {self.name} does not continue, {np.degrees(approach.remaining):.1f} deg are left; "
                 "if a safety stop holds the arm, free the arm and press run on the smartPad.",
             )
-        return Event("info", f"The arm moves on to {self.name} and stays there until control goes off and on again.")
+        stays = "stays there until control is switched off and on again"
+        return Event("info", f"The arm moves on to {self.name} and {stays}.")

@@ -12,6 +12,7 @@ from common.modes import Mode
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."
 _FOLLOWS = "The arm follows the desired tool frame in servo mode."
+_STOPPED = "{because} The arm stays where it is until control is switched off and on again."
 _AT_POSE = "The arm is at the desired pose; it goes to the next one once that is farther than joints_thresh."
 
 
@@ -50,7 +51,7 @@ class State(Enum):
     LINE = Mode.MOVING, "{because} The tool moves along a straight line.", _IS.STREAMS, _IS.PROGRAM, _IS.FORGETS
     LINE_BRAKING = Mode.MOVING, "{because} The arm brakes.", _IS.STREAMS, _IS.BRAKES, _IS.PROGRAM
     AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off.", _IS.RESTS
-    STOPPED = Mode.STOPPED, "{because} The arm stays where it is until control goes off and on again.", _IS.FORGETS
+    STOPPED = Mode.STOPPED, _STOPPED, _IS.FORGETS
     ZERO = Mode.ZERO, _MOVES, _IS.MOVES, _IS.FORGETS
     ENDED = Mode.STOPPED, "{because}"
 

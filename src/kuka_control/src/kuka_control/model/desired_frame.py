@@ -156,7 +156,7 @@ class FrameSources:
 
     def like(self, frame: str, now: float, known: tuple[str, ...]) -> tuple[str, str] | None:
         """Returns a frame that comes and whose name is like that of `frame`, and the nodes that publish it; None if
-        there is none but those whose names end as those `known`."""
+        all such names end like those in `known`."""
         names = [name for name, nodes in self._heard.items() if now - max(nodes.values()) < ABSENT_S]
         found = difflib.get_close_matches(frame, [name for name in names if not name.endswith(known)], 1, LIKE)
         return (found[0], " and ".join(self._heard[found[0]])) if found else None

@@ -68,8 +68,8 @@ class Switches:
     def report(
         self, mode: Mode, stopped_because: str | None, outlook: str | None = None, stays: Stays | None = None
     ) -> None:
-        """Takes the state of the controller, which the replies quote; `outlook`: what becomes of the desired tool
-        frame that comes now, once control goes on; `stays`: why an exit leaves the arm where it is."""
+        """Takes the state of the controller, which the replies quote; `outlook`: what happens to the present
+        desired tool frame once control is switched on; `stays`: why an exit leaves the arm where it is."""
         self._mode, self._stopped_because, self._outlook, self._stays = mode, stopped_because, outlook, stays
 
     def hold(self, why: str) -> None:

@@ -32,7 +32,7 @@ from common.frames import (
     frame_name,
 )
 from common.ros.conversions import pose_from_transform
-from common.ros.raw_tf import RawTfMessage, RawTransform
+from common.ros.raw_tf import RawTfMessage, RawTransform, publisher_of
 from kuka_control.model.desired_frame import (
     ABSENT_S,
     ChainWatch,
@@ -128,7 +128,7 @@ class DesiredTool:
         return self._missing
 
     def callback(self, data: RawTfMessage) -> None:
-        node, now = data._connection_header["callerid"], clock.monotonic()
+        node, now = publisher_of(data), clock.monotonic()
         try:
             transforms = list(data.raw_transforms())
         except (struct.error, UnicodeDecodeError) as error:
@@ -173,7 +173,7 @@ class DesiredTool:
                 if fault is not None:
                     rospy.logwarn("The static transform %s -> %s is refused: %s.", parent, child, fault)
                     continue
-                self.buffer.set_transform_static(transform, data._connection_header["callerid"])
+                self.buffer.set_transform_static(transform, publisher_of(data))
                 self._stands_in(child, parent)
         self._arrived.set()
 

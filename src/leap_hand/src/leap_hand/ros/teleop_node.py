@@ -12,6 +12,7 @@ from std_srvs.srv import Empty
 
 from common import clock
 from common.errors import DeviceError
+from common.robot_hand import HAND
 from common.ros.calibration_use import check_use
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run, while_running
@@ -33,7 +34,6 @@ from rig_msgs.msg import TeleopState
 
 WATCH_PERIOD_S = 0.1
 FILES, OPERATOR = "files", "operator"  # under leap_hand/: the values of each file by itself, that of operator:= too
-CALIBRATIONS = ("reflex_takktile/calibrate_fingers", "reflex_takktile/calibrate_tactile")
 
 
 class HandTeleopNode:
@@ -140,7 +140,7 @@ def calibrate(timeout: float, of: str = "") -> None:
     """Has the robot hand calibrate itself, once its services are there within `timeout` [s], and waits for the end.
     `of`: namespace of the arm with a slash, in a node for several. Raises DeviceError: a service is not there,
     refuses, or does not answer; rospy.ROSInterruptException: ROS shut down."""
-    services = [of + name for name in CALIBRATIONS]
+    services = [of + name for name in HAND.calibrations]
     for name in services:
         rospy.loginfo("Waiting for the service %s.", name)
         try:

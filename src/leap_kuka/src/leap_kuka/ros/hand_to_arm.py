@@ -11,6 +11,7 @@ import rospy
 from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.hand_delay import DelayMeter
+from common.ros.raw_tf import data_of, encoded, publisher_of
 
 STAMP, NUMBERS = struct.Struct("<2I"), struct.Struct("<7d")
 REST_S, READ_S = 0.5, 0.01  # time between two looks at what came on tf, and time to read it
@@ -28,7 +29,7 @@ class DelayMonitor:
     def __init__(self, T_tool_flange: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
         names = frames(BASE), frames(FLANGE_MEASURED)
         # As they stand in a tf message, after its stamp and before its seven numbers.
-        self._flange_in_base = b"".join(struct.pack("<I", len(name)) + name.encode() for name in names)
+        self._flange_in_base = encoded(*names)
         self._meter = DelayMeter()
         self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
         self.palm = self._meter.palm
@@ -46,13 +47,13 @@ class DelayMonitor:
         """Takes a message of tf, as bytes. Each publisher has a thread here, which rests, so that several messages
         are read at once; not where this process subscribes to tf for something else, which rospy calls in the same
         thread."""
-        publisher, now = message._connection_header["callerid"], clock.monotonic()
+        publisher, now = publisher_of(message), clock.monotonic()
         callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks
         alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f, _ in callbacks)
         if alone and now - self._looked.get(publisher, 0.0) > READ_S:
             clock.sleep(REST_S)
             self._looked[publisher] = clock.monotonic()
-        data = message._buff
+        data = data_of(message)
         at = data.find(self._flange_in_base)
         if at >= STAMP.size:
             seconds, nanoseconds = STAMP.unpack_from(data, at - STAMP.size)

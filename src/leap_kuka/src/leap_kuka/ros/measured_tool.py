@@ -10,6 +10,7 @@ from tf2_msgs.msg import TFMessage
 from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames, frame_name
 from common.ros.conversions import pose_from_transform
+from common.ros.raw_tf import data_of, publisher_of
 from leap_kuka.numbers import MEASURED_AGE_S
 from rig_msgs.msg import KukaStatus
 
@@ -48,9 +49,9 @@ class MeasuredTool:
         return pose_from_transform(flange.transform) @ self._T_flange_tool
 
     def _on_status(self, status: KukaStatus) -> None:
-        self._controller = status._connection_header["callerid"]
+        self._controller = publisher_of(status)
 
     def _on_tf(self, message: rospy.AnyMsg) -> None:
-        if self._looked_for in message._buff:
-            publisher = message._connection_header["callerid"]
-            self._newest[publisher] = message._buff, clock.monotonic(), rospy.Time.now()
+        data = data_of(message)
+        if self._looked_for in data:
+            self._newest[publisher_of(message)] = data, clock.monotonic(), rospy.Time.now()

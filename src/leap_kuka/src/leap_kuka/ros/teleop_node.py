@@ -20,6 +20,7 @@ from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.node import run
 from common.ros.params import arm_frames, wait_for_config, wait_for_param
 from common.ros.publishing import DirectPublisher
+from common.ros.raw_tf import publisher_of
 from leap_kuka.arm_choice import BOTH, elsewhere
 from leap_kuka.config import OPERATOR_INPUT, RELATIVE, ArmPlacement, LeapConfig
 from leap_kuka.kept_tool import no_measured_tool
@@ -109,7 +110,7 @@ class ArmTeleopNode:
         age = (rospy.Time.now() - message.header.stamp).to_sec()
         with self._lock:
             device = self._teleop.switches.device
-            now, program = clock.monotonic(), message._connection_header["callerid"]
+            now, program = clock.monotonic(), publisher_of(message)
             refused = device.take(message.enabled, message.clutch, message.source, age, now, program)
         if refused and not self._bad_input:
             rospy.logwarn("The operator input is refused: %s.", refused)
