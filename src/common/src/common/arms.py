@@ -16,9 +16,6 @@ from common.mounting import rotation_of_mounting
 from common.poses import pose, read_only
 from common.simulated import SIMULATED, MeasuredWith
 
-LEAST_MARGIN_M = 0.3  # both hands, and what the elbows stick out beyond the tools [m]
-MOST_MARGIN_M = 5.0
-
 
 @dataclass(frozen=True)
 class BasePlacement:
@@ -47,14 +44,16 @@ class Arms:
 def arms_from(values: Any, prefix: str = "") -> Arms:
     """Returns what a yaml mapping of `margin` and the arms' names describes; raises ConfigError with all faults.
     `prefix`, such as "arms/", stands before each key in messages."""
+    least_margin_m = 0.3  # both hands, and what the elbows stick out beyond the tools [m]
+    most_margin_m = 5.0
     if not isinstance(values, Mapping):
         raise ConfigError(
             [f"{prefix or 'The file '}is {values!r}, but must be a mapping: margin, and each arm's name."]
         )
     faults: list[str] = []
     margin: Any = values.get("margin")
-    if not is_number(margin) or not LEAST_MARGIN_M <= margin <= MOST_MARGIN_M:
-        limits = f"[{LEAST_MARGIN_M:g}, {MOST_MARGIN_M:g}]"
+    if not is_number(margin) or not least_margin_m <= margin <= most_margin_m:
+        limits = f"[{least_margin_m:g}, {most_margin_m:g}]"
         faults.append(f"{prefix}margin is {margin!r}, but must be a finite number in {limits} m.")
     placements = {}
     for name, entry in values.items():

@@ -21,8 +21,6 @@ PLUMB_BOB, RATIONAL = "plumb_bob", "rational_polynomial"
 COEFFICIENTS = (0, 4, 5, 8, 12)  # numbers of distortion coefficients; those that are left out are 0
 MODELS = (PLUMB_BOB, RATIONAL, "none", "")
 """Distortion models that are the same where only the coefficients of plumb_bob are not 0."""
-MAX_ITERATIONS = 50
-TOLERANCE = 1e-10  # of the undistorted direction, at which the iteration stops
 
 
 @dataclass(frozen=True)
@@ -45,14 +43,16 @@ class CameraModel:
     def rays(self, pixels: ArrayLike) -> np.ndarray:
         """Returns the directions x, y, 1, shape (..., 3), of the pixels, shape (..., 2) [px]; raises ValueError where
         the distortion is not invertible."""
+        max_iterations = 50
+        tolerance = 1e-10  # of the undistorted direction, at which the iteration stops
         distorted = (np.asarray(pixels, dtype=float) - self.K[:2, 2]) / self._focal
         direction = distorted
         if not self.D.any():
             return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
-        for _ in range(MAX_ITERATIONS):
+        for _ in range(max_iterations):
             step = distorted - self._distort(direction)
             direction = direction + step
-            if np.max(np.abs(step), initial=0.0) < TOLERANCE:
+            if np.max(np.abs(step), initial=0.0) < tolerance:
                 return np.concatenate((direction, np.ones((*direction.shape[:-1], 1))), axis=-1)
         raise ValueError(f"the distortion {self.D.tolist()} of {self.name} is not invertible; calibrate it again")
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-FEWEST = 3  # frames that have a rate
-
 
 class FrameRate:
     """Counts frames over the last `window` [s] at least: from the newest stamp that is older, so that bursts of frames
@@ -38,6 +36,7 @@ class FrameRate:
     @property
     def value(self) -> float | None:
         """Frames per second [Hz]; None while there are too few."""
-        if len(self._stamps) < FEWEST or self.span <= 0.0:
+        fewest = 3  # frames that have a rate
+        if len(self._stamps) < fewest or self.span <= 0.0:
             return None
         return (len(self._stamps) - 1) / self.span

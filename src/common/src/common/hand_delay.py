@@ -14,16 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-WINDOW_S, STEP_S = 4.0, 1.0  # length of a window, and time between the beginnings of two
 GRID_S = 0.01  # time between two velocities
 SPAN_S = 0.04  # time over which a velocity is taken
 STEPS = range(-4, 50)  # delays that are tried, in steps of GRID_S
-LONGEST_GAP_S = 0.15  # a window with a longer gap between two samples does not count
-SLOWEST_M_S = 0.02  # least root mean square speed of the palm, and of the tool
-EXPLAINED = 0.8  # least fraction of the tool's motion that the fit explains
-LEAST_MOTION = 1e-6  # square of the palm's speed along one direction as a fraction of another's; less is no motion
-FEWEST_WINDOWS = 3
-BACK_S = 1.0  # a stamp earlier than the last one by more means that the clock was set: the track begins anew
 NEWEST_S, PERIOD_S = 12.0, 4.0  # a live delay is over the newest samples, and is computed anew after this time
 
 
@@ -47,10 +40,11 @@ class Track:
 
     def add(self, time: float, position: Sequence[float]) -> None:
         """Adds the position, shape (3,) [m], at a time [s], unless that is not after the last one, or not finite."""
+        back_s = 1.0  # a stamp earlier than the last one by more means that the clock was set: the track begins anew
         samples = self.samples
         if not all(map(math.isfinite, (time, *position))):
             return
-        if samples and time < samples[-1][0] - BACK_S:
+        if samples and time < samples[-1][0] - back_s:
             samples.clear()
         if not samples or time > samples[-1][0]:
             samples.append((time, *position))
@@ -79,20 +73,23 @@ class DelayMeter:
 
 def hand_delay(palm: Track, tool: Track) -> HandDelay | None:
     """Returns the delay of the tool behind the palm, or None where too little moved to tell."""
+    window_s = 4.0  # length of a window, and time between the beginnings of two
+    step_s = 1.0
+    fewest_windows = 3
     palms, tools = np.array(list(palm.samples)), np.array(list(tool.samples))
     if min(len(palms), len(tools)) < 2:
         return None
     begin, end = max(palms[0, 0], tools[0, 0]) + SPAN_S, min(palms[-1, 0], tools[-1, 0]) - SPAN_S
     grid = np.arange(begin, end, GRID_S)
     given, wanted = _velocities(palms, grid), _velocities(tools, grid)
-    length, step = round(WINDOW_S / GRID_S), round(STEP_S / GRID_S)
+    length, step = round(window_s / GRID_S), round(step_s / GRID_S)
     starts = range(STEPS[-1], len(grid) - length + STEPS[0], step)
     found = (
         _delay_in_window(given[first - STEPS[-1] : first - STEPS[0] + length], wanted[first : first + length])
         for first in starts
     )
     delays = [delay for delay in found if delay is not None]
-    if len(delays) < FEWEST_WINDOWS:
+    if len(delays) < fewest_windows:
         return None
     low, median, high = np.percentile(delays, (10, 50, 90)).tolist()
     return HandDelay(median, low, high, len(delays))
@@ -101,21 +98,25 @@ def hand_delay(palm: Track, tool: Track) -> HandDelay | None:
 def _delay_in_window(given: np.ndarray, wanted: np.ndarray) -> float | None:
     """Returns the delay [s] of the tool's velocities in a window, shape (n, 3) [m/s], or None if it cannot tell. The
     palm's velocities `given` begin the longest delay earlier, and end the shortest one later."""
+    slowest_m_s = 0.02  # least root mean square speed of the palm, and of the tool
+    explained = 0.8  # least fraction of the tool's motion that the fit explains
+    # square of the palm's speed along one direction as a fraction of another's; less is no motion
+    least_motion = 1e-6
     moved = float(np.square(wanted).sum())
-    if not moved >= SLOWEST_M_S**2 * len(wanted):  # NaN: a gap
+    if not moved >= slowest_m_s**2 * len(wanted):  # NaN: a gap
         return None
     # One palm for each delay, the shortest first: shape (delays, 3, n).
     palms = np.lib.stride_tricks.as_strided(
         given, (len(STEPS), 3, len(wanted)), (given.strides[0], given.strides[1], given.strides[0]), writeable=False
     )[::-1]
     squares = palms @ palms.transpose(0, 2, 1)
-    if not (np.trace(squares, axis1=1, axis2=2) >= SLOWEST_M_S**2 * len(wanted)).all():
+    if not (np.trace(squares, axis1=1, axis2=2) >= slowest_m_s**2 * len(wanted)).all():
         return None
     products = palms @ wanted
-    fits = np.linalg.pinv(squares, rcond=LEAST_MOTION, hermitian=True) @ products
+    fits = np.linalg.pinv(squares, rcond=least_motion, hermitian=True) @ products
     errors = (1.0 - (products * fits).sum(axis=(1, 2)) / moved).tolist()
     best = int(np.argmin(errors))
-    if not 0 < best < len(errors) - 1 or errors[best] > 1.0 - EXPLAINED:
+    if not 0 < best < len(errors) - 1 or errors[best] > 1.0 - explained:
         return None
     left, middle, right = errors[best - 1 : best + 2]
     curvature = left - 2.0 * middle + right
@@ -125,6 +126,7 @@ def _delay_in_window(given: np.ndarray, wanted: np.ndarray) -> float | None:
 def _velocities(samples: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Returns the velocities, shape (n, 3) [m/s], about the times `at`, shape (n,) [s]; NaN in a gap. `samples`: times
     [s] and positions [m], shape (m, 4)."""
+    longest_gap_s = 0.15  # a window with a longer gap between two samples does not count
     times, positions = samples[:, 0], samples[:, 1:]
     ends = [
         np.column_stack([np.interp(at + half, times, column) for column in positions.T])
@@ -132,5 +134,5 @@ def _velocities(samples: np.ndarray, at: np.ndarray) -> np.ndarray:
     ]
     velocities = (ends[1] - ends[0]) / SPAN_S
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    velocities[times[after] - times[after - 1] > LONGEST_GAP_S] = np.nan
+    velocities[times[after] - times[after - 1] > longest_gap_s] = np.nan
     return velocities

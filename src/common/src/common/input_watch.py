@@ -8,9 +8,6 @@ from collections.abc import Iterable
 
 OUTPUT_S = 1.0  # a node whose newest output is older does not work
 KEPT_S = 2.0  # a reason is kept for so long when the inputs stop
-NEAR_S = 0.95  # the nearest stamps count for so long; less than OUTPUT_S
-BESIDE_S = 0.5  # stamps of messages that came within so long are compared
-STAMPS = 32  # of each input that are compared with those of its partner
 
 
 class InputWatch:
@@ -29,14 +26,17 @@ class InputWatch:
 
     def restart(self) -> None:
         """Forgets the streams and the output, as when a node subscribes anew."""
+        stamps = 32  # of each input that are compared with those of its partner
         self._came: dict[str, float] = {}
-        self._stamps: dict[str, deque[float]] = {name: deque(maxlen=STAMPS) for name in self._streams}
+        self._stamps: dict[str, deque[float]] = {name: deque(maxlen=stamps) for name in self._streams}
         self._nearest: tuple[float, float] | None = None  # smallest difference of two stamps [s], and when it was seen
         self._refused = "", -math.inf  # the newest reason since the last output, and when it came
         self._output: float | None = None
 
     def came(self, name: str, now: float, stamp: float = 0.0) -> None:
         """Takes that a message came, with its stamp [s]."""
+        near_s = 0.95  # the nearest stamps count for so long; less than OUTPUT_S
+        beside_s = 0.5  # stamps of messages that came within so long are compared
         if name in self._once:
             self._once_came.add(name)
             return
@@ -45,9 +45,9 @@ class InputWatch:
             return
         self._stamps[name].append(stamp)
         partner = self._streams[1 - self._streams.index(name)]
-        if self._stamps[partner] and now - self._came.get(partner, -math.inf) <= BESIDE_S:
+        if self._stamps[partner] and now - self._came.get(partner, -math.inf) <= beside_s:
             difference = min(abs(stamp - other) for other in tuple(self._stamps[partner]))
-            if self._nearest is None or difference <= self._nearest[0] or now - self._nearest[1] > NEAR_S:
+            if self._nearest is None or difference <= self._nearest[0] or now - self._nearest[1] > near_s:
                 self._nearest = difference, now
 
     def refused(self, reason: str, now: float) -> None:

@@ -9,11 +9,8 @@ from typing import NamedTuple, Protocol, Sequence
 import numpy as np
 
 GRAVITY = 9.81  # [m/s^2]
-SHAKE_G = 0.5  # amplitude
 SHAKE_PERIOD_S = 0.3  # one period along each axis of the world, one after the other
 SHAKE_S = 3.0 * SHAKE_PERIOD_S
-PUSHED_M = 0.005  # an object that moves this far before the fingers close was hit
-REACHED_M = 0.005  # a hand that stops this far from its goal met something
 
 LIFTED = "lifted"
 NO_GRASP = "no grasp"
@@ -85,6 +82,7 @@ class LiftResult(NamedTuple):
 
 def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bool) -> LiftRecord:
     """Returns what happens in a trial; `seconds`: of each of the `PHASES`; the last one is left out without a shake."""
+    reached_m = 0.005  # a hand that stops this far from its goal met something
     before = hand.places()
     approach = lifted = 0.0
     for (name, phase), duration in zip(PHASES.items(), seconds):
@@ -98,7 +96,7 @@ def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bo
             hand.step(*fractions, phase.closing, gravity)
         approach, lifted = phase.approach, phase.lift
         if name == "approach":
-            reached = abs(hand.missing()) < REACHED_M
+            reached = abs(hand.missing()) < reached_m
             pushed = np.linalg.norm(hand.places() - before, axis=1)
         elif name == "close":
             held = hand.held()
@@ -110,6 +108,7 @@ def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bo
 
 def outcome(of: LiftRecord, target: int, rise: float) -> str:
     """Returns `LIFTED` if the object `target` is up by more than `rise` [m] at the end, else the failure's reason."""
+    pushed_m = 0.005  # an object that moves this far before the fingers close was hit
     if not (of.valid and np.isfinite([*of.risen, *of.kept]).all()):
         return DIVERGED
     if of.kept[target] > rise:
@@ -118,7 +117,7 @@ def outcome(of: LiftRecord, target: int, rise: float) -> str:
         return SHAKEN_OUT
     if of.risen.max() > rise:
         return OTHER_OBJECT
-    if not of.reached or of.pushed[target] > PUSHED_M:
+    if not of.reached or of.pushed[target] > pushed_m:
         return COLLISION
     return SLIPPED if of.held[target] else MISSED
 
@@ -133,7 +132,8 @@ def judged(of: LiftRecord, target: int | None, rise: float) -> LiftResult:
 
 def shaken_gravity(time: float) -> np.ndarray:
     """Returns gravity `time` [s] after the shake began, shape (3,) [m/s^2]; before and after, it points down."""
+    shake_g = 0.5  # amplitude
     gravity = np.array([0.0, 0.0, -GRAVITY])
     if 0.0 <= time < SHAKE_S:
-        gravity[int(time / SHAKE_PERIOD_S)] += SHAKE_G * GRAVITY * np.sin(2.0 * np.pi * time / SHAKE_PERIOD_S)
+        gravity[int(time / SHAKE_PERIOD_S)] += shake_g * GRAVITY * np.sin(2.0 * np.pi * time / SHAKE_PERIOD_S)
     return gravity

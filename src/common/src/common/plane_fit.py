@@ -6,11 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-HYPOTHESES = 120  # number of pixel triples: with half of the pixels outliers, one triple without any is among them
 GATE_SD = 3.0
-TUKEY_SD = 4.685  # larger errors, in standard deviations, have no weight (biweight, 95 % efficient for normal errors)
-ROUNDS = 5
-MAD_TO_SD = 1.4826
 
 
 def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -19,16 +15,22 @@ def fit_plane(rays: np.ndarray, w: np.ndarray, noise: float) -> tuple[np.ndarray
     [1/m], with the maximum standard deviation `noise` [1/m]. The start is the best of many planes through three pixels
     (MSAC: RANSAC with errors that are clipped at the gate), followed by iteratively reweighted least squares. The
     triples are the same in every call."""
-    triples = np.random.default_rng(0).integers(0, len(w), (HYPOTHESES, 3))
+    # number of pixel triples: with half of the pixels outliers, one triple without any is among them
+    hypotheses = 120
+    # larger errors, in standard deviations, have no weight (biweight, 95 % efficient for normal errors)
+    tukey_sd = 4.685
+    rounds = 5
+    mad_to_sd = 1.4826
+    triples = np.random.default_rng(0).integers(0, len(w), (hypotheses, 3))
     corners = rays[triples]
     sound = np.abs(np.linalg.det(corners)) > 1e-12
     planes = np.linalg.solve(corners[sound], w[triples[sound]][..., None])[..., 0]
     squares = np.minimum(np.square(planes @ rays.T - w), (GATE_SD * noise) ** 2)
     weights = (squares[np.argmin(squares.sum(axis=1))] < (GATE_SD * noise) ** 2).astype(float)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         a = np.linalg.solve((rays * weights[:, None]).T @ rays, (rays * weights[:, None]).T @ w)
         error = np.subtract(w, rays @ a)
-        sd = np.clip(MAD_TO_SD * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
-        weights = np.clip(1.0 - (error / (TUKEY_SD * sd)) ** 2, 0.0, None) ** 2
+        sd = np.clip(mad_to_sd * np.median(np.abs(error[weights > 0.0])), 1e-3 * noise, noise)
+        weights = np.clip(1.0 - (error / (tukey_sd * sd)) ** 2, 0.0, None) ** 2
     inside = weights > 0.0
     return a, weights, float(np.sqrt(np.mean(error[inside] ** 2)))

@@ -8,11 +8,7 @@ import numpy as np
 
 FARTHEST_M = 20.0  # the farthest range that an RGB-D camera states (D455); in millimetres every scene is beyond it
 NEAREST_M = 0.01  # no such camera measures as near; metres in whole numbers, read as millimetres, are below it
-SHORTEST, LONGEST = 0.1, 8.0  # focal length in sides of the image: 157 deg of view, and a 50 mm lens before 7 mm
-NON_SQUARE = 1.25  # fx / fy of pixels of 4:3 video; an image that was squeezed from 16:9 has 1.33
-SKEW_PX = 0.1  # of what is 0 in a camera matrix
 FAR_POSE_M = 10.0  # no part of a rig, nor a camera that sees it, is as far from another
-STEP = 4  # between the rows and columns by which an image is judged, if there is a reading
 OFF_CENTRE = 0.11  # principal point from the middle, in sides: an Azure Kinect has 0.09, 16:9 cut to 4:3 has 0.125
 OFF_CENTRE_RECTIFIED = 0.2  # rectification shifts it; that of half the image is off by 0.25
 
@@ -21,9 +17,10 @@ def plausible_depth(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], without the readings beyond `FARTHEST_M`, which become NaN; it stays
     itself where there is no such reading. Not finite or 0 = no reading. Raises ValueError if most readings cannot be
     metres before a camera."""
+    step = 4  # between the rows and columns by which an image is judged, if there is a reading
     with np.errstate(invalid="ignore"):
         beyond = depth > FARTHEST_M
-        few = depth[::STEP, ::STEP]
+        few = depth[::step, ::step]
         readings = few[np.isfinite(few) & (few != 0.0)]
         if not readings.size:
             readings = depth[np.isfinite(depth) & (depth != 0.0)]
@@ -40,12 +37,16 @@ def check_intrinsics(matrix: np.ndarray, width: int, height: int, off_centre: fl
     """Raises ValueError if a camera matrix, shape (3, 3) or (3, 4) [px], cannot be that of a whole image of this size:
     it is of another size, mode or aspect, or not in pixels. The principal point is at most `off_centre` sides from the
     middle."""
+    shortest = 0.1  # focal length in sides of the image: 157 deg of view, and a 50 mm lens before 7 mm
+    longest = 8.0
+    non_square = 1.25  # fx / fy of pixels of 4:3 video; an image that was squeezed from 16:9 has 1.33
+    skew_px = 0.1  # of what is 0 in a camera matrix
     (fx, cx), (fy, cy) = matrix[0, [0, 2]], matrix[1, [1, 2]]
     side, found = max(width, height), ""
-    if not all(SHORTEST * side < f < LONGEST * side for f in (fx, fy)):
-        found = f"the focal lengths are {SHORTEST:g} to {LONGEST:g} sides of an image"
-    elif not 1.0 / NON_SQUARE < fx / fy < NON_SQUARE:
-        found = f"fx / fy is {1.0 / NON_SQUARE:g} to {NON_SQUARE:g}"
+    if not all(shortest * side < f < longest * side for f in (fx, fy)):
+        found = f"the focal lengths are {shortest:g} to {longest:g} sides of an image"
+    elif not 1.0 / non_square < fx / fy < non_square:
+        found = f"fx / fy is {1.0 / non_square:g} to {non_square:g}"
     elif max(abs((cx + 0.5) / width - 0.5), abs((cy + 0.5) / height - 0.5)) > off_centre:
         found = f"the principal point is within {off_centre:g} sides of the middle"
     if found:
@@ -54,7 +55,7 @@ def check_intrinsics(matrix: np.ndarray, width: int, height: int, off_centre: fl
             f"an image of {width} x {height}, for which {found}: use the calibration of this image size"
         )
     others = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - (0.0, 0.0, 0.0, 0.0, 1.0)
-    if not np.all(np.abs(others) < SKEW_PX):
+    if not np.all(np.abs(others) < skew_px):
         raise ValueError(f"{matrix[:, :3].tolist()} is no camera matrix, whose rows are fx, 0, cx; 0, fy, cy; 0, 0, 1")
 
 

@@ -10,8 +10,6 @@ import sys
 from common import clock
 from common.errors import DeviceError
 
-ANSWER_S = 3.0  # longest wait for a screen
-TRIAL_S = 10.0  # and for a Python that opens one
 X11 = ("", "xcb")  # platforms of Qt
 WITHOUT = ("offscreen", "minimal")  # those that need nothing, and show nothing
 TRIAL = """
@@ -36,6 +34,7 @@ def no_window() -> str:
 
 def no_screen() -> str:
     """Returns why nobody would see a window of Qt, a part of a sentence; empty if there is a screen."""
+    trial_s = 10.0  # longest wait for a Python that opens one
     if sys.platform != "linux":
         return ""
     if _platform() in (*X11, *WITHOUT):
@@ -45,7 +44,7 @@ def no_screen() -> str:
     names = ("QT_QPA_PLATFORM", "WAYLAND_DISPLAY", "DISPLAY")
     given = ", ".join(f"{name}={os.environ[name]}" for name in names if os.environ.get(name))
     try:
-        trial = subprocess.run([sys.executable, "-c", TRIAL], timeout=TRIAL_S, capture_output=True, check=False)
+        trial = subprocess.run([sys.executable, "-c", TRIAL], timeout=trial_s, capture_output=True, check=False)
     except subprocess.TimeoutExpired:
         return f"the screen does not answer ({given})"
     said = trial.stderr.decode(errors="replace").strip().partition("\n")[0]
@@ -58,6 +57,7 @@ def _platform() -> str:
 
 def no_x_server() -> str:
     """Returns why a window cannot be shown on an X server, a part of a sentence; empty if it can."""
+    answer_s = 3.0  # longest wait for a screen
     name = os.environ.get("DISPLAY")
     if not name:
         return "there is no screen, as neither DISPLAY nor WAYLAND_DISPLAY is set"
@@ -70,7 +70,7 @@ def no_x_server() -> str:
     # Beside this thread, as the library waits for ever for a server that is silent.
     asks = clock.Thread(target=lambda: opened.append(x11.XOpenDisplay(None)), name="screen", daemon=True)
     asks.start()
-    asks.join(ANSWER_S)
+    asks.join(answer_s)
     if not any(opened):
         return f"the screen {name} (DISPLAY) does not answer"
     x11.XCloseDisplay(ctypes.c_void_p(opened[0]))

@@ -8,7 +8,6 @@ from typing import Callable, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-Z_95 = 1.959964  # of the normal distribution, two-sided 95 %
 RESAMPLES = 2000
 
 
@@ -31,12 +30,13 @@ class Proportion(NamedTuple):
 
 def proportion(outcomes: ArrayLike) -> Proportion:
     """Returns the proportion of true outcomes; raises ValueError if there are no outcomes."""
+    z_95 = 1.959964  # of the normal distribution, two-sided 95 %
     hits = np.asarray(outcomes, dtype=bool)
     n, k = len(hits), int(hits.sum())
     if n == 0:
         raise ValueError("no trials: their proportion is undefined")
-    middle = (k + 0.5 * Z_95**2) / (n + Z_95**2)
-    half = Z_95 / (n + Z_95**2) * np.sqrt(k * (n - k) / n + 0.25 * Z_95**2)
+    middle = (k + 0.5 * z_95**2) / (n + z_95**2)
+    half = z_95 / (n + z_95**2) * np.sqrt(k * (n - k) / n + 0.25 * z_95**2)
     return Proportion(k, n, float(max(0.0, middle - half)), float(min(1.0, middle + half)))
 
 

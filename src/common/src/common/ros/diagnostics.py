@@ -17,7 +17,6 @@ from common.ros.publishing import DirectPublisher
 PERIOD_S = 0.5
 STAGE_TIMES = "rig/stage_times"
 RECEIVED = "received"  # the stage that ends when a frame has come in
-BURST_S = 0.1
 
 
 class Diagnostics:
@@ -48,10 +47,11 @@ class StageTimes:
     of them alone would delay the frames. `of`: the namespace of the arm with a slash, in a node for several."""
 
     def __init__(self, stage: str, of: str = "") -> None:
+        burst_s = 0.1
         self._stage = stage
         self._publisher = DirectPublisher(of + STAGE_TIMES, TimeReference, queue_size=100)
         self._done: deque[tuple[str, rospy.Time, rospy.Time]] = deque()
-        repeat(self._publish, BURST_S, "stage times")
+        repeat(self._publish, burst_s, "stage times")
 
     def done(self, frame_stamp: rospy.Time, received: rospy.Time | None = None) -> None:
         """Notes that the stage has just passed on its result for the frame with this stamp; the first stage also says

@@ -13,9 +13,6 @@ from common.frames import frame_name
 from common.input_watch import OUTPUT_S, InputWatch
 from common.ros.node import while_running
 
-BUFFER_BYTES = 2**24
-"""Room for several images: rospy drops all but the newest only among those that it has read."""
-SETTLED_S = 0.4  # a fault that is shorter is not logged
 NUMBERS = re.compile(r"\d+(\.\d+)?")
 
 
@@ -32,6 +29,8 @@ class NodeInputs:
 
     def subscribe(self, topic: str, kind: type, callback: Callable, queue_size: int = 1) -> rospy.Subscriber:
         """Subscribes to one of the topics. Frames in headers lose a leading slash."""
+        # Room for several images: rospy drops all but the newest only among those that it has read.
+        buffer_bytes = 2**24
         name = rospy.resolve_name(topic)
 
         def take(message) -> None:
@@ -45,7 +44,7 @@ class NodeInputs:
                 except ValueError as error:
                     self.refused(error)
 
-        return rospy.Subscriber(topic, kind, take, queue_size=queue_size, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+        return rospy.Subscriber(topic, kind, take, queue_size=queue_size, buff_size=buffer_bytes, tcp_nodelay=True)
 
     def refused(self, reason: Exception) -> None:
         self._watch.refused(clause(reason), clock.monotonic())
@@ -82,10 +81,11 @@ class FaultLog:
         self._logged = ""
 
     def __call__(self, fault: str) -> str:
+        settled_s = 0.4  # a fault that is shorter is not logged
         kind, now = NUMBERS.sub("#", fault), clock.monotonic()
         if kind != self._kind:
             self._kind, self._since = kind, now
-        if kind != self._logged and now - self._since >= SETTLED_S:
+        if kind != self._logged and now - self._since >= settled_s:
             self._logged = kind
             if fault:
                 rospy.logwarn("No output: %s.", fault)

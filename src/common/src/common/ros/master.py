@@ -23,10 +23,7 @@ from common.ros.files import home
 from common.ros.service_calls import MasterLost, ask_master, listens
 
 RETRY_S = 0.5
-LOOK_S = 0.5  # longest time until the end of this node is noticed [s]
-CONNECT_S = 2.0
 PATIENCE_S = 5.0  # how long a node that starts beside its master waits for it
-RESOLVE_S = 4.0  # longest time in which a name server answers
 KEEPALIVE = {socket.TCP_KEEPIDLE: 5, socket.TCP_KEEPINTVL: 2, socket.TCP_KEEPCNT: 3}  # a dead wire shows after 11 s
 
 
@@ -115,6 +112,7 @@ def check_log_folder() -> Path:
 
 def _resolved(host: str) -> bool:
     """Returns whether a host has an address; a name server that is silent knows none."""
+    resolve_s = 4.0  # longest time in which a name server answers
     family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
     found = []
 
@@ -124,7 +122,7 @@ def _resolved(host: str) -> bool:
 
     asks = clock.Thread(target=ask, name="resolve", daemon=True)
     asks.start()
-    asks.join(RESOLVE_S)
+    asks.join(resolve_s)
     return bool(found)
 
 
@@ -179,16 +177,18 @@ class MasterWatch:
             clock.sleep(RETRY_S)
 
     def _connected(self, uri: str) -> socket.socket:
+        connect_s = 2.0
         address = urlparse(uri)
-        connection = socket.create_connection((address.hostname, address.port), CONNECT_S)
+        connection = socket.create_connection((address.hostname, address.port), connect_s)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         for option, value in KEEPALIVE.items():
             connection.setsockopt(socket.IPPROTO_TCP, option, value)
         return connection
 
     def _wait_for_the_end(self, connection: socket.socket) -> None:
+        look_s = 0.5  # longest time until the end of this node is noticed [s]
         while not rospy.core.is_shutdown_requested():
-            if select.select([connection], [], [], LOOK_S)[0] and not connection.recv(1):
+            if select.select([connection], [], [], look_s)[0] and not connection.recv(1):
                 return
 
     def _knows_this_node(self) -> bool:

@@ -25,11 +25,9 @@ from common.errors import ConfigError, DeviceError, RigError
 from common.ros import master
 from common.ros.files import home
 
-CLOCK_S = 8.0  # a node that starts is to exit within 10 s
 LOG_TOPICS = "/rosout_disable_topics_generation"
 UNPRINTABLE = "backslashreplace"  # of a letter that the locale of a terminal lacks, or of a file name in another one
 INTERRUPTED = 130  # exit code of a program after Ctrl-C or SIGTERM
-CLOCK_POLL_S = 0.05
 END_S = 120.0  # a node that has not ended so long after its signal hangs; roslaunch kills it after 17 s
 M_ARENA_MAX = -8  # mallopt(3)
 REPEAT_S = 10.0  # the same exception of a callback is logged again after this time [s]
@@ -286,16 +284,18 @@ def _leave(code: int) -> None:
 
 def _wait_for_clock() -> None:
     """Waits until ROS time is known; raises a RigError if it is simulated and nobody publishes it."""
-    deadline = clock.monotonic() + CLOCK_S
+    clock_s = 8.0  # a node that starts is to exit within 10 s
+    clock_poll_s = 0.05
+    deadline = clock.monotonic() + clock_s
     while not rospy.rostime.is_wallclock() and rospy.get_rostime().is_zero():
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException("shut down while waiting for /clock")
         if clock.monotonic() > deadline:
             raise RigError(
-                f"The parameter use_sim_time is true, but nobody publishes /clock within {CLOCK_S:g} s: play a "
+                f"The parameter use_sim_time is true, but nobody publishes /clock within {clock_s:g} s: play a "
                 "recording with --clock, or rosparam set use_sim_time false."
             )
-        clock.sleep(CLOCK_POLL_S)
+        clock.sleep(clock_poll_s)
 
 
 def _shut_down_beside_the_main_thread(leave: bool) -> None:

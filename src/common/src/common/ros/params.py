@@ -17,8 +17,6 @@ from common.frames import ArmFrames
 
 POLL_S = 0.2
 UPLOAD_S = 1.0  # a launch file uploads a yaml in this time after its first key [s]
-FEW = 3  # more missing keys than this: the file was not loaded at all
-REMIND_S = 5.0
 
 
 def private_values() -> dict[str, Any]:
@@ -64,13 +62,14 @@ def arm_frames(of: str = "") -> ArmFrames:
 
 def wait_for_param(name: str):
     """Returns the parameter `name`; waits for it and reports that, until ROS shuts down."""
+    remind_s = 5.0
     next_reminder = 0.0
     while not rospy.has_param(name):
         if rospy.is_shutdown():
             raise rospy.ROSInterruptException(f"shut down while waiting for {name}")
         if clock.monotonic() >= next_reminder:
             rospy.loginfo("Waiting for the parameter %s.", rospy.resolve_name(name))
-            next_reminder = clock.monotonic() + REMIND_S
+            next_reminder = clock.monotonic() + remind_s
         clock.sleep(POLL_S)
     return rospy.get_param(name)
 
@@ -82,6 +81,7 @@ def wait_for_config(
     yaml key by key: this waits until the last key of the schema is there, at most `patience` [s] after the first. The
     keys `others` may stand beside the schema's own. Raises ConfigError if values are missing, unknown or out of range,
     rospy.ROSInterruptException if ROS shuts down while waiting."""
+    few = 3  # more missing keys than this: the file was not loaded at all
     wait_for_param(namespace)
     names = [f.name for f in dataclasses.fields(schema)]
     values = _uploaded(namespace, names, min(patience, UPLOAD_S))
@@ -90,7 +90,7 @@ def wait_for_config(
         rospy.logwarn("Waiting for parameters under %s/: %s.", rospy.resolve_name(namespace), ", ".join(missing))
         values = _uploaded(namespace, required(schema), patience - UPLOAD_S)
         missing = _missing(values, required(schema))
-    if len(missing) > FEW:
+    if len(missing) > few:
         raise ConfigError([
             f"{namespace}/ has only the parameters {', '.join(sorted(values)) or 'none'}; {len(missing)} are missing: "
             f"{', '.join(missing)}. Load the parameter file of this node."

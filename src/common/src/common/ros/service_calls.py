@@ -23,8 +23,6 @@ from rospy.impl.tcpros_base import TCPROSTransport
 from common import clock
 from common.errors import DeviceError, RigError
 
-MASTER_TIMEOUT_S = 2.0
-LISTENS_TIMEOUT_S = 3.0
 HANDSHAKE_TIMEOUT_S = 5.0
 
 
@@ -196,9 +194,10 @@ def ask_master(method: str, *arguments):
 
 def listens(uri: str) -> bool:
     """Returns whether a node listens at its address, `http://host:port/`: the master still lists those that died."""
+    listens_timeout_s = 3.0
     try:
         address = urlparse(uri)
-        with socket.create_connection((address.hostname, address.port), LISTENS_TIMEOUT_S):
+        with socket.create_connection((address.hostname, address.port), listens_timeout_s):
             return True
     except (OSError, TypeError, ValueError):  # no listener, no address, no port
         return False
@@ -206,6 +205,7 @@ def listens(uri: str) -> bool:
 
 class _HttpWithTimeout(xmlrpc.client.Transport):
     def make_connection(self, host):
+        master_timeout_s = 2.0
         connection = super().make_connection(host)
-        connection.timeout = MASTER_TIMEOUT_S
+        connection.timeout = master_timeout_s
         return connection

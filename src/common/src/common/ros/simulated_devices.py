@@ -10,7 +10,6 @@ from common.errors import DeviceError
 from common.ros.service_calls import ask_master
 
 TOPIC = "/simulated_devices"
-LATCHED_S = 3.0  # a node that lives delivers what it announced within this time [s]
 REFUSED = (
     "The node {node} belongs to simulated devices, and on the same ROS master they could move the real {device}, so "
     "this node ends. End one of the two rigs."
@@ -34,8 +33,9 @@ class SimulatedDevices:
 
     def refuse(self) -> None:
         """Waits for what nodes have announced already; raises DeviceError as `check`."""
+        latched_s = 3.0  # a node that lives delivers what it announced within this time [s]
         if TOPIC in dict(ask_master("getSystemState")[0]):  # perhaps of a node that was killed: then nothing comes
-            self._heard.wait(LATCHED_S)
+            self._heard.wait(latched_s)
         self.check()
 
     def check(self) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 
 from common.config import number
 
-THUMB = 2  # of the fingers index, middle, thumb
 TORQUE = "0.1 % of the largest torque"
 
 
@@ -158,4 +157,5 @@ class GraspWatch:
 
 def _opposed(fingers: np.ndarray) -> bool:
     """Returns whether something is true of the thumb and of a finger opposite to it."""
-    return bool(fingers[THUMB] and fingers[:THUMB].any())
+    thumb = 2  # of the fingers index, middle, thumb
+    return bool(fingers[thumb] and fingers[:thumb].any())

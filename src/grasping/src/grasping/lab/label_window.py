@@ -16,8 +16,6 @@ from grasping.lab.dataset.labelled_images import GraspRectangle, label_file, rea
 
 BAND_PX = 56
 SHORTEST_PX = 4.0  # a shorter line is a click, not a grasp
-BREADTH_PX = 20.0  # of a finger at first
-BREADTH_STEP = 1.1  # factor of a step of the mouse wheel
 GREEN, AMBER, RED, WHITE = (QColor(name) for name in ("#30d060", "#ffb000", "#ff5050", "#ffffff"))
 HELP = "drag from finger to finger; wheel: finger's breadth; Backspace: remove the last; arrows: other image; Esc: end"
 
@@ -38,9 +36,10 @@ class LabelWindow(QWidget):
     """Shows the images one after another; each change is stored at once in the image's label file."""
 
     def __init__(self, images: list[Path]) -> None:
+        breadth_px = 20.0  # of a finger at first
         super().__init__()
         self._images = images
-        self._breadth = BREADTH_PX
+        self._breadth = breadth_px
         self._start: QPointF | None = None
         self._end = QPointF()
         self.setWindowTitle("Label grasps")
@@ -116,8 +115,9 @@ class LabelWindow(QWidget):
         self.update()
 
     def wheelEvent(self, event) -> None:
+        breadth_step = 1.1  # factor of a step of the mouse wheel
         steps = event.angleDelta().y() / 120.0
-        self._breadth = float(np.clip(self._breadth * BREADTH_STEP**steps, SHORTEST_PX, 200.0))
+        self._breadth = float(np.clip(self._breadth * breadth_step**steps, SHORTEST_PX, 200.0))
         self.update()
 
     def keyPressEvent(self, event) -> None:

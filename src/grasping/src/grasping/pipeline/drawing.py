@@ -10,12 +10,7 @@ import numpy as np
 from grasping.network.maps import Maps
 from grasping.pipeline.pipeline import GraspProposal, PipelineResult
 
-SCALE = 2  # pixels of the heat map to one of the network's, in rows and columns
 BEST, OTHER, REFUSED, DISC = (255, 255, 255), (0, 190, 255), (80, 80, 255), (0, 255, 0)
-DISC_RADIUS, FINGER_PX = 5, 6.0
-DARK = 60  # grey of what is farthest away, and of all that is farther than FAR times the image's median depth
-FAR = 1.3
-LINE_LETTERS = 66
 FONT, FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.45
 
 
@@ -28,9 +23,10 @@ def plain(maps: Maps) -> np.ndarray:
 
 def with_disc(image: np.ndarray, best: GraspProposal | None) -> np.ndarray:
     """Returns a copy of `plain` with a green disc at the best grasp."""
+    disc_radius = 5
     image = image.copy()
     if best is not None:
-        cv2.circle(image, (best.peak.column, best.peak.row), DISC_RADIUS, DISC, cv2.FILLED)
+        cv2.circle(image, (best.peak.column, best.peak.row), disc_radius, DISC, cv2.FILLED)
     return image
 
 
@@ -39,38 +35,43 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
     the grasps: a bar from finger to finger, number and quality beside it; the `refused` numbers in another colour;
     below it the `reason`, if any.
     """
+    scale = 2  # pixels of the heat map to one of the network's, in rows and columns
+    line_letters = 66
     assert result.view is not None and result.maps is not None, "there is something to draw"
     quality = result.maps.quality
     colours = cv2.applyColorMap((255.0 * np.clip(quality, 0.0, 1.0)).astype(np.uint8), cv2.COLORMAP_JET)
     opacity = np.clip(1.5 * quality, 0.0, 0.6)[..., None]
     mixed = (1.0 - opacity) * grey(result.view.image.depth)[..., None] + opacity * colours
-    image = cv2.resize(mixed.astype(np.uint8), None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_LINEAR)
+    image = cv2.resize(mixed.astype(np.uint8), None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     for proposal in reversed(result.grasps):
         best, peak = proposal is result.grasps[0], proposal.peak
         middle = np.array([peak.column, peak.row]) + 0.5
         half = 0.5 * max(0.0, peak.width) * np.array([np.cos(peak.angle), -np.sin(peak.angle)])
         colour = REFUSED if proposal.id in refused else BEST if best else OTHER
         label = f"{proposal.id}: {peak.quality:.2f}"
-        gripper(image, SCALE * np.array([middle - half, middle + half]), label, colour, 2 if best else 1)
-    for i, line in enumerate(reversed(textwrap.wrap(reason, LINE_LETTERS))):
+        gripper(image, scale * np.array([middle - half, middle + half]), label, colour, 2 if best else 1)
+    for i, line in enumerate(reversed(textwrap.wrap(reason, line_letters))):
         cv2.putText(image, line, (8, len(image) - 10 - 20 * i), FONT, FONT_SCALE, BEST, 1, cv2.LINE_AA)
     return image
 
 
 def grey(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], with a reading, in grey, uint8: nearest white, not finite black."""
+    dark = 60  # grey of what is farthest away, and of all that is farther than FAR times the image's median depth
+    far = 1.3
     known = np.isfinite(depth)
-    low, high = float(depth[known].min()), min(float(depth[known].max()), FAR * float(np.median(depth[known])))
-    bright = DARK + (255 - DARK) * (high - np.where(known, depth, high)) / max(1e-6, high - low)
-    return np.where(known, np.maximum(bright, DARK), 0.0).astype(np.uint8)
+    low, high = float(depth[known].min()), min(float(depth[known].max()), far * float(np.median(depth[known])))
+    bright = dark + (255 - dark) * (high - np.where(known, depth, high)) / max(1e-6, high - low)
+    return np.where(known, np.maximum(bright, dark), 0.0).astype(np.uint8)
 
 
 def gripper(image: np.ndarray, ends: np.ndarray, label: str, colour: tuple[int, int, int], thickness: int) -> None:
     """Draws a gripper into an image, shape (h, w, 3), uint8: a bar, `thickness` [px], with a finger at each of its
     `ends`, u and v, shape (2, 2) [px].
     """
+    finger_px = 6.0
     across = ends[1] - ends[0]
-    finger = FINGER_PX * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
+    finger = finger_px * np.array([-across[1], across[0]]) / max(1e-6, float(np.hypot(*across)))
     cv2.line(image, _pixel(ends[0]), _pixel(ends[1]), colour, thickness, cv2.LINE_AA)
     for end in ends:
         cv2.line(image, _pixel(end - finger), _pixel(end + finger), colour, thickness + 1, cv2.LINE_AA)

@@ -19,14 +19,9 @@ from common.rotations import rotation_about
 from grasping.network.depth_image import NETWORK_SIDE, Crop, NetworkImage, best_plane
 from grasping.network.maps import Peak
 
-NEIGHBOURHOOD = 5  # rows and columns about the pixel whose readings give the depth
 BETWEEN_ROWS = slice(100, 140)
 BETWEEN_COLUMNS = slice(130, 170)  # and rows: a hand's fingers in the network's 300 x 300 image (published node)
-BETWEEN_COUNT = 10
-CLOSED_M = 1e-4  # half the opening of fingers that touch: small, but with a direction
-LEAST_FACING = 0.26  # cosine of 75 degrees, the widest angle of view against the approach: beyond, pixels tell little
 VIEW, NORMAL, VERTICAL = "camera", "normal", "vertical"
-MAX_PIXELS = 400
 
 
 class CameraGrasp(NamedTuple):
@@ -56,9 +51,10 @@ def project_grasp(peak: Peak, crop: Crop, side: int, depth: np.ndarray, camera: 
     """Returns the grasp before the camera, None when the camera has no reading near the pixel; `crop`: where that image
     lies in the camera's; `depth`: the camera's image, shape (h, w) [m].
     """
+    neighbourhood = 5  # rows and columns about the pixel whose readings give the depth
     pixel = camera_pixel(peak.row, peak.column, crop, side)
     column, row = (round(p) for p in pixel)
-    half = NEIGHBOURHOOD // 2
+    half = neighbourhood // 2
     near = depth[max(0, row - half) : row + half + 1, max(0, column - half) : column + half + 1]
     near = np.sort(near[np.isfinite(near) & (near > 0.0)])
     if not near.size:
@@ -75,6 +71,8 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     (3,). The fingers keep their line and pixels in the image: they move in the plane through the grasp across the
     approach. None if the camera looks along that plane.
     """
+    # cosine of 75 degrees, the widest angle of view against the approach: beyond, pixels tell little
+    least_facing = 0.26
     (px, py, pz), (nx, ny, nz) = grasp.T_camera_grasp[:3, 3].tolist(), np.asarray(approach, dtype=float).tolist()
     half = 0.5 * grasp.width * float(camera.K[0, 0]) / pz
     long = max(half, 1.0)  # a closed gripper has a line too
@@ -82,7 +80,7 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
     ends = []
     for x, y, z in camera.rays([(u - du, v - dv), (u + du, v + dv)]).tolist():
         along_n = x * nx + y * ny + z * nz
-        if along_n < LEAST_FACING * math.sqrt(x * x + y * y + z * z):
+        if along_n < least_facing * math.sqrt(x * x + y * y + z * z):
             return None
         far = (px * nx + py * ny + pz * nz) / along_n
         ends.append((far * x, far * y, far * z))
@@ -100,8 +98,9 @@ def along(grasp: CameraGrasp, approach: np.ndarray, camera: CameraModel) -> Came
 
 def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tuple[float, tuple[float, float], float]:
     """Returns a grasp's angle [rad], pixel (u, v) and opening [px] in an image; its pose is (4, 4) [m], `width` [m]."""
+    closed_m = 1e-4  # half the opening of fingers that touch: small, but with a direction
     p, x = T_camera_grasp[:3, 3], T_camera_grasp[:3, 0]
-    half = max(0.5 * width, CLOSED_M)
+    half = max(0.5 * width, closed_m)
     left, right, middle = camera.project([p - half * x, p + half * x, p]).tolist()
     du, dv = right[0] - left[0], right[1] - left[1]
     angle = math.atan(-dv / du) if du else 0.5 * math.pi
@@ -110,15 +109,16 @@ def seen_by(camera: CameraModel, T_camera_grasp: np.ndarray, width: float) -> tu
 
 def depth_between_fingers(depth: np.ndarray, crop: Crop) -> float:
     """Returns the mean of the ten nearest readings between the fingers [m], NaN if fewer; `depth`: (h, w) [m]."""
+    between_count = 10
     rows, columns = (
         slice(first + part.start * crop.side // NETWORK_SIDE, first + part.stop * crop.side // NETWORK_SIDE)
         for first, part in ((crop.row, BETWEEN_ROWS), (crop.column, BETWEEN_COLUMNS))
     )
     window = depth[rows, columns]
     near = window[np.isfinite(window) & (window > 0.0)]
-    if near.size < BETWEEN_COUNT:
+    if near.size < between_count:
         return float("nan")
-    return float(np.partition(near, BETWEEN_COUNT - 1)[:BETWEEN_COUNT].mean())
+    return float(np.partition(near, between_count - 1)[:between_count].mean())
 
 
 @dataclass(frozen=True)
@@ -141,6 +141,7 @@ def surface_normal(
     before and behind the grasp lie. `depth`: shape (h, w) [m], NaN = none; `rays`: of its pixels, shape (h, w, 3);
     `pixel`: u, v of the grasp; `z`: its depth [m]; `focal`: length [px].
     """
+    max_pixels = 400
     half = max(2, round(config.radius * focal / z))
     column, row = (round(p) for p in pixel)
     window = slice(max(0, row - half), row + half + 1), slice(max(0, column - half), column + half + 1)
@@ -149,7 +150,7 @@ def surface_normal(
         known = np.flatnonzero(np.abs(near - z) < config.radius)
     if len(known) < config.min_pixels:
         return None
-    known = known[:: max(1, len(known) // MAX_PIXELS)]
+    known = known[:: max(1, len(known) // max_pixels)]
     plane = best_plane(rays[window].reshape(-1, 3)[known], near.ravel()[known], config.noise)
     if plane is None or plane.share < config.min_share:
         return None

@@ -26,7 +26,6 @@ from grasping.pipeline.view import CameraView, CropConfig, TableConfig, TableVie
 from grasping.refinement.refinement_file import Origin
 
 ANY, LISTED = "any", "listed"
-DIGITS = 3  # decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more
 
 
 @dataclass(frozen=True)
@@ -151,13 +150,14 @@ def rig_configuration(
     """Returns the configuration as JSON can hold it; poses have shape (4, 4) [m]. `kuka`: robot, flange, mounting and
     file of calibrated parameters of the arm; `weights`: SHA-256 of the network's weight file.
     """
+    digits = 3  # decimals of the camera pose: a millimetre and a milliradian; two live calibrations differ by more
     matrices = {key: getattr(camera, key).tolist() for key in "KDRP"}
     # Adding 0 turns -0.0 into 0.0, which would be another text.
     return {
         "kuka": kuka,
         "T_flange_tool": T_flange_tool.tolist(),
         "camera": {"name": camera.name, "size": [camera.width, camera.height], **matrices},
-        "T_base_camera": (np.round(T_base_camera, DIGITS) + 0.0).tolist(),
+        "T_base_camera": (np.round(T_base_camera, digits) + 0.0).tolist(),
         **_network_configuration(T_tool_grasp, settings, weights),
     }
 

@@ -19,7 +19,6 @@ from common.poses import pose, read_only
 from common.rotations import cross, unit
 
 EDGE = np.ones((3, 3), np.uint8)
-ALIGNED = 0.9  # an approach nearer to the frame's axis, by this cosine, has its turns counted from another one
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,9 @@ class PoseFilter:
 
     def step(self, T: np.ndarray, width: float, now: float) -> tuple[np.ndarray, float]:
         """Returns the filtered pose, shape (4, 4) [m], and opening [m] after a pose and `width` [m] at `now` [s]."""
-        if self._state is None or abs(T[self._axis, 2]) > ALIGNED:
+        # an approach nearer to the frame's axis, by this cosine, has its turns counted from another one
+        aligned = 0.9
+        if self._state is None or abs(T[self._axis, 2]) > aligned:
             self._accepted.clear()
             self._doubted.clear()
             self._state, self._axis = None, int(np.argmin(np.abs(T[:3, 2])))

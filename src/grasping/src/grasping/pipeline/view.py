@@ -28,9 +28,7 @@ from grasping.network.depth_image import (
     prepare,
 )
 
-STRIDE = 6  # pixels of the camera's image, in rows and columns, to one in which the table is looked for
 GAP = np.ones((5, 5), np.uint8)
-ROUNDED = 1e-5  # error of a height in single precision, at most [m]
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,9 @@ class TableView:
 
     def _find(self, depth: np.ndarray, rays: np.ndarray, crop: Crop, camera: CameraModel) -> _Place:
         """Returns where the table is, and moves the view if it is another one; raises NoView without a table."""
-        window = (slice(crop.row, crop.row + crop.side, STRIDE), slice(crop.column, crop.column + crop.side, STRIDE))
+        stride = 6  # pixels of the camera's image, in rows and columns, to one in which the table is looked for
+        rounded = 1e-5  # error of a height in single precision, at most [m]
+        window = (slice(crop.row, crop.row + crop.side, stride), slice(crop.column, crop.column + crop.side, stride))
         known = np.isfinite(depth[window]) & (depth[window] > 0.0)
         if not known.any():
             raise NoView("the depth image holds no reading inside the crop")
@@ -165,7 +165,7 @@ class TableView:
         turned = np.ascontiguousarray(np.moveaxis(rays @ R, -1, 0), np.float32)
         shift = (-R.T @ p).astype(np.float32)
         with np.errstate(divide="ignore"):
-            nearest = np.where(turned[2] > 0.0, (c.distance - c.min_height + ROUNDED - shift[2]) / turned[2], np.inf)
+            nearest = np.where(turned[2] > 0.0, (c.distance - c.min_height + rounded - shift[2]) / turned[2], np.inf)
         self._place = _Place(made_for, table, T, turned, shift, nearest.astype(np.float32))
         return self._place
 

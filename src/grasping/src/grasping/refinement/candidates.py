@@ -18,18 +18,7 @@ from common.rotations import cross, unit
 from grasping.network.depth_image import EVERY, NOISE, NetworkImage, best_plane
 from grasping.network.maps import Maps, Peak, gaussian, peaks
 
-SPACING = 4  # between two candidates, rows or columns [px of the network's image]
-MOST = 96  # candidates in an image
-LEAST_QUALITY, LEAST_OF_BEST = 0.1, 0.3  # of a candidate, smoothed, and as a fraction of the best one's
-AMBIGUOUS = 0.7  # where GGCNN is less certain of its line, others are candidates as well
 OTHER_LINES = (0.25 * np.pi, 0.5 * np.pi, -0.25 * np.pi)  # turned from that line [rad]
-OTHER_QUALITY = 0.8  # of these candidates, by that of GGCNN's line
-BORDER = 20  # rows and columns at the image's border without candidates, as those without peaks
-OBJECT_M = 0.008  # what stands out of the table by more is an object
-SMALLEST_OBJECT_PX = 40
-EYE_M = 0.02  # standard deviation of the blur through which a surface's slope is seen
-RIM_M = 0.012  # radius in which the surroundings of a place are looked at
-LOWEST_M, HIGHEST_M = -0.01, 0.25  # heights beyond are holes badly filled, or the arm
 LENGTH_M = 0.05  # makes lengths about 1
 
 TASTES = (
@@ -103,10 +92,11 @@ class Candidates(NamedTuple):
 
 def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: CameraModel) -> Candidates:
     """Returns the candidates of smoothed maps; `certainty`: length of GGCNN's (cos, sin), shape of the maps."""
+    ambiguous = 0.7  # where GGCNN is less certain of its line, others are candidates as well
     found = covering(maps)
     turns = np.zeros(len(found))
     for peak, sure in [(p, certainty[p.row, p.column]) for p in found]:
-        if sure < AMBIGUOUS:
+        if sure < ambiguous:
             found += [_turned(peak, turn) for turn in OTHER_LINES]
             turns = np.append(turns, OTHER_LINES)
     order = np.argsort([-p.quality for p in found], kind="stable")
@@ -114,28 +104,34 @@ def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: C
 
 
 def _turned(peak: Peak, turn: float) -> Peak:
+    other_quality = 0.8  # of these candidates, by that of GGCNN's line
     angle = (peak.angle + turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-    return peak._replace(angle=angle, quality=OTHER_QUALITY * peak.quality)
+    return peak._replace(angle=angle, quality=other_quality * peak.quality)
 
 
 def covering(maps: Maps) -> list[Peak]:
     """Returns the best peak and pixels of no better quality, best first, `SPACING` rows or columns apart."""
-    best = peaks(maps, 1, BORDER, LEAST_QUALITY)
+    spacing = 4  # between two candidates, rows or columns [px of the network's image]
+    most = 96  # candidates in an image
+    least_quality = 0.1  # of a candidate, smoothed, and as a fraction of the best one's
+    least_of_best = 0.3
+    border = 20  # rows and columns at the image's border without candidates, as those without peaks
+    best = peaks(maps, 1, border, least_quality)
     if not best:
         return []
-    quality = maps.quality[BORDER:-BORDER, BORDER:-BORDER]
-    least = max(LEAST_QUALITY, LEAST_OF_BEST * best[0].quality)
+    quality = maps.quality[border:-border, border:-border]
+    least = max(least_quality, least_of_best * best[0].quality)
     rows, columns = np.nonzero((quality > least) & (quality < best[0].quality))
     order = np.argsort(-quality[rows, columns], kind="stable")
-    places = zip((rows[order] + BORDER).tolist(), (columns[order] + BORDER).tolist())
+    places = zip((rows[order] + border).tolist(), (columns[order] + border).tolist())
     free, found = np.ones(maps.quality.shape, bool), best
     for row, column in ((best[0].row, best[0].column), *places):
         if not free[row, column]:
             continue
-        free[max(0, row - SPACING + 1) : row + SPACING, max(0, column - SPACING + 1) : column + SPACING] = False
+        free[max(0, row - spacing + 1) : row + spacing, max(0, column - spacing + 1) : column + spacing] = False
         if (row, column) != best[0][:2]:
             found.append(maps.at(row, column))
-            if len(found) == MOST:
+            if len(found) == most:
                 break
     return found
 
@@ -181,19 +177,24 @@ def described(
     grasps: Sequence[Peak], turns: np.ndarray, certainty: np.ndarray, image: NetworkImage, camera: CameraModel
 ) -> Candidates:
     """Returns grasps with what can be seen of them; `turns`: of their lines from GGCNN's, shape (n,) [rad]."""
+    object_m = 0.008  # what stands out of the table by more is an object
+    eye_m = 0.02  # standard deviation of the blur through which a surface's slope is seen
+    rim_m = 0.012  # radius in which the surroundings of a place are looked at
+    lowest_m = -0.01  # heights beyond are holes badly filled, or the arm
+    highest_m = 0.25
     rays = image_rays(image, camera)
     frame = level_frame(image, rays)
     points = (image.depth[..., None] * rays) @ frame.R
-    height = np.clip(cv2.medianBlur((frame.distance - points[..., 2]).astype(np.float32), 5), LOWEST_M, HIGHEST_M)
+    height = np.clip(cv2.medianBlur((frame.distance - points[..., 2]).astype(np.float32), 5), lowest_m, highest_m)
     pixel_m = image.crop.side / len(image.depth) * image.mean / camera.K[0, 0]
-    mask = cv2.morphologyEx((height > OBJECT_M).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    mask = cv2.morphologyEx((height > object_m).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     thickness = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     nearest, objects = _objects(mask, thickness, points, height)
-    reach = max(1, round(RIM_M / pixel_m))
+    reach = max(1, round(rim_m / pixel_m))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     around = cv2.filter2D(mask.astype(np.float32), -1, disc / np.float32(disc.sum()))
     highest = cv2.dilate(height, disc)
-    smooth = gaussian(np.clip(height, 0.0, None), EYE_M / pixel_m)
+    smooth = gaussian(np.clip(height, 0.0, None), eye_m / pixel_m)
     down, right = (np.gradient(smooth, pixel_m, axis=axis) for axis in (0, 1))
     at = np.array([(p.row, p.column) for p in grasps], int).reshape(-1, 2)
     rows, columns = at[:, 0], at[:, 1]
@@ -247,8 +248,9 @@ def _objects(
     mask: np.ndarray, thickness: np.ndarray, points: np.ndarray, height: np.ndarray
 ) -> tuple[np.ndarray, list[_Object]]:
     """Returns for each pixel the number of the object there, or of the nearest one, and the objects."""
+    smallest_object_px = 40
     count, parts, sizes, _ = cv2.connectedComponentsWithStats(mask)
-    kept = [part for part in range(1, count) if sizes[part, cv2.CC_STAT_AREA] >= SMALLEST_OBJECT_PX]
+    kept = [part for part in range(1, count) if sizes[part, cv2.CC_STAT_AREA] >= smallest_object_px]
     if not kept:
         kept, parts = [1], np.ones_like(parts)
     which = np.zeros(parts.shape, np.int32)

@@ -15,7 +15,6 @@ from grasping.refinement.candidates import LIFTS, Candidates
 
 WEIGHT_SD = 0.2  # prior standard deviation of a weight of a feature of unit variance
 STEPS = 30
-CLOSE = 1e-8
 
 
 class LiftModel(NamedTuple):
@@ -44,6 +43,7 @@ def probabilities(model: LiftModel, of: Candidates, tilts: np.ndarray, turns: np
 
 def learned(rows: np.ndarray, lifted: Sequence[bool] | np.ndarray, weight_sd: float = WEIGHT_SD) -> LiftModel:
     """Returns the model of the highest posterior; `rows`: terms of n grasps, shape (n, d); `lifted`: shape (n,)."""
+    close = 1e-8
     middle, scale = rows.mean(axis=0), np.maximum(rows.std(axis=0), 1e-6)
     y = np.asarray(lifted, float)
     model = LiftModel(middle, scale, np.zeros(rows.shape[1] + 1))
@@ -55,7 +55,7 @@ def learned(rows: np.ndarray, lifted: Sequence[bool] | np.ndarray, weight_sd: fl
         hessian = (x * (p * (1.0 - p))[:, None]).T @ x + np.diag(precision)
         step = np.linalg.solve(hessian, x.T @ (y - p) - precision * w)
         w = w + step / max(1.0, float(np.abs(step).max()))
-        if np.abs(step).max() < CLOSE:
+        if np.abs(step).max() < close:
             break
     return model._replace(weights=w)
 

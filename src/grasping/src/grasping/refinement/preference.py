@@ -22,8 +22,6 @@ from grasping.refinement.taste import SHARPNESS, Taste
 SAFE = 0.93  # probability of a lift that is enough
 MOST_LOST = 0.01  # where GGCNN's best candidate has less, another one may have as much less [probability]
 STYLES = (1.0, 0.75, 0.5, 0.25, 0.0)  # fractions of the operator's turn and tilt that are tried
-NEAR_M, NEAR_RAD = 0.015, 0.2  # standard deviations within which candidates are about the same choice
-"""Chosen on training families and drawn operators."""
 
 
 class Preference(NamedTuple):
@@ -48,13 +46,16 @@ class Preferred(NamedTuple):
 
 def preferences(of: Candidates, known: Preference) -> list[Preferred]:
     """Returns the allowed candidates, the favourite first."""
+    # Chosen on training families and drawn operators.
+    near_m = 0.015  # standard deviations within which candidates are about the same choice
+    near_rad = 0.2
     if not of.peaks:
         return []
     worth = taste.worths(known.taste.weights, of)
     choice = taste.softmax(worth)
     off = of.points[None, :, :2] - of.points[:, None, :2]
     angle = taste.half_turn(of.angles[None] - of.angles[:, None])
-    near = np.exp(-0.5 * ((off**2).sum(axis=-1) / NEAR_M**2 + (angle / NEAR_RAD) ** 2)) * choice
+    near = np.exp(-0.5 * ((off**2).sum(axis=-1) / near_m**2 + (angle / near_rad) ** 2)) * choice
     mass = near.sum(axis=1)
     # Before any episode no choice is expected but the best quality's.
     appeal = np.log(mass) if known.taste.weights.any() else worth

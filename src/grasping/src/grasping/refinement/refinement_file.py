@@ -24,7 +24,6 @@ from grasping.refinement.preference import Preference
 from grasping.refinement.taste import HandStyle, Taste
 
 VERSION = 4
-ONE_KIND = 3  # the version of before, whose files hold one preference and do not say of which kind
 ANY_KIND = "any"  # name of the kind of these files, and of what was learned from all kinds together
 TERMS = lifts.terms(np.zeros((1, len(LIFTS))), np.zeros(1), np.zeros((1, 2)), np.zeros(1)).shape[1]
 ABOUT = "about"  # entry of a weight file beside the weights: the characters' codes of a JSON text
@@ -81,10 +80,11 @@ def load(data: bytes, sha256: str | None = None) -> tuple[dict[str, Preference],
     the file. Raises WeightsError for another `sha256` (if given, hexadecimal), no torch file, another version, or
     something else in it.
     """
+    one_kind = 3  # the version of before, whose files hold one preference and do not say of which kind
     weights.checked_sha256(data, sha256)
     state = weights.torch_state(data)
     about = _about(state.pop(ABOUT, None))
-    if about.get("version") not in (ONE_KIND, VERSION):
+    if about.get("version") not in (one_kind, VERSION):
         raise WeightsError(
             f"The weight file holds no refinement of version {VERSION}: train it again on the same episodes with "
             "train_refinement.py."

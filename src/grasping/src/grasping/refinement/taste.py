@@ -16,16 +16,9 @@ from grasping.refinement.candidates import LENGTH_M, TASTES, Candidates
 
 Angles = TypeVar("Angles", float, np.ndarray)
 SHARPNESS = 8.0  # worth by quality, before anything is learned
-ROUNDS, STEPS = 6, 25  # of expectation and maximisation; Newton's of a maximisation, at most
-CLOSE = 1e-6
-OUTLIER = 0.05  # fraction of the grasps that are taken at no candidate
-OUTLIER_M3 = 0.1**3  # volume over which these are spread [m^3]
 OTHER_LINE = 0.1  # fraction of the grasps whose line has nothing to do with the candidate's
-MISS_M = 0.01  # prior standard deviation of a constant miss along each axis
-LINE_SD, TILT_SD, OPENING_SD = (0.1, 0.1), (0.2, 0.1, 0.4), (0.01, 0.01)  # likewise of `HandStyle`'s coefficients
 SPREAD_M, SPREAD_RAD = 0.008, 0.15  # expected standard deviations of a grasp about its candidate, along each axis
 TILT_RAD, OPENING_M = 0.12, 0.01  # likewise of its tilt, and of its opening
-SPREAD_COUNT = 10.0  # so many grasps is this expectation worth
 WEIGHT_SD = {  # prior standard deviations of the features' weights
     "quality": 1.0,
     "height": 1.0,
@@ -103,13 +96,14 @@ def softmax(values: np.ndarray) -> np.ndarray:
 
 def learned(choices: Sequence[Choice]) -> Taste:
     """Returns the taste that explains an operator's grasps best; none: that of nobody."""
+    rounds = 6  # of expectation and maximisation; Newton's of a maximisation, at most
     taste = nobody()
     choices = [c for c in choices if len(c.candidates.peaks)]
     if not choices:
         return taste
     seen = [c.candidates.tastes * SD for c in choices]  # with weights of the prior N(0, 1)
     offsets = [SHARPNESS * c.candidates.quality for c in choices]
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         meant = [explained(taste, c, softmax(worths(taste.weights, c.candidates))) for c in choices]
         weights = SD * maximised(taste.weights / SD, seen, offsets, meant)
         taste = _measured(taste._replace(weights=weights), choices, meant)
@@ -118,12 +112,14 @@ def learned(choices: Sequence[Choice]) -> Taste:
 
 def explained(taste: Taste, choice: Choice, probability: np.ndarray) -> np.ndarray:
     """Returns how probably each candidate was the one that the operator meant, shape (n,), sum at most 1."""
+    outlier = 0.05  # fraction of the grasps that are taken at no candidate
+    outlier_m3 = 0.1**3  # volume over which these are spread [m^3]
     of = choice.candidates
     off = choice.place - taste.miss - of.points
     near = np.exp(-0.5 * (off**2).sum(axis=1) / taste.spread**2) / (np.sqrt(2.0 * np.pi) * taste.spread) ** 3
     line = _line_density(taste, half_turn(choice.angle - of.angles - turns(taste.hand, of.heights)))
-    mass = (1.0 - OUTLIER) * probability * near * ((1.0 - OTHER_LINE) * line + OTHER_LINE / np.pi)
-    return mass / (mass.sum() + OUTLIER / OUTLIER_M3 / np.pi)
+    mass = (1.0 - outlier) * probability * near * ((1.0 - OTHER_LINE) * line + OTHER_LINE / np.pi)
+    return mass / (mass.sum() + outlier / outlier_m3 / np.pi)
 
 
 def turns(hand: HandStyle, heights: np.ndarray) -> np.ndarray:
@@ -180,31 +176,37 @@ def maximised(
     weights: np.ndarray, seen: Sequence[np.ndarray], offsets: Sequence[np.ndarray], meant: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Returns the weights of the highest posterior: Newton's method, which the concave function lets converge."""
+    steps = 25  # of expectation and maximisation; Newton's of a maximisation, at most
+    close = 1e-6
     value, gradient, hessian = log_posterior(weights, seen, offsets, meant)
-    for _ in range(STEPS):
+    for _ in range(steps):
         step = np.linalg.solve(hessian, gradient)
         size = 1.0
         while True:
             trial = log_posterior(weights + size * step, seen, offsets, meant)
-            if trial[0] >= value or size < CLOSE:
+            if trial[0] >= value or size < close:
                 break
             size *= 0.5
         weights = weights + size * step
         gained = trial[0] - value
         value, gradient, hessian = trial
-        if gained < CLOSE:
+        if gained < close:
             break
     return weights
 
 
 def _measured(taste: Taste, choices: Sequence[Choice], meant: Sequence[np.ndarray]) -> Taste:
     """Returns the taste with the miss, the hand and their spreads of the grasps about what they were meant to be."""
+    miss_m = 0.01  # prior standard deviation of a constant miss along each axis
+    line_sd = (0.1, 0.1)  # prior standard deviations of `HandStyle`'s coefficients
+    tilt_sd = (0.2, 0.1, 0.4)
+    opening_sd = (0.01, 0.01)
     of = [c.candidates for c in choices]
     mass = np.concatenate(list(meant))
     total = float(mass.sum())
     heights, slopes = np.concatenate([c.heights for c in of]), np.concatenate([c.slopes for c in of])
     off = np.concatenate([c.place - c.candidates.points for c in choices])
-    miss = (mass @ off) / (total + (taste.spread / MISS_M) ** 2)
+    miss = (mass @ off) / (total + (taste.spread / miss_m) ** 2)
     squares = float(mass @ ((off - miss) ** 2).sum(axis=1)) / 3.0
     spread = _spread(SPREAD_M, squares, total)
     turned = np.concatenate([half_turn(c.angle - c.candidates.angles) for c in choices])
@@ -214,19 +216,19 @@ def _measured(taste: Taste, choices: Sequence[Choice], meant: Sequence[np.ndarra
     density = (1.0 - OTHER_LINE) * _line_density(taste, about)
     of_line = mass * density / (density + OTHER_LINE / np.pi)
     turn_basis = np.stack([np.ones_like(heights), heights / LENGTH_M], axis=1)
-    line = ridge(turn_basis, expected + about, of_line, taste.angle_spread, LINE_SD)
+    line = ridge(turn_basis, expected + about, of_line, taste.angle_spread, line_sd)
     squares = float(of_line @ half_turn(turned - turn_basis @ line) ** 2)
     angle_spread = _spread(SPREAD_RAD, squares, float(of_line.sum()))
     hand = taste.hand
     tilt = np.concatenate([np.tile(c.tilt, (len(c.candidates.peaks), 1)) for c in choices])
     x, y = _tilt_basis(heights, slopes)
-    tilt_x = ridge(x, tilt[:, 0], mass, hand.tilt_spread, TILT_SD)
-    tilt_y = ridge(y, tilt[:, 1], mass, hand.tilt_spread, TILT_SD)
+    tilt_x = ridge(x, tilt[:, 0], mass, hand.tilt_spread, tilt_sd)
+    tilt_y = ridge(y, tilt[:, 1], mass, hand.tilt_spread, tilt_sd)
     squares = 0.5 * float(mass @ ((tilt[:, 0] - x @ tilt_x) ** 2 + (tilt[:, 1] - y @ tilt_y) ** 2))
     opened = np.concatenate([c.opening - c.candidates.openings for c in choices])
     known = np.where(np.isfinite(opened), mass, 0.0)
     opened = np.nan_to_num(opened)
-    opening = ridge(turn_basis, opened, known, hand.opening_spread, OPENING_SD)
+    opening = ridge(turn_basis, opened, known, hand.opening_spread, opening_sd)
     opening_spread = _spread(OPENING_M, float(known @ (opened - turn_basis @ opening) ** 2), float(known.sum()))
     hand = HandStyle(line, tilt_x, tilt_y, opening, _spread(TILT_RAD, squares, total), opening_spread)
     return taste._replace(miss=miss, spread=spread, angle_spread=angle_spread, hand=hand)
@@ -241,4 +243,5 @@ def ridge(x: np.ndarray, y: np.ndarray, mass: np.ndarray, spread: float, sd: Seq
 
 
 def _spread(expected: float, squares: float, count: float) -> float:
-    return float(np.sqrt((SPREAD_COUNT * expected**2 + squares) / (SPREAD_COUNT + count)))
+    spread_count = 10.0  # so many grasps is this expectation worth
+    return float(np.sqrt((spread_count * expected**2 + squares) / (spread_count + count)))

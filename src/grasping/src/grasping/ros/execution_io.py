@@ -34,8 +34,6 @@ from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import KukaStatus
 
-FINGER_M, PALM_M = (0.012, 0.02, 0.06), (0.08, 0.02)  # a finger along x, y and z; the palm along y and z
-ARROW_M, TEXT_M = 0.008, 0.025
 GHOST = ColorRGBA(0.2, 0.5, 1.0, 0.5)
 NO_GRASP = Grasp()
 
@@ -158,16 +156,20 @@ class ExecutionDisplay:
 
 def _ghost(grasp: Grasp, way: ToolGoal, text: str) -> list[Marker]:
     """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
-    half, up = 0.5 * (grasp.width + FINGER_M[0]), 0.5 * FINGER_M[2]
-    palm = (grasp.width + 2.0 * FINGER_M[0], *PALM_M)
+    finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z; the palm along y and z
+    palm_m = (0.08, 0.02)
+    arrow_m = 0.008
+    text_m = 0.025
+    half, up = 0.5 * (grasp.width + finger_m[0]), 0.5 * finger_m[2]
+    palm = (grasp.width + 2.0 * finger_m[0], *palm_m)
     shapes = [
         *(
-            _shape(Marker.CUBE, i, way.T_base_grip @ translation(x, 0.0, -up), FINGER_M)
+            _shape(Marker.CUBE, i, way.T_base_grip @ translation(x, 0.0, -up), finger_m)
             for i, x in enumerate((half, -half))
         ),
-        _shape(Marker.CUBE, 2, way.T_base_grip @ translation(0.0, 0.0, -FINGER_M[2] - 0.5 * PALM_M[1]), palm),
-        _shape(Marker.ARROW, 3, np.eye(4), (ARROW_M, 2.0 * ARROW_M, 2.0 * ARROW_M)),
-        _shape(Marker.TEXT_VIEW_FACING, 4, way.T_base_above, (0.0, 0.0, TEXT_M)),
+        _shape(Marker.CUBE, 2, way.T_base_grip @ translation(0.0, 0.0, -finger_m[2] - 0.5 * palm_m[1]), palm),
+        _shape(Marker.ARROW, 3, np.eye(4), (arrow_m, 2.0 * arrow_m, 2.0 * arrow_m)),
+        _shape(Marker.TEXT_VIEW_FACING, 4, way.T_base_above, (0.0, 0.0, text_m)),
     ]
     shapes[3].points = [Point(*way.T_base_above[:3, 3]), Point(*way.T_base_tool[:3, 3])]
     shapes[4].text = text

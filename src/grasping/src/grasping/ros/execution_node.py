@@ -33,7 +33,6 @@ from grasping.ros.execution_io import NO_GRASP, ExecutionDisplay, ExecutionInput
 from rig_msgs.srv import CheckToolPose, HoldTool
 
 SECTIONS = {"watch": GraspWatchConfig, "tool_pose": ToolPoseConfig}
-PERIOD_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,13 @@ class ExecutionNode:
         rospy.on_shutdown(lambda: self._end("The node grasp_execution ended."))
 
     def spin(self) -> None:
+        period_s = 0.05
         while not rospy.is_shutdown():
             with while_running(), self._lock:
                 outcome = self._execution.step(self._inputs.observe(), clock.monotonic())
                 self._publish(outcome)
             self._release(outcome)
-            clock.sleep(PERIOD_S)
+            clock.sleep(period_s)
 
     def _on_execute(self, _) -> TriggerResponse:
         if not self._asking.acquire(blocking=False):

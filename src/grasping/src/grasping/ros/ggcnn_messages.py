@@ -16,10 +16,8 @@ from grasp_msgs.msg import Grasp, GraspList
 from grasping.pipeline.pipeline import GraspProposal
 from grasping.pipeline.tool_pose import Reachability
 
-DEVIATIONS = 6
-FINGER_M, LINE_M, BEST_LINE_M, TEXT_M = 0.05, 0.003, 0.006, 0.02
+FINGER_M = 0.05
 GREY = ColorRGBA(0.5, 0.5, 0.5, 0.8)
-MARKER_LIFE_S = 1.0  # markers of a node that is gone go too
 
 
 def grasp_list(header: Header, proposals: list[tuple[GraspProposal, Reachability]], reason: str) -> GraspList:
@@ -28,6 +26,7 @@ def grasp_list(header: Header, proposals: list[tuple[GraspProposal, Reachability
 
 
 def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Grasp:
+    deviations = 6
     known = proposal.T_base_grasp is not None
     uncertainty = proposal.uncertainty
     return Grasp(
@@ -39,7 +38,7 @@ def _grasp(header: Header, proposal: GraspProposal, reach: Reachability) -> Gras
         angle=proposal.angle,
         pixel=proposal.pixel,
         probability=math.nan if uncertainty is None else uncertainty.probability,
-        deviations=[math.nan] * DEVIATIONS if uncertainty is None else uncertainty.pose_sd.tolist(),
+        deviations=[math.nan] * deviations if uncertainty is None else uncertainty.pose_sd.tolist(),
         width_deviation=math.nan if uncertainty is None else uncertainty.opening_sd,
         reachable=reach.reachable,
         reason=reach.reason,
@@ -56,20 +55,24 @@ def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
 
 def markers(header: Header, proposals: list[tuple[GraspProposal, Reachability]]) -> MarkerArray:
     """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there."""
+    line_m = 0.003
+    best_line_m = 0.006
+    text_m = 0.02
+    marker_life_s = 1.0  # markers of a node that is gone go too
     array = MarkerArray([Marker(header=header, ns="grasps", action=Marker.DELETEALL)])
     for i, (proposal, reach) in enumerate(proposals):
         colour = GREY if reach.refused else _colour(proposal.quality)
         shape = Marker(header=header, ns="grasps", id=proposal.id, type=Marker.LINE_LIST, color=colour)
         shape.pose = message_from_pose(proposal.T_camera_grasp)
-        shape.scale.x = LINE_M if i else BEST_LINE_M
+        shape.scale.x = line_m if i else best_line_m
         shape.points = _gripper(proposal.width)
         text = Marker(header=header, ns="labels", id=proposal.id, type=Marker.TEXT_VIEW_FACING, color=colour)
         text.pose.position = Point(*(proposal.T_camera_grasp @ (0.0, 0.0, -1.8 * FINGER_M, 1.0))[:3])
         text.pose.orientation.w = 1.0
-        text.scale.z = TEXT_M
+        text.scale.z = text_m
         text.text = f"{proposal.id}: {proposal.quality:.2f}"
         for marker in (shape, text):
-            marker.lifetime = rospy.Duration(MARKER_LIFE_S)
+            marker.lifetime = rospy.Duration(marker_life_s)
             array.markers.append(marker)
     return array
 

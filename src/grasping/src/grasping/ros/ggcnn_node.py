@@ -48,13 +48,7 @@ from grasping.ros.pose_lookup import PoseLookup
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 
-WAIT_S = 0.2
-SILENT_PERIOD_S = 0.5
-WARM_UP = 5
-RATE_WEIGHT = 0.1  # weight of the newest value in the times that diagnostics show
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
-KEPT_BYTES, LARGEST_BYTES = 2**26, 2**25  # that stay with the process when they are free; of an array among them
-KIND_PERIOD_S = 1.0
 NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
@@ -86,7 +80,8 @@ class RefinementKind:
 
     def changed(self) -> Preference | None:
         """Returns the preference of another kind than before, None otherwise; one that is not known is logged."""
-        if not self._kinds or clock.monotonic() - self._looked < KIND_PERIOD_S:
+        kind_period_s = 1.0
+        if not self._kinds or clock.monotonic() - self._looked < kind_period_s:
             return None
         self._looked = clock.monotonic()
         try:
@@ -131,14 +126,16 @@ class GgcnnNode:
         Diagnostics("ggcnn", self._diagnose)
 
     def run(self) -> None:
+        wait_s = 0.2
+        silent_period_s = 0.5
         reported_silence = 0.0
         while not rospy.is_shutdown():
-            image = self._stream.newest(WAIT_S)
+            image = self._stream.newest(wait_s)
             if image is not None:
                 self._take(image)
                 continue
             silence = self._stream.silence()
-            if silence and clock.monotonic() - reported_silence >= SILENT_PERIOD_S:
+            if silence and clock.monotonic() - reported_silence >= silent_period_s:
                 reported_silence = clock.monotonic()
                 self._pipeline.reset()
                 self._publish(Header(stamp=rospy.Time.now()), [], silence)
@@ -216,9 +213,10 @@ class GgcnnNode:
         return self._images[name].get_num_connections() > 0
 
     def _time(self, seconds: dict[str, float]) -> None:
+        rate_weight = 0.1  # weight of the newest value in the times that diagnostics show
         for name, value in seconds.items():
             before = self._milliseconds.get(name, 1e3 * value)
-            self._milliseconds[name] = before + RATE_WEIGHT * (1e3 * value - before)
+            self._milliseconds[name] = before + rate_weight * (1e3 * value - before)
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
         values = {
@@ -237,9 +235,10 @@ class GgcnnNode:
 
 def _measured(pipeline: GraspPipeline) -> float:
     """Returns how long the network takes for one image [s], after the first ones, which take longer."""
+    warm_up = 5
     image = prepare(np.ones((NETWORK_SIDE, NETWORK_SIDE), np.float32), Crop(0, 0, NETWORK_SIDE))
     seconds = []
-    for _ in range(WARM_UP):
+    for _ in range(warm_up):
         begin = perf_counter()
         infer(pipeline.network, image.input)
         seconds.append(perf_counter() - begin)
@@ -250,9 +249,11 @@ def _keep_memory() -> None:
     """Keeps freed memory: else it goes back to the system after each layer of a network, and each page that comes anew
     is a fault.
     """
+    kept_bytes = 2**26  # that stay with the process when they are free; of an array among them
+    largest_bytes = 2**25
     libc = ctypes.CDLL(None)
-    libc.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
-    libc.mallopt(M_MMAP_THRESHOLD, LARGEST_BYTES)
+    libc.mallopt(M_TRIM_THRESHOLD, kept_bytes)
+    libc.mallopt(M_MMAP_THRESHOLD, largest_bytes)
 
 
 def _run() -> None:

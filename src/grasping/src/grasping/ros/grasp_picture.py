@@ -25,9 +25,6 @@ from common.ros.node import run
 from grasp_msgs.msg import GraspList
 from grasping.pipeline import drawing
 
-PATIENCE_S = 60.0
-POLL_S = 0.05
-
 
 class NodeOutput:
     """The node's newest messages."""
@@ -99,11 +96,13 @@ def report(collected: NodeOutput) -> list[str]:
 
 
 def _run() -> None:
+    patience_s = 60.0
+    poll_s = 0.05
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path, help="image file that is written, such as grasp.png")
     parser.add_argument("--pictures", type=int, default=30, help="number of images to wait for, default 30")
     arguments = parser.parse_args(rospy.myargv()[1:])
-    collected, deadline = NodeOutput(), clock.monotonic() + PATIENCE_S
+    collected, deadline = NodeOutput(), clock.monotonic() + patience_s
     info = None
     while True:
         info = info or _camera_info()
@@ -112,8 +111,8 @@ def _run() -> None:
             break
         if rospy.is_shutdown() or clock.monotonic() > deadline:
             reasons = {found.reason for found in collected.lists[-5:]}
-            raise RigError(f"No image with a grasp came within {PATIENCE_S:g} s: {'; '.join(reasons) or 'no answer'}.")
-        clock.sleep(POLL_S)
+            raise RigError(f"No image with a grasp came within {patience_s:g} s: {'; '.join(reasons) or 'no answer'}.")
+        clock.sleep(poll_s)
     try:
         camera = camera_model_from_info(info, newest[1].shape[::-1])
     except ValueError as error:

@@ -18,8 +18,7 @@ from common.ros.inputs import NodeInputs
 from common.ros.node import run
 from common.screen import check_screen
 
-DRAW_MS, TOPICS_MS = 100, 2000
-PERCENTILES = 1.0, 99.0  # of what is measured, the range that is shown
+DRAW_MS = 100
 IMAGE = "sensor_msgs/Image"
 
 
@@ -28,6 +27,7 @@ def picture(message: Image) -> np.ndarray:
     low ones bright, none (a whole number 0, or not finite) black. Raises ValueError for an unknown encoding, or
     incomplete data.
     """
+    percentiles = (1.0, 99.0)  # of what is measured, the range that is shown
     if message.encoding in COLOUR:
         return np.ascontiguousarray(colour_from_image(message))
     array = array_from_image(message)
@@ -36,7 +36,7 @@ def picture(message: Image) -> np.ndarray:
     valid = array > 0 if array.dtype == np.uint16 else np.isfinite(array)
     if not valid.any():
         return np.zeros((*array.shape, 3), np.uint8)
-    low, high = np.percentile(array[valid], PERCENTILES)
+    low, high = np.percentile(array[valid], percentiles)
     grey = np.clip((high - np.where(valid, array, high)) / max(high - low, 1e-6), 0.0, 1.0)
     colours = cv2.applyColorMap((255.0 * grey).astype(np.uint8), cv2.COLORMAP_VIRIDIS)[..., ::-1]
     return np.ascontiguousarray(np.where(valid[..., None], colours, 0).astype(np.uint8))
@@ -54,6 +54,7 @@ class ImageViewer(QWidget):
     """The window; `topic` is shown first, also before anybody publishes it."""
 
     def __init__(self, topic: str) -> None:
+        topics_ms = 2000
         super().__init__()
         self.setWindowTitle("Images")
         self.resize(660, 540)
@@ -68,7 +69,7 @@ class ImageViewer(QWidget):
         self.choice.addItem(topic)
         self.choice.currentTextChanged.connect(self._switch)
         self._switch(topic)
-        self._timers = [QTimer(self, interval=period) for period in (DRAW_MS, TOPICS_MS)]
+        self._timers = [QTimer(self, interval=period) for period in (DRAW_MS, topics_ms)]
         for timer, work in zip(self._timers, (self.draw, self.list_topics)):
             timer.timeout.connect(work)
             timer.start()

@@ -11,8 +11,6 @@ from common.frames import BASE, FLANGE_MEASURED, GRASP_VIEW
 from common.plausible import check_near
 from common.ros.conversions import pose_from_transform
 
-PATIENCE_S = 0.1  # the camera pose at an image's stamp may arrive this much later than the image
-
 
 class PoseLookup:
     """Looks poses up in tf."""
@@ -23,11 +21,12 @@ class PoseLookup:
 
     def in_base(self, frame: str, stamp: rospy.Time) -> tuple[np.ndarray | None, str]:
         """Returns T_base_camera, shape (4, 4) [m], at a moment, or None and why it is missing or stale, a clause."""
+        patience_s = 0.1  # the camera pose at an image's stamp may arrive this much later than the image
         try:
             try:
                 return self.at(frame, stamp), ""
             except tf2_ros.ExtrapolationException:
-                return self.at(frame, stamp, PATIENCE_S), ""
+                return self.at(frame, stamp, patience_s), ""
         except tf2_ros.ExtrapolationException:
             return None, f"the camera pose is stale: tf has no {frame} in {BASE} at the image's stamp"
         except tf2_ros.TransformException:

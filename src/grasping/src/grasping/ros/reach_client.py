@@ -23,8 +23,7 @@ from grasping.pipeline.tool_pose import (
 from rig_msgs.srv import CheckToolPose
 
 SERVICE = "kuka/check_tool_pose"
-POLL_S = 0.2
-AHEAD, UPRIGHT = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)  # used until the arm's parameters are set
+UPRIGHT = (0.0, 0.0, 0.0)  # used until the arm's parameters are set
 
 
 class ReachClient:
@@ -65,9 +64,10 @@ class ReachClient:
         return self._book.known(proposal.id) or Reachability(False, SILENT if silent else ASKED)
 
     def _loop(self) -> None:
+        poll_s = 0.2
         while not rospy.is_shutdown():
             try:
-                number, T_base_grasp = self._questions.get(timeout=POLL_S)
+                number, T_base_grasp = self._questions.get(timeout=poll_s)
             except clock.Empty:
                 continue
             self._busy_since = clock.monotonic()
@@ -78,8 +78,9 @@ class ReachClient:
 
     def _answer(self, T_base_grasp: np.ndarray) -> Reachability | None:
         """Returns what the controller says, None if it does not answer."""
+        ahead = (1.0, 0.0, 0.0)  # used until the arm's parameters are set
         try:
-            line, mounting = rospy.get_param("kuka/center_line", AHEAD), rospy.get_param("kuka/mounting", UPRIGHT)
+            line, mounting = rospy.get_param("kuka/center_line", ahead), rospy.get_param("kuka/mounting", UPRIGHT)
             home = mounting_frame(line, mounting)
             T = tool_pose(T_base_grasp, self._tool, home.R_base_tool, home.up)
         except (TypeError, ValueError) as error:

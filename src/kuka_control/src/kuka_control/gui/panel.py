@@ -79,9 +79,6 @@ ControlPanel QLabel[tone="fault"] {{ background-color: #fde3e3; border-color: #d
 """
 
 
-FRAME_PX = 18  # height of frame and padding above and below the text
-UNBOUNDED_PX = 10_000
-OPERATOR_PX = 40  # height of the operator's view in the smallest panel; it scrolls
 STEPS_PER_UNIT = 100  # the slider moves in hundredths
 EXIT_TIP = "The arm goes to the zero position, then the controller exits."
 
@@ -115,8 +112,9 @@ class Sentence(QLabel):
         self._fit()
 
     def changeEvent(self, event) -> None:
+        frame_px = 18  # height of frame and padding above and below the text
         super().changeEvent(event)
-        self.setFixedHeight(self._height_of("\n" * (self._lines - 1)) + FRAME_PX)
+        self.setFixedHeight(self._height_of("\n" * (self._lines - 1)) + frame_px)
 
     def _fit(self) -> None:
         shown = self.full
@@ -130,10 +128,11 @@ class Sentence(QLabel):
 
     def _height_of(self, text: str) -> int:
         """Returns the height of the text at the present width [px]; a word too long for a line counts as too high."""
+        unbounded_px = 10_000
         width = self.contentsRect().width()
         flags = int(Qt.TextWordWrap | Qt.AlignTop | Qt.AlignLeft)
-        needed = self.fontMetrics().boundingRect(0, 0, width, UNBOUNDED_PX, flags, text)
-        return needed.height() if needed.width() <= width else UNBOUNDED_PX
+        needed = self.fontMetrics().boundingRect(0, 0, width, unbounded_px, flags, text)
+        return needed.height() if needed.width() <= width else unbounded_px
 
 
 def label(text: str = "", name: str = "") -> QLabel:
@@ -210,6 +209,7 @@ class ControlPanel(QWidget):
         self.operator.show_rows(tuple(row for row in rows if row.name != ARM))  # which `status` says
 
     def _arrange(self) -> None:
+        operator_px = 40  # height of the operator's view in the smallest panel; it scrolls
         scale_ends = QHBoxLayout()
         scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
         scale_ends.addStretch(1)
@@ -225,7 +225,7 @@ class ControlPanel(QWidget):
         view = QScrollArea()
         view.setWidgetResizable(True)
         view.setFocusPolicy(Qt.NoFocus)
-        view.setMinimumHeight(OPERATOR_PX)
+        view.setMinimumHeight(operator_px)
         view.setWidget(self.operator)
         self.show_rows()
         self.operator_view = _group("Operator", view)

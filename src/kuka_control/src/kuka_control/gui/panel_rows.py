@@ -10,11 +10,8 @@ from python_qt_binding.QtWidgets import QSizePolicy, QWidget
 
 from common.operator_rows import BARS, COLOURS, TICKS, Row, RowTone
 
-NAME_EM = 5  # width of the column of names, in heights of the font
-BAR_EM = 3
 GAP_PX = 3
 BACKGROUND = QColor("#e4e7eb")
-TWO_LINES = 1.8  # widths of the words that two lines take: a line breaks before a long word
 
 
 class OperatorRows(QWidget):
@@ -52,9 +49,12 @@ class OperatorRows(QWidget):
 
     def _lay_out(self, painter: QPainter | None) -> int:
         """Draws the rows, if there is a painter, and returns their height [px]."""
+        name_em = 5  # width of the column of names, in heights of the font
+        bar_em = 3
+        two_lines = 1.8  # widths of the words that two lines take: a line breaks before a long word
         metrics = self.fontMetrics()
         line, y = metrics.height() + GAP_PX, 0
-        left = NAME_EM * metrics.height()
+        left = name_em * metrics.height()
         room = max(1, self.width() - left)
         for row in self._rows:
             lines = 2 if not row.labels and metrics.horizontalAdvance(row.text) > room else 1
@@ -62,10 +62,10 @@ class OperatorRows(QWidget):
                 painter.setPen(QColor(COLOURS[RowTone.STALE if row.tone is RowTone.STALE else RowTone.NORMAL]))
                 painter.drawText(QRect(0, y, left, line), Qt.AlignVCenter, row.name)
                 painter.setPen(QColor(COLOURS[row.tone]))
-                text = metrics.elidedText(row.text, Qt.ElideRight, room if lines == 1 else round(TWO_LINES * room))
+                text = metrics.elidedText(row.text, Qt.ElideRight, room if lines == 1 else round(two_lines * room))
                 painter.drawText(QRect(left, y, room, lines * line), Qt.AlignVCenter | Qt.TextWordWrap, text)
             if row.labels:
-                extra = BAR_EM * metrics.height() if row.kind == BARS else metrics.height()
+                extra = bar_em * metrics.height() if row.kind == BARS else metrics.height()
                 cell = max(metrics.horizontalAdvance(label) for label in row.labels) + extra + 4 * GAP_PX
                 x = left + metrics.horizontalAdvance(row.text) + metrics.height()
                 columns = len(row.labels)

@@ -44,12 +44,10 @@ ACTED = {
 
 TRIAD_M = 0.13  # length of the axes of a frame [m]
 SIDE_RAD = np.radians(62.0)  # from center_line to where the scene is looked at from, seen from above
-LINK_WIDTHS = (22, 19, 16, 12)  # of each part of the arm [points]
-BACK, MIDDLE, FRONT = 1, 5, 10  # what lies in front: matplotlib cannot tell for objects that pass through each other
+FRONT = 10  # what lies in front: matplotlib cannot tell for objects that pass through each other
 SIZE_INCH = (18.0, 10.0)
 TEXT_PT = 10.5
 HEADING = {"fontsize": 13, "fontweight": "bold", "va": "center"}
-PALE_WIDTHS = (10, 9, 8, 6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +84,7 @@ def draw_scene(axes: Axes3D, picture: WorkspacePicture) -> None:
 
 
 def _draw_workspace(axes: Axes3D, workspace: Workspace) -> None:
+    back = 1  # what lies in front: matplotlib cannot tell for objects that pass through each other
     half = workspace.opening_angle / 2.0
     turns = workspace.heading + np.linspace(-half, half, 25)
     heights = np.linspace(workspace.z_lower, workspace.z_upper, 17)
@@ -97,9 +96,9 @@ def _draw_workspace(axes: Axes3D, workspace: Workspace) -> None:
         faces.append(_surface(across[i, :, None], turns, heights[i]))
         faces.append(_surface(across, turns[i], heights[:, None]))
     for face in faces:
-        axes.plot_surface(*face, color=WORKSPACE, alpha=0.07, linewidth=0, shade=False, zorder=BACK)
+        axes.plot_surface(*face, color=WORKSPACE, alpha=0.07, linewidth=0, shade=False, zorder=back)
     for line in boundary_lines(workspace, heights=2, headings=2):
-        axes.plot(*line.T, color=WORKSPACE, linewidth=1.6, zorder=BACK + 1)
+        axes.plot(*line.T, color=WORKSPACE, linewidth=1.6, zorder=back + 1)
 
 
 def _surface(r: ArrayLike, turn: ArrayLike, z: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -108,18 +107,20 @@ def _surface(r: ArrayLike, turn: ArrayLike, z: ArrayLike) -> tuple[np.ndarray, n
 
 
 def _draw_samples(axes: Axes3D, picture: WorkspacePicture) -> None:
+    middle = 5  # what lies in front: matplotlib cannot tell for objects that pass through each other
     samples = picture.samples
     for acted, colour in ACTED.items():
         points = samples.position[samples.group(acted)]
-        axes.scatter(*points.T, s=15, color=colour, zorder=MIDDLE, depthshade=False, linewidths=0)
-    axes.scatter(*picture.unreached.T, marker="x", s=24, color=UNREACHED, zorder=MIDDLE + 1, depthshade=False)
+        axes.scatter(*points.T, s=15, color=colour, zorder=middle, depthshade=False, linewidths=0)
+    axes.scatter(*picture.unreached.T, marker="x", s=24, color=UNREACHED, zorder=middle + 1, depthshade=False)
 
 
 def _draw_arm(axes: Axes3D, corners: np.ndarray) -> None:
+    link_widths = (22, 19, 16, 12)  # of each part of the arm [points]
     turns = np.linspace(0.0, 2.0 * np.pi, 40)
     foot = 0.1 * np.cos(turns), 0.1 * np.sin(turns), 0.0 * turns
     axes.plot(*foot, color=JOINT, linewidth=4, zorder=FRONT - 2)
-    for i, width in enumerate(LINK_WIDTHS):
+    for i, width in enumerate(link_widths):
         _draw_tube(axes, corners[i : i + 2], width, ARM)
     _draw_tube(axes, corners[[4, 5]], 5, TOOL)
     for joint, size in zip(corners[1:4], (22, 19, 16)):
@@ -260,7 +261,8 @@ def _fill(axes: Axes, outline: np.ndarray) -> None:
 
 
 def _draw_pale_arm(axes: Axes, corners: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> None:
-    for i, width in enumerate(PALE_WIDTHS):
+    pale_widths = (10, 9, 8, 6)
+    for i, width in enumerate(pale_widths):
         axes.plot(*corners[i : i + 2].T, color="#f6c9a0", linewidth=width, solid_capstyle="round", zorder=3)
     axes.plot(*corners[4:6].T, color="#c3c9d0", linewidth=3, zorder=3)
     axes.plot(*corners[1:4].T, "o", color="#8d949d", markersize=8, zorder=4)

@@ -31,11 +31,9 @@ from kuka_control.numbers import APPROACH_M_S2, ARM_M, LAG_S, SAMPLED_M, SOFT_M
 GAIN_PER_S = 20.0  # greatest approach speed per distance, near the end of an approach [1/s]
 NOISE_M = 1e-6  # error of the library's distances [m]
 TOUCHING_M = 1e-9  # bodies whose nearest points are nearer touch [m]
-SWEEPS = 5  # passes over the pairs: a correction at one may add speed towards another
 DAMPED = 0.05**2 * np.eye(6)  # of the pseudoinverse, in the tool's speed [m/s], [rad/s]; it matters near singular poses
 LINEAR_M = 0.5 * APPROACH_M_S2 / GAIN_PER_S**2  # an approach at v may need v^2 / 2 APPROACH_M_S2 and this [m]
 LEAST = 1e-6  # least speed of a correction along its normal, near singular poses
-WRIST_LINK = 6  # the first link whose points follow the tool where it does not turn
 STEP_RAD = 0.063  # of a greater lag the loop may see no more (servo_law.py) [rad]
 BRAKING_PER_S = 8.0  # and it is no faster than it can brake before the goal, at so much of its full speed [1/s]
 
@@ -169,6 +167,7 @@ class CollisionGuard:
     def slowed(self, q: Sequence[float], desired: Sequence[float]) -> tuple[list[float], bool]:
         """Returns the joint velocities, 7 [rad/s], with the approach of each pair bounded, and whether one was. A
         hand slides along what is in its way without turning. `q`: joints, 7 [rad]; `desired`: velocities, 7 [rad/s]."""
+        sweeps = 5  # passes over the pairs: a correction at one may add speed towards another
         posture, wanted = self._moved_to(q), _finite(desired)
         self.scale, self.nearest = 1.0, None
         end = self.margin + SOFT_M
@@ -184,7 +183,7 @@ class CollisionGuard:
                     self.nearest = contact
         left: list[float] = wanted.tolist()
         start, corrections = left, {}
-        for _ in range(SWEEPS):
+        for _ in range(sweeps):
             before = left
             for pair, row, normal, most in rows:
                 excess = _dot(row, left) - most
@@ -382,8 +381,9 @@ class CollisionGuard:
     def _correction(self, pair: int, row: list[float], normal: Vector, posture: _Posture) -> list[float]:
         """Returns the joint velocities, 7 [rad/s], that approach by 1 m/s, to be taken away. In units of each
         joint's speed, so that the strong joints move most."""
+        wrist_link = 6  # the first link whose points follow the tool where it does not turn
         i, j = self._pairs[pair]
-        if self.bodies[i].link >= WRIST_LINK and self.bodies[j].link == 0:
+        if self.bodies[i].link >= wrist_link and self.bodies[j].link == 0:
             if posture.shift is None:
                 strong = self._kinematics.jacobian(self._q) * self._model.max_speed
                 solved = np.linalg.solve(strong @ strong.T + DAMPED, strong)

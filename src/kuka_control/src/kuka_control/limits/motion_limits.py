@@ -24,7 +24,6 @@ from kuka_control.numbers import GAP_S
 LATE_GOAL = "gap between goals"  # what limits the first goal after a longer gap than GAP_S
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
 LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
-BRAKING_FRACTION = 0.4  # of the acceleration limit, with which braking is planned; the jerk limit costs the rest
 
 ARM_S = 0.03  # expected lag of an arm whose drives have a time constant of 40 ms [s]
 LEAD_RAD = (0.035, 0.065)
@@ -33,9 +32,7 @@ LEAD_RAD = (0.035, 0.065)
 The toolbox's servo law hardly speeds up for a more distant goal (docs/handbook/wire-protocols.md, "Servo mode"), and an
 arm that catches up such a lag is too fast when its target slows down."""
 
-LEAST_USED = 1e-9  # fraction of a speed limit below which nothing moves
 AT_REST = read_only([0.0] * 7)  # the velocity at rest, shape (7,) [rad/s]
-AT_REST_RAD = 1e-7
 AT_REST_RAD_S = 1e-4  # a goal this close to a resting target, and this slow, is set to the target
 
 
@@ -55,9 +52,11 @@ class MotionLimits:
     the workspace that no goal leaves, and the speed limit of the arm's points."""
 
     def __init__(self, joint_speeds: np.ndarray, shape: ShapeLimits, room: GuardedRoom) -> None:
+        # of the acceleration limit, with which braking is planned; the jerk limit costs the rest
+        braking_fraction = 0.4
         self._joint_speeds = joint_speeds.tolist()
         self._room = room
-        self._braking = (BRAKING_FRACTION * shape.acceleration).tolist()
+        self._braking = (braking_fraction * shape.acceleration).tolist()
         self._ranges = list(zip(room.lower.tolist(), room.upper.tolist(), self._braking))
         self._change = SpeedChange(shape)
         self._guard = StoppingGuard(self._change, room, shape.acceleration)
@@ -108,6 +107,7 @@ class MotionLimits:
                 on top of its own speed.
             speed: velocity of the target, shape (7,) [rad/s]; None: at rest.
             cap: upper bound of the scaling factor, [0, 1], also for what the target needs by itself."""
+        at_rest_rad = 1e-7
         if self._room.collisions is not None:
             self._room.collisions.follow(self._now.q, measured, dt)
         gap = LATE_GOAL if dt > GAP_S else None
@@ -115,7 +115,7 @@ class MotionLimits:
         own = [0.0] * 7 if speed is None else speed.tolist()
         q, v, ahead = self._now.q, self._now.v, target.tolist()
         at_rest = not any(own) and max(map(abs, v)) < AT_REST_RAD_S
-        if at_rest and max([abs(a - b) for a, b in zip(ahead, q)]) < AT_REST_RAD:
+        if at_rest and max([abs(a - b) for a, b in zip(ahead, q)]) < at_rest_rad:
             self.reset(target)
             return LimitedGoal(self._goal, AT_REST, None)
         error = [a - b - dt * rate for a, b, rate in zip(ahead, q, v)]
@@ -172,9 +172,10 @@ class MotionLimits:
 
     def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
+        least_used = 1e-9  # fraction of a speed limit below which nothing moves
         fastest, limited_by = self._joint_fraction(desired), None
         arm = self._arm_fraction(desired, scale)
-        used = max(fastest, arm, LEAST_USED)
+        used = max(fastest, arm, least_used)
         if used > scale:
             factor = scale / used
             limited_by = "joint speed" if fastest > arm else ARM_SPEED

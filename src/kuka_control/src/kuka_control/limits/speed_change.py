@@ -21,16 +21,8 @@ if TYPE_CHECKING:  # without a collision guard its library is not loaded
     from kuka_control.limits.collision import CollisionGuard
 
 EVEN_S = 0.012  # least duration of a velocity change [s]
-FASTEST = 3  # at so many of them, the first ones, the arm's speed is checked too: later it mostly falls
-NEAR_LIMIT = 0.85  # a speed above this fraction of the limit is checked at more of them:
-MORE = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
-QUICK = 0.999  # fraction of the speed limit up to which an upper bound of the speed replaces that check
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
-HALVINGS = 5  # bisections of the fraction of the desired velocity that can be kept
-SWEEPS = 5  # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
-DAMPING = 0.05  # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses
-LEAST = 1e-6  # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
 COLLISION_GUARD = "collision guard"  # what held a velocity back
 ARM_SPEED = "arm speed"  # likewise
 
@@ -136,6 +128,7 @@ class StoppingGuard:
 
     def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, str | None]:
         """Returns the state after dt [s], and what held the desired velocities, 7 [rad/s], back."""
+        halvings = 5  # bisections of the fraction of the desired velocity that can be kept
         free = self._change.step(now, desired, dt)
         beyond: list[int] = []
         if self._far_from_bounds(free):
@@ -164,7 +157,7 @@ class StoppingGuard:
                 given_up = along
         elif not stop.apart(bound):
             held = COLLISION_GUARD
-        for _ in range(HALVINGS):
+        for _ in range(halvings):
             middle = [0.5 * (a + b) for a, b in zip(kept, given_up)]
             state, stop = self._ranged(self._change.step(now, middle, dt), braking)
             if stop.within(bound):
@@ -175,6 +168,12 @@ class StoppingGuard:
 
     def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""
+        # passes over the bounds: a correction at one may add speed across another (they meet at 68 deg or more)
+        sweeps = 5
+        # of the pseudoinverse, in the tool's deceleration [m/s^2], [rad/s^2]; it matters near singular poses
+        damping = 0.05
+        # least fraction of the desired velocity after damping: a stretched arm cannot move outward at all
+        least = 1e-6
         room = self._room
         assert room.workspace is not None and room.tool_jacobian is not None, "only a workspace has bounds"
         position, J = np.array(list(room.points.tool_point(q.tolist())[0])), room.tool_jacobian(q)
@@ -182,12 +181,12 @@ class StoppingGuard:
         # In units of each joint's deceleration, so that the strong joints move most.
         strong = J * self._acceleration
         outward_motions = np.concatenate([normals.T, np.zeros((3, len(normals)))])
-        corrections = strong.T @ np.linalg.solve(strong @ strong.T + DAMPING**2 * np.eye(6), outward_motions)
+        corrections = strong.T @ np.linalg.solve(strong @ strong.T + damping**2 * np.eye(6), outward_motions)
         corrections *= self._acceleration[:, None] / np.maximum(
-            np.sum(normals.T * (strong[:3] @ corrections), axis=0), LEAST
+            np.sum(normals.T * (strong[:3] @ corrections), axis=0), least
         )
         left = desired
-        for _ in range(SWEEPS):
+        for _ in range(sweeps):
             for normal, column, distance in zip(normals, corrections.T, room.workspace.rooms(position)):
                 excess = float(normal @ J[:3] @ left) - INWARD_PER_S * distance
                 left = left - max(excess, 0.0) * column
@@ -199,6 +198,7 @@ class StoppingGuard:
         """Returns True only if the stop from a state keeps all bounds but those of the collision guard, by
         estimates. They cost less than the stop. On the way no point is further from a joint's axis than now, plus
         the path length on which the joints after it carry the point."""
+        quick = 0.999  # fraction of the speed limit up to which an upper bound of the speed replaces that check
         room = self._room
         speeds, lengths = self._change.stopping_bounds(state)
         for angle, length, (lower, upper) in zip(state.q, lengths, self._ranges):
@@ -210,7 +210,7 @@ class StoppingGuard:
             reach = reaches[i] + path
             fastest += speeds[i] * reach
             path += lengths[i] * reach
-        limit = QUICK * room.speed
+        limit = quick * room.speed
         if not (fastest <= limit or self._fastest(state, speeds, lengths, path) <= limit):
             return False
         return room.workspace is None or path <= min(room.workspace.rooms(position))
@@ -250,6 +250,9 @@ class StoppingGuard:
 
     def _stop(self, state: JointState) -> tuple[_Stop, list[int]]:
         """Returns what the stop from a state leads to, and the joints that it carries out of their ranges."""
+        fastest = 3  # at so many of them, the first ones, the arm's speed is checked too: later it mostly falls
+        near_limit = 0.85  # a speed above this fraction of the limit is checked at more of them:
+        more = (0.02, 0.05, 0.15, 0.2, 0.4, 0.5)
         room = self._room
         path = self._change.stopping(state)
         ends = path.at_time(path.duration)[0]
@@ -263,9 +266,9 @@ class StoppingGuard:
             q, v, _ = path.at_time(fraction * path.duration)
             if room.workspace is not None:
                 outside = max(outside, -min(room.workspace.rooms(room.points.tool_point(q)[0])))
-            if i < FASTEST:
+            if i < fastest:
                 speed = max(speed, room.points.speed(q, v))
-        if speed > NEAR_LIMIT * room.speed:
-            for fraction in MORE:
+        if speed > near_limit * room.speed:
+            for fraction in more:
                 speed = max(speed, room.points.speed(*path.at_time(fraction * path.duration)[:2]))
         return _Stop(speed, outside, self._depths(state)), beyond

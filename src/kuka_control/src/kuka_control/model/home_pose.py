@@ -22,8 +22,6 @@ from iiwa_kinematics.robot_model import RobotModel
 from kuka_control.model.workspace import Infeasible, Workspace
 
 ROUNDING_RAD = 1e-12  # a joint closer to zero than this counts as zero
-UPRIGHT_COSINE = 1.0 - 1e-6
-"""An arm counts as upright if the cosine of the angle between its z axis and the vertical exceeds this."""
 
 
 class HomeError(RigError):
@@ -142,7 +140,9 @@ def _tool(T_flange_tool: np.ndarray) -> str:
 
 def _cause(up: float, T_flange_tool: np.ndarray, mounting: MountingFrame) -> str:
     """Returns the probable cause, as a part of a sentence; `up` is the height of the wrist above the shoulder [m]."""
-    if mounting.up[2] < UPRIGHT_COSINE:
+    # An arm counts as upright if the cosine of the angle between its z axis and the vertical exceeds this.
+    upright_cosine = 1.0 - 1e-6
+    if mounting.up[2] < upright_cosine:
         return (
             "an arm that is not mounted upright needs a workspace of its own: on a ceiling far from the base, "
             "on a wall with center_line down or sideways"

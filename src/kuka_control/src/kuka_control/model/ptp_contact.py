@@ -12,9 +12,6 @@ from iiwa_kinematics import full_speed_time, jacobian
 from kuka_control.model.tool_load import GRAVITY, ToolLoad
 
 STEP_RAD = 0.1  # the torques are computed every so often on the way
-SPEED_UP_PER_S = 5.0
-"""A PTP motion gains this many times the full joint speed in a second at most, whatever its speed: an assumption, as
-nothing is published of it."""
 
 
 def torque_ranges(
@@ -23,9 +20,12 @@ def torque_ranges(
     """Returns the lowest and the highest external torque of each joint, shape (7, 2) [Nm]. `start`, `goal`: joints,
     shape (7,) each [rad]; `velocity`: fraction of the full joint speed; `payload`: mass of what the hand holds [kg];
     `margin`: torque beyond what weight and inertia make [Nm]."""
+    # A PTP motion gains this many times the full joint speed in a second at most, whatever its speed: an assumption,
+    # as nothing is published of it.
+    speed_up_per_s = 5.0
     kinematics, dq = load.kinematics, goal - start
     seconds = max(full_speed_time(kinematics.model, start, goal), 1e-3)
-    rate, gain = velocity / seconds, SPEED_UP_PER_S / seconds  # of the fraction of the way [1/s], [1/s^2]
+    rate, gain = velocity / seconds, speed_up_per_s / seconds  # of the fraction of the way [1/s], [1/s^2]
     s = np.linspace(0.0, 1.0, int(np.max(np.abs(dq)) / STEP_RAD) + 3)
     masses = (load.mass, translation(*load.center_of_mass)), (payload, kinematics.T_flange_tool)
     totals = np.zeros((2, len(s), 7))  # of weight and inertia, along the way

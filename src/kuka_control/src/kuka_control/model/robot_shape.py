@@ -18,17 +18,7 @@ from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from rig_description import arms, hand
 from rig_description.urdf import TABLE_HALF, TABLE_THICKNESS
 
-ELBOW_RADIUS, ELBOW_END, ELBOW_ASIDE = 0.089, 0.055, 0.0465
-"""Of links 1 to 4: radius of the capsule around each, how far before the link's seam it ends, and how far beside the
-axis in the half of the joint's housing."""
-FOREARM_RADIUS, FOREARM_END, FOREARM_ASIDE = 0.081, 0.042, 0.040
-WRIST_RADIUS, FLANGE_RADIUS = 0.080, 0.0505
-LINK_7 = 0.075  # where link 7 begins beyond the wrist
-BASE_RADIUS, PLUGS = 0.113, ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
-PALM = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
-PHALANX_RADIUS = 0.0165
 OPENED_RAD = 0.02  # a hand some of whose joints has turned by more than this since has another opening [rad]
-PROXIMAL, DISTAL = ((0.0, 0.003), (0.054, 0.003)), ((0.003, 0.001), (0.038, 0.001))  # x, z of the ends of their axes
 TABLE, REACH = "table", "reach of finger"
 
 
@@ -43,26 +33,39 @@ class Opening:
 
 def arm_bodies(model: RobotModel, ring: bool) -> list[ConvexBody]:
     """Returns the bodies of base, links 1 to 6, and link 7 with media flange, the hand's connector, and any ring."""
+    # Of links 1 to 4: radius of the capsule around each, how far before the link's seam it ends, and how far beside
+    # the axis in the half of the joint's housing.
+    elbow_radius = 0.089
+    elbow_end = 0.055
+    elbow_aside = 0.0465
+    forearm_radius = 0.081
+    forearm_end = 0.042
+    forearm_aside = 0.040
+    wrist_radius = 0.080
+    flange_radius = 0.0505
+    link_7 = 0.075  # where link 7 begins beyond the wrist
+    base_radius = 0.113
+    plugs = ((-0.143, -0.066, 0.0), (-0.02, 0.066, 0.093))
     low, middle, high = arms.ARMS[model.name].seams
     shoulder, upper, fore = model.base_shoulder, model.shoulder_elbow, model.elbow_wrist
-    r, end, aside = ELBOW_RADIUS, ELBOW_END, ELBOW_ASIDE
+    r, end, aside = elbow_radius, elbow_end, elbow_aside
     top = model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH
     corners = np.array([*hand.RING_PAD, *hand.RING_ARM])
     pad = _box("marker ring", 7, corners.min(axis=0), corners.max(axis=0), translation(0.0, 0.0, model.wrist_flange))
     bodies = [
-        ConvexBody("base", 0, ConvexShape("cylinder", (BASE_RADIUS, low)), read_only(translation(0.0, 0.0, low / 2.0))),
-        _box("base plugs", 0, *PLUGS),
+        ConvexBody("base", 0, ConvexShape("cylinder", (base_radius, low)), read_only(translation(0.0, 0.0, low / 2.0))),
+        _box("base plugs", 0, *plugs),
         _capsule("link 1", 1, r, (0.0, 0.0, low - shoulder + end), (0.0, -aside, 0.0)),
         _capsule("link 2", 2, r, (0.0, aside, 0.0), (0.0, 0.0, middle - end)),
         _capsule("link 3", 3, r, (0.0, 0.0, middle - upper + end), (0.0, aside, 0.0)),
         _capsule("link 4", 4, r, (0.0, -aside, 0.0), (0.0, 0.0, high - end)),
-        _capsule("link 5", 5, FOREARM_RADIUS, (0.0, 0.0, high - fore + FOREARM_END), (0.0, -FOREARM_ASIDE, 0.0)),
-        _capsule("link 6", 6, WRIST_RADIUS, (0.0, 0.0015, 0.0155), (0.0, 0.0105, 0.0)),
+        _capsule("link 5", 5, forearm_radius, (0.0, 0.0, high - fore + forearm_end), (0.0, -forearm_aside, 0.0)),
+        _capsule("link 6", 6, wrist_radius, (0.0, 0.0015, 0.0155), (0.0, 0.0105, 0.0)),
         ConvexBody(
             "flange",
             7,
-            ConvexShape("cylinder", (FLANGE_RADIUS, top - LINK_7)),
-            read_only(translation(0, 0, (top + LINK_7) / 2)),
+            ConvexShape("cylinder", (flange_radius, top - link_7)),
+            read_only(translation(0, 0, (top + link_7) / 2)),
         ),
     ]
     return [*bodies, pad] if ring else bodies
@@ -77,9 +80,13 @@ def table() -> ConvexBody:
 def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[ConvexBody]:
     """Returns the palm and the fingers; `ring`: the ring of the marker board is behind the hand. Each finger is the
     sphere that it does not leave, whatever moves it; at an `opening` it is two capsules."""
+    palm = (-0.064, -0.056, 0.0), (0.084, 0.056, 0.094)  # opposite corners, with the swivels of the fingers
+    phalanx_radius = 0.0165
+    proximal = ((0.0, 0.003), (0.054, 0.003))  # x, z of the ends of their axes
+    distal = ((0.003, 0.001), (0.038, 0.001))
     T_7_hand = translation(0.0, 0.0, model.wrist_flange + hand.CONNECTOR_LENGTH + ring * hand.RING_LENGTH)
     T_7_hand[:3, :3] = rotation_about(2, hand.CONNECTOR_YAW)
-    bodies = [_box("palm", 7, *PALM, T_7_hand)]
+    bodies = [_box("palm", 7, *palm, T_7_hand)]
     frames = {"base_link": T_7_hand}
     for joint in hand.JOINTS:
         T = pose(rotation_about(2, joint.yaw), joint.xyz)
@@ -92,10 +99,10 @@ def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[
             T, sphere = pose(p=frames[f"proximal_{finger}"][:3, 3]), ConvexShape("sphere", (hand.FINGER_REACH,))
             bodies.append(ConvexBody(f"{REACH} {finger}", 7, sphere, T, True))
             continue
-        for part, ends in (("proximal", PROXIMAL), ("distal", DISTAL)):
+        for part, ends in (("proximal", proximal), ("distal", distal)):
             a, b = ((x, 0.0, z) for x, z in ends)
             T = frames[f"{part}_{finger}"]
-            bodies.append(_capsule(f"finger {finger}, {part}", 7, PHALANX_RADIUS, a, b, T, True))
+            bodies.append(_capsule(f"finger {finger}, {part}", 7, phalanx_radius, a, b, T, True))
     return bodies
 
 

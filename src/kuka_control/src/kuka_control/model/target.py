@@ -27,9 +27,7 @@ HALF_TURN_RAD = float(np.pi)
 shipped workspaces, at the tilts that the operator is permitted, no joint turns by more than 165 deg."""
 STEADY_RAD = float(np.radians(1.0))  # the joints hurry if their step is larger than this and what full speed allows
 STEADY_TURN_RAD = float(np.radians(4.0))  # a tool frame with a step beyond these has jumped: the joints may, too
-STEADY_M = 0.02
 FAR_RAD = float(np.radians(60.0))  # joints that are further off than this are not approached at once
-STEADY_PACE = 0.9  # fraction of full joint speed at which they come after it
 SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as within these for the joints' steps [s]
 
 SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
@@ -168,6 +166,8 @@ class TargetChain:
     ) -> Target:
         """Returns a target on the way to `target`, with the tool in its position, if the joints hurry but the tool
         does not; arguments as in `resolve`."""
+        steady_m = 0.02
+        steady_pace = 0.9  # fraction of full joint speed at which they come after it
         assert target.q is not None, "only a target with joints can be reached steadily"
         steps = np.abs(target.q - q_seed)
         if max(steps.tolist()) <= STEADY_RAD:
@@ -176,10 +176,10 @@ class TargetChain:
         if np.all(steps <= STEADY_RAD + within) or (not before.deviation and np.max(steps) > FAR_RAD):
             return target
         position = target.T_base_tool[:3, 3]
-        jumped = np.linalg.norm(position - before.T_base_tool[:3, 3]) > STEADY_M
+        jumped = np.linalg.norm(position - before.T_base_tool[:3, 3]) > steady_m
         if jumped or _angle(before.T_base_tool, T_base_scaled) > before.deviation + STEADY_TURN_RAD:
             return target
-        q = approached(self._kinematics, position, q_seed, target.q, STEADY_PACE * within)
+        q = approached(self._kinematics, position, q_seed, target.q, steady_pace * within)
         if q is None:
             return target
         T_base_tool = self._kinematics.forward(q)

@@ -11,7 +11,6 @@ import numpy as np
 from iiwa_kinematics import Kinematics
 
 GRAVITY = 9.81  # [m/s^2]
-RCOND = 0.02  # singular values of the Jacobian below this fraction of the greatest say nothing about the wrench
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,7 @@ def wrench_at_tool(kinematics: Kinematics, q: np.ndarray, torques: np.ndarray) -
     """Returns force [N] and moment [Nm], shape (3,) each, along and about the tool's axes, that fit the torques
     best. For servo mode, in which the toolbox cannot tell the moment, and before May 2019 not the force either.
     Least squares of J^T w = torques at the joints q, shape (7,) [rad], with external joint torques, shape (7,) [Nm]."""
-    wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=RCOND)[0]
+    rcond = 0.02  # singular values of the Jacobian below this fraction of the greatest say nothing about the wrench
+    wrench = np.linalg.lstsq(kinematics.jacobian(q).T, torques, rcond=rcond)[0]
     R_tool_base = kinematics.forward(q)[:3, :3].T
     return R_tool_base @ wrench[:3], R_tool_base @ wrench[3:]

@@ -16,8 +16,6 @@ import numpy as np
 from common.errors import ConfigError
 from common.poses import read_only
 
-ON_BOUND = 1e-12  # a position beyond a bound by at most this counts as on it [m]; so constraining twice changes nothing
-
 
 class Bound(str, Enum):
     OPENING_ANGLE = "opening angle"
@@ -172,6 +170,8 @@ class Workspace:
     def constrain(self, position: np.ndarray) -> Constrained | Infeasible:
         """Returns the position, shape (3,) [m], constrained to the workspace, or that it is infeasible. Raises
         ValueError: the position is not three finite numbers."""
+        # a position beyond a bound by at most this counts as on it [m]; so constraining twice changes nothing
+        on_bound = 1e-12
         position = _position(position)
         if self.lifted:
             return Constrained(position, ())
@@ -180,7 +180,7 @@ class Workspace:
         c, s = math.cos(self.heading), math.sin(self.heading)
         along, left = c * x + s * y, c * y - s * x
         r = math.hypot(along, left)
-        if along <= 0.0 or r < ON_BOUND:
+        if along <= 0.0 or r < on_bound:
             return Infeasible(position, Infeasibility.BEHIND_BASE)
         if z < 0.0:
             return Infeasible(position, Infeasibility.BELOW_BASE)
@@ -188,7 +188,7 @@ class Workspace:
         bounds = []
         side = math.copysign(self.opening_angle / 2.0, left)
         c_side, s_side = math.cos(side), math.sin(side)
-        if abs(left) * c_side - along * abs(s_side) > ON_BOUND:
+        if abs(left) * c_side - along * abs(s_side) > on_bound:
             bounds.append(Bound.OPENING_ANGLE)
             r = along * c_side + left * s_side
             along, left = r * c_side, r * s_side
@@ -196,7 +196,7 @@ class Workspace:
             bounds.append(Bound.Z_LOWER if z < self.z_lower else Bound.Z_UPPER)
             z = min(max(z, self.z_lower), self.z_upper)
         r_inner, r_outer = self.radii(z)
-        if not r_inner - ON_BOUND <= r <= r_outer + ON_BOUND:
+        if not r_inner - on_bound <= r <= r_outer + on_bound:
             bounds.append(Bound.INNER_SPHERE if r < r_inner else Bound.OUTER_SPHERE)
             moved = min(max(r, r_inner), r_outer)
             along, left = along / r * moved, left / r * moved

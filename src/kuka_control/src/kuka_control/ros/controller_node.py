@@ -53,7 +53,6 @@ PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_k
 RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out of reach [s]
 SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
 PATIENCE_S = 20.0  # how long a server that does not run yet is tried again at the start [s]
-RETRY_S = 0.5
 LONGEST_PERIOD_S = 0.025  # of the control loop, so that pauses of the desired tool frame are seen [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]
 
@@ -90,6 +89,7 @@ class RobotLink:
         before.close()
 
     def _first(self) -> KstArm:
+        retry_s = 0.5
         config, waiting = self._config, False
         deadline = clock.monotonic() + PATIENCE_S
         while not rospy.is_shutdown():
@@ -106,7 +106,7 @@ class RobotLink:
                 if not waiting:
                     rospy.logwarn("%s. Trying for %g s.", error, PATIENCE_S)
                 waiting = True
-                clock.sleep(RETRY_S)
+                clock.sleep(retry_s)
         raise rospy.ROSInterruptException("shut down while connecting")
 
     def _connected(self, timeout: float) -> KstArm:

@@ -17,7 +17,6 @@ PROGRAM = "controller"  # part of the file name of every program that may be end
 SERVICE = "kuka/exit_app_emergency"
 PATIENCE_S = 0.5  # how long the controller may take to end by itself
 KILL_S = 1.0
-POLL_S = 0.01
 SMARTPAD = "Press the red button of the smartPad."
 
 
@@ -107,8 +106,9 @@ def _end(process: ControllerProcess, deadline: float) -> tuple[bool, str]:
 
 
 def _ended(process: ControllerProcess, deadline: float) -> bool:
+    poll_s = 0.01
     while runs(process):
         if clock.monotonic() >= deadline:
             return False
-        clock.sleep(POLL_S)
+        clock.sleep(poll_s)
     return True

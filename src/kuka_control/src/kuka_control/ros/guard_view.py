@@ -27,8 +27,6 @@ from kuka_control.model.robot_shape import OPENED_RAD, TABLE, Opening
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import GuardState
 
-PERIOD_S = 0.1
-BODIES_EVERY = 5  # of so many times once
 TAKE_S = 0.04  # the opening is taken over this often [s]
 SILENT_S = 1.0  # a hand that has not reported for so long may be open as wide as it can [s]
 FAILED_S = 10.0  # how often a failure of the guard is said [s]
@@ -75,6 +73,7 @@ class GuardView:
         observe: Callable[[], tuple[np.ndarray | None, float]],
         frames: ArmFrames = ONE_ARM,
     ) -> None:
+        period_s = 0.1
         self._base = frames(BASE)
         self._guard = collision_guard(config, rig)
         self._margin, self._observe = config.guard_margin, observe
@@ -82,7 +81,7 @@ class GuardView:
         self._lock = clock.Lock()
         self._state = rospy.Publisher("kuka/guard", GuardState, queue_size=2)
         self._markers = rospy.Publisher("kuka/guard_markers", MarkerArray, queue_size=2)
-        repeat(self._show, PERIOD_S, "guard view")
+        repeat(self._show, period_s, "guard view")
 
     def collision(self, q: np.ndarray) -> str | None:
         """Returns which bodies would be too near at the joints q, shape (7,) [rad], a part of a sentence, or None.
@@ -120,6 +119,7 @@ class GuardView:
         self._state.publish(state)
 
     def _drawn(self, header: Header, state: GuardState, joints: np.ndarray) -> list[Marker]:
+        bodies_every = 5  # of so many times once
         colour = ColorRGBA(1.0 - state.scale, state.scale, 0.1, 1.0)
         line = _marker(header, "nearest", 0, Marker.LINE_LIST, (0.006, 0.0, 0.0), colour, np.eye(4))
         line.points = list(state.points)
@@ -128,7 +128,7 @@ class GuardView:
         text = _marker(header, "distance", 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.04), colour, above)
         text.text = f"{state.pair[0]} - {state.pair[1]}: {1e3 * state.distance:.0f} mm"
         markers = [line, text]
-        if self._count % BODIES_EVERY == 0:
+        if self._count % bodies_every == 0:
             for number, (body, T) in enumerate(self._guard.placed(joints.tolist())):
                 # The robot's description shows the table, and walls between arms would hide both.
                 if body.name != TABLE and not body.name.startswith(SIDE):

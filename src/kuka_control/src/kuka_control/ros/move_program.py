@@ -23,7 +23,6 @@ from kuka_msgs.msg import MoveAction, MoveFeedback, MoveGoal, MoveResult
 
 SERVER_S = 5.0  # how long a controller is looked for [s]
 SILENCE_S = 5.0  # a controller that reports nothing for so long has ended [s]
-POLL_S = 0.1
 
 
 def main() -> None:
@@ -46,6 +45,7 @@ def _run(options: argparse.Namespace) -> int:
 def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
     """Moves the arm, with a progress bar; returns the result, and whether Ctrl-C interrupted the motion. Raises
     DeviceError if no controller answers."""
+    poll_s = 0.1
     client = ActionClient("kuka/move", MoveAction)
     if not client.wait_for_server(rospy.Duration(SERVER_S)):
         raise DeviceError("Nobody offers kuka/move: start a controller first, such as with make demo.")
@@ -63,7 +63,7 @@ def carry_out(goal: MoveGoal) -> tuple[MoveResult, bool]:
 
         client.send_goal(goal, feedback_cb=show)
         cancelled = False
-        while not client.wait_for_result(rospy.Duration(POLL_S)):
+        while not client.wait_for_result(rospy.Duration(poll_s)):
             if noted and not cancelled:
                 cancelled = True
                 client.cancel_goal()

@@ -18,7 +18,7 @@ from kuka_control.numbers import MAX_OFFSET_S
 
 AGAIN_S = 5.0  # shortest time between two measurements because of stamps that are off [s]
 RENEW_S = 60.0  # a clock that differs is measured again after this time [s]
-EXCHANGES, FAILURES = 60, 3  # at most, in one measurement, which lasts longer than a second
+FAILURES = 3  # at most, in one measurement, which lasts longer than a second
 PAUSE_S = 0.037  # between two; no fraction of a second
 ANSWER_S = 0.5  # an answer that takes longer says nothing
 SYNCHRONISE = "synchronise the clocks of both machines"
@@ -86,10 +86,11 @@ class NodeClock:
 
 def measure(uri: str) -> float:
     """Returns by how much the clock of the node at an address is ahead of this machine's [s]; NoAnswer: not known."""
+    exchanges = 60  # at most, in one measurement, which lasts longer than a second
     measurement, failures = OffsetMeasurement(), 0
     address = urlparse(uri)
     body = dumps((rospy.get_caller_id(),), "getPid")
-    for _ in range(EXCHANGES):
+    for _ in range(exchanges):
         connection = http.client.HTTPConnection(address.hostname, address.port, timeout=ANSWER_S)
         try:
             connection.connect()

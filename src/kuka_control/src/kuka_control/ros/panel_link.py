@@ -33,7 +33,6 @@ from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaC
 from rig_msgs.msg import KukaStatus, OperatorView
 
 REFRESH_MS = 50
-WATCH_S = 1.0
 CALL_TIMEOUT_S = 3.0
 SETTLE_S = 1.0  # how long the slider waits for a status with the scaling factor that was accepted
 CONTROL, GRIPPER = "kuka/kuka_control", "kuka/gripper_control"
@@ -143,6 +142,7 @@ class PanelLink(QObject):
 
     def _watch(self) -> None:
         """Subscribes once there is a node to do it, keeps addresses, and subscribes anew at a master that forgot us."""
+        watch_s = 1.0
         while not (self._master_answers() and rospy.core.is_initialized()):
             if self._closed:
                 return
@@ -160,7 +160,7 @@ class PanelLink(QObject):
             # A connection that still brings a status is kept: the new master does not know its other end.
             if forgotten and not self._hears() and not self._subscribing:
                 self._subscribe()
-            self._wake.wait(0.0 if self._closed else WATCH_S)
+            self._wake.wait(0.0 if self._closed else watch_s)
         self._unsubscribe()
 
     def _unsubscribe(self) -> None:

@@ -18,7 +18,6 @@ from kuka_control.model.target import MotionScaling, check_tool_pose, refused, s
 from kuka_msgs.srv import exitApp, exitAppEmergency, setGripperControl, setKukaControl, setPayload, setScalingFactor
 from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseResponse
 
-EMERGENCY_EXIT_CODE = 2
 ANSWER_S = 0.05  # how long the process lives on after an emergency call, so that the answer gets out [s]
 
 
@@ -56,7 +55,8 @@ class Services:
 
     def _end_at_once(self, request):
         """Needs neither the control loop nor the robot, so it also works when those hang."""
-        timer = clock.Timer(ANSWER_S, os._exit, [EMERGENCY_EXIT_CODE])
+        emergency_exit_code = 2
+        timer = clock.Timer(ANSWER_S, os._exit, [emergency_exit_code])
         timer.daemon = True
         timer.start()
         return True, "The controller exits at once; the robot holds its last goal or completes its PTP motion."

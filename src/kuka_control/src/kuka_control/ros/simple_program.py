@@ -34,7 +34,6 @@ from rig_description.hand import CONNECTOR_LENGTH, RING_LENGTH, finger_balls
 
 NODE = "kuka_simple_node"
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", NODE)  # nodes that hold the robot's only connection
-BAR_CHARACTERS = 30
 
 
 @contextlib.contextmanager
@@ -75,9 +74,10 @@ class ProgressLine:
 
 def progress_bar(progress: PtpProgress) -> str:
     """Returns a line with a bar and the remaining step."""
-    filled = int(progress.fraction * BAR_CHARACTERS)
+    bar_characters = 30
+    filled = int(progress.fraction * bar_characters)
     remaining = f"{math.degrees(progress.remaining):6.1f} deg left (joint {progress.joint})"
-    return f"[{'#' * filled}{'.' * (BAR_CHARACTERS - filled)}] {100.0 * progress.fraction:3.0f} %  {remaining}"
+    return f"[{'#' * filled}{'.' * (bar_characters - filled)}] {100.0 * progress.fraction:3.0f} %  {remaining}"
 
 
 def agrees(question: str) -> bool | None:

@@ -42,9 +42,6 @@ from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeas
 from rig_msgs.msg import KukaStatus, SentGoals
 
 JOINT_NAMES = [f"kuka/joint_{i}" for i in range(1, 8)]
-LINE_WIDTH_M = 0.003
-CENTRE_DIAMETER_M = 0.02
-RATE_GOALS = 1000  # the most goals in a second
 
 
 @dataclass(frozen=True)
@@ -61,8 +58,9 @@ class GoalPublisher:
     """Publishes what was sent to the robot, while somebody listens."""
 
     def __init__(self) -> None:
+        rate_goals = 1000  # the most goals in a second
         self._publisher = DirectPublisher("kuka/sent_goals", SentGoals, queue_size=100)
-        self._goals: deque[tuple[rospy.Time, list[float], float]] = deque(maxlen=10 * RATE_GOALS)
+        self._goals: deque[tuple[rospy.Time, list[float], float]] = deque(maxlen=10 * rate_goals)
 
     def sent(self, q: np.ndarray, velocity: float) -> None:
         """Notes a goal, shape (7,) [rad], that was sent now; `velocity` of a PTP motion, else 0. Waits for nothing."""
@@ -237,12 +235,14 @@ class StatePublisher:
 def publish_workspace(workspace: Workspace, centre, frames: ArmFrames = ONE_ARM) -> rospy.Publisher:
     """Publishes the boundary lines, unless they do not act, and the centre, once and latched; the publisher is to be
     kept."""
+    line_width_m = 0.003
+    centre_diameter_m = 0.02
     publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
     lines = [
-        _marker(i, Marker.LINE_STRIP, LINE_WIDTH_M, [Point(*p) for p in line])
+        _marker(i, Marker.LINE_STRIP, line_width_m, [Point(*p) for p in line])
         for i, line in enumerate([] if workspace.lifted else boundary_lines(workspace))
     ]
-    middle = _marker(len(lines), Marker.SPHERE_LIST, CENTRE_DIAMETER_M, [Point(*centre)])
+    middle = _marker(len(lines), Marker.SPHERE_LIST, centre_diameter_m, [Point(*centre)])
     markers = [*lines, middle]
     for marker in markers:
         marker.header.frame_id = frames(BASE)

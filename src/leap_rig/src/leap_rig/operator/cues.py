@@ -15,8 +15,6 @@ import numpy as np
 GAP_S = 0.35
 LIMIT_GAP_S = 2.0
 RATE_HZ = 16_000
-FADE_S = 0.01
-LOUDNESS = 0.4
 
 
 class Sound(Enum):
@@ -90,5 +88,7 @@ def wav(sound: Sound) -> bytes:
 
 def _note(pitch: float, length: float) -> np.ndarray:
     """Returns the samples of a note, -1 to 1, that fades in and out so that it does not click."""
+    fade_s = 0.01
+    loudness = 0.4
     t = np.arange(round(length * RATE_HZ)) / RATE_HZ
-    return LOUDNESS * np.sin(2.0 * np.pi * pitch * t) * np.clip(np.minimum(t, length - t) / FADE_S, 0.0, 1.0)
+    return loudness * np.sin(2.0 * np.pi * pitch * t) * np.clip(np.minimum(t, length - t) / fade_s, 0.0, 1.0)

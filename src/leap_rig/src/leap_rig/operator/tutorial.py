@@ -20,11 +20,7 @@ from common.teleop_record import RUNNING, WAITING, TeleopRecord
 from leap_kuka.start_gate import BOX, PITCH, ROLL
 
 HINT_S = 4.0  # a step that takes longer gets a hint
-LARGEST_PAUSE_S = 0.5  # between two views; after a longer one a time that must pass begins anew
-FLAT_S, FOLLOWS_S, AWAY_S = 0.3, 0.5, 0.5  # how long it must last
-DISTANCE_M = 0.06  # of the flange from where the step began
 TURN_RAD = math.radians(7.0)  # of the flange from its orientation when the step began
-OPENED, CLOSED = 0.3, 0.6  # fractions of a closed robot hand
 FLAT = {BOX, PITCH, ROLL}
 GONE = {ReasonCode.NO_HAND, ReasonCode.HAND_GONE}  # the hand has left the view
 HINTS = {
@@ -114,9 +110,10 @@ class Tutorial:
 
     def view(self, now: float) -> TutorialView:
         """Ticks the present step if it is done `now` [s], and returns what the visitor sees."""
+        largest_pause_s = 0.5  # between two views; after a longer one a time that must pass begins anew
         if self._began is None:
             self._began = now
-        if now - self._viewed > LARGEST_PAUSE_S:
+        if now - self._viewed > largest_pause_s:
             self._since = None
         self._viewed = now
         names = tuple(self._steps)
@@ -147,12 +144,14 @@ class Tutorial:
         return teleop is not None and arm is not None and teleop.follows and arm.mode == Mode.SERVO
 
     def _flat(self, now: float) -> float:
+        flat_s = 0.3  # how long it must last
         teleop = self._fresh(TeleopRecord, now)  # a hand that continues where the tool is held need not be level
         flat = teleop is not None and teleop.state in (WAITING, RUNNING) and teleop.met >= FLAT
-        return self._lasts(flat, FLAT_S, now)
+        return self._lasts(flat, flat_s, now)
 
     def _green(self, now: float) -> float:
-        return self._lasts(self._follows(now), FOLLOWS_S, now)
+        follows_s = 0.5  # how long it must last
+        return self._lasts(self._follows(now), follows_s, now)
 
     def _motion(self, now: float) -> tuple[float, float]:
         """Returns how far the flange has moved [m] and turned [rad] in this step, while the arm followed the hand."""
@@ -166,18 +165,21 @@ class Tutorial:
         return float(np.linalg.norm(T[:3, 3] - self._start[:3, 3])), rotation_angle(self._start[:3, :3].T @ T[:3, :3])
 
     def _move(self, now: float) -> float:
-        return min(1.0, self._motion(now)[0] / DISTANCE_M)
+        distance_m = 0.06  # of the flange from where the step began
+        return min(1.0, self._motion(now)[0] / distance_m)
 
     def _tilt(self, now: float) -> float:
         return min(1.0, self._motion(now)[1] / TURN_RAD)
 
     def _fingers(self, now: float) -> float:
+        opened = 0.3  # fractions of a closed robot hand
+        closed = 0.6
         fingers = self._fresh(FingersRecord, now)
         if fingers is None or not self._follows(now):
             self._before = False
             return 0.0
-        self._before |= fingers.closed < OPENED
-        return min(1.0, max(0.0, fingers.closed) / CLOSED) if self._before else 0.0
+        self._before |= fingers.closed < opened
+        return min(1.0, max(0.0, fingers.closed) / closed) if self._before else 0.0
 
     def _clutch(self, now: float) -> float:
         teleop = self._fresh(TeleopRecord, now)
@@ -188,9 +190,10 @@ class Tutorial:
         return 0.0 if not self._before else 0.5 if teleop.clutched or not self._follows(now) else 1.0
 
     def _away(self, now: float) -> float:
+        away_s = 0.5  # how long it must last
         teleop, arm = self._fresh(TeleopRecord, now), self._fresh(ArmRecord, now)
         home = teleop is not None and teleop.state == WAITING and arm is not None and arm.mode != Mode.SERVO
-        return self._lasts(home and _gone(teleop), AWAY_S, now)
+        return self._lasts(home and _gone(teleop), away_s, now)
 
     def _hint(self, step: str, now: float) -> str:
         """Returns what hinders the visitor, or how the step is done."""

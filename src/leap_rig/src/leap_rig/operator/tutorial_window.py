@@ -21,7 +21,6 @@ QProgressBar::chunk { border-radius: 5px; background-color: #2e9e44; }
 """
 MARKS = {"ticked": "✔", "present": "▶", "later": "○"}
 SIZE_PX = (460, 490)
-HINT_FRAME_PX = 20
 
 
 class TutorialWindow(QWidget):
@@ -54,8 +53,9 @@ class TutorialWindow(QWidget):
 
     def showEvent(self, event) -> None:
         """Reserves two lines for the hint, so that nothing jumps."""
+        hint_frame_px = 20
         super().showEvent(event)
-        self.hint.setMinimumHeight(2 * self.hint.fontMetrics().lineSpacing() + HINT_FRAME_PX)
+        self.hint.setMinimumHeight(2 * self.hint.fontMetrics().lineSpacing() + hint_frame_px)
 
     def show_view(self, view: TutorialView) -> None:
         for name, widget in self.steps.items():

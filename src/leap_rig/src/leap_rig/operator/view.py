@@ -17,12 +17,7 @@ from common.robot_hand import HAND
 from common.teleop_record import WAITING, TeleopRecord
 from leap_rig.operator.cues import Cue
 
-CLOSED_RAD = 2.0  # about the angle of a finger on the palm
 DELAY_SILENCE_S = 5.0  # the delay from hand to arm is measured over seconds
-FAR_M = 100.0  # a pair at this distance is none
-SLOW_LINK_S = 0.02  # round trips or a jitter above this are worth a warning
-MAX_ROUND_TRIP_S = 1e3  # what is longer is no measurement
-ROUND_TRIPS = 50  # that the jitter is of
 
 
 @dataclass(frozen=True)
@@ -84,14 +79,16 @@ class OperatorView:
     """The newest record of each kind; `full_pressure` is what fills a tactile bar [counts]."""
 
     def __init__(self, full_pressure: float) -> None:
+        round_trips = 50  # that the jitter is of
         self._full_pressure = full_pressure
         self._newest: dict[type, tuple[object, float]] = {}
-        self._round_trips: deque[float] = deque(maxlen=ROUND_TRIPS)
+        self._round_trips: deque[float] = deque(maxlen=round_trips)
 
     def take(self, record: TeleopRecord | ArmView | GuardedPair | GripView | DelayView, now: float) -> None:
         """Takes a record that arrived at `now` [s]."""
+        max_round_trip_s = 1e3  # what is longer is no measurement
         self._newest[type(record)] = record, now
-        if isinstance(record, ArmView) and 0.0 < record.round_trip < MAX_ROUND_TRIP_S:
+        if isinstance(record, ArmView) and 0.0 < record.round_trip < max_round_trip_s:
             self._round_trips.append(record.round_trip)
 
     def rows(self, now: float) -> tuple[Row, ...]:
@@ -145,11 +142,12 @@ class OperatorView:
         return text, tone, HAND.fingers, bars
 
     def _link(self, arm: ArmView) -> tuple[str, RowTone]:
+        slow_link_s = 0.02  # round trips or a jitter above this are worth a warning
         if not self._round_trips:
             return NOTHING, RowTone.NORMAL
         spread = jitter(self._round_trips)
         text = f"round trip {1e3 * self._round_trips[-1]:.1f} ms, jitter {1e3 * spread:.1f} ms"
-        return text, RowTone.WARNING if max(self._round_trips[-1], spread) > SLOW_LINK_S else RowTone.NORMAL
+        return text, RowTone.WARNING if max(self._round_trips[-1], spread) > slow_link_s else RowTone.NORMAL
 
 
 def jitter(round_trips: Sequence[float]) -> float:
@@ -186,9 +184,10 @@ def _limits(arm: ArmView, hand: TeleopRecord | None) -> tuple[str, RowTone]:
 
 
 def _guard(guard: GuardedPair) -> tuple[str, RowTone]:
+    far_m = 100.0  # a pair at this distance is none
     if not guard.on:
         return "off", RowTone.NORMAL
-    if not abs(guard.distance) < FAR_M:
+    if not abs(guard.distance) < far_m:
         return "nothing near", RowTone.NORMAL
     text = f"{1e3 * guard.distance:.0f} mm from {' to '.join(guard.pair)}"
     if guard.distance <= guard.margin or not guard.scale > 0.0:
@@ -199,7 +198,8 @@ def _guard(guard: GuardedPair) -> tuple[str, RowTone]:
 
 
 def _fingers(hand: GripView) -> tuple:
-    closed = tuple(fraction(angle / CLOSED_RAD) for angle in hand.angles)
+    closed_rad = 2.0  # about the angle of a finger on the palm
+    closed = tuple(fraction(angle / closed_rad) for angle in hand.angles)
     return f"{100 * sum(closed) / len(closed):.0f} %", RowTone.NORMAL, HAND.fingers, closed
 
 

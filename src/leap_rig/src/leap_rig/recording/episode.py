@@ -11,9 +11,6 @@ from common import robot_hand
 from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.run import RecordedRun
 
-LONGEST_S = 86400.0  # of an episode
-BACK_S = 0.05  # between two messages: time that goes back farther was set
-FRESH_S = 0.1  # an older goal no longer moves the arm: between motions it is where it is
 ARM = tuple(f"kuka_joint_{i}" for i in range(1, 8))
 HAND = robot_hand.HAND.motors
 CHANNELS = {"rgb8": (3, [0, 1, 2]), "bgr8": (3, [2, 1, 0]), "rgba8": (4, [0, 1, 2]), "bgra8": (4, [2, 1, 0])}
@@ -34,13 +31,16 @@ class TrainingEpisode:
 
 def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
     """Returns the rows of a run, `fps` a second; RecordingFault if it has no measured joints, or time went back."""
+    longest_s = 86400.0  # of an episode
+    back_s = 0.05  # between two messages: time that goes back farther was set
+    fresh_s = 0.1  # an older goal no longer moves the arm: between motions it is where it is
     parts = [(run.joint_times, run.joints)]
     if len(run.hand):
         parts.append((run.hand_times, run.hand))
     if not len(run.joints):
         raise RecordingFault("The recording has no measured joints, so there is nothing to learn from.")
     for times in (run.joint_times, run.hand_times, run.goal_times, run.hand_command_times):
-        back = np.flatnonzero(np.diff(times) < -BACK_S)
+        back = np.flatnonzero(np.diff(times) < -back_s)
         if len(back):
             step, after = times[back[0]] - times[back[0] + 1], times[back[0]] - times[0]
             raise RecordingFault(
@@ -50,14 +50,14 @@ def training_episode(run: RecordedRun, fps: int) -> TrainingEpisode:
     begin, end = max(times[0] for times, _ in parts), min(times[-1] for times, _ in parts)
     if begin > end:
         raise RecordingFault("Arm and hand were measured at no time together, so there is nothing to learn from.")
-    if end - begin > LONGEST_S:
+    if end - begin > longest_s:
         raise RecordingFault(f"The recording spans {(end - begin) / 3600.0:.0f} hours: a clock was set while it ran.")
     times = begin + np.arange(int((end - begin) * fps) + 1) / fps
     later = times + 1.0 / fps
     state = np.hstack([_newest(*part, times)[0] for part in parts])
     action = np.hstack([_newest(*part, later)[0] for part in parts])
     servo = run.goal_velocities == 0.0
-    _command(action[:, :7], run.goal_times[servo], run.goals[servo], later, FRESH_S)
+    _command(action[:, :7], run.goal_times[servo], run.goals[servo], later, fresh_s)
     if len(run.hand):
         _command(action[:, 7:], run.hand_command_times, run.hand_commands, later, np.inf)
     return TrainingEpisode(ARM + (HAND if len(run.hand) else ()), times, state, action)

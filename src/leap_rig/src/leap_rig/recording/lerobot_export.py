@@ -18,19 +18,19 @@ from leap_rig.recording.episode import TrainingEpisode, color_image, training_ep
 from leap_rig.recording.recording_files import RecordingFault
 from leap_rig.recording.run import MessageDecoders, between, read
 
-INTERRUPTED = 130  # exit code after Ctrl-C
 STATE, ACTION, COLOR = "observation.state", "action", "observation.images.color"
 
 
 def main() -> None:
     """Exports what the only argument describes in JSON; what ends it goes to stderr."""
+    interrupted = 130  # exit code after Ctrl-C
     try:
         options = json.loads(sys.argv[1])
         export([Path(name) for name in options["recordings"]], Path(options["folder"]), options["fps"], options["task"])
     except (RigError, OSError) as error:
         sys.exit(f"export_recording: {error}")
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        sys.exit(interrupted)
 
 
 def export(recordings: list[Path], folder: Path, fps: int, task: str) -> None:

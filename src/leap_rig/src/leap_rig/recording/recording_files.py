@@ -41,10 +41,8 @@ KINDS = {"task": str, "robot": dict, "dropped": dict}  # of the manifest's value
 MANIFEST, MESSAGES, PARAMETERS = "manifest.json", "messages.mcap", "parameters.yaml"
 HOME = "leap_rig/recordings"  # in ROS's home, ~/.ros
 RESERVE_BYTES = 16 * 2**20  # kept free while a recording runs, for the last chunk and the index on a full disk
-UNBOUNDED = 2**62  # bytes of a chunk: time ends it, not its size
 CHUNK_BYTES = READ_BYTES = 2**20
 STORED_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,199}", re.ASCII)  # of a file beside manifest and messages
-LARGEST_MANIFEST = 2**22  # bytes
 LARGEST_CHUNK = 2**28  # a chunk of a damaged or foreign file that would be larger ends the reading
 
 
@@ -163,6 +161,7 @@ class RecordingWriter:
     def __init__(
         self, folder: Path, about: Mapping[str, Any], files: Mapping[str, bytes], now: int, reserve: int = RESERVE_BYTES
     ) -> None:
+        unbounded = 2**62  # bytes of a chunk: time ends it, not its size
         self._folder = folder
         wrong = [name for name in files if not is_stored_name(name)]
         if wrong:
@@ -189,7 +188,7 @@ class RecordingWriter:
         except OSError as error:
             shutil.rmtree(folder, ignore_errors=True)  # it was made here; the name is free again
             raise RecordingFault(f"Nothing can be recorded in {folder}: {error.strerror}.") from error
-        self._sink = McapSink(self._file, UNBOUNDED)
+        self._sink = McapSink(self._file, unbounded)
 
     @property
     def size(self) -> int:
@@ -241,9 +240,10 @@ class RecordingWriter:
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Returns the manifest; raises RecordingFault if it does not have this format."""
+    largest_manifest = 2**22  # bytes
     try:
         with open_regular(folder / MANIFEST) as file:
-            text = file.read(LARGEST_MANIFEST)
+            text = file.read(largest_manifest)
         manifest = json.loads(text.decode("utf-8"))
     except OSError as error:
         raise RecordingFault(

@@ -11,7 +11,6 @@ import numpy as np
 
 from common.errors import RigError
 
-DEEPEST = 20  # messages within messages
 NUMBERS = {
     "bool": "?", "byte": "i1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
     "int32": "<i4", "uint32": "<u4", "int64": "<i8", "uint64": "<u8", "float32": "<f4", "float64": "<f8",
@@ -53,9 +52,10 @@ def decoder(kind: str, definition: str) -> Callable[[bytes], dict[str, Any]]:
 
 def _message(kind: str, texts: Mapping[str, str], depth: int, known: dict[str, Reader]) -> Reader:
     """Returns the reader of a message; `known` holds those that were made before, each only once."""
+    deepest = 20  # messages within messages
     if kind in known:
         return known[kind]
-    if depth > DEEPEST or kind not in texts:
+    if depth > deepest or kind not in texts:
         raise MessageFault(f"The definition of {kind} is missing or contains itself.")
     fields: list[tuple[str, Reader]] = []
     for line in texts[kind].splitlines():

@@ -25,7 +25,6 @@ from leap_rig.recording.ros1 import decoder
 
 POSES = {"desired": TOOL_DESIRED, "tool": TOOL_MEASURED}  # the frames that are read from tf, by their fields
 READ = (topics.RAW_FRAMES, topics.SENT_GOALS, topics.JOINTS, topics.HAND_STATE, topics.HAND_COMMAND, topics.TF)
-MAX_CHAIN = 10  # transforms from a frame to the base
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,9 +153,10 @@ def _seconds(nanoseconds: list[int]) -> np.ndarray:
 def pose_in_base(transforms: Iterable[dict[str, Any]], frame: str) -> list[tuple[int, np.ndarray]]:
     """Returns the stamp [ns] of a frame and its pose in the base, shape (4, 4) [m]; nothing if the transforms of this
     message do not lead to the base, or one of them is no pose."""
+    max_chain = 10  # transforms from a frame to the base
     by_child = {frame_name(transform["child_frame_id"]): transform for transform in transforms}
     T, name = np.eye(4), frame
-    for _ in range(MAX_CHAIN):
+    for _ in range(max_chain):
         if name == BASE:
             return [(by_child[frame]["header"]["stamp"], T)]
         if name not in by_child:

@@ -12,10 +12,6 @@ from leap_rig.recording.recording_files import RecordingFault
 
 LEVER_M = 0.2  # a turn of the tool counts as a way of so much for each rad [m]
 OFF_M = 0.005  # the lines stay within this of the path [m]
-SAMPLE_S = 0.05  # poses are taken from the path this often
-SLOWEST_M_PER_S = 0.01
-PAUSE_S = 0.5  # a longer pause between two servo goals parts two motions
-SMALLEST_M = 0.002  # a part that moves the tool less is left out: the identification of the servo law does so
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,16 +37,18 @@ def streamed_motions(
     """Returns the streams among the goals that were sent: at `times`, shape (n,) [s], joints, shape (n, 7) [rad], and
     `velocities` of PTP motions, shape (n,), 0 for servo goals. `forward` returns the tool pose of joints. A clock that
     was set back parts two streams too. Raises RecordingFault for a goal that is not finite."""
+    pause_s = 0.5  # a longer pause between two servo goals parts two motions
+    smallest_m = 0.002  # a part that moves the tool less is left out: the identification of the servo law does so
     bad = np.flatnonzero(~np.isfinite(goals).all(axis=1) | ~np.isfinite(velocities))
     if len(bad):
         raise RecordingFault(f"Goal {bad[0]} of the recording is not finite: {goals[bad[0]].tolist()}.")
     steps = np.diff(times)
-    ends = np.flatnonzero((velocities[:-1] != 0.0) | (steps > PAUSE_S) | (steps < 0.0)) + 1
+    ends = np.flatnonzero((velocities[:-1] != 0.0) | (steps > pause_s) | (steps < 0.0)) + 1
     motions = []
     for part in np.split(np.arange(len(times)), ends):
         part = part[velocities[part] == 0.0]
         poses = np.array([forward(q) for q in goals[part]])
-        if len(part) and max(distance(poses[0], T) for T in poses) > SMALLEST_M:
+        if len(part) and max(distance(poses[0], T) for T in poses) > smallest_m:
             motions.append(StreamedMotion(goals[part[0]], times[part], poses))
     return motions
 
@@ -58,17 +56,19 @@ def streamed_motions(
 def lines_along(times: np.ndarray, poses: np.ndarray, rate: float, fastest: float) -> list[RecordedLine]:
     """Returns lines along poses, shape (n, 4, 4) [m], at `times` [s], shape (n,), `rate` times as fast as recorded, at
     most `fastest` [m/s]. They begin at the first pose."""
+    sample_s = 0.05  # poses are taken from the path this often
+    slowest_m_per_s = 0.01
     kept = [0]
     for i in range(1, len(times)):
-        if times[i] - times[kept[-1]] >= SAMPLE_S or i == len(times) - 1:
+        if times[i] - times[kept[-1]] >= sample_s or i == len(times) - 1:
             kept.append(i)
     corners = _corners(poses[kept])
     lines = []
     for a, b in zip(corners, corners[1:]):
         first, last = kept[a], kept[b]
-        seconds = max(times[last] - times[first], SAMPLE_S) / rate
+        seconds = max(times[last] - times[first], sample_s) / rate
         speed = distance(poses[first], poses[last]) / seconds
-        lines.append(RecordedLine(poses[last], float(min(max(speed, SLOWEST_M_PER_S), fastest))))
+        lines.append(RecordedLine(poses[last], float(min(max(speed, slowest_m_per_s), fastest))))
     return lines
 
 

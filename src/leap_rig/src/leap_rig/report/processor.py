@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-SAMPLE_S = 1.0
-IDLE, WAITING = 3, 4  # columns of a line of /proc/stat: time without work, and time in which only a disk is waited for
-
 
 def cpu_times(stat: str) -> tuple[int, int]:
     """Returns from the text of /proc/stat the time in use and the whole time, summed over all processors [ticks]."""
+    idle = 3  # columns of a line of /proc/stat: time without work, and time in which only a disk is waited for
+    waiting = 4
     ticks = [int(word) for word in stat.split("\n", 1)[0].split()[1:9]]
-    return sum(ticks) - ticks[IDLE] - ticks[WAITING], sum(ticks)
+    return sum(ticks) - ticks[idle] - ticks[waiting], sum(ticks)
 
 
 class ProcessorLoad:
@@ -25,9 +24,10 @@ class ProcessorLoad:
 
     def sample(self, now: float) -> float | None:
         """Returns the fraction of all processors in use since the last sample, None between samples; `now` [s]."""
+        sample_s = 1.0
         if now < self._next:
             return None
-        self._next = now + SAMPLE_S
+        self._next = now + sample_s
         try:
             times = cpu_times(self._read())
         except (OSError, ValueError, IndexError):  # another kernel: the report then says nothing of the processor

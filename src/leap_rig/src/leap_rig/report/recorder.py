@@ -13,11 +13,6 @@ from common.rotations import rotation_angle
 
 STAGES = ("received", "leap_motion", "leap_kuka", "kuka_control", "leap_hand")
 """Stages between a received frame and the wires of arm and hand, by the names of their nodes."""
-OFF_TABLE_M = 0.01
-"""An object whose lowest point is higher than this has left the table."""
-ON_TABLE_M = 0.003
-FELL_M = -0.02
-"""Lower than the table's top: it fell beside it."""
 UPRIGHT_RAD = float(np.radians(10.0))
 
 
@@ -74,20 +69,25 @@ class ObjectTrack:
     ) -> None:
         """Adds a pose, shape (4, 4), with the height of the lowest point above the table [m], and whether table and
         robot touch the object; `hands`: the arms, of several, whose hands do."""
+        # An object whose lowest point is higher than this has left the table.
+        off_table_m = 0.01
+        on_table_m = 0.003
+        # Lower than the table's top: it fell beside it.
+        fell_m = -0.02
         self.at = float(T_world_object[0, 3]), float(T_world_object[1, 3])
-        if clearance > OFF_TABLE_M and hands and (not self.held_by or self.held_by[-1][1] != hands):
+        if clearance > off_table_m and hands and (not self.held_by or self.held_by[-1][1] != hands):
             self.held_by.append((now, hands))
         if self._first is None:
             self._first = T_world_object
         self.highest = max(self.highest, clearance)
-        self.fell |= clearance < FELL_M
+        self.fell |= clearance < fell_m
         self.moved = float(np.linalg.norm((T_world_object - self._first)[:2, 3]))
         up, up_first = T_world_object[:3, 2], self._first[:3, 2]
         self.tilt = float(np.arccos(np.clip(up @ up_first, -1.0, 1.0)))
-        if clearance > OFF_TABLE_M:
+        if clearance > off_table_m:
             self.lifted = now if self.lifted is None else self.lifted
             self.put_down = None
-        elif self.lifted is not None and self.put_down is None and on_table and not held and clearance < ON_TABLE_M:
+        elif self.lifted is not None and self.put_down is None and on_table and not held and clearance < on_table_m:
             self.put_down = now
 
 

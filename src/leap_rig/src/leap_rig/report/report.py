@@ -10,18 +10,10 @@ import numpy as np
 from common.hand_delay import hand_delay
 from leap_rig.report.recorder import ObjectTrack, Recorder, TrackingErrors
 
-ARM_FOLLOWED_M = 0.005
-"""Least path of the tool while a hand steers it."""
-HAND_MOVED_RAD = 0.1
-"""Least travel of some finger."""
-FOLLOWING_ERROR_M = 0.05
-"""Largest median distance to the commanded tool."""
 SLOW_WORLD = 0.95
 """Below this fraction of the requested speed of the world, the machine is too slow."""
 FULL = 0.95
 """Above this fraction in use the processors are full, and programs wait for each other."""
-AROUND_S = 2.0
-"""What the processors did so long before and after the loss of a stream can be its cause [s]."""
 NO_FRAMES = "tracking frame"
 """Part of the reasons of a stream that ended because frames were missing or late."""
 TUTORIAL = "tutorial"  # a scenario that lifts nothing
@@ -30,7 +22,6 @@ LEAST_LIFT_MM = {"pick_cup": 195.0, "two_cups": 195.0, HAND_OVER: 100.0}
 """The scenario lifts an object by 20 cm, a long box at one end by 15 cm, of which the other end hangs lower; the
 simulated operator tolerates an error of 4 mm.
 """
-LEAST_TRAVEL_MM, MOST_ENGAGEMENT_STEP_MM = 200.0, 5.0  # of the scenarios with a clutch, whose hand reaches 80 mm
 SCENARIO_KEYS = (
     *("scenario", "step", "failure", "thing", "giver", "taker", "smallest_mm", "held_s", "way_back"),
     *("clutched", "travel_mm", "engagement_step_mm"),
@@ -109,10 +100,12 @@ def _processor(loads: list[tuple[float, float]]) -> dict | None:
 
 
 def lost_streams(recorder: Recorder, began: float) -> list[str]:
+    # What the processors did so long before and after the loss of a stream can be its cause [s].
+    around_s = 2.0
     lost = []
     for stream in recorder.streams:
         if stream.stopped is not None and NO_FRAMES in stream.reason:
-            around = [load for time, load in recorder.loads if abs(time - stream.stopped) <= AROUND_S]
+            around = [load for time, load in recorder.loads if abs(time - stream.stopped) <= around_s]
             lost += [(stream.stopped - began, max(around))] if around and max(around) > FULL else []
     if not lost:
         return []
@@ -125,11 +118,13 @@ def lost_streams(recorder: Recorder, began: float) -> list[str]:
 
 
 def _clutch_faults(scenario: dict[str, str]) -> list[str]:
+    least_travel_mm = 200.0  # of the scenarios with a clutch, whose hand reaches 80 mm
+    most_engagement_step_mm = 5.0
     name, travel, step = scenario["scenario"], float(scenario["travel_mm"]), float(scenario["engagement_step_mm"])
     faults = []
-    if travel < LEAST_TRAVEL_MM:
-        faults.append(f"The scenario {name} moved the tool by only {travel:.0f} mm instead of {LEAST_TRAVEL_MM:g} mm.")
-    if step > MOST_ENGAGEMENT_STEP_MM:
+    if travel < least_travel_mm:
+        faults.append(f"The scenario {name} moved the tool by only {travel:.0f} mm instead of {least_travel_mm:g} mm.")
+    if step > most_engagement_step_mm:
         faults.append(f"The tool moved by {step:.1f} mm at an engagement of the scenario {name}.")
     return faults
 
@@ -145,15 +140,19 @@ def _held_back(scenario: dict[str, str] | None) -> bool:
 
 
 def _followed(summary: dict) -> bool:
-    return bool(summary["servo_goals_sent"]) and summary["tool_path_m"] >= ARM_FOLLOWED_M
+    # Least path of the tool while a hand steers it.
+    arm_followed_m = 0.005
+    return bool(summary["servo_goals_sent"]) and summary["tool_path_m"] >= arm_followed_m
 
 
 def follow_faults(summary: dict) -> list[str]:
+    # Largest median distance to the commanded tool.
+    following_error_m = 0.05
     error = summary["tracking_error"]["commanded"]
     if not _followed(summary):
         return ["The arm never followed a hand."] if summary["teleoperated"] else []
     held_back, median = _held_back(summary["scenario"]), error["median_mm"]
-    if not held_back and median is not None and median > 1e3 * FOLLOWING_ERROR_M:
+    if not held_back and median is not None and median > 1e3 * following_error_m:
         return [f"The arm did not follow: its median distance was {median:.0f} mm."]
     return []
 
@@ -202,7 +201,9 @@ def hand_faults(summary: dict) -> list[str]:
 
 
 def _hand_moved(summary: dict) -> bool:
-    return max(summary["hand_travel_rad"], default=0.0) >= HAND_MOVED_RAD
+    # Least travel of some finger.
+    hand_moved_rad = 0.1
+    return max(summary["hand_travel_rad"], default=0.0) >= hand_moved_rad
 
 
 def _grasp(values: dict[str, str]) -> dict:

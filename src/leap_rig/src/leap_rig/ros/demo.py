@@ -39,10 +39,6 @@ if TYPE_CHECKING:
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
 WINDOWS = ("rviz", "kuka_panel")  # no motion depends on one, and whoever looks on may close it
-READY_TIMEOUT_S = 90.0
-TUTORIAL_S = 120.0  # longest time of a tutorial that the simulated operator plays
-EXIT_TIMEOUT_S = 60.0
-LEAST_FREE = 20_000_000  # for the logs of a short run [bytes]
 NO_TRACKER = "none"  # a node of the user's own moves the arm
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups", "hand_over")
 OF_ONE_ARM = {
@@ -231,31 +227,33 @@ def has_screen(arguments: argparse.Namespace) -> bool:
 
 def refuse_without_logs() -> None:
     """Raises RigError if the logs find no place: ROS' own programs print tracebacks then, and some of them end."""
+    least_free = 20_000_000  # for the logs of a short run [bytes]
     folder = master.check_log_folder()
     free = shutil.disk_usage(folder).free
-    if free < LEAST_FREE:
+    if free < least_free:
         left = f"{free / 1e6:.0f} MB left"
         raise RigError(f"The folder of the logs {folder} has {left}: free some, as by `rosclean purge`.")
 
 
 def end_in_order(deaths: Deaths, arms: Sequence[str] = ONE_ARM) -> None:
     """Sends all arms to their zero position and waits for the controllers to end."""
+    exit_timeout_s = 60.0
     waiting = []
     for of in [f"{arm}/" if arm else "" for arm in arms]:
         controller = of + CONTROLLER
         deaths.expected.add(controller)
         try:
-            call(f"{of}kuka/exit_app", exitApp, timeout=EXIT_TIMEOUT_S)
+            call(f"{of}kuka/exit_app", exitApp, timeout=exit_timeout_s)
         except ServiceFailed as error:
             deaths.sentences.append(f"{controller} did not accept the request to exit: {error}")
         else:
             waiting.append(controller)
-    deadline = clock.monotonic() + EXIT_TIMEOUT_S
+    deadline = clock.monotonic() + exit_timeout_s
     while not deaths.ended.issuperset(waiting) and clock.monotonic() < deadline:
         clock.sleep(0.1)
     for controller in waiting:
         if controller not in deaths.ended:
-            deaths.sentences.append(f"{controller} did not end within {EXIT_TIMEOUT_S:.0f} s after exit_app")
+            deaths.sentences.append(f"{controller} did not end within {exit_timeout_s:.0f} s after exit_app")
 
 
 class Interrupts:
@@ -288,6 +286,7 @@ class Interrupts:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    tutorial_s = 120.0  # longest time of a tutorial that the simulated operator plays
     master.check_surroundings()
     refuse_second_rig()
     refuse_without_logs()
@@ -318,7 +317,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.tutorial:  # until its node reports
             recorders[""].set_scenario({"scenario": TUTORIAL, "step": "begin", "failure": ""})
         listeners = {arm: RigListener(recorder, arm) for arm, recorder in recorders.items()}
-        limit = TUTORIAL_S if arguments.tutorial and not screen else None
+        limit = tutorial_s if arguments.tutorial and not screen else None
         ended = wait_for_end(listeners, deaths, status, arguments.duration or limit, arguments.tutorial and screen)
         for listener in listeners.values():
             listener.stop()
@@ -348,17 +347,18 @@ def wait_for_end(
 ) -> str:
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
     `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S."""
+    ready_timeout_s = 90.0
     from leap_rig.report.report import TUTORIAL  # as late as in `run`
 
     first = next(iter(listeners.values()))
     try:
-        deadline = clock.monotonic() + READY_TIMEOUT_S
+        deadline = clock.monotonic() + ready_timeout_s
         while late := [arm for arm, listener in listeners.items() if listener.mode not in FOLLOWS_TOOL]:
             if deaths.sentences:
                 return "death"
             if clock.monotonic() > deadline:
                 which = f"The arm {' and '.join(late)}".rstrip()
-                raise RigError(f"{which} did not reach its home position within {READY_TIMEOUT_S:.0f} s.")
+                raise RigError(f"{which} did not reach its home position within {ready_timeout_s:.0f} s.")
             status.update(listeners, "starting")
             clock.sleep(0.1)
         begin = clock.monotonic()

@@ -22,11 +22,10 @@ from leap_motion.ros.parameters import DriverConfig
 from leap_motion.ros.tracking import FramesHere
 from leap_rig.teleop_config import DRIVER, HAND, LeapTeleopConfig
 
-SWITCH_INTERVAL_S = 5e-4  # a frame waits at most this long for another thread of this process [s]
-
 
 def _start() -> None:
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    switch_interval_s = 5e-4  # a frame waits at most this long for another thread of this process [s]
+    sys.setswitchinterval(switch_interval_s)
     arms = private_config(LeapTeleopConfig, others=(DRIVER, HAND)).arms
     driver_config, hand_config = private_config(DriverConfig, DRIVER), private_config(NodeConfig, HAND)
     frames = FramesHere()

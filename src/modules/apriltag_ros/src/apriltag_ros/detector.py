@@ -19,13 +19,8 @@ from apriltag_ros.tag_pose import TagPose, tag_pose
 from common.camera_model import CameraModel
 from common.poses import read_only
 
-LIBRARY_OFFSET_PX = 0.5
-OUTLINE_BGR, TOP_BGR = (0, 220, 0), (0, 0, 255)
-SUBPIXEL_BITS = 4
 MEMORY_S = 0.5
 """Maximum age of the orientation that decides an ambiguity."""
-EDGE_PX = 2.0
-"""A tag with a corner nearer to the edge of the scaled image may go on outside: its corners are at the edge then."""
 LOOK_AGAIN_S = 10.0
 """Time between two looks for mirrored and inverted tags in images without tags."""
 UNREADABLE = {
@@ -68,16 +63,20 @@ class TagFinder:
     def find(self, grey: np.ndarray) -> tuple[TagDetection, ...]:
         """Returns the tags that count in a grey image, shape (height, width), uint8; raises ValueError for another
         shape or type."""
+        library_offset_px = 0.5
+        # A tag with a corner nearer to the edge of the scaled image may go on outside: its corners are at the edge
+        # then.
+        edge_px = 2.0
         if grey.ndim != 2 or grey.dtype != np.uint8:
             raise ValueError(
                 f"the tag finder needs a grey image of uint8, shape (height, width), not {grey.dtype} {grey.shape}"
             )
         found = [
-            TagDetection(tag.tag_id, read_only(tag.corners - LIBRARY_OFFSET_PX), tag.hamming, tag.decision_margin)
+            TagDetection(tag.tag_id, read_only(tag.corners - library_offset_px), tag.hamming, tag.decision_margin)
             for tag in self._detector.detect(np.ascontiguousarray(grey))
             if tag.hamming <= self._settings.max_hamming_dist
         ]
-        first = EDGE_PX * self._settings.tag_decimate
+        first = edge_px * self._settings.tag_decimate
         last = np.array(grey.shape[::-1]) - 1.0 - first
         cut = {tag.id for tag in found if (tag.corners < first).any() or (tag.corners > last).any()}
         ids = [tag.id for tag in found]
@@ -172,12 +171,15 @@ def _occurrences(target: TagTarget, tags: tuple[TagDetection, ...]) -> list[dict
 
 def draw_tags(grey: np.ndarray, tags: tuple[TagDetection, ...]) -> np.ndarray:
     """Returns the image in BGR, shape (height, width, 3), with the tags outlined; top edges are red."""
+    outline_bgr = (0, 220, 0)
+    top_bgr = (0, 0, 255)
+    subpixel_bits = 4
     image = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     for tag in tags:
-        points = np.rint(tag.corners * 2**SUBPIXEL_BITS).astype(np.int32)
+        points = np.rint(tag.corners * 2**subpixel_bits).astype(np.int32)
         for i, (start, end) in enumerate(zip(points, np.roll(points, -1, axis=0))):
-            colour = TOP_BGR if i == 0 else OUTLINE_BGR
-            cv2.line(image, tuple(map(int, start)), tuple(map(int, end)), colour, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+            colour = top_bgr if i == 0 else outline_bgr
+            cv2.line(image, tuple(map(int, start)), tuple(map(int, end)), colour, 2, cv2.LINE_AA, subpixel_bits)
         x, y = np.rint(tag.corners.mean(axis=0)).astype(int)
-        cv2.putText(image, str(tag.id), (int(x) - 8, int(y) + 8), cv2.FONT_HERSHEY_SIMPLEX, 0.7, TOP_BGR, 2)
+        cv2.putText(image, str(tag.id), (int(x) - 8, int(y) + 8), cv2.FONT_HERSHEY_SIMPLEX, 0.7, top_bgr, 2)
     return image

@@ -21,9 +21,6 @@ CORNER_SIGMA_PX = 0.2
 """Standard deviation of a corner that the covariance assumes; rendered images have 0.05 to 0.2, mostly bias."""
 CLEAR_RATIO = 2.0
 """A ratio of the two reprojection errors above this counts as unambiguous."""
-MAX_LOG_ODDS = 500.0
-"""Above this the exponential overflows, and the pose is certain anyway."""
-PLANE_TOLERANCE_M = 1e-6
 NO_DISTORTION = np.zeros(5)
 CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-12)
 SAME_RAD = np.radians(0.5)
@@ -89,9 +86,11 @@ def tag_pose(points: np.ndarray, pixels: np.ndarray, camera: CameraModel, hint: 
 def _ambiguity(T: np.ndarray, rms: float, other: np.ndarray, other_rms: float, corners: int) -> np.ndarray:
     """Returns the covariance that the possible truth of the `other` pose adds to that of T, shape (6, 6). Its
     probability follows from both reprojection errors [px], even where a hint decided."""
+    # Above this the exponential overflows, and the pose is certain anyway.
+    max_log_odds = 500.0
     gap = 0.5 * corners * (other_rms**2 - rms**2) / CORNER_SIGMA_PX**2
     change = np.concatenate((other[:3, 3] - T[:3, 3], pin.log3(other[:3, :3] @ T[:3, :3].T)))
-    return np.outer(change, change) / (1.0 + np.exp(np.clip(gap, -MAX_LOG_ODDS, MAX_LOG_ODDS)))
+    return np.outer(change, change) / (1.0 + np.exp(np.clip(gap, -max_log_odds, max_log_odds)))
 
 
 def covariance(T: np.ndarray, points: np.ndarray, K: np.ndarray, sigma: float = CORNER_SIGMA_PX) -> np.ndarray:
@@ -119,7 +118,8 @@ def corner_jacobian(T: np.ndarray, points: np.ndarray, K: np.ndarray) -> np.ndar
 def _starts(points: np.ndarray, ideal: np.ndarray, K: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Returns rough poses. For a plane that faces the camera OpenCV's IPPE can return wrong rotations or NaN, so the
     closed form for any points (SQPnP) is tried too."""
-    flat = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] < PLANE_TOLERANCE_M
+    plane_tolerance_m = 1e-6
+    flat = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] < plane_tolerance_m
     starts = []
     for method in (cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP) if flat else (cv2.SOLVEPNP_SQPNP,):
         with contextlib.suppress(cv2.error):

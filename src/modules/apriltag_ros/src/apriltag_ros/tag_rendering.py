@@ -16,17 +16,12 @@ from apriltag_ros.settings import FAMILIES, TargetTag
 from apriltag_ros.tag_pose import corner_jacobian
 from common.camera_model import CameraModel
 
-RING = 0.5
-"""Width of the white ring round the black square that is compared [cells]."""
 PAPER = 2
 """Width of the white margin that is rendered [cells]."""
 SUB = 4
 """Samples along each edge of a pixel."""
-SAMPLES = (2, 64)
-"""Limits of the bitmap pixels along a cell."""
 BLURS_PX = (0.2, 4.0)
 """Limits of the standard deviation of the point spread."""
-BLUR_STEP_PX = 0.02
 
 
 class TagPattern:
@@ -61,8 +56,12 @@ class TagView:
     @staticmethod
     def of(pattern: TagPattern, grey: np.ndarray, camera: CameraModel, T_start: np.ndarray) -> TagView | None:
         """Returns the view, or None if the image cuts off the tag or its ring."""
+        # Width of the white ring round the black square that is compared [cells].
+        ring = 0.5
+        # Limits of the bitmap pixels along a cell.
+        samples = (2, 64)
         T = T_start @ pattern.tag.T_target_tag
-        half = pattern.tag.size * (0.5 + RING / pattern.cells)
+        half = pattern.tag.size * (0.5 + ring / pattern.cells)
         area = _area(T, half, camera)
         if area is None:
             return None
@@ -73,7 +72,7 @@ class TagView:
         rows, columns = np.nonzero(compared)
         across, down = np.gradient(rays[..., :2], axis=1), np.gradient(rays[..., :2], axis=0)
         cell = camera.K[0, 0] * pattern.tag.size / pattern.cells / T[2, 3]
-        bitmap, A = pattern.bitmap(int(np.clip(np.rint(SUB * cell), *SAMPLES)))
+        bitmap, A = pattern.bitmap(int(np.clip(np.rint(SUB * cell), *samples)))
         return TagView(
             T_target_tag=pattern.tag.T_target_tag,
             bitmap=bitmap,
@@ -88,6 +87,7 @@ class TagView:
     def render(self, T_camera_target: np.ndarray, blur: float) -> tuple[np.ndarray, np.ndarray]:
         """Returns the rendered values of the compared pixels, shape (n,), 0 black to 1 white, and their derivatives by
         pose and blur, shape (n, 7)."""
+        blur_step_px = 0.02
         T = T_camera_target @ self.T_target_tag
         M = np.linalg.inv(T[:3, [0, 1, 3]])
         places = cv2.transform(self.rays, (self.A @ M).astype(np.float32))
@@ -96,14 +96,14 @@ class TagView:
             self.bitmap, places, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         soft = cv2.GaussianBlur(crisp, (0, 0), SUB * blur, borderType=cv2.BORDER_REPLICATE)
-        softer = cv2.GaussianBlur(crisp, (0, 0), SUB * (blur + BLUR_STEP_PX), borderType=cv2.BORDER_REPLICATE)
+        softer = cv2.GaussianBlur(crisp, (0, 0), SUB * (blur + blur_step_px), borderType=cv2.BORDER_REPLICATE)
         values, across, down, change = (
             self._pixels(part)
             for part in (
                 soft,
                 cv2.Sobel(soft, cv2.CV_32F, 1, 0, ksize=1, scale=0.5 * SUB),
                 cv2.Sobel(soft, cv2.CV_32F, 0, 1, ksize=1, scale=0.5 * SUB),
-                (softer - soft) / BLUR_STEP_PX,
+                (softer - soft) / blur_step_px,
             )
         )
         plane = self.directions @ M.T

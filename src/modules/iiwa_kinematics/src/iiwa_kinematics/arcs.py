@@ -16,14 +16,14 @@ Arc = Tuple[float, float]
 Interval = Tuple[float, float]
 CIRCLE: Arc = (-math.pi, TURN)
 FLAT = 1e-12  # sinusoids with a smaller amplitude do not depend on the angle
-ROUNDING = 1e-13
-"""A sinusoid counts as positive above this. Where several joints are at their limits at once, the limits leave a single
-angle free; rounding errors of a few 1e-16 in each would close it."""
 
 
 def positive(a: float, b: float, c: float) -> Arc | None:
     """Returns the arc on which the sinusoid (a, b, c) is positive, None if it is so nowhere."""
-    c, amplitude = c - ROUNDING, math.hypot(a, b)
+    # A sinusoid counts as positive above this. Where several joints are at their limits at once, the limits leave a
+    # single angle free; rounding errors of a few 1e-16 in each would close it.
+    rounding = 1e-13
+    c, amplitude = c - rounding, math.hypot(a, b)
     if c <= -amplitude or (amplitude < FLAT and c < FLAT):
         return None
     if c >= amplitude:

@@ -80,8 +80,6 @@ def nominal_parameters(model: RobotModel) -> DhParameters:
     )
 
 
-MAX_STEPS = 20  # four steps are enough almost everywhere; where they are not, the arm is at the end of its reach
-REACHED = 1e-10  # a pose is reached when the errors of position [m] and rotation [rad] are at most this
 DAMPING = 1e-3  # fraction of the error whose square damps a step; keeps steps short where the arm is outstretched
 
 
@@ -169,14 +167,17 @@ class CalibratedKinematics(Kinematics):
         return replace(nominal, q=q, branch=Branch.of(q))
 
     def refined(self, q: np.ndarray, T_base_tool: np.ndarray) -> np.ndarray | None:
+        # four steps are enough almost everywhere; where they are not, the arm is at the end of its reach
+        max_steps = 20
+        reached = 1e-10  # a pose is reached when the errors of position [m] and rotation [rad] are at most this
         lower, upper = self.model.lower, self.model.upper
         q = np.clip(q, lower, upper)
-        for _ in range(MAX_STEPS):
+        for _ in range(max_steps):
             T, J = self._pose_and_jacobian(q)
             if np.sum(T[:3, :3] * T_base_tool[:3, :3]) < 1.0:  # more than 90 deg off
                 return None
             error = _pose_error(T, T_base_tool)
-            if np.abs(error).max() <= REACHED:
+            if np.abs(error).max() <= reached:
                 return read_only(q)
             q = newton_step(q, J, error, lower, upper)
         return None

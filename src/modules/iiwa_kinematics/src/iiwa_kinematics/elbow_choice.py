@@ -20,14 +20,9 @@ from iiwa_kinematics.elbow_circle import ALIGNED, BRANCHES, Branch, ElbowCircle,
 from iiwa_kinematics.robot_model import RobotModel
 
 JOINT_TOLERANCE_RAD = 1e-10  # a joint out of its range by at most this is a rounding error
-JOINT_3_WEIGHT = 10.0  # how much more a step of joint 3 costs than one of another joint
-RETURN_FRACTION = 0.25  # fraction of the joint step that may be added for the return to the preferred arm angle
 MARGIN_RAD = radians(5.0)  # the arm angle is led away where a joint is nearer to its limit, or joint 2 or 6 to zero
 NEARBY_RAD = radians(3.0)  # a solution with a joint step of at most this is taken without trying others
 CROSSING_RAD = radians(10.0)  # a joint that is nearer to zero than this may change its sign along a path
-LIMIT_S = 0.1  # how much longer a motion may take to avoid ending with one more joint at its limit, at full speed [s]
-WOUND = -0.5
-"""Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used."""
 
 
 class Candidate(NamedTuple):
@@ -43,13 +38,14 @@ class ElbowChoice:
     """Chooses branch and arm angle; the elbow slowly returns to the arm angle `preference` [rad]; 0 is up."""
 
     def __init__(self, model: RobotModel, preference: float) -> None:
+        joint_3_weight = 10.0  # how much more a step of joint 3 costs than one of another joint
         self._preference = preference
         self._limits = Limits(model.lower, model.upper)
         self._margins = Limits(model.lower + MARGIN_RAD, model.upper - MARGIN_RAD, MARGIN_RAD)
         self._speeds = model.max_speed.tolist()
         mean = sum(self._speeds) / len(self._speeds)
         self._weights = [(mean / speed) ** 2 for speed in self._speeds]
-        self._weights[2] *= JOINT_3_WEIGHT
+        self._weights[2] *= joint_3_weight
 
     def can_bend(self, angle: float) -> bool:
         """Returns whether joint 4 can be at the angle [rad]."""
@@ -98,9 +94,11 @@ class ElbowChoice:
     def led_back(self, circle: ElbowCircle, found: Candidate, seed: list[float], zero: float) -> Candidate:
         """Returns `found`, led towards the preferred arm angle by a small part of its joint step. `zero` is the arm
         angle at the circle's angle zero [rad]."""
+        # fraction of the joint step that may be added for the return to the preferred arm angle
+        return_fraction = 0.25
         fastest = max(1.0, max(map(abs, circle.self_motion(found.q))))
         joint_step = _step(found.q, seed)
-        most = RETURN_FRACTION * joint_step / fastest
+        most = return_fraction * joint_step / fastest
         if joint_step <= NEARBY_RAD and self._margins.hold(found.q):
             angle = found.angle + min(max(self._preferred(circle, found, zero) - found.angle, -most), most)
             q = found.q if angle == found.angle else circle.joints(angle, found.branch, seed, self._limits)
@@ -116,9 +114,11 @@ class ElbowChoice:
 
     def _time(self, q: list[float], seed: list[float]) -> float:
         """Returns the time of a motion at full joint speed [s], and more for joints near the ends of their ranges."""
+        # how much longer a motion may take to avoid ending with one more joint at its limit, at full speed [s]
+        limit_s = 0.1
         rooms = (min(a - low, high - a) for a, low, high in zip(q, self._limits.lower, self._limits.upper))
         near = sum(max(1.0 - room / MARGIN_RAD, 0.0) for room in rooms)
-        return max(abs(a - b) / speed for a, b, speed in zip(q, seed, self._speeds)) + LIMIT_S * near
+        return max(abs(a - b) / speed for a, b, speed in zip(q, seed, self._speeds)) + limit_s * near
 
     def _best_in_branch(self, circle: ElbowCircle, branch: Branch, seed: list[float]) -> Candidate | None:
         """Returns the joints of a branch that are cheapest to reach from `seed`, or None if it has none in range."""
@@ -172,8 +172,10 @@ class ElbowChoice:
 
     def _preferred(self, circle: ElbowCircle, found: Candidate, zero: float) -> float:
         """Returns the circle's angle of the preference, or the present one if that would wind joint 3 up [rad]."""
+        # Below this cosine of joint 3, the preferred arm angle would need joints 1 and 3 turned over: it is not used.
+        wound = -0.5
         preferred = found.angle + wrapped(self._preference - zero - found.angle)
-        return found.angle if circle.cosine_of_joint_3(preferred, found.branch) < WOUND else preferred
+        return found.angle if circle.cosine_of_joint_3(preferred, found.branch) < wound else preferred
 
     def _interval(self, circle: ElbowCircle, found: Candidate) -> Interval:
         """Returns the angles around that of `found` at which all joints are in their ranges [rad]."""

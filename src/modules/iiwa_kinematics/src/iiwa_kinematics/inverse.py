@@ -26,8 +26,6 @@ from iiwa_kinematics.elbow_choice import ElbowChoice
 from iiwa_kinematics.elbow_circle import Branch, ElbowCircle, wrapped
 from iiwa_kinematics.robot_model import RobotModel, read_only
 
-REACH_TOLERANCE_M = 1e-10  # a target beyond the outstretched arm by at most this is a rounding error
-RIGID_TOLERANCE = 1e-6  # how far the columns of a target's rotation may be from orthonormal
 UPRIGHT = 1e-6
 """Below this sine of the angle between the line shoulder - wrist and the vertical, the arm angle counts from base x."""
 
@@ -107,6 +105,7 @@ class Kinematics:
             keep_branch: whether the arm follows a path: then the branch of the seed is left only where joint 2 or joint
                 6 is near zero, and it is a failure that it does not reach the pose. Otherwise the arm moves there from
                 rest, and the joints are those of all branches to which the motion takes the least time."""
+        reach_tolerance_m = 1e-10  # a target beyond the outstretched arm by at most this is a rounding error
         T, seed_array = self._checked(T_base_tool, q_seed)
         seed = seed_array.tolist()
         flange, position = _axes_and_position(T @ self.T_tool_flange)
@@ -114,7 +113,7 @@ class Kinematics:
         w = (w[0], w[1], w[2] - self.model.base_shoulder)
         reach = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
         upper_arm, forearm = self._lengths
-        if reach > upper_arm + forearm + REACH_TOLERANCE_M:
+        if reach > upper_arm + forearm + reach_tolerance_m:
             return IkResult(None, IkFailure.TOO_FAR)
         bend = 2.0 * atan2(
             sqrt(max((upper_arm + forearm) ** 2 - reach * reach, 0.0)),
@@ -160,6 +159,7 @@ def _elbow_across(u: Vector, q: list[float]) -> Vector:
 
 def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Vector]:
     """Returns the columns of a rigid pose; ValueError: it is not rigid."""
+    rigid_tolerance = 1e-6  # how far the columns of a target's rotation may be from orthonormal
     x, y, z, p = map(tuple, T.T[:, :3].tolist())
     xy = cross(x, y)
     errors = (
@@ -169,7 +169,7 @@ def _axes_and_position(T: np.ndarray) -> tuple[tuple[Vector, Vector, Vector], Ve
         abs(xy[1] - z[1]),
         abs(xy[2] - z[2]),
     )
-    if max(errors) > RIGID_TOLERANCE:
+    if max(errors) > rigid_tolerance:
         raise ValueError(f"the pose {T.tolist()} is not rigid")
     return (x, y, z), p
 

@@ -16,16 +16,15 @@ if TYPE_CHECKING:
     from iiwa_kinematics.inverse import Kinematics
 
 SCAN_RAD = radians(2.0)  # steps of the tilt between which the end of the reach is sought
-BISECTIONS = 30  # until the end is known to 2e-9 deg
 LEAST_BEND_RAD = radians(0.5)  # joint 4 keeps this distance to zero: an arm that is bent a little moves on steadily
 MARGIN_RAD = radians(0.11)  # and the joints this distance to their limits: a servo goal keeps 0.1 deg
 POSITION_M = 1e-7  # the tool is at a position when each coordinate is nearer than this [m]
-NEWTON_STEPS = 5  # two are enough almost everywhere
 
 
 def tilted(kinematics: Kinematics, T_base_tool: np.ndarray, most: float) -> np.ndarray | None:
     """Returns the pose, shape (4, 4) [m], tilted into the arm's reach by the least angle, at most `most` [rad].
     None: no tilt brings it into reach. Joints 1, 2, 3, 5 and 7 may still be beyond their ranges."""
+    bisections = 30  # until the end is known to 2e-9 deg
     model = kinematics.model
     T_base_flange = T_base_tool @ kinematics.T_tool_flange
     z = tuple(T_base_flange[:3, 2].tolist())
@@ -62,7 +61,7 @@ def tilted(kinematics: Kinematics, T_base_tool: np.ndarray, most: float) -> np.n
         for side in (SCAN_RAD, -SCAN_RAD):
             if reached(i * side):
                 out, within = (i - 1) * side, i * side
-                for _ in range(BISECTIONS):
+                for _ in range(bisections):
                     middle = 0.5 * (out + within)
                     out, within = (out, middle) if reached(middle) else (middle, within)
                 return _turned(T_base_tool, n, within)
@@ -75,10 +74,11 @@ def approached(
     """Returns joints on the way from the seed to a goal, shape (7,) [rad], that bring the tool to a position. The
     position has shape (3,) [m]. In the direction of the goal the joints move by `most`, shape (7,) [rad], at most,
     and then by the least that the position asks for. None: they do not get there within their ranges."""
+    newton_steps = 5  # two are enough almost everywhere
     lower, upper = kinematics.model.lower + MARGIN_RAD, kinematics.model.upper - MARGIN_RAD
     step = q_goal - q_seed
     q = q_seed + step / max(1.0, float(np.max(np.abs(step) / most)))
-    for _ in range(NEWTON_STEPS):
+    for _ in range(newton_steps):
         error = position - kinematics.forward(q)[:3, 3]
         if np.abs(error).max() <= POSITION_M:
             return q

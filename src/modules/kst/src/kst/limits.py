@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from kst.errors import BadJoints, BadVelocity
 
 JOINTS = 7
-RIGID_TOLERANCE = 1e-6
 
 
 def read_only(values: ArrayLike) -> np.ndarray:
@@ -80,11 +79,12 @@ def check_relative_velocity(velocity: float) -> float:
 def check_pose(T: ArrayLike) -> np.ndarray:
     """Returns T as a read-only float array, shape (4, 4). Raises ValueError: not finite, not rigid (scale, shear,
     mirror), or the last row is not 0 0 0 1."""
+    rigid_tolerance = 1e-6
     T = read_only(T)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise ValueError(f"a pose needs 4 x 4 finite numbers, not {T.tolist()}")
     R = T[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > RIGID_TOLERANCE or np.linalg.det(R) < 0.0:
+    if np.abs(R @ R.T - np.eye(3)).max() > rigid_tolerance or np.linalg.det(R) < 0.0:
         raise ValueError(f"the rotation {R.tolist()} of the pose is not orthonormal and right-handed")
     if not np.array_equal(T[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"the last row of a pose is 0 0 0 1, not {T[3].tolist()}")

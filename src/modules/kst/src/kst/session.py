@@ -27,12 +27,9 @@ from kst.transport import KstTransport
 PIN = codec.get_pin(codec.INPUT_PINS[0])  # a probe
 ARRIVED_RAD = float(np.radians(0.1))  # an arm with no joint farther from the goal than this has arrived [rad]
 STILL_RAD = 5e-4  # joints that change less than this between two readings, `KstTiming.quiet` apart, stand still [rad]
-MAX_FOREIGN = 20  # after more foreign lines than this before one answer, the peer is not a toolbox server
-MAX_STRAY = 200  # after more stray lines than this during a search for a missing answer, the link is given up
 MAX_OPEN = 100  # more streamed goals than this are never open
 LEAST_WINDOW_S = 0.024  # a shorter one would keep TCP from noticing at once, by later packets, that one was lost [s]
 _FINAL = (ReplyKind.DONE, ReplyKind.NAK, ReplyKind.INTERRUPTED)
-FORGOTTEN = 1.0 / 64.0  # of a delay that was longer than the present ones, with each answer
 
 
 @dataclass(frozen=True)
@@ -193,6 +190,7 @@ class KstSession:
         ReplyTimeout: no answer within `timeout` seconds (None: `KstTiming.reply`); or an earlier answer is still
         missing, and this command was not sent; UnexpectedReply: an answer that does not fit, or too many lines that
         are no replies; ConnectionLost: also if the server answers nothing for `KstTiming.silence`."""
+        max_foreign = 20  # after more foreign lines than this before one answer, the peer is not a toolbox server
         timeout = self.timing.reply if timeout is None else timeout
         if self.open:
             self.collect(self.open[-1].sent_at + self.timing.servo_reply, every=True)
@@ -201,7 +199,7 @@ class KstSession:
         self.poll()
         sent_at = self._send(command)
         foreign, last = 0, ""
-        while foreign <= MAX_FOREIGN:
+        while foreign <= max_foreign:
             reply = self.transport.receive(sent_at + timeout)
             if reply is None:
                 self._search(command, sent_at)
@@ -292,6 +290,7 @@ class KstSession:
         while another one was, it is lost; it becomes the missing answer, and a probe of another kind follows. An
         answer of the main thread may also come after that to the probe, within `KstTiming.quiet`. Raises
         ConnectionLost: the server has answered nothing for `KstTiming.silence`, or much that nobody asked for."""
+        max_stray = 200  # after more stray lines than this during a search for a missing answer, the link is given up
         if self._unanswered is not None:
             self.poll()
         while self._unanswered is not None:
@@ -306,7 +305,7 @@ class KstSession:
                     continue
                 due = quiet_at
             else:
-                if now >= self._asked_at + self.timing.silence or self._strays > MAX_STRAY:
+                if now >= self._asked_at + self.timing.silence or self._strays > max_stray:
                     self.transport.give_up(
                         f"the controller has answered neither `{missing.word}` nor a probe for"
                         f" {now - self._asked_at:.1f} s: its application has stopped"
@@ -388,9 +387,10 @@ class KstSession:
 
     def _learn(self, sent_at: float) -> None:
         """Adapts the usual delay to the last answer. It grows to the present window at most, once in that time."""
+        forgotten = 1.0 / 64.0  # of a delay that was longer than the present ones, with each answer
         assert self.round_trip is not None, "an answer has just come"
         if self.round_trip <= self.usual:
-            self.usual += FORGOTTEN * (self.round_trip - self.usual)
+            self.usual += forgotten * (self.round_trip - self.usual)
         elif sent_at >= self._widened_at:
             self.usual = min(self.round_trip, self.window)
             self._widened_at = sent_at + self.round_trip

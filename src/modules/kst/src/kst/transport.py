@@ -16,7 +16,6 @@ from kst.errors import ConnectionLost, NoServer
 
 USER_TIMEOUT_S = 3.0  # a link whose peer has not confirmed sent bytes for this long is lost [s]
 _KEEPALIVE = ((socket.TCP_KEEPIDLE, 2), (socket.TCP_KEEPINTVL, 1), (socket.TCP_KEEPCNT, 2))
-_CHUNK = 4096
 _RECONNECT = "look after the arm, restart MatlabToolboxServer on the smartPad and connect again"
 
 
@@ -145,8 +144,9 @@ class KstTransport:
         self._closed = True
 
     def _read(self) -> None:
+        chunk = 4096
         try:
-            data = self._socket.recv(_CHUNK)
+            data = self._socket.recv(chunk)
         except BlockingIOError:
             return
         except OSError as error:

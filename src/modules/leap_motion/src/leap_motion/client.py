@@ -30,13 +30,10 @@ from leap_motion.service.access import is_loopback
 from leap_motion.stranger import stranger
 from leap_motion.transport import CLOSE_TIMEOUT_S, OPEN_TIMEOUT_S, ForeignAnswer, LeapSocket, UnknownService
 
-SILENCE_S = 0.1
 UNUSABLE_S = 0.5  # unusable frames for so long are a state of the link
 HEADER_TIMEOUT_S = 2.0
 PING_S = 2.0
 RETRY_S = 0.5
-RETRY_FACTOR = 1.6
-RETRY_MAX_S = 3.0
 MAX_REASONS = 20
 FINGERPRINT = re.compile("[0-9a-f]{64}")
 CLOSED = "it closes the connection without a word, as one that expects TLS does"
@@ -186,6 +183,8 @@ class LeapClient:
             self._thread.join(OPEN_TIMEOUT_S + HEADER_TIMEOUT_S + CLOSE_TIMEOUT_S)
 
     def _run(self) -> None:
+        retry_factor = 1.6
+        retry_max_s = 3.0
         retry = RETRY_S
         while not self._closing.is_set():
             connections = self._counts.connections
@@ -199,7 +198,7 @@ class LeapClient:
             if self._counts.connections > connections:
                 retry = RETRY_S
             self._closing.wait(retry)
-            retry = min(retry * RETRY_FACTOR, RETRY_MAX_S)
+            retry = min(retry * retry_factor, retry_max_s)
         self._set_status(LeapLink.CLOSED, f"The link to the Leap service on {self._address} is closed.")
 
     def _converse(self) -> None:
@@ -257,11 +256,12 @@ class LeapClient:
         return "W" + stranger(self._address, "a Leap service", first)[1:]
 
     def _read(self, connection: LeapSocket) -> None:
+        silence_s = 0.1
         next_ping, pinged = self._monotonic() + PING_S, False
         cause = UNKNOWN_CAUSE
         while not self._closing.is_set():
             try:
-                text = connection.recv(SILENCE_S)
+                text = connection.recv(silence_s)
             except TimeoutError:
                 self._set_status(LeapLink.SILENT, f"The Leap service on {self._address} sends no frames; {cause}")
                 if self._monotonic() >= next_ping:

@@ -9,7 +9,6 @@ from collections import deque
 
 WINDOW_S = 1.0  # the least delayed frame of so long ties the clocks; a clock that is 1 % too slow costs 10 ms then
 MAX_WAIT_S = 0.1  # no frame counts as older
-LEAP_S = 0.5  # a frame that seems to have waited longer came after one of the clocks was set
 
 
 class DeviceClock:
@@ -25,6 +24,7 @@ class DeviceClock:
         """Returns how long a frame waited, `timestamp_us` by the device and `received` [s] by the receiver [s].
         Frames stay in their order. A device that repeats its time or restarts, and a clock that is set, tell
         nothing: then the frame has not waited."""
+        leap_s = 0.5  # a frame that seems to have waited longer came after one of the clocks was set
         device, before = 1e-6 * timestamp_us, self._device
         self._device = device
         if not 0.0 < device - before <= WINDOW_S or received <= self._taken:
@@ -34,7 +34,7 @@ class DeviceClock:
         while received - self._ahead[0][0] > WINDOW_S:
             self._ahead.popleft()
         waited = received - device - min(ahead for _, ahead in self._ahead)
-        if waited > LEAP_S:
+        if waited > leap_s:
             self._ahead = deque([(received, received - device)])
             waited = 0.0
         waited = min(waited, MAX_WAIT_S)

@@ -20,7 +20,6 @@ import numpy as np
 from leap_motion.frames import THUMB, LeapFrame, LeapHand
 
 SHORTEST_M = 0.003  # bone of a finger; a webcam has shown 7 mm
-METACARPAL = 1.5  # times a finger's bone, in its longest length
 TIP_M = 0.03  # farthest that the finger tip's centre is from the end of the last bone
 KNUCKLE_M = 0.12  # farthest that a knuckle is from the palm's centre
 NOISE_M, NOISE_RAD = 0.005, math.radians(15.0)  # error of a joint and of the palm's axes, from frame to frame
@@ -117,6 +116,7 @@ class PlausibleHands:
 
     def _judge(self, hand: LeapHand) -> tuple[str, dict[int, str]]:
         """Returns why the hand is implausible, or an empty text, and why some of its fingers are, by their types."""
+        metacarpal = 1.5  # times a finger's bone, in its longest length
         known, bounds = self._known.get(hand.id), self._bounds
         axes = np.empty((3, 3))
         axes[:, 1], axes[:, 2] = -hand.normal, -hand.direction
@@ -141,7 +141,7 @@ class PlausibleHands:
         cosines = np.einsum("ijk,ijk->ij", steps[:, 1:], steps[:, :-1])
         folded = (cosines < MOST_BEND_COS * lengths[:, 1:] * lengths[:, :-1]).any(axis=1)
         bones = lengths[:, 1:]
-        longest, shortest = np.maximum(bones.max(axis=1), lengths[:, 0] / METACARPAL), bones.min(axis=1)
+        longest, shortest = np.maximum(bones.max(axis=1), lengths[:, 0] / metacarpal), bones.min(axis=1)
         elsewhere = _norms(joints[:, 1]) > KNUCKLE_M
         sizes = (shortest < SHORTEST_M) | (longest > bounds.longest_bone) | (tips > TIP_M)
         changed = fast = NOBODY[: len(types)]

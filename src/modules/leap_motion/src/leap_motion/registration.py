@@ -20,16 +20,10 @@ FINGER_M = 0.008  # of the tip's centre above what it touches
 PLACED_ANEW = ("WebXR", "WC-front")
 """Serials of trackers whose axes each session, or each neutral pose, places elsewhere: a headset, a webcam in front."""
 
-MIN_POINTS = 3
-MIN_DISTANCE_M = 0.05  # between two points
-MIN_WIDTH_M = 0.02  # rms distance of the points from a line
 MAX_TURN_DEG = 60.0  # of a tracker against the desk: beyond this, points were mixed up or mirrored
 
 HOLD_S = 1.0  # time over which a tip is averaged
 MIN_FRAMES = 10  # of that time
-MIN_FRACTION = 0.9  # of them that show the hand
-MIN_CONFIDENCE = 0.3
-STILL_M = 0.004  # of 90 % of the tips from their median: a hand moves by less than 9 mm/s
 
 
 class RegistrationRefused(ValueError):
@@ -61,18 +55,21 @@ def sheet_points(height: float) -> dict[str, tuple[float, float, float]]:
 
 def check_points(points: Mapping[str, ArrayLike]) -> None:
     """Raises RegistrationRefused if points, (x, y, z) [m] each, are too few, too near each other or on one line."""
-    if len(points) < MIN_POINTS:
-        raise RegistrationRefused(f"A registration needs at least {MIN_POINTS} points, not {len(points)}.")
+    min_points = 3
+    min_distance_m = 0.05  # between two points
+    min_width_m = 0.02  # rms distance of the points from a line
+    if len(points) < min_points:
+        raise RegistrationRefused(f"A registration needs at least {min_points} points, not {len(points)}.")
     for (one, p), (other, q) in combinations(points.items(), 2):
         distance = float(np.linalg.norm(np.subtract(p, q)))
-        if not distance >= MIN_DISTANCE_M:
+        if not distance >= min_distance_m:
             raise RegistrationRefused(
-                f"The points {one} and {other} are {1e3 * distance:.0f} mm apart; at least {1e3 * MIN_DISTANCE_M:.0f} "
+                f"The points {one} and {other} are {1e3 * distance:.0f} mm apart; at least {1e3 * min_distance_m:.0f} "
                 "mm are needed."
             )
     xyz = np.array(list(points.values()))
     width = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(xyz))
-    if not width >= MIN_WIDTH_M:
+    if not width >= min_width_m:
         raise RegistrationRefused(
             f"The points lie on one line within {1e3 * width:.0f} mm, so the turn about it is unknown: choose "
             "points that span an area."
@@ -140,25 +137,28 @@ def tilt_deg(T: np.ndarray) -> float:
 def still_tip(frames: Sequence[LeapFrame]) -> np.ndarray:
     """Returns the mean tip of the index finger, shape (3,) [m], over frames of HOLD_S. Raises RegistrationRefused
     unless one hand is seen well, with its index finger stretched, and holds still."""
+    min_fraction = 0.9  # of them that show the hand
+    min_confidence = 0.3
+    still_m = 0.004  # of 90 % of the tips from their median: a hand moves by less than 9 mm/s
     if len(frames) < MIN_FRAMES:
         raise RegistrationRefused(f"Only {len(frames)} frames came within {HOLD_S:g} s: is the tracker slow or paused?")
     if any(len(frame.hands) > 1 for frame in frames):
         raise RegistrationRefused("Two hands are in view: show only the one that touches the point.")
     hands = [frame.hands[0] for frame in frames if frame.hands]
-    if len(hands) < MIN_FRACTION * len(frames):
+    if len(hands) < min_fraction * len(frames):
         raise RegistrationRefused("The tracker does not see the hand all the time: bring it over the tracker.")
     if len({hand.id for hand in hands}) > 1:
         raise RegistrationRefused("The tracker lost the hand in between: keep it in view.")
-    if min(hand.confidence for hand in hands) < MIN_CONFIDENCE:
+    if min(hand.confidence for hand in hands) < min_confidence:
         raise RegistrationRefused(
             "The tracker is unsure of the hand: turn the palm down and spread the fingers a little."
         )
     fingers = [finger for hand in hands for finger in hand.fingers if finger.type == INDEX and finger.extended]
-    if len(fingers) < MIN_FRACTION * len(frames):
+    if len(fingers) < min_fraction * len(frames):
         raise RegistrationRefused("The index finger is not stretched.")
     tips = np.array([finger.tip for finger in fingers])
     away = np.sort(np.linalg.norm(tips - np.median(tips, axis=0), axis=1))[int(0.9 * (len(tips) - 1))]
-    if not away <= STILL_M:
+    if not away <= still_m:
         raise RegistrationRefused(f"The finger moved by {1e3 * away:.0f} mm; hold it still on the point.")
     return tips.mean(axis=0)
 

@@ -10,7 +10,6 @@ import numpy as np
 from leap_motion.frames import TrackedHand
 
 AXIS_M = 0.06  # length of the palm's two axes
-LABEL_ABOVE_M = 0.08  # over the highest joint
 
 
 @dataclass(frozen=True)
@@ -28,6 +27,7 @@ class Skeleton:
 
 def skeleton(hand: TrackedHand) -> Skeleton | None:
     """Returns what is drawn of a hand; None for one with a position or axis that is not finite."""
+    label_above_m = 0.08  # over the highest joint
     fingers = np.empty((0, 5, 3)) if hand.joints is None else hand.joints
     joints = np.vstack((fingers.reshape(-1, 3), hand.palm))
     normal, direction = (np.stack((hand.palm, hand.palm + AXIS_M * axis)) for axis in (hand.normal, hand.direction))
@@ -40,7 +40,7 @@ def skeleton(hand: TrackedHand) -> Skeleton | None:
         normal=normal,
         direction=direction,
         label=f"{hand.name}, confidence {hand.confidence:.2f}",
-        label_at=np.array((hand.palm[0], top + LABEL_ABOVE_M, hand.palm[2])),
+        label_at=np.array((hand.palm[0], top + label_above_m, hand.palm[2])),
         colour=traffic_light(hand.confidence),
     )
 

@@ -23,7 +23,6 @@ OPEN_TIMEOUT_S = 2.0
 CLOSE_TIMEOUT_S = 0.5
 READ_BYTES = 65536
 HEARD_BYTES = 256  # of a service's first ones are kept
-REFUSALS = (401, 403, 429)  # by which a service refuses a client
 OPENS, OPENS_TLS = (b"HTTP/1.1 101",), (b"\x16\x03", b"\x15\x03")  # how an expected answer begins
 OWN_HELLO = b"\x01"  # the sixth byte of what a client says first by TLS; a service says 2
 
@@ -51,6 +50,7 @@ class LeapSocket(contextlib.AbstractContextManager):
     if it has another one. `code`: what the service asks clients of other machines for."""
 
     def __init__(self, host: str, port: int, code: str = "", fingerprint: str = "") -> None:
+        refusals = (401, 403, 429)  # by which a service refuses a client
         self.ponged = False  # whether the newest ping was answered
         self._heard, self._opens = b"", OPENS_TLS if fingerprint else OPENS
         self._messages: deque[str | bytes] = deque()
@@ -73,7 +73,7 @@ class LeapSocket(contextlib.AbstractContextManager):
                 raise self._protocol.handshake_exc
         except BaseException as error:
             self._socket.close()
-            refused = isinstance(error, InvalidStatus) and error.response.status_code in REFUSALS
+            refused = isinstance(error, InvalidStatus) and error.response.status_code in refusals
             failed = isinstance(error, (OSError, EOFError, ValueError, WebSocketException)) and not refused
             opens = self._heard.startswith(self._opens) and self._heard[5:6] != OWN_HELLO
             opens = opens and not isinstance(error, InvalidHeader)  # of a service that upgrades to something else

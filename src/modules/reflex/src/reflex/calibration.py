@@ -17,8 +17,6 @@ from reflex.settings import HandSettings
 
 Calibration = TypeVar("Calibration", "FingerZeros", "TactileOffsets")
 SIMULATED = "simulated"  # key of a file; the maker's driver does not write it
-_JUMP_TICKS = 200
-_TURN_TOLERANCE_TICKS = 40
 
 
 def _range(length: int, unit: str, low: float, high: float) -> Any:
@@ -196,12 +194,14 @@ class FingerCalibration:
 
     def _follow_jumps(self, packet: StatePacket) -> bool | None:
         """Whether a servo now counts from another turn, so that its target lies a turn away; None after other jumps."""
+        jump_ticks = 200
+        turn_tolerance_ticks = 40
         turned = False
         for i, (raw, last) in enumerate(zip(packet.positions, self._last_positions)):
             jump = raw - last
-            if abs(jump) <= _JUMP_TICKS:
+            if abs(jump) <= jump_ticks:
                 continue
-            if abs(abs(jump) - TURN_TICKS) > _TURN_TOLERANCE_TICKS:
+            if abs(abs(jump) - TURN_TICKS) > turn_tolerance_ticks:
                 return None
             turned = True
             self._origin[i] += jump

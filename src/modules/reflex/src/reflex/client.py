@@ -23,10 +23,8 @@ PORT = 11333
 RECEIVE_TIMEOUT_S = 0.005
 REOPEN_S = 2.0
 REMIND_S = 5.0
-SPEED_TIMEOUT_S = 2.0
 CLOSED_RAD = 2.5
 STILL_RAD = 0.01  # motors that turn less than this between two packets stand still [rad]
-STILL_PACKETS = 4
 
 
 class ReflexHand:
@@ -138,10 +136,11 @@ class ReflexHand:
     def move(self, angles: Sequence[float], timeout: float = 5.0) -> None:
         """Moves the motors to four angles [rad], clamped to their travel; returns when they stand still, wherever
         that is, and after `timeout` seconds at the latest."""
+        still_packets = 4
         self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, timeout)
         self.command(angles)
         last, still, deadline = self.state.joint_angles, 0, self._monotonic() + timeout
-        while still < STILL_PACKETS and self._monotonic() < deadline:
+        while still < still_packets and self._monotonic() < deadline:
             self.wait_for_packet()
             present = self.state.joint_angles
             still = still + 1 if max(abs(a - b) for a, b in zip(present, last)) < STILL_RAD else 0
@@ -157,9 +156,10 @@ class ReflexHand:
 
     def set_speed(self, speeds: Sequence[float]) -> None:
         """Sets the joint speeds [rad/s], switches torque on, and waits until that is done, about 0.1 s."""
+        speed_timeout_s = 2.0
         self._request(lambda now: self._logic.set_speed(speeds, now))
-        if not self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, SPEED_TIMEOUT_S):
-            raise CommandRefused(f"The speed was not set within {SPEED_TIMEOUT_S:g} s.")
+        if not self._wait_while(lambda: self.status is HandStatus.CHANGING_SPEED, speed_timeout_s):
+            raise CommandRefused(f"The speed was not set within {speed_timeout_s:g} s.")
         if self.status not in (HandStatus.READY, HandStatus.CALIBRATING):
             raise CommandRefused(f"The speed was not set: the hand is {self.status.value}.")
 

@@ -15,17 +15,9 @@ FINGERS = MOTORS[:3]
 PI = 3.141596
 TICK_RAD = 8 * PI / 4095
 ENCODER_RAD = 2 * PI / 16383
-SPEED_UNIT_RAD_S = 0.01194
 SIGNS = (1, -1, 1, -1)
 RATIOS = (1.42, 1.42, 1.42, 1.5)
 TURN_TICKS = 1024
-MAX_TARGET_TICKS = 16383
-MAX_SPEED_UNITS = 1023
-MIN_VALID_TICKS = 1100
-MAX_VALID_TICKS = 64000
-
-_DIRECTION_BIT = 1024
-_MAX_FORWARD_LOAD = 1023
 
 
 def joint_angle(motor: int, raw: float, zero: float) -> float:
@@ -41,10 +33,11 @@ def zero_reference(motor: int, raw: float) -> float:
 def raw_target(motor: int, angle: float, zero: float) -> int:
     """Returns the servo position [ticks], truncated, of a joint angle [rad]; raises ValueError if the angle is not
     finite, or the position is outside of what the hand may be sent."""
+    max_target_ticks = 16383
     raw = (SIGNS[motor] * angle + zero) * RATIOS[motor] / TICK_RAD
-    if not math.isfinite(raw) or not 0 <= raw <= MAX_TARGET_TICKS:
+    if not math.isfinite(raw) or not 0 <= raw <= max_target_ticks:
         where = f"{angle} rad of motor {MOTORS[motor]} is position {raw:g}"
-        raise ValueError(f"{where}; positions lie in 0..{MAX_TARGET_TICKS}")
+        raise ValueError(f"{where}; positions lie in 0..{max_target_ticks}")
     return int(raw)
 
 
@@ -55,18 +48,23 @@ def ticks(motor: int, turn: float) -> float:
 
 def servo_fault(positions: Sequence[int]) -> str:
     """Returns a sentence on servos that do not answer (0) or report positions [ticks] no target can have, or ""."""
-    wrong = [f"{n} ({raw})" for n, raw in zip(MOTORS, positions) if not MIN_VALID_TICKS < raw < MAX_VALID_TICKS]
+    min_valid_ticks = 1100
+    max_valid_ticks = 64000
+    wrong = [f"{n} ({raw})" for n, raw in zip(MOTORS, positions) if not min_valid_ticks < raw < max_valid_ticks]
     return f"The position of servo {', '.join(wrong)} cannot be right; check its cable." if wrong else ""
 
 
 def speed_units(motor: int, speed: float) -> int:
     """Returns the moving-speed register for a joint speed [rad/s]; never 0, which means full speed. Raises
     ValueError if the speed is not finite."""
+    speed_unit_rad_s = 0.01194
+    max_speed_units = 1023
+    direction_bit = 1024
     if not math.isfinite(speed):
         raise ValueError(f"the speed of motor {MOTORS[motor]} is {speed}")
-    units = int(min(abs(speed) * RATIOS[motor] / SPEED_UNIT_RAD_S, MAX_SPEED_UNITS))
+    units = int(min(abs(speed) * RATIOS[motor] / speed_unit_rad_s, max_speed_units))
     if SIGNS[motor] * speed < 0:
-        units += _DIRECTION_BIT
+        units += direction_bit
     return units or 1
 
 
@@ -78,7 +76,8 @@ def proximal_angle(raw: int, zero: float) -> float:
 
 def closing_load(motor: int, raw: int) -> int:
     """Returns the load [0.1 % of the largest torque] of a present-load register; positive = closing effort."""
-    return SIGNS[motor] * (raw - _MAX_FORWARD_LOAD if raw > _MAX_FORWARD_LOAD else -raw)
+    max_forward_load = 1023
+    return SIGNS[motor] * (raw - max_forward_load if raw > max_forward_load else -raw)
 
 
 def all_joint_angles(raw: Sequence[int], zeros: Sequence[float] | np.ndarray) -> tuple[float, ...]:

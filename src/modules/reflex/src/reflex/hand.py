@@ -18,7 +18,6 @@ from reflex.reading import UNLOADED, HandReading, measure
 from reflex.settings import HandSettings, setting_fault
 
 CALIBRATING = "The fingers are being calibrated."
-_COMPLAINT_PERIOD_S = 10.0
 
 
 class HandStatus(Enum):
@@ -147,9 +146,10 @@ class HandLogic:
 
     def receive(self, data: bytes, source: tuple, now: float) -> HandUpdate:
         """Handles a datagram from `source` (address, port)."""
+        complaint_period_s = 10.0
         arrival, packet, why = self.link.sort(data, source, now)
         if packet is None:
-            if why and now - self._complaint_time > _COMPLAINT_PERIOD_S:
+            if why and now - self._complaint_time > complaint_period_s:
                 self._complaint_time = now
                 self._note("warning", why)
             return self._result()

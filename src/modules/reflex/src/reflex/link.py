@@ -12,11 +12,7 @@ from reflex.codec import PacketError, StatePacket, decode_state, is_command
 from reflex.stranger import stranger
 
 PERIOD_S = 0.025
-CLOCK_TOLERANCE_S = 0.3
-CLOCK_DRIFT = 1e-3
 
-_CLOCK_WRAP_S = 2**32 * 1e-6
-_LONGEST_REORDERING_S = 0.2
 _FOREIGN_S = 5.0  # what another sender said explains a silence for so long
 
 
@@ -108,15 +104,18 @@ class PacketFilter:
     def _relate(self, packet: StatePacket, now: float) -> PacketArrival:
         """Compares the hand's clock with the host's. A busy host reads packets late, so the hand's clock only
         appears to fall behind: that counts as a restart only after a silence that `watch` reported."""
+        clock_tolerance_s = 0.3
+        clock_drift = 1e-3
+        longest_reordering_s = 0.2
         if self._last is None:
             return PacketArrival.FIRST
         host_step = now - self._last_time
         device_step = _signed(1e-6 * (packet.device_time - self._last.device_time))
         repeated = device_step == 0 and host_step < PERIOD_S / 2
-        if not self._missed and (repeated or -_LONGEST_REORDERING_S < device_step < 0):
+        if not self._missed and (repeated or -longest_reordering_s < device_step < 0):
             return PacketArrival.DROPPED
         behind = _signed(host_step - device_step)
-        tolerance = CLOCK_TOLERANCE_S + CLOCK_DRIFT * host_step
+        tolerance = clock_tolerance_s + clock_drift * host_step
         if behind < -tolerance or (self._missed and behind > tolerance) or (not self._missed and device_step < 0):
             return PacketArrival.RESTARTED
         if self._missed:
@@ -128,7 +127,8 @@ class PacketFilter:
 
 def _signed(step: float) -> float:
     """Returns the step [s] across the wrap of the hand's clock, at most half its range either way."""
-    return (step + _CLOCK_WRAP_S / 2) % _CLOCK_WRAP_S - _CLOCK_WRAP_S / 2
+    clock_wrap_s = 2**32 * 1e-6
+    return (step + clock_wrap_s / 2) % clock_wrap_s - clock_wrap_s / 2
 
 
 def _name(source: tuple) -> str:

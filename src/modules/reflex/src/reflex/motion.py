@@ -15,9 +15,6 @@ from reflex.conversions import MOTORS, TURN_TICKS, all_joint_angles, raw_target,
 from reflex.reading import HandReading
 from reflex.settings import HandSettings
 
-RELIEVED_FRACTION = 0.8
-COOLING_DEGC = 3
-
 # A servo at full speed needs a second for this many ticks.
 _JUMP_TICKS = TURN_TICKS - 124
 
@@ -99,6 +96,8 @@ class EffortGuard:
         """Returns goals [rad] that protect the fingers, equal to `goals` where nothing is wrong, and news as
         sentences. A motor outside of its travel, or of a hand that is not calibrated, is only stopped, because its
         distance from open is unknown."""
+        relieved_fraction = 0.8
+        cooling_degc = 3
         settings = self._settings
         new_goals, notes = list(goals), []
         for i, name in enumerate(MOTORS):
@@ -106,12 +105,12 @@ class EffortGuard:
             known = calibrated and -settings.travel_margin <= angle <= most + settings.travel_margin
             temperature = reading.packet.temperatures[i]
             overloaded = abs(load) > settings.overload[i]
-            hot = temperature >= settings.hot - COOLING_DEGC * self._hot[i]
+            hot = temperature >= settings.hot - cooling_degc * self._hot[i]
             if overloaded and not self._overloaded[i]:
                 notes.append(f"Motor {name} is overloaded (load {load:.0f} of {settings.overload[i]:.0f}): loosened.")
             if hot and not self._hot[i]:
                 notes.append(f"Motor {name} has {temperature} degrees Celsius: it does not close further.")
-            still = self._overloaded[i] and abs(load) > RELIEVED_FRACTION * settings.overload[i]
+            still = self._overloaded[i] and abs(load) > relieved_fraction * settings.overload[i]
             self._overloaded[i], self._hot[i] = overloaded or still, hot
             if overloaded and load > 0:
                 end = 0.0 if known else angle

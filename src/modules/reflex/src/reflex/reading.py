@@ -9,7 +9,6 @@ from reflex.calibration import FingerZeros, TactileOffsets
 from reflex.codec import StatePacket
 from reflex.conversions import all_joint_angles, closing_load, proximal_angle
 
-NEW_LOAD_WEIGHT = 0.25
 UNLOADED = (0.0,) * 4
 JOINT_NAMES = (
     "reflex/preshape_1", "reflex/preshape_2",
@@ -49,8 +48,9 @@ def measure(
     loads: tuple[float, ...] = UNLOADED,
 ) -> HandReading:
     """Returns the reading of a packet; `thresholds` are three times nine counts, `loads` those of the last reading."""
+    new_load_weight = 0.25
     filtered = tuple(
-        NEW_LOAD_WEIGHT * closing_load(i, raw) + (1 - NEW_LOAD_WEIGHT) * old
+        new_load_weight * closing_load(i, raw) + (1 - new_load_weight) * old
         for i, (raw, old) in enumerate(zip(packet.loads, loads))
     )
     angles = all_joint_angles(packet.positions, zeros.motor_zero_reference)

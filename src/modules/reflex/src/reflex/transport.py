@@ -13,7 +13,6 @@ from reflex.errors import WireFault
 
 LOOPBACK = "lo"  # the interface of the simulated hand: no real one is on it
 
-MAX_DATAGRAM_BYTES = 2048
 
 _SIOCGIFADDR = 0x8915
 _IP_MULTICAST_ALL = 49
@@ -50,9 +49,10 @@ class HandTransport:
     def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
         """Returns the next datagram and its sender, or None after `timeout` [s] or for a packet of our own; raises
         WireFault if the interface is gone."""
+        max_datagram_bytes = 2048
         self._receiver.settimeout(timeout)
         try:
-            data, source = self._receiver.recvfrom(MAX_DATAGRAM_BYTES)
+            data, source = self._receiver.recvfrom(max_datagram_bytes)
         except socket.timeout:
             return None
         except OSError as error:

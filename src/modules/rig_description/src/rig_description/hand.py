@@ -81,7 +81,6 @@ TAXEL_NORMALS = {"proximal": np.array([_UP] * 5), "distal": np.array([_UP] * 3 +
 """Where each taxel is on a part, in its frame, and which way it faces, shape (n, 3): five on the proximal part from
 its base outwards, four on the distal one, the last at the finger tip."""
 _MASSES = {"base_link": 0.63, "swivel": 0.02, "proximal": 0.04, "distal": 0.05}
-_CONNECTOR_MASS = 0.18
 
 
 def part(link: str) -> str:
@@ -91,8 +90,9 @@ def part(link: str) -> str:
 
 def body(link: str) -> Body:
     """Returns the mass properties of a link in its frame; the base carries the connector."""
+    connector_mass = 0.18
     solid = box(_MASSES[part(link)], *EXTENT[part(link)])
-    connector = cylinder(_CONNECTOR_MASS, CONNECTOR_RADIUS, *CONNECTOR_FACES)
+    connector = cylinder(connector_mass, CONNECTOR_RADIUS, *CONNECTOR_FACES)
     return joined([solid, connector]) if link == "base_link" else solid
 
 
@@ -127,11 +127,11 @@ RING_PAD_FACE = 0.061
 RING_PAD = (-0.058, 0.053, 0.0), (0.058, RING_PAD_FACE, 0.060)
 RING_ARM = (-0.035, 0.025, 0.0), (0.035, 0.053, RING_LENGTH)
 """Opposite corners of the pad, and of what holds it."""
-_RING_MASSES = 0.065, 0.075, 0.010
-"""Of ring, pad and arm [kg]: 118 cm^3 of PETG, as if solid."""
 
 
 def ring_body() -> Body:
     """Returns its mass properties in the flange's frame."""
-    ring, pad, arm = _RING_MASSES
+    # Of ring, pad and arm [kg]: 118 cm^3 of PETG, as if solid.
+    ring_masses = (0.065, 0.075, 0.010)
+    ring, pad, arm = ring_masses
     return joined([cylinder(ring, CONNECTOR_RADIUS, *RING_FACES), box(pad, *RING_PAD), box(arm, *RING_ARM)])

@@ -34,28 +34,28 @@ class Disc:
     top: tuple[float, float, float]  # centre of its upper face [mm]
 
 
-TUBE = 68.0
-HOUSING_SIDE = 92.0
-GAP = 1.0
 RING = 9.0
-COLLAR = 20.0
 
 
 def arm_trim(arm: ArmDescription, link: int) -> list[Disc]:
     """Returns the rings at the link's seams and the covers of its joint housing."""
+    tube = 68.0
+    housing_side = 92.0
+    gap = 1.0
+    collar = 20.0
     low, middle, high = (1e3 * seam for seam in arm.seams)
     shoulder, upper, fore = (1e3 * length for length in arm.lengths)
     up = {0: low, 2: middle, 4: high}.get(link)
     down = {1: low - shoulder, 3: middle - upper, 5: high - fore}.get(link)
     discs = [_across("white", 107.0, 0.0, 14.0)] if link == 0 else []
     if up is not None:
-        discs += [_across("white", TUBE + 0.6, up - COLLAR, up - GAP), _across("grey", TUBE + 1.0, up - RING, up - GAP)]
+        discs += [_across("white", tube + 0.6, up - collar, up - gap), _across("grey", tube + 1.0, up - RING, up - gap)]
     if down is not None:
-        discs += [_across("white", TUBE + 0.6, down, down + COLLAR), _across("orange", TUBE + 1.0, down, down + RING)]
+        discs += [_across("white", tube + 0.6, down, down + collar), _across("orange", tube + 1.0, down, down + RING)]
     if link in (1, 4):
-        discs += [_aside("orange", 54.0, -HOUSING_SIDE - 1.5, -80.0), _aside("grey", 46.0, -HOUSING_SIDE - 2.5, -80.0)]
+        discs += [_aside("orange", 54.0, -housing_side - 1.5, -80.0), _aside("grey", 46.0, -housing_side - 2.5, -80.0)]
     if link in (2, 3):
-        discs += [_aside("orange", 54.0, 80.0, HOUSING_SIDE + 1.5), _aside("grey", 46.0, 80.0, HOUSING_SIDE + 2.5)]
+        discs += [_aside("orange", 54.0, 80.0, housing_side + 1.5), _aside("grey", 46.0, 80.0, housing_side + 2.5)]
     if link == 6:
         discs += [_aside("orange", 40.0, 56.0, 66.5), _aside("grey", 36.0, 56.0, 68.0)]
     if link == 7:

@@ -19,9 +19,7 @@ from common.errors import DeviceError, RigError
 from leap_motion.stranger import stranger
 
 MAX_LINE_BYTES = 65536
-BACKLOG = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server
 RETRY_S = 0.2  # until a connection is accepted that could not be
-CLOSE_TIMEOUT_S = 10.0  # longest wait for a running request; to build a world takes seconds on a busy machine
 Handler = Callable[..., Any]  # takes the other fields of a request by name; returns the fields of the answer or None
 
 
@@ -47,13 +45,14 @@ class ControlPort(contextlib.AbstractContextManager):
     def close(self) -> None:
         """Closes all connections and frees the port; may be called twice. Running requests finish first: a thread still
         inside the physics would crash the program at its exit."""
+        close_timeout_s = 10.0  # longest wait for a running request; to build a world takes seconds on a busy machine
         with self._lock:
             self._closed = True
             clients = dict(self._clients)
         for connection in (self._listener, *clients):
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RDWR)
-        deadline = clock.monotonic() + CLOSE_TIMEOUT_S
+        deadline = clock.monotonic() + close_timeout_s
         for thread in (self._acceptor, *clients.values()):
             thread.join(max(0.0, deadline - clock.monotonic()))
         self._listener.close()
@@ -196,12 +195,13 @@ def listen(host: str, port: int, purpose: str) -> socket.socket:
     """Returns a listening TCP socket on a loopback address, since other machines must not reach a simulator; port 0
     takes any free one. Raises DeviceError, with the port's `purpose`, such as "the control port", if the address is not
     a loopback address, or the port is taken."""
+    backlog = 50  # clients that may wait for acceptance; Java's default, as of the toolbox's server
     require_loopback(host, purpose)
     listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind((host, port))
-        listener.listen(BACKLOG)
+        listener.listen(backlog)
     except (OSError, OverflowError) as error:
         listener.close()
         cure = "Stop the other program, or choose another port."

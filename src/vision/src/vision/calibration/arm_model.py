@@ -16,10 +16,7 @@ from common.poses import read_only
 JOINTS = [f"kuka/joint_{i}" for i in range(1, 8)]
 SHOULDER, ELBOW, WRIST = "kuka/joint_2", "kuka/joint_4", "kuka/joint_6"
 MARGIN_RAD = np.radians(5.0)  # distance of the views from the ends of the joint ranges
-MAX_STEPS = 60
-DAMPING = 1e-4
-MAX_STEP_RAD = 0.3
-SHIFT_TOLERANCE_M, TURN_TOLERANCE_RAD = 2e-3, 5e-3  # loose: the arm measures its pose in the view
+SHIFT_TOLERANCE_M = 2e-3  # loose: the arm measures its pose in the view
 
 
 class ArmModel:
@@ -59,15 +56,19 @@ class ArmModel:
 
     def joints_for(self, T_base_flange: np.ndarray, q_seed: ArrayLike) -> np.ndarray | None:
         """Returns joints, shape (7,) [rad], for a flange pose; None if the search from `q_seed` does not converge."""
+        max_steps = 60
+        damping = 1e-4
+        max_step_rad = 0.3
+        turn_tolerance_rad = 5e-3  # loose: the arm measures its pose in the view
         goal = pin.SE3(T_base_flange[:3, :3], T_base_flange[:3, 3])
         q = np.clip(np.asarray(q_seed, dtype=float), self.lower, self.upper)
-        for _ in range(MAX_STEPS):
+        for _ in range(max_steps):
             pin.computeJointJacobians(self._model, self._data, q)
             pin.updateFramePlacements(self._model, self._data)
             error = pin.log6(self._data.oMf[self._flange].actInv(goal)).vector
-            if np.linalg.norm(error[:3]) < SHIFT_TOLERANCE_M and np.linalg.norm(error[3:]) < TURN_TOLERANCE_RAD:
+            if np.linalg.norm(error[:3]) < SHIFT_TOLERANCE_M and np.linalg.norm(error[3:]) < turn_tolerance_rad:
                 return q
             J = pin.getFrameJacobian(self._model, self._data, self._flange, pin.LOCAL)
-            step = J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error)
-            q = np.clip(q + step * min(1.0, MAX_STEP_RAD / np.max(np.abs(step))), self.lower, self.upper)
+            step = J.T @ np.linalg.solve(J @ J.T + damping * np.eye(6), error)
+            q = np.clip(q + step * min(1.0, max_step_rad / np.max(np.abs(step))), self.lower, self.upper)
         return None

@@ -19,13 +19,8 @@ from numpy.typing import ArrayLike
 
 from common.poses import inverse, pose, read_only
 
-MIN_VIEWS = 3
 MIN_SECOND_AXIS_RAD = np.radians(4.0)  # minimum rms rotation of the flange about a second axis
-MAX_TRIPLES = 60  # with nearly half of the views wrong, no triple is free of them in one case of 50 000
 MAX_STEPS = 30
-CONVERGED = 1e-12
-CHI2_MEDIAN, CHI2_BOUND = 5.348, 22.458  # median and 99.9 % quantile, chi-squared with six degrees of freedom
-ROUNDING_SD = 1e-10  # smallest standard deviation [m, rad]: noise-free views would divide by zero
 
 
 class DegenerateViews(ValueError):
@@ -123,8 +118,9 @@ def point_sd(result: HandEyeSolution, point: ArrayLike) -> float:
 
 def check_motion(views: list[CalibrationView]) -> None:
     """Raises DegenerateViews if the views cannot determine the calibration."""
-    if len(views) < MIN_VIEWS:
-        raise DegenerateViews(f"a calibration needs {MIN_VIEWS} consistent views, not {len(views)}: take more")
+    min_views = 3
+    if len(views) < min_views:
+        raise DegenerateViews(f"a calibration needs {min_views} consistent views, not {len(views)}: take more")
     turns = [pin.log3(a.T_base_flange[:3, :3].T @ b.T_base_flange[:3, :3]) for a, b in combinations(views, 2)]
     second = np.linalg.svd(turns, compute_uv=False)[1] / np.sqrt(len(turns))
     if second < MIN_SECOND_AXIS_RAD:
@@ -143,9 +139,10 @@ def information(
 
 
 def _robust_start(views: list[CalibrationView], rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    max_triples = 60  # with nearly half of the views wrong, no triple is free of them in one case of 50 000
     triples = list(combinations(range(len(views)), 3))
-    if len(triples) > MAX_TRIPLES:
-        triples = [triples[i] for i in rng.choice(len(triples), MAX_TRIPLES, replace=False)]
+    if len(triples) > max_triples:
+        triples = [triples[i] for i in rng.choice(len(triples), max_triples, replace=False)]
     best, least = None, np.inf
     for triple in triples:
         chosen = [views[i] for i in triple]
@@ -174,13 +171,14 @@ def _least_squares(
     views: list[CalibrationView], X: np.ndarray, Z: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Returns T_flange_board, T_base_camera, their covariance, and the mean weighted square of the errors."""
+    converged = 1e-12
     whitenings = [_whitening(view) for view in views]
     for _ in range(MAX_STEPS):
         J = np.concatenate([W @ _error_jacobian(view, X, Z) for W, view in zip(whitenings, views)])
         e = np.concatenate([W @ _error(view, X, Z) for W, view in zip(whitenings, views)])
         step = -np.linalg.lstsq(J, e, rcond=None)[0]
         X, Z = _changed(X, step[:6]), _changed(Z, step[6:])
-        if np.max(np.abs(step)) < CONVERGED:
+        if np.max(np.abs(step)) < converged:
             break
     freedom = max(6 * len(views) - 12, 1)
     return X, Z, np.linalg.inv(J.T @ J), float(e @ e / freedom)
@@ -222,12 +220,15 @@ def _square(view: CalibrationView, X: np.ndarray, Z: np.ndarray) -> float:
 
 def _fitting(views: list[CalibrationView], X: np.ndarray, Z: np.ndarray) -> np.ndarray:
     """Returns which views agree with the poses, by a bound that widens if all covariances are too small."""
+    chi2_median = 5.348  # median and 99.9 % quantile, chi-squared with six degrees of freedom
+    chi2_bound = 22.458
     squares = np.array([_square(view, X, Z) for view in views])
-    return squares <= CHI2_BOUND * max(1.0, np.median(squares) / CHI2_MEDIAN)
+    return squares <= chi2_bound * max(1.0, np.median(squares) / chi2_median)
 
 
 def _floored(covariance: np.ndarray) -> np.ndarray:
-    return covariance + ROUNDING_SD**2 * np.eye(6)
+    rounding_sd = 1e-10  # smallest standard deviation [m, rad]: noise-free views would divide by zero
+    return covariance + rounding_sd**2 * np.eye(6)
 
 
 def _changed(T: np.ndarray, change: np.ndarray) -> np.ndarray:

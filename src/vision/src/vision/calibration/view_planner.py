@@ -22,14 +22,10 @@ from vision.calibration.hand_eye import information
 from vision.marker_board.board import MarkerBoardConfig
 
 ARM_RADIUS_M = 0.075
-HAND_LENGTH_M, HAND_RADIUS_M = 0.25, 0.06
-CAMERA_CLEARANCE_M = 0.25
+HAND_RADIUS_M = 0.06
 OTHER_ARM_RADIUS_M = 0.2  # of an upright second arm with an open hand
 EDGE_PX = 25.0  # distance of the marker board from the edges of the image
-GRID = 5
 PATH_STEP_RAD = np.radians(4.0)
-TOLERANCE_M = 0.002
-PRIOR = 1e-3  # information before the first view, for a determinant: standard deviations of 1/sqrt(PRIOR) m and rad
 
 
 @dataclass(frozen=True)
@@ -81,10 +77,11 @@ class ViewPlanner:
         board: MarkerBoardConfig,
         R_world_base: np.ndarray,
     ) -> None:
+        grid = 5
         self._config, self._arm, self._camera, self._points = config, arm, camera, points
         self._T_flange_board, self._R_world_base, self._up = board.T_flange_tag, R_world_base, R_world_base[2]
         self._start = np.radians(config.start)
-        side = np.linspace(-board.plate / 2.0, board.plate / 2.0, GRID)
+        side = np.linspace(-board.plate / 2.0, board.plate / 2.0, grid)
         self._plate = np.array([(x, y, 0.0) for x in side for y in side])
 
     def candidates(
@@ -106,9 +103,11 @@ class ViewPlanner:
 
     def choose(self, candidates: list[np.ndarray], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns the most informative views, at most `count` of the configuration."""
+        # information before the first view, for a determinant: standard deviations of 1/sqrt(PRIOR) m and rad
+        prior = 1e-3
         gains = [self.information(q, T_base_camera) for q in candidates]
         chosen: list[np.ndarray] = []
-        total, left = PRIOR * np.eye(12), list(range(len(candidates)))
+        total, left = prior * np.eye(12), list(range(len(candidates)))
         while left and len(chosen) < self._config.count:
             best = max(left, key=lambda i: np.linalg.slogdet(total + gains[i])[1])
             total = total + gains[best]
@@ -143,14 +142,16 @@ class ViewPlanner:
     def path_clear(self, q: np.ndarray, goal: np.ndarray, T_base_camera: np.ndarray) -> bool:
         """Returns whether the straight joint motion from q to goal, shape (7,) [rad], is clear. Where q itself is too
         close to something, the motion must not come closer."""
+        tolerance_m = 0.002
         steps = max(2, int(np.ceil(np.max(np.abs(goal - q)) / PATH_STEP_RAD)) + 1)
-        least = min(0.0, self.clearance(q, T_base_camera) - TOLERANCE_M)
+        least = min(0.0, self.clearance(q, T_base_camera) - tolerance_m)
         path = (q + part * (goal - q) for part in np.linspace(0.0, 1.0, steps)[1:])
         return all(self.clearance(joints, T_base_camera) > least for joints in path)
 
     def clearance(self, q: ArrayLike, T_base_camera: np.ndarray) -> float:
         """Returns the distance of arm, hand and marker board at q from table, camera, arm and a second arm beyond the
         minimum [m]."""
+        camera_clearance_m = 0.25
         spine, plate, hand = self._bodies(q)
         held = np.concatenate((plate, hand[1:]))
         low = self._config.min_height
@@ -159,7 +160,7 @@ class ViewPlanner:
             np.min(hand @ self._up) - low - HAND_RADIUS_M,
             np.min(plate @ self._up) - low,
             np.min(np.linalg.norm(np.concatenate((spine[2:], held)) - T_base_camera[:3, 3], axis=1))
-            - CAMERA_CLEARANCE_M,
+            - camera_clearance_m,
             *(np.min(_distances(held, a, b)) - ARM_RADIUS_M for a, b in zip(spine[:3], spine[1:4])),
             self._beside_other_arm(spine, plate, hand),
         )
@@ -199,10 +200,11 @@ class ViewPlanner:
 
     def _bodies(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns points of the arm, shape (5, 3), the marker board, shape (GRID^2, 3), and the hand, shape (4, 3)."""
+        hand_length_m = 0.25
         spine, T_base_flange = self._arm.spine(q), self._arm.flange(q)
         T_base_board = T_base_flange @ self._T_flange_board
         plate = self._plate @ T_base_board[:3, :3].T + T_base_board[:3, 3]
-        hand = T_base_flange[:3, 3] + np.linspace(0.0, HAND_LENGTH_M, 4)[:, None] * T_base_flange[:3, 2]
+        hand = T_base_flange[:3, 3] + np.linspace(0.0, hand_length_m, 4)[:, None] * T_base_flange[:3, 2]
         return spine, plate, hand
 
     def _random_board(self, rng: np.random.Generator, centre_only: bool) -> np.ndarray:

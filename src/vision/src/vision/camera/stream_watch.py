@@ -8,8 +8,6 @@ from collections import deque
 
 from common.config import flag, number
 
-RATE_WINDOW_S = 2.0
-
 
 @dataclasses.dataclass(frozen=True)
 class WatchConfig:
@@ -77,7 +75,8 @@ class StreamWatch:
 
     def rate(self, now: float) -> float:
         """Returns new images per second over the last RATE_WINDOW_S [Hz]; 0 with fewer than two."""
-        while self._times and self._times[0] < now - RATE_WINDOW_S:
+        rate_window_s = 2.0
+        while self._times and self._times[0] < now - rate_window_s:
             self._times.popleft()
         if len(self._times) < 2:
             return 0.0

@@ -15,9 +15,6 @@ from common.camera_model import CameraModel
 from common.config import integer, number
 from common.plane_fit import fit_plane
 
-MAX_PIXELS = 2500  # maximum number of pixels: more add no information, as neighbours share their noise
-RANGE_GATE = 0.15  # depth that differs more, relatively, from the range by colour is background or an arm in front
-
 
 @dataclass(frozen=True)
 class PlanePoseConfig:
@@ -58,6 +55,9 @@ def fit_board(
     """Returns the marker board's plane in the depth camera's frame; raises ValueError for an image of another size.
     `depth`: raw, shape (height, width), float32 [m], NaN where unknown; `T_depth_board`: rough pose by the colour
     image, shape (4, 4) [m]; `plate`: edge of the square plate round the board's origin [m]."""
+    max_pixels = 2500  # maximum number of pixels: more add no information, as neighbours share their noise
+    # depth that differs more, relatively, from the range by colour is background or an arm in front
+    range_gate = 0.15
     size = (camera.width, camera.height)
     if depth.shape[::-1] != size:
         raise ValueError(f"the depth image is {depth.shape[::-1]}, but its camera_info says {size}")
@@ -66,12 +66,12 @@ def fit_board(
         return _none("the marker board is outside the depth image: move it towards the centre")
     expected = T_depth_board[2, 3]
     half_tilted = plate * np.hypot(*T_depth_board[2, :2]) / np.sqrt(2.0)
-    near = inside & (np.abs(depth - expected) < RANGE_GATE * expected + half_tilted)
+    near = inside & (np.abs(depth - expected) < range_gate * expected + half_tilted)
     count, cover = int(near.sum()), float(near.sum() / inside.sum())
     if count < config.min_pixels or cover < config.min_cover:
         reason = f"only {count} pixels, {cover:.0%} of the marker board, have a depth near it: uncover it"
         return _none(reason, count, cover)
-    stride = max(1, count // MAX_PIXELS)
+    stride = max(1, count // max_pixels)
     v, u = (index[::stride] for index in np.nonzero(near))
     rays = camera.rays(np.stack((u, v), axis=-1))
     w = 1.0 / depth[v, u].astype(float)

@@ -20,9 +20,6 @@ from common.poses import inverse, pose, read_only
 from common.rotations import rotation_about, unit
 from vision.marker_board.plane_fit import PlaneFit, PlanePoseConfig, fit_board, plane_seen_from
 
-MAX_STEPS = 30
-LAST_STEP = 1e-8  # the search stops when a step moves the pose by less [m, rad]
-DIFFERENCE = 1e-6  # step of numeric derivatives [1/m, and of the rays' tangents]
 FLAT_M = 1e-6
 
 
@@ -156,15 +153,16 @@ def plane_estimate(
     the board, shape (n, 3) [m]; `rays`: theirs, x, y, 1, shape (n, 3); `K`: of the colour camera, shape (3, 3) [px];
     `noise`: covariance of the pixels, shape (2n, 2n) [px^2]; `a, covariance`: the plane in the colour camera's frame,
     shape (3,) [1/m], and (3, 3) [1/m^2]."""
+    difference = 1e-6  # step of numeric derivatives [1/m, and of the rays' tangents]
     T = _pose_on_plane(points, rays, a)
-    by_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in DIFFERENCE * np.eye(3)]
+    by_plane = [_change(T, _pose_on_plane(points, rays, a + step)) for step in difference * np.eye(3)]
     by_corner = []
     for i in range(len(rays)):
         for axis in range(2):
             moved = rays.copy()
-            moved[i, axis] += DIFFERENCE
+            moved[i, axis] += difference
             by_corner.append(_change(T, _pose_on_plane(points, moved, a)) / K[axis, axis])
-    J_plane, J_corner = np.array(by_plane).T / DIFFERENCE, np.array(by_corner).T / DIFFERENCE
+    J_plane, J_corner = np.array(by_plane).T / difference, np.array(by_corner).T / difference
     return PoseEstimate(read_only(T), read_only(J_plane @ covariance @ J_plane.T + J_corner @ noise @ J_corner.T))
 
 
@@ -180,8 +178,10 @@ def fuse(
     """Returns the pose that fits corners and plane best by their covariances (Gauss-Newton), or None if the search does
     not converge. It starts from the plane's pose, shape (4, 4) [m], which decides between the corners' two solutions;
     the rest is as for `plane_estimate`."""
+    max_steps = 30
+    last_step = 1e-8  # the search stops when a step moves the pose by less [m, rad]
     T, W_corner, W_plane = start, np.linalg.inv(noise), np.linalg.inv(covariance)
-    for _ in range(MAX_STEPS):
+    for _ in range(max_steps):
         seen = points @ T[:3, :3].T + T[:3, 3]
         r_corner = ((seen[:, :2] / seen[:, 2:] - rays[:, :2]) * (K[0, 0], K[1, 1])).ravel()
         J_corner = corner_jacobian(T, points, K).reshape(-1, 6)
@@ -189,7 +189,7 @@ def fuse(
         H = J_corner.T @ W_corner @ J_corner + J_plane.T @ W_plane @ J_plane
         step = -np.linalg.solve(H, J_corner.T @ W_corner @ r_corner + J_plane.T @ W_plane @ (plane - a))
         T = pose(pin.exp3(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
-        if np.abs(step).max() < LAST_STEP:
+        if np.abs(step).max() < last_step:
             return PoseEstimate(read_only(T), read_only(np.linalg.inv(H)))
     return None
 

@@ -25,7 +25,6 @@ from vision.calibration.arm_model import JOINTS, ArmModel
 from vision.ros.calibration.calibration_setup import StoreConfig
 
 CONTROLLERS = ("kuka_real_time_node", "kuka_ptp_node", "kuka_simple_node")
-DEFAULT_PORT = 30001
 FINGERS = finger_balls(CONNECTOR_LENGTH + RING_LENGTH)  # as far as they reach the speed is limited, whatever is mounted
 LIMITS = PtpLimits(arrived=np.radians(0.2))
 
@@ -43,7 +42,8 @@ class ArmAddress:
 
 def arm_address(store: StoreConfig, options: Namespace) -> ArmAddress:
     """Returns the robot under kuka/, else the store's; options override it. Raises ConfigError with all faults."""
-    values = {"robot": store.robot, "flange": store.flange, "port": DEFAULT_PORT, **rospy.get_param("kuka", {})}
+    default_port = 30001
+    values = {"robot": store.robot, "flange": store.flange, "port": default_port, **rospy.get_param("kuka", {})}
     values.update({key: value for key, value in vars(options).items() if value is not None})
     names = [field.name for field in fields(ArmAddress)]
     address = parse(ArmAddress, {key: values[key] for key in names if key in values}, prefix="kuka/")

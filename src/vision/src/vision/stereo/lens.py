@@ -15,10 +15,7 @@ from numpy.typing import ArrayLike
 from common.camera_model import CameraModel
 
 WIDTH, HEIGHT = 960, 1080  # size of one eye's half of the screen [px]
-PITCH_M = 0.12576 / 1920
-SCALE_M = 0.036  # length on the screen per unit of tan(angle), at the centre
 CENTRES = ((475.3, 540.0), (484.7, 540.0))  # centres of the left and the right lens, each in its own half [px]
-RADIAL = (1.0, 0.2083, -0.0064, 0.1759)
 RED, GREEN, BLUE = range(3)
 COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))  # red, green, blue: constant and r2 part beyond 1
 
@@ -26,10 +23,13 @@ COLOURS = ((-0.0127, -0.017), (0.0, 0.0), (0.0212, 0.017))  # red, green, blue: 
 def directions(pixels: ArrayLike, eye: int, colour: int = GREEN) -> np.ndarray:
     """Returns tan(angle) to the right and down, shape (..., 2), at which display pixels, shape (..., 2), centres at
     +0.5 [px], appear to the `eye` (0 = left, 1 = right) in a colour (RED, GREEN or BLUE)."""
-    xy = (np.asarray(pixels, dtype=float) - CENTRES[eye]) * (PITCH_M / SCALE_M)
+    pitch_m = 0.12576 / 1920
+    scale_m = 0.036  # length on the screen per unit of tan(angle), at the centre
+    radial = (1.0, 0.2083, -0.0064, 0.1759)
+    xy = (np.asarray(pixels, dtype=float) - CENTRES[eye]) * (pitch_m / scale_m)
     r2 = (xy * xy).sum(axis=-1, keepdims=True)
     constant, with_r2 = COLOURS[colour]
-    return xy * np.polyval(RADIAL[::-1], r2) * (1.0 + constant + with_r2 * r2)
+    return xy * np.polyval(radial[::-1], r2) * (1.0 + constant + with_r2 * r2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,6 @@ from vision.stereo.lens import Dk2Lens, NoLens
 
 LEFT, RIGHT = 1, -1  # the eyes: the direction in which their images shift as an object comes nearer
 NONE = np.float32(-1e6)  # marks a pixel of a map to which no image pixel moved
-DARK = 0.4  # brightness of a marked image
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 COLOUR = (255, 200, 60)
 
@@ -157,7 +156,8 @@ def age_text(age: float | None) -> str:
 
 def mark_age(image: np.ndarray, age: float | None) -> np.ndarray:
     """Returns the image, shape (height, width, 3), darkened and with its age [s] in the middle."""
-    marked = cv2.convertScaleAbs(image, alpha=DARK)
+    dark = 0.4  # brightness of a marked image
+    marked = cv2.convertScaleAbs(image, alpha=dark)
     height, width = image.shape[:2]
     text = age_text(age)
     scale = width / 400.0

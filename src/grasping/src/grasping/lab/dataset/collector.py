@@ -16,7 +16,6 @@ from grasping.lab.dataset.episode import EXECUTION, TELEOPERATION
 from grasping.lab.dataset.frame_buffer import FrameBuffer, FrameBufferConfig, KeptFrame, KeptFrames, Optics
 
 SAME_GRASP_S = 1.0  # two grasps seen nearer in time are one, seen by grasp_execution and by the watch
-BACK_S = 0.5  # stamps of different sources may differ by less
 
 
 class Finished(NamedTuple):
@@ -45,7 +44,8 @@ class Collector:
 
     def went_back(self, now: float) -> bool:
         """Takes the time [s]. Returns whether it went back, as in a recording that starts again: then all is lost."""
-        back = now < self._now - BACK_S
+        back_s = 0.5  # stamps of different sources may differ by less
+        back = now < self._now - back_s
         if back:
             self._buffer.clear()
             self._watch.reset()

@@ -23,7 +23,6 @@ SWIVEL_M, KNUCKLE_M, THUMB_M = 0.0504, 0.01, 0.03
 """From the hand's base to the swivels of index and middle, from there to their knuckles, and from the base to the
 thumb's knuckle, along the line on which they close (URDF of the hand)."""
 DEPTH_M = 0.150 - 0.0816  # from the knuckles down to the grasp
-WIDEST_M = 0.15  # fingers further apart are open to let go or to wave, not to grasp something: that says nothing
 NONE_MM = 0  # what a depth image holds where the camera had no reading
 NOWHERE = read_only(np.full((4, 4), np.nan))  # stands for a pose that is not known
 FINGERS = ("index", "middle", "thumb", "spread")  # columns of `Episode.finger_angles`
@@ -35,12 +34,13 @@ def hand_opening(angles: np.ndarray) -> float:
     """Returns the opening [m]; NaN where the fingers do not stand about something, or are not known. `angles`: shape
     (4,) [rad]: index, middle, thumb (0 = open), spread.
     """
+    widest_m = 0.15  # fingers further apart are open to let go or to wave, not to grasp something: that says nothing
     index, middle, thumb, spread = (float(a) for a in angles)
     if not np.all(np.isfinite(angles)) or min(np.sin([index, middle, thumb])) <= 0.0:
         return float("nan")
     beside = KNUCKLE_M + DEPTH_M * 0.5 * (1.0 / np.tan(index) + 1.0 / np.tan(middle))
     found = SWIVEL_M + THUMB_M + np.cos(spread) * beside + DEPTH_M / np.tan(thumb)
-    return float(found) if 0.0 < found < WIDEST_M else float("nan")
+    return float(found) if 0.0 < found < widest_m else float("nan")
 
 
 def angles_of_opening(opening_m: float) -> np.ndarray:

@@ -30,10 +30,6 @@ from grasping.refinement.taste import half_turn
 SCHEMA = 1
 SUFFIX = ".grasps.json"
 IMAGE_SUFFIXES = (".png", ".npy", ".tif", ".tiff")
-CORNELL_SHAPE = 480, 640
-CORNELL_MM = 1e-3  # the point clouds are in millimetres
-LARGEST_PX = 1e5  # of any number in a label
-LEAST_PX = 1.0  # of the sides of a labelled rectangle: those in metres, or in fractions of the image, are shorter
 
 
 class LabelError(RigError):
@@ -51,9 +47,10 @@ class GraspRectangle:
     breadth: float  # of a finger, across the line [px]
 
     def __post_init__(self) -> None:
+        largest_px = 1e5  # of any number in a label
         for name, value in asdict(self).items():
-            if not isinstance(value, (int, float)) or isinstance(value, bool) or not abs(value) < LARGEST_PX:
-                raise ValueError(f"{name} is {value!r} and must be a number below {LARGEST_PX:g}")
+            if not isinstance(value, (int, float)) or isinstance(value, bool) or not abs(value) < largest_px:
+                raise ValueError(f"{name} is {value!r} and must be a number below {largest_px:g}")
         if self.opening <= 0.0 or self.breadth <= 0.0:
             raise ValueError(f"opening and breadth are {self.opening:g} and {self.breadth:g} px and must be positive")
 
@@ -180,10 +177,11 @@ def read(folder: Path) -> LabelledFolder:
 
 def _labelled(row: float, column: float, angle: float, opening: float, breadth: float) -> GraspRectangle:
     """Returns the rectangle that a label states; raises ValueError if it is not in pixels and radians."""
+    least_px = 1.0  # of the sides of a labelled rectangle: those in metres, or in fractions of the image, are shorter
     grasp = GraspRectangle(row, column, angle, opening, breadth)
-    if min(opening, breadth) < LEAST_PX:
+    if min(opening, breadth) < least_px:
         raise ValueError(
-            f"opening and breadth are {opening:g} and {breadth:g} px and must be at least {LEAST_PX:g} px: they are in "
+            f"opening and breadth are {opening:g} and {breadth:g} px and must be at least {least_px:g} px: they are in "
             "pixels, not in metres"
         )
     if abs(angle) > 2.0 * math.pi:
@@ -251,14 +249,16 @@ def _of_corners(corners: np.ndarray) -> GraspRectangle:
 
 def _of_cloud(path: Path) -> np.ndarray:
     """Returns the distances of an ASCII point cloud whose last column is the pixel's number, shape (480, 640) [m]."""
-    depth = np.full(CORNELL_SHAPE, np.nan, np.float32)
+    cornell_shape = (480, 640)
+    cornell_mm = 1e-3  # the point clouds are in millimetres
+    depth = np.full(cornell_shape, np.nan, np.float32)
     try:
         _, _, body = read_text(path).partition("DATA ascii\n")
         points = np.array([line.split() for line in body.splitlines() if line.strip()], dtype=float).reshape(-1, 5)
-        depth.ravel()[points[:, 4].astype(int)] = CORNELL_MM * np.linalg.norm(points[:, :3], axis=1)
+        depth.ravel()[points[:, 4].astype(int)] = cornell_mm * np.linalg.norm(points[:, :3], axis=1)
     except (ValueError, IndexError, OSError) as error:
         raise RigError(
-            f"{path} is not a point cloud of {CORNELL_SHAPE[1]} x {CORNELL_SHAPE[0]} pixels: {error}."
+            f"{path} is not a point cloud of {cornell_shape[1]} x {cornell_shape[0]} pixels: {error}."
         ) from error
     return _plausible(depth, path)
 

@@ -24,9 +24,6 @@ from grasping.network.depth_image import NETWORK_SIDE, Crop
 from grasping.pipeline.projection import CameraGrasp, project_grasp
 from grasping.refinement.taste import half_turn
 
-NO_TILT_RAD = 1e-9
-AGAINST_RAD = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
-
 
 class RelativeLabel(NamedTuple):
     """An operator's grasp against GGCNN's."""
@@ -85,11 +82,13 @@ def tilt_and_angle(R: np.ndarray) -> tuple[np.ndarray, float]:
     """Returns tilt, shape (2,) [rad], and angle [rad] of a grasp's rotation before the camera, shape (3, 3). Raises
     ValueError if the grasp approaches straight towards the camera, where the tilt may have any direction.
     """
+    no_tilt_rad = 1e-9
+    against_rad = 1e-6  # a grasp so near to one that comes from behind the object has no definite tilt
     x, y, z = R[:, 2]
     across = np.hypot(x, y)
     inclination = np.arctan2(across, z)
-    if np.pi - inclination < AGAINST_RAD:
+    if np.pi - inclination < against_rad:
         raise ValueError("a grasp that approaches straight towards the camera has no definite tilt")
-    tilt = np.zeros(2) if inclination < NO_TILT_RAD else inclination / across * np.array([-y, x])
+    tilt = np.zeros(2) if inclination < no_tilt_rad else inclination / across * np.array([-y, x])
     turn = pin.exp3(np.append(tilt, 0.0)).T @ R
     return tilt, -float(np.arctan2(turn[1, 0], turn[0, 0]))

@@ -30,7 +30,6 @@ MAGIC = b"PK\3\4"  # how an archive begins
 DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, SyntaxError, EOFError, MemoryError,
           ValueError, RuntimeError, KeyError, OSError)  # fmt: skip
 """What numpy raises for a damaged archive, whose headers may say anything."""
-FAST = 1  # level of compression: a third of the time of numpy's level, files 6 % larger
 ARRAY = ".npy"
 PREFIX, SUFFIX = "episode_", ".npz"
 NAME = PREFIX + "%Y%m%dT%H%M%S_%f"
@@ -63,7 +62,6 @@ SINCE_2 = {"T_base_tool_shown"}  # what files of schema 1 do not have
 MAY_BE_NAN = {"T_base_tool_desired", "finger_angles", *SINCE_2}
 POSES = [name for name in LAYOUT if name.startswith("T_")]
 TEXTS = [f.name for f in fields(Metadata) if f.name != "configuration"]
-GRASP_TOLERANCE = 1e-9
 
 
 class DatasetError(RigError):
@@ -91,6 +89,7 @@ def unfinished(name: str) -> bool:
 
 def encode(episode: Episode) -> bytes:
     """Returns an episode's file content; raises DatasetError if its arrays do not fit together or are not finite."""
+    fast = 1  # level of compression: a third of the time of numpy's level, files 6 % larger
     camera = episode.camera
     meta = {
         "schema": SCHEMA,
@@ -107,7 +106,7 @@ def encode(episode: Episode) -> bytes:
     }
     _check(arrays)
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=FAST) as archive:  # numpy offers no level
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=fast) as archive:  # numpy offers no level
         for name, array in arrays.items():
             with archive.open(f"{name}{ARRAY}", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, array, allow_pickle=False)  # type: ignore[no-untyped-call]
@@ -199,6 +198,7 @@ def _check(arrays: dict[str, np.ndarray]) -> None:
 
 def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None:
     """Refuses arrays whose values do not fit together."""
+    grasp_tolerance = 1e-9
     stamp, t_grasp, mean = arrays["stamp"], float(arrays["t_grasp"]), arrays["mean"]
     if not sizes["n"]:
         raise DatasetError("The episode has no frame.")
@@ -217,5 +217,5 @@ def _check_meaning(arrays: dict[str, np.ndarray], sizes: dict[str, int]) -> None
             except ValueError as error:
                 raise DatasetError(f"The array {name} holds no pose: {error}.") from None
     T = tool_of_label(arrays["T_base_tool_closed"], arrays["T_base_tool_shown"]) @ arrays["T_tool_grasp"]
-    if np.abs(arrays["T_base_grasp"] - T).max() > GRASP_TOLERANCE:
+    if np.abs(arrays["T_base_grasp"] - T).max() > grasp_tolerance:
         raise DatasetError("T_base_grasp is not the grasp of the tool that labels it.")

@@ -14,14 +14,7 @@ from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
 START_M = 0.12  # the hand starts so far before the grasp
-LIFT_M = 0.15
-RISE_M = 0.08  # an object that rose so much was lifted
-FORCE_N = 10.0  # of each finger
 TIMES_S = (0.4, 0.5, 0.8, 0.3, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
-FINGER_M = 0.07
-HOLD_N = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
-STEP_S = 0.002
-FAR_M = 2.0  # distances of objects to a grasp are looked for up to this
 
 HAND = """<body name="carriage" pos="{pos}" quat="{quat}" gravcomp="1">
 <inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>
@@ -52,6 +45,8 @@ def lift(
     `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]; `target`: the
     object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift.
     """
+    rise_m = 0.08  # an object that rose so much was lifted
+    step_s = 0.002
     opening = float(np.clip(opening, 0.005, gripper.opening))
     R, approach = T_world_grasp[:3, :3], T_world_grasp[:3, 2]
     tip = T_world_grasp[:3, 3] + gripper.reach * approach
@@ -59,9 +54,9 @@ def lift(
         tip = tip + (gripper.ground - tip[2]) / approach[2] * approach
     start = tip - START_M * approach
     model = mujoco.MjModel.from_xml_string(_xml(scene, R, start, opening, gripper, friction))
-    model.opt.timestep = STEP_S
-    record = lift_trial.lift(ParallelHand(model, scene), TIMES_S, STEP_S, shake)
-    return lift_trial.judged(record, target, RISE_M)
+    model.opt.timestep = step_s
+    record = lift_trial.lift(ParallelHand(model, scene), TIMES_S, step_s, shake)
+    return lift_trial.judged(record, target, rise_m)
 
 
 class ParallelHand:
@@ -74,9 +69,11 @@ class ParallelHand:
         mujoco.mj_forward(model, self._data)
 
     def step(self, approach: float, lift: float, closing: bool, gravity: np.ndarray) -> None:
+        lift_m = 0.15
+        force_n = 10.0  # of each finger
         self._model.opt.gravity[:] = gravity
-        self._data.ctrl[:2] = START_M * approach, LIFT_M * lift
-        self._data.ctrl[2:] = FORCE_N if closing else -FORCE_N
+        self._data.ctrl[:2] = START_M * approach, lift_m * lift
+        self._data.ctrl[2:] = force_n if closing else -force_n
         mujoco.mj_step(self._model, self._data)
 
     def places(self) -> np.ndarray:
@@ -98,6 +95,7 @@ class ParallelHand:
 
 def nearest_object(scene: HeapScene, point: np.ndarray) -> int:
     """Returns the number of the object whose surface is nearest to a point of the world, shape (3,) [m]."""
+    far_m = 2.0  # distances of objects to a grasp are looked for up to this
     dot = f'<body pos="{xml_text(point)}"><geom type="sphere" size="0.0005" contype="0" conaffinity="0"/></body>'
     model = mujoco.MjModel.from_xml_string(world_xml(scene.objects, bodies=dot))
     data = mujoco.MjData(model)
@@ -105,13 +103,15 @@ def nearest_object(scene: HeapScene, point: np.ndarray) -> int:
     mujoco.mj_kinematics(model, data)
     dot_geom = model.ngeom - 1
     distances = {
-        geom: mujoco.mj_geomDistance(model, data, dot_geom, geom, FAR_M, None) for geom in range(1, model.ngeom - 1)
+        geom: mujoco.mj_geomDistance(model, data, dot_geom, geom, far_m, None) for geom in range(1, model.ngeom - 1)
     }
     return int(model.geom_bodyid[min(distances, key=distances.__getitem__)]) - 1
 
 
 def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gripper: Gripper, friction: float) -> str:
     """Returns the scene's world with the hand in it; the hand's origin is between the tips."""
+    finger_m = 0.07
+    hold_n = 80.0  # greatest force of the hand along its approach and its lift: a hand on an obstacle stops
     half = 0.5 * gripper.thickness
     fingers = "".join(
         FINGER.format(
@@ -121,8 +121,8 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
             x=side * (0.5 * opening + half),
             half_thickness=half,
             half_breadth=0.5 * gripper.breadth,
-            half_length=0.5 * FINGER_M,
-            z=-0.5 * FINGER_M,
+            half_length=0.5 * finger_m,
+            z=-0.5 * finger_m,
         )
         for n, side in enumerate((-1.0, 1.0))
     )
@@ -133,7 +133,7 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
         up=xml_text(R.T @ (0.0, 0.0, 1.0)),
         half_palm=0.5 * gripper.opening + gripper.thickness,
         half_breadth=0.75 * gripper.breadth,
-        palm_z=-FINGER_M - 0.01,
+        palm_z=-finger_m - 0.01,
         fingers=fingers,
     )
-    return world_xml(scene.objects, friction, noslip=5, bodies=hand, rest=REST.format(hold=HOLD_N))
+    return world_xml(scene.objects, friction, noslip=5, bodies=hand, rest=REST.format(hold=hold_n))

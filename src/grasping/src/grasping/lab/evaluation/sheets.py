@@ -13,11 +13,7 @@ from grasping.network.maps import Peak
 
 COLUMNS = 6
 MOST = 36  # grasps of a sheet
-SIDE = 260  # middle part of the network's image that is shown [px]
-JAW_PX = 9.0  # half a finger's line across the closing direction
-LOW_M, HIGH_M = -0.01, 0.11  # heights that are shown black and white
 GROUPS = 6  # ranges of the quality, with equally many grasps
-INCH = 1.9  # side of a picture in the sheet
 
 
 class FailedGrasp(NamedTuple):
@@ -32,10 +28,14 @@ class FailedGrasp(NamedTuple):
 
 def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], shown: Sequence[FailedGrasp]) -> None:
     """Draws the failed grasps of a method; `tried`: number of all its grasps; `reasons`: of all failures."""
+    side = 260  # middle part of the network's image that is shown [px]
+    low_m = -0.01  # heights that are shown black and white
+    high_m = 0.11
+    inch = 1.9  # side of a picture in the sheet
     import matplotlib.figure
 
     rows = max(1, -(-len(shown) // COLUMNS))
-    figure = matplotlib.figure.Figure(figsize=(INCH * COLUMNS, (INCH + 0.45) * rows + 0.7), layout="constrained")
+    figure = matplotlib.figure.Figure(figsize=(inch * COLUMNS, (inch + 0.45) * rows + 0.7), layout="constrained")
     counts = ", ".join(f"{count} {reason}" for reason, count in Counter(reasons).most_common())
     first = f"; the first {len(shown)} are shown" if len(shown) < len(reasons) else ""
     figure.suptitle(
@@ -47,9 +47,9 @@ def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], s
         axes.axis("off")
     for axes, grasp in zip(figure.axes, shown):
         h, w = grasp.heights.shape
-        left, top = 0.5 * (w - SIDE) - 0.5, 0.5 * (h - SIDE) - 0.5
-        axes.imshow(grasp.heights, cmap="gray", vmin=LOW_M, vmax=HIGH_M)
-        axes.set(xlim=(left, left + SIDE), ylim=(top + SIDE, top))
+        left, top = 0.5 * (w - side) - 0.5, 0.5 * (h - side) - 0.5
+        axes.imshow(grasp.heights, cmap="gray", vmin=low_m, vmax=high_m)
+        axes.set(xlim=(left, left + side), ylim=(top + side, top))
         text = f"scene {grasp.scene}: {grasp.reason}"
         if grasp.peak is not None:
             for x, y, width in _lines(grasp.peak):
@@ -61,11 +61,12 @@ def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], s
 
 def _lines(peak: Peak) -> list[tuple[list[float], list[float], float]]:
     """Returns x, y and width of the lines of a grasp: from finger to finger, and both fingers."""
+    jaw_px = 9.0  # half a finger's line across the closing direction
     middle = np.array([peak.column, peak.row], dtype=float)
     along = np.array([np.cos(peak.angle), -np.sin(peak.angle)])
     across = np.array([-along[1], along[0]])
     ends = [middle + side * 0.5 * peak.width * along for side in (-1.0, 1.0)]
-    lines = [(ends[0], ends[1], 0.8), *((end - JAW_PX * across, end + JAW_PX * across, 2.5) for end in ends)]
+    lines = [(ends[0], ends[1], 0.8), *((end - jaw_px * across, end + jaw_px * across, 2.5) for end in ends)]
     return [([p[0], q[0]], [p[1], q[1]], width) for p, q, width in lines]
 
 

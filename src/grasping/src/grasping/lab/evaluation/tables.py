@@ -16,7 +16,6 @@ import numpy as np
 from common.lift_trial import FAILURES
 from common.statistics import Estimate, paired_difference, proportion
 
-QUALITY_LIMITS = (0.3, 0.4, 0.5, 0.6)
 TRAINING = re.compile(r"(.+) #\d+")
 Row = Mapping[str, Any]
 PARTS: dict[str, Callable[[Row], bool]] = {
@@ -87,8 +86,9 @@ def failures(rows: Sequence[Row], methods: Iterable[str]) -> str:
 
 def calibration(rows: Sequence[Row], methods: Iterable[str]) -> str:
     """Returns how many grasps were lifted by the quality that the method gave them."""
-    ranges = list(zip((-np.inf, *QUALITY_LIMITS), (*QUALITY_LIMITS, np.inf)))
-    names = [f"< {QUALITY_LIMITS[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {QUALITY_LIMITS[-1]}"]
+    quality_limits = (0.3, 0.4, 0.5, 0.6)
+    ranges = list(zip((-np.inf, *quality_limits), (*quality_limits, np.inf)))
+    names = [f"< {quality_limits[0]}", *(f"{a} to {b}" for a, b in ranges[1:-1]), f">= {quality_limits[-1]}"]
     parts = [(lambda r, low=low, high=high: low <= r["quality"] < high) for low, high in ranges]
     lines = [[method, *(fraction(rows, method, "lifted", part) for part in parts)] for method in methods]
     return markdown_table(("lifted %, quality", *names), lines)

@@ -23,18 +23,17 @@ from grasping.network.maps import PARALLEL, Maps, Peak, peaks
 from grasping.pipeline.projection import project_grasp
 
 MAX_ANGLE_RAD = np.pi / 6.0
-MIN_OVERLAP = 0.25
 CROP = Crop(0, 0, CROP_SIDE)
 FRICTION = (0.35, 0.6)  # range of the friction of a scene
 POSITION_ERROR_M = 0.002
 ANGLE_ERROR_RAD = 0.035  # standard deviations of what the arm adds to the grasp
-LABEL_QUALITY = 0.3
 
 
 def is_right(peak: Peak, labels: list[Peak]) -> bool:
     """Returns whether a grasp is within 30 degrees of a label and shares 25 % of both areas."""
+    min_overlap = 0.25
     return any(
-        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > MIN_OVERLAP
+        angle_between(peak.angle, label.angle) < MAX_ANGLE_RAD and overlap(peak, label) > min_overlap
         for label in labels
     )
 
@@ -108,6 +107,7 @@ class Executed(NamedTuple):
 
 def situation(split: str, number: int, count: int, conditions: Conditions = USUAL) -> TrialScene:
     """Returns the scene `number` of a split with `count` objects, and its grasps for the hand that tries them."""
+    label_quality = 0.3
     seen = view(split, number, count)
     image = prepare(seen.observed, CROP)
     of_hand = hand_grasps(seen, LabelSettings(conditions.hand))
@@ -117,7 +117,7 @@ def situation(split: str, number: int, count: int, conditions: Conditions = USUA
         one = labels.Labels(score, np.full_like(score, angle), found.openings[k], np.ones_like(score, bool))
         flat = of_hand.in_image(one)
         maps = Maps(flat.quality.astype(np.float32), flat.angle, flat.opening)
-        rectangles += peaks(maps, 20, distance=5, threshold=LABEL_QUALITY)
+        rectangles += peaks(maps, 20, distance=5, threshold=label_quality)
     return TrialScene(number, seen, image, of_hand.in_image(labels.best(found)), rectangles)
 
 

@@ -47,7 +47,6 @@ from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 RECTANGLE_COLUMNS = ("image", "method", "quality", "right")
-EXPORT_SCHEMA = 2
 SPLITS = ("test", "validation")
 ORACLE = "oracle"
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)  # as the reference experiments; the node blurs for a moving camera
@@ -169,9 +168,10 @@ def report(folder: Path, split: str, rows: list[dict], networks: list[str], proc
 
 
 def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
+    export_schema = 2
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         scenes = list(tqdm(pool.imap(export_scene, tasks), total=len(tasks), unit="scene"))
-    path.write_text(json.dumps({"schema": EXPORT_SCHEMA, "scenes": scenes}) + "\n")
+    path.write_text(json.dumps({"schema": export_schema, "scenes": scenes}) + "\n")
 
 
 @contextlib.contextmanager

@@ -33,9 +33,7 @@ from grasping.network.maps import HANDS, PARALLEL, Peak
 
 Task = TypeVar("Task")
 SHARD = 50
-CHECK_SCHEMA = 2  # of the file of `evaluate_grasps.py --export`
 RANDOM, BEST = "random grasp", "best label"
-WIDEST_MARGIN_M = 0.05
 
 
 class ShardTask(NamedTuple):
@@ -176,12 +174,14 @@ def ignore_warning(_text: str) -> None:
 
 
 def main() -> None:
+    check_schema = 2  # of the file of `evaluate_grasps.py --export`
+    widest_margin_m = 0.05
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, nargs="?", help="where the shards go")
     parser.add_argument("--split", choices=sorted(samples.SPLITS), default="train", help="which scenes")
     parser.add_argument("--scenes", type=int, default=3000, help=f"how many, of shards a multiple of {SHARD}")
     parser.add_argument("--hand", choices=HANDS, default=PARALLEL, help=f"that the labels are of, default {PARALLEL}")
-    margin_help = f"added to each opening, as far as the hand opens [m], 0 to {WIDEST_MARGIN_M:g}, default 0"
+    margin_help = f"added to each opening, as far as the hand opens [m], 0 to {widest_margin_m:g}, default 0"
     parser.add_argument("--margin", type=float, default=0.0, help=margin_help)
     parser.add_argument("--check", type=Path, metavar="FILE", help="write random grasps and their labels there instead")
     parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many at a time")
@@ -192,15 +192,15 @@ def main() -> None:
     if arguments.scenes < 1 or arguments.scenes % unit:
         multiple = f"a multiple of {SHARD}" if arguments.check is None else "at least 1"
         parser.error(f"--scenes is {arguments.scenes}, but must be {multiple}.")
-    if not 0.0 <= arguments.margin <= WIDEST_MARGIN_M:
-        parser.error(f"--margin is {arguments.margin:g} m, but must be between 0 and {WIDEST_MARGIN_M:g} m.")
+    if not 0.0 <= arguments.margin <= widest_margin_m:
+        parser.error(f"--margin is {arguments.margin:g} m, but must be between 0 and {widest_margin_m:g} m.")
     settings = LabelSettings(arguments.hand, arguments.margin)
     if arguments.check is not None:
         numbers = [(arguments.split, number, settings) for number in range(arguments.scenes)]
         try:
             with multiprocessing.get_context("spawn").Pool(arguments.processes) as pool:
                 scenes = list(tqdm(pool.imap(checked_scene, numbers), total=len(numbers), unit="scene"))
-            arguments.check.write_text(json.dumps({"schema": CHECK_SCHEMA, "scenes": scenes}) + "\n")
+            arguments.check.write_text(json.dumps({"schema": check_schema, "scenes": scenes}) + "\n")
         except OSError as error:
             parser.error(f"{arguments.check} cannot be written: {error.strerror}.")
         return

@@ -27,17 +27,17 @@ Value = TypeVar("Value")
 
 CHECKPOINT = "checkpoint.pt"
 DEVICES = ("auto", "cpu", "cuda")
-MANY = 10**7
 BOOLEANS = {"true": True, "false": False}
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the arguments and options of a run, and one option for each field of `NetworkTraining`."""
+    many = 10**7
     parser.add_argument("data", type=Path, help="folder of the shards")
     parser.add_argument("run", type=Path, help="folder of the run; the same training in it is resumed")
     kinds = {
         "network": _one_of({name: name for name in NETWORKS}), "half": _one_of(BOOLEANS), "seed": whole(0, 2**32 - 1),
-        "steps": whole(1, MANY), "warm_up": whole(0, MANY), "count": whole(1, 4096), "side": whole(1, NETWORK_SIDE),
+        "steps": whole(1, many), "warm_up": whole(0, many), "count": whole(1, 4096), "side": whole(1, NETWORK_SIDE),
         "rate": real(0.0, 1.0, open_low=True), "decay": real(0.0, 1.0), "memory": real(0.0, 0.999999),
     }  # fmt: skip
     for name, value in asdict(NetworkTraining()).items():
@@ -45,7 +45,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     anew = "start again where RUN holds another training, which is kept"
     parser.add_argument("--anew", action="store_true", help=anew)
     parser.add_argument("--device", choices=DEVICES, default="auto", help="default: cuda where there is one")
-    parser.add_argument("--every", type=whole(1, MANY), default=250, help="steps between validations and checkpoints")
+    parser.add_argument("--every", type=whole(1, many), default=250, help="steps between validations and checkpoints")
     parser.add_argument("--threads", type=whole(1, 1024), default=1, help="of the arithmetic")
 
 

@@ -39,8 +39,6 @@ from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
 
 EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited
-STALE_S = 0.5
-SILENT_S = 1.0
 HAND_STATE = "reflex_takktile/hand_state"
 
 
@@ -48,13 +46,14 @@ class GraspCollection:
     """Passes messages to the collector, and finished grasps to the files."""
 
     def __init__(self, setup: CollectionSetup) -> None:
+        silent_s = 1.0
         self._setup = setup
         self._object = setup.config.object
         self._T_flange_tool = setup.kuka.T_flange_tool
         self._poses = PoseLookup()
         self._lock = clock.Lock()
         topics = setup.ggcnn.input
-        self._inputs = NodeInputs([topics.depth_topic, HAND_STATE], once=[topics.info_topic], silent=SILENT_S)
+        self._inputs = NodeInputs([topics.depth_topic, HAND_STATE], once=[topics.info_topic], silent=silent_s)
         self._log = FaultLog()
         self._reader = FrameReader(setup, self._poses, self._inputs)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
@@ -120,9 +119,10 @@ class GraspCollection:
             return NOWHERE
 
     def _on_hand(self, message: Hand) -> None:
+        stale_s = 0.5
         now = rospy.Time.now()
         try:
-            T_base_tool = self._poses.flange(STALE_S) @ self._T_flange_tool
+            T_base_tool = self._poses.flange(stale_s) @ self._T_flange_tool
         except (ValueError, tf2_ros.TransformException) as error:
             self._unused["hand"] = f"the state of the hand is ignored: {clause(error)}"
             return

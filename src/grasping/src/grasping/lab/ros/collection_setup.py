@@ -30,7 +30,6 @@ from grasping.ros.weight_files import load_network, own_yaml, package_folder
 
 SECTIONS = {"frames": FrameBufferConfig, "watch": GraspWatchConfig}
 GGCNN = "ggcnn"  # section with the parameters of the node ggcnn for its network and view
-GIT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -138,12 +137,13 @@ def setup_from(values: Mapping[str, Any]) -> CollectionSetup:
 
 def revision(folder: Path) -> str:
     """Returns the commit that last changed the folder, with a plus if it was changed since; empty outside of git."""
+    git_s = 5.0
     answers = []
     for question in (("log", "-1", "--format=%H"), ("status", "--porcelain")):
         try:
             # A status that writes the index would lock it against the operator, and leave the lock on a full disk.
             command = ("git", "--no-optional-locks", "-C", str(folder), *question, "--", ".")
-            found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=True)
+            found = subprocess.run(command, capture_output=True, text=True, timeout=git_s, check=True)
             answers.append(found.stdout.strip())
         except (OSError, subprocess.SubprocessError):
             return ""

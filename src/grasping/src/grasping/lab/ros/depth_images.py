@@ -20,7 +20,6 @@ from common.errors import RigError
 from common.ros.compressed_images import COMPRESSED, depth_from_compressed
 from common.ros.images import depth_from_image
 
-LARGEST_MM = 2**16 - 1
 ROS_2 = (".db3", ".mcap")
 
 
@@ -93,5 +92,6 @@ def main() -> None:
 
 def in_millimetres(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image [m] as 16-bit millimetres, 0 where there is no reading or none that fits."""
-    fits = np.isfinite(depth) & (depth > 0.0) & (depth < LARGEST_MM * 1e-3)
+    largest_mm = 2**16 - 1
+    fits = np.isfinite(depth) & (depth > 0.0) & (depth < largest_mm * 1e-3)
     return np.round(np.where(fits, depth, 0.0) * 1e3).astype(np.uint16)

@@ -21,7 +21,6 @@ from grasping.lab.dataset.store import SUFFIX, DatasetError, encode, file_name, 
 WAITING = 2  # episodes that may wait to be packed; each is up to half a megabyte a frame
 WAITING_BYTES = 500_000_000  # most memory for packed episodes that the disk did not take
 RETRY_S = 2.0  # time between two attempts
-FLUSH_S = 6.0  # twice this time is less than the 15 s that roslaunch gives a node to exit
 ASIDE = ".discarded"
 
 
@@ -67,11 +66,12 @@ class EpisodeFiles:
 
     def close(self) -> None:
         """Waits for what is still to be written, and says what the disk does not take even now."""
+        flush_s = 6.0  # twice this time is less than the 15 s that roslaunch gives a node to exit
         with contextlib.suppress(clock.Full):
-            self._queue.put(None, timeout=FLUSH_S)
-            self._thread.join(FLUSH_S)
+            self._queue.put(None, timeout=flush_s)
+            self._thread.join(flush_s)
         if self._thread.is_alive():
-            rospy.logerr("The episode that is being written is lost: the disk took longer than %g s.", FLUSH_S)
+            rospy.logerr("The episode that is being written is lost: the disk took longer than %g s.", flush_s)
 
     def keep_last(self, keep: bool) -> tuple[bool, str]:
         """Sets the file of the last episode aside, or takes it back; returns success and a sentence."""

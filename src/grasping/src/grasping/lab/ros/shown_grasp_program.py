@@ -39,7 +39,6 @@ from rig_msgs.msg import KukaStatus
 
 NAME = "collect_shown_grasp"
 STALE_S = 0.5
-POLL_S = 0.005
 
 
 class ShownGraspRecorder:
@@ -200,6 +199,7 @@ def _run(options: argparse.Namespace) -> None:
 
 def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, step: Callable[[], None]) -> None:
     """Runs `step` until a phase is over, with a progress bar."""
+    poll_s = 0.005
     # Refreshed at each poll, as it also shows why nothing is taken: only the rate since the start is right then.
     with tqdm(total=total, desc=name, miniters=0, smoothing=0) as bar:
         while recorder.session.phase is phase:
@@ -209,5 +209,5 @@ def _phase(recorder: ShownGraspRecorder, phase: Phase, total: int, name: str, st
             if recorder.session.phase is phase:
                 bar.update(recorder.session.taken - bar.n)
             bar.set_postfix_str(recorder.waits_for, refresh=False)
-            clock.sleep(POLL_S)
+            clock.sleep(poll_s)
         bar.update(total - bar.n)

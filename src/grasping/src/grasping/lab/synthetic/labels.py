@@ -15,10 +15,6 @@ import numpy as np
 
 LEVEL_M = 0.005  # distance between the heights at which the map is cut
 LOWEST_OBJECT_M = 0.008  # what stands out of the table by less is table
-PAD_UNEVENNESS_M = 0.0075  # how far the surface may stand out under a finger's pad beyond the point it should touch
-HORIZONTAL_BONUS = 0.08
-"""Between directions about equally good, as on a disc, the one nearest to the horizontal is the target: one answer
-that can be learnt, where the mean of several would be none."""
 FREE = 1e3  # depth of what is outside the map [m]
 
 
@@ -96,7 +92,10 @@ def in_directions(
 
 def best(found: Grasps) -> Labels:
     """Returns the best direction at each cell, its angle refined by its two neighbours."""
-    bonus = HORIZONTAL_BONUS * np.cos(2.0 * found.angles)[:, None, None]
+    # Between directions about equally good, as on a disc, the one nearest to the horizontal is the target: one answer
+    # that can be learnt, where the mean of several would be none.
+    horizontal_bonus = 0.08
+    bonus = horizontal_bonus * np.cos(2.0 * found.angles)[:, None, None]
     choice = np.argmax(np.where(found.scores > 0.0, found.scores + bonus, -1.0), axis=0)
     count = len(found.angles)
 
@@ -148,9 +147,11 @@ def in_image(
 
 def _along_rows(surface: np.ndarray, table: np.ndarray, cell: float, gripper: Gripper) -> tuple[np.ndarray, np.ndarray]:
     """Returns score and opening [m] of the grasps whose jaws close along the rows."""
+    # how far the surface may stand out under a finger's pad beyond the point it should touch
+    pad_unevenness_m = 0.0075
     half_pad = round(0.5 * gripper.breadth / cell)
     need = int(np.ceil((gripper.thickness + gripper.clearance) / cell))
-    uneven = PAD_UNEVENNESS_M / cell
+    uneven = pad_unevenness_m / cell
     palm_size = (2 * int(0.5 * gripper.opening / cell) + 1, 2 * half_pad + 1)
     score, opening = np.zeros_like(surface), np.zeros_like(surface)
     tip = np.minimum(surface + gripper.reach, table - gripper.ground)

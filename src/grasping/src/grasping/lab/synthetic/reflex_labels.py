@@ -15,12 +15,9 @@ import numpy as np
 from grasping.lab.synthetic.labels import FREE, LEVEL_M, LOWEST_OBJECT_M, Grasps, around, in_directions
 
 ONE_FINGER = 0.7  # value of a grasp of which only one finger meets the object, against both
-ONE_BLOCKED = 0.5  # of one where a finger comes down on something
-CENTRING_LOSS, LEAN_LOSS = 0.2, 0.5  # greatest losses beside the middle, and at the edge of the friction cone
 FLAT_M = 0.0115  # pads that reach less far below what they grasp slide over a round edge
 UPRIGHT = 0.72  # a face that reaches this fraction of its height, as a mean of its first two cells, is not round
 SLIDING = 0.25  # value of a grasp that may slide over
-SLOPE_CELLS = 4  # rows to the side of a contact over which its face's direction is taken
 
 
 class Hand(NamedTuple):
@@ -76,6 +73,9 @@ def _at_level(
     surface: np.ndarray, cut: float, y: np.ndarray, x: np.ndarray, cell: float, hand: Hand
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns score and opening [m] of the grasps at cells (y, x), each shape (m,), whose pads press at depth `cut`."""
+    one_blocked = 0.5  # of one where a finger comes down on something
+    centring_loss = 0.2  # greatest losses beside the middle, and at the edge of the friction cone
+    lean_loss = 0.5
     reach, aside, half = (round(v / cell) for v in (hand.preshape, hand.spread, 0.5 * hand.breadth))
     width = round(hand.finger / cell)
     foot = np.ones((2 * half + 3, 2 * (width // 2) + 1), np.uint8)
@@ -103,18 +103,18 @@ def _at_level(
         value = np.where(pair, 1.0, np.where(meets[0] | meets[1], ONE_FINGER, 0.0))
         far = np.max([thumb, *(np.where(met, finger, thumb) for met, finger in zip(meets, fingers))], axis=0)
         near = np.min([thumb, *(np.where(met, finger, thumb) for met, finger in zip(meets, fingers))], axis=0)
-        value = value * (1.0 - CENTRING_LOSS * np.clip((far - near) / reach, 0.0, 1.0))
+        value = value * (1.0 - centring_loss * np.clip((far - near) / reach, 0.0, 1.0))
         slopes = [_slope(*met) for met in zip(ends, rows, starts, contacts)]
         # Two fingers settle on a face by both contacts, whatever lies between them.
         chord = np.abs(fingers[0] - fingers[1]) / (2.0 * aside)
         slopes[1:] = [np.where(pair, np.minimum(chord, slope), slope) for slope in slopes[1:]]
         worst = [np.hypot(lean, slope) for lean, slope in zip(leans, slopes)]
         lean = np.max([worst[0], *(np.where(met, v, 0.0) for met, v in zip(meets, worst[1:]))], axis=0)
-        value = value * np.where(lean < hand.friction, 1.0 - LEAN_LOSS * lean / hand.friction, 0.0)
+        value = value * np.where(lean < hand.friction, 1.0 - lean_loss * lean / hand.friction, 0.0)
         rounded = [rise[:2].mean(axis=0) < UPRIGHT * rise.max(axis=0) for rise in rises]
         slides = flat & np.any([rounded[0], *(met & of for met, of in zip(meets, rounded[1:]))], axis=0)
         value = value * np.where(slides, SLIDING, 1.0)
-        scores.append(value * np.where(blocked == 0, 1.0, np.where(blocked == 1, ONE_BLOCKED, 0.0)))
+        scores.append(value * np.where(blocked == 0, 1.0, np.where(blocked == 1, one_blocked, 0.0)))
         widest = np.maximum(widest, far)
     score = np.where(free, np.minimum(*scores), 0.0)
     opening = 2.0 * (widest + 0.5) * cell + 2.0 * hand.clearance + hand.margin
@@ -134,8 +134,9 @@ def _slope(ends: np.ndarray, row: np.ndarray, start: np.ndarray, contact: np.nda
     """Returns the tangent of the angle between faces and fingers at contacts, seen from above, on the straighter side.
     `ends`: column of the first thing that a finger meets from column `start` of a row.
     """
-    beside = [np.abs(ends[row + k, start] - contact) for k in (-SLOPE_CELLS, SLOPE_CELLS)]
-    return np.minimum(*beside) / SLOPE_CELLS
+    slope_cells = 4  # rows to the side of a contact over which its face's direction is taken
+    beside = [np.abs(ends[row + k, start] - contact) for k in (-slope_cells, slope_cells)]
+    return np.minimum(*beside) / slope_cells
 
 
 def _rise(top: np.ndarray, cut: float, row: np.ndarray, contact: np.ndarray, inwards: int) -> np.ndarray:

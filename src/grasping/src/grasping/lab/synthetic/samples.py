@@ -20,21 +20,9 @@ from grasping.network.maps import PARALLEL, WIDTH_SCALE_PX
 FOCAL_PX = 570.3  # focal length of the 640 x 480 image
 BASELINE_M = 0.075  # between projector and camera, along the rows
 NEAREST_M = 0.45
-DISPARITY_STEP_PX = 0.125
-DEPTH_STEP_M = 0.001
-LATERAL_PX = 0.8
-CORRELATION_PX = 2.0  # standard deviation of the blur that makes neighbouring errors alike
 SCALE_ERROR = 0.005  # of the distances of one camera, standard deviation
-WARP = 0.0015  # smooth error over the image that grows with the distance squared, standard deviation at 1 m [m]
-STEEPEST_RAD = 1.3  # surfaces further from the line of sight return no pattern
-EDGE_STEP_M = 0.01
-EDGE_LOSS = 0.3  # share of the pixels at an edge that is lost
-DARK_SHARE = 0.3  # share of the images with spots that return no pattern
 CELL_M = 0.0025
 CELLS = 168
-MAX_TILT_RAD = 0.15
-SINGLE_SHARE = 0.4  # share of the scenes with one object; the others hold two to five
-CLEAN_SHARE = 0.1  # share of the images without the camera's faults
 GRIPPER = labels.Gripper()
 SPLITS = {  # number and families of each split, with scenes of its own; person and kind ones are a simulated operator's
     "train": (0, shapes.TRAINING),
@@ -48,25 +36,34 @@ SPLITS = {  # number and families of each split, with scenes of its own; person 
 
 def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Returns the camera's image, float32 [m], NaN = unseen, of exact depths, shape (h, w) [m], for `FOCAL_PX`."""
+    disparity_step_px = 0.125
+    depth_step_m = 0.001
+    lateral_px = 0.8
+    correlation_px = 2.0  # standard deviation of the blur that makes neighbouring errors alike
+    warp = 0.0015  # smooth error over the image that grows with the distance squared, standard deviation at 1 m [m]
+    steepest_rad = 1.3  # surfaces further from the line of sight return no pattern
+    edge_step_m = 0.01
+    edge_loss = 0.3  # share of the pixels at an edge that is lost
+    dark_share = 0.3  # share of the images with spots that return no pattern
     h, w = depth.shape
     angle = _incidence(depth)
-    lost = shadow(depth) | (depth < NEAREST_M) | (angle > STEEPEST_RAD + 0.1 * _field(rng, depth.shape, 3.0))
+    lost = shadow(depth) | (depth < NEAREST_M) | (angle > steepest_rad + 0.1 * _field(rng, depth.shape, 3.0))
     step = cv2.morphologyEx(depth.astype(np.float32), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
-    lost |= (step > EDGE_STEP_M) & (rng.random(depth.shape) < EDGE_LOSS)
-    if rng.random() < DARK_SHARE:
+    lost |= (step > edge_step_m) & (rng.random(depth.shape) < edge_loss)
+    if rng.random() < dark_share:
         lost |= _field(rng, depth.shape, 6.0) > rng.uniform(2.4, 3.2)
     row, column = np.mgrid[:h, :w].astype(np.float32)
-    shift = [LATERAL_PX * _field(rng, depth.shape, CORRELATION_PX) for _ in range(2)]
+    shift = [lateral_px * _field(rng, depth.shape, correlation_px) for _ in range(2)]
     seen = cv2.remap(
         depth.astype(np.float32), column + shift[0], row + shift[1], cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
     )
     # The angle's term is Nguyen's for steep surfaces; beyond the steepest the reading is lost anyway.
-    steep = np.minimum(angle, STEEPEST_RAD)
+    steep = np.minimum(angle, steepest_rad)
     sigma = 0.0012 + 0.0019 * (seen - 0.4) ** 2 + 1e-4 / np.sqrt(seen) * (steep / (0.5 * np.pi - steep)) ** 2
-    seen = seen * (1.0 + SCALE_ERROR * rng.standard_normal()) + sigma * _field(rng, depth.shape, CORRELATION_PX)
-    seen = seen + WARP * seen**2 * _field(rng, depth.shape, 60.0)
-    disparity = np.round(FOCAL_PX * BASELINE_M / seen / DISPARITY_STEP_PX) * DISPARITY_STEP_PX
-    seen = np.round(FOCAL_PX * BASELINE_M / disparity / DEPTH_STEP_M) * DEPTH_STEP_M
+    seen = seen * (1.0 + SCALE_ERROR * rng.standard_normal()) + sigma * _field(rng, depth.shape, correlation_px)
+    seen = seen + warp * seen**2 * _field(rng, depth.shape, 60.0)
+    disparity = np.round(FOCAL_PX * BASELINE_M / seen / disparity_step_px) * disparity_step_px
+    seen = np.round(FOCAL_PX * BASELINE_M / disparity / depth_step_m) * depth_step_m
     return np.where(lost, np.nan, seen).astype(np.float32)
 
 
@@ -145,20 +142,23 @@ class Sample(NamedTuple):
 
 def view(split: str, seed: int, count: int | None = None) -> SceneView:
     """Returns the scene `seed` of a split, always the same, with `count` objects or a random number of them."""
+    max_tilt_rad = 0.15
+    single_share = 0.4  # share of the scenes with one object; the others hold two to five
+    clean_share = 0.1  # share of the images without the camera's faults
     number, families = SPLITS[split]
     rng = np.random.default_rng([number, seed])
     if count is None:
-        count = 1 if rng.random() < SINGLE_SHARE else int(rng.integers(2, 6))
+        count = 1 if rng.random() < single_share else int(rng.integers(2, 6))
     settled = None
     while settled is None:
         settled = scene.settled_scene(rng, families, count)
-    camera = scene.random_camera(rng, FOCAL_PX, depth_image.CROP_SIDE, MAX_TILT_RAD)
+    camera = scene.random_camera(rng, FOCAL_PX, depth_image.CROP_SIDE, max_tilt_rad)
     model = mujoco.MjModel.from_xml_string(settled.xml)
     data = mujoco.MjData(model)
     data.qpos[:] = settled.state
     exact = scene.depth_image(model, data, camera)
     surface = scene.height_map(model, data, camera, CELL_M, CELLS)
-    observed = exact.astype(np.float32) if rng.random() < CLEAN_SHARE else observe(exact, rng)
+    observed = exact.astype(np.float32) if rng.random() < clean_share else observe(exact, rng)
     return SceneView(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
 
 

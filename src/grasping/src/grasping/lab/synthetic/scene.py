@@ -16,10 +16,6 @@ from grasping.lab.synthetic import shapes
 
 FAR_M = 100.0  # distance of the eye for a parallel view: 0.1 m of height shift a point by 0.1 % of its offset
 DOWN_TO_X = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-SETTLE_S = 2.0
-MAX_RADIUS_M = 0.13  # scenes with an object beyond this distance from the camera's axis are thrown away
-MAX_SPEED = 0.05
-MAX_TURNING = 1.0  # fastest object of a scene that counts as settled [m/s and rad/s]; an egg rocks for long
 DENSITY = 350.0  # of the objects [kg/m^3]
 
 WORLD = """<mujoco><compiler angle="radian"/>
@@ -72,6 +68,10 @@ def settled_scene(
     rng: np.random.Generator, families: Sequence[Callable[[np.random.Generator], shapes.Shape]], count: int
 ) -> HeapScene | None:
     """Returns `count` objects that were dropped on the table, or None when they ran away or do not lie still."""
+    settle_s = 2.0
+    max_radius_m = 0.13  # scenes with an object beyond this distance from the camera's axis are thrown away
+    max_speed = 0.05
+    max_turning = 1.0  # fastest object of a scene that counts as settled [m/s and rad/s]; an egg rocks for long
     chosen = [families[i] for i in rng.integers(0, len(families), count)]
     objects = tuple(family(rng) for family in chosen)
     xml = world_xml(objects)
@@ -81,11 +81,11 @@ def settled_scene(
         spread = 0.02 if count == 1 else 0.06
         place = [*rng.uniform(-spread, spread, 2), 0.07 + 0.08 * i]
         data.qpos[7 * i : 7 * i + 7] = [*place, *shapes.random_quaternion(rng)]
-    mujoco.mj_step(model, data, nstep=int(SETTLE_S / model.opt.timestep))
+    mujoco.mj_step(model, data, nstep=int(settle_s / model.opt.timestep))
     places = data.qpos.reshape(count, 7)[:, :3]
     speeds = np.abs(data.qvel).reshape(count, 2, 3).max(axis=(0, 2))
-    still = speeds[0] < MAX_SPEED and speeds[1] < MAX_TURNING and not data.warning.number.any()
-    if not still or np.linalg.norm(places[:, :2], axis=1).max() > MAX_RADIUS_M or places[:, 2].min() < 0.0:
+    still = speeds[0] < max_speed and speeds[1] < max_turning and not data.warning.number.any()
+    if not still or np.linalg.norm(places[:, :2], axis=1).max() > max_radius_m or places[:, 2].min() < 0.0:
         return None
     return HeapScene(xml, data.qpos.copy(), objects, tuple(f.__name__ for f in chosen))
 

@@ -29,18 +29,10 @@ from grasping.network.networks import MapNetwork, infer
 from grasping.refinement.candidates import candidates
 
 DOWN = np.array([0.0, 0.0, -1.0])
-EYE_M = 0.02  # standard deviation of the blur through which the lean of a surface is seen
-RIM_M = 0.012  # so near to the outline of a thing is its rim
-SLENDER_PART = 0.6  # a part is a handle where it is thinner than this fraction of the thing's thickest place
-WHIM_M = 0.01  # standard deviation of the blur of a whim: near places are liked alike
 SMOOTHING = maps.Smoothing(quality=2.0)
-MAP_SIDE = 150
-FRAME_S, REACH_S = 0.5, 2.0  # between two frames; from the last one to the closing of the fingers [s]
 ANYBODY = "anybody_"  # who grasp anything, with a number behind
 ANYBODIES = tuple(f"{ANYBODY}{i}" for i in range(8))
-ANY_TILT_RAD, ANY_TURN_RAD = 0.15, 0.12  # standard deviations, about each axis, of these grasps
 NAME = re.compile(r"simulated_(\w+)_(\d+)")
-SETTINGS_VERSION = 3
 
 
 class SimulatedOperator(NamedTuple):
@@ -140,6 +132,8 @@ def base_in_world(camera: scene.SceneCamera) -> np.ndarray:
 
 
 def cell_features(seen: samples.SceneView) -> CellFeatures:
+    rim_m = 0.012  # so near to the outline of a thing is its rim
+    slender_part = 0.6  # a part is a handle where it is thinner than this fraction of the thing's thickest place
     n, camera = len(seen.surface), seen.camera
     c = CELL_M * (np.arange(n) - 0.5 * (n - 1))
     x, y = np.meshgrid(c, c)
@@ -162,9 +156,9 @@ def cell_features(seen: samples.SceneView) -> CellFeatures:
         from_bulk = np.linalg.norm(position[of][:, :2] - position.reshape(-1, 3)[bulk, :2], axis=1) / CELL_M
         # A part is as thin as the thickest place within its own half width.
         near = cv2.dilate(np.where(of, depth, 0.0).astype(np.float32), np.ones((5, 5), np.uint8))
-        handle[of] = (near[of] < SLENDER_PART * thick) & (from_bulk > 1.2 * thick)
+        handle[of] = (near[of] < slender_part * thick) & (from_bulk > 1.2 * thick)
     return CellFeatures(
-        position, position[..., 2], away, nearer, axis, long, handle, np.clip(depth * CELL_M / RIM_M, 0.0, 1.0)
+        position, position[..., 2], away, nearer, axis, long, handle, np.clip(depth * CELL_M / rim_m, 0.0, 1.0)
     )
 
 
@@ -172,12 +166,13 @@ def liked(
     operator: SimulatedOperator, of: CellFeatures, found: labels.Grasps, rng: np.random.Generator
 ) -> tuple[int, tuple[int, int]] | None:
     """Returns direction and cell of the grasp the operator likes best, None where nothing holds."""
+    whim_m = 0.01  # standard deviation of the blur of a whim: near places are liked alike
     holds = found.scores > operator.holds
     if not holds.any():
         return None
     places = operator.higher * of.height - operator.middle * of.away + operator.near * of.nearer
     places = places + operator.handle * of.handle + operator.inside * of.inside
-    whim = gaussian(rng.standard_normal(of.height.shape), WHIM_M / CELL_M)
+    whim = gaussian(rng.standard_normal(of.height.shape), whim_m / CELL_M)
     places = places + operator.whim * whim / max(float(whim.std()), 1e-12)
     angles = found.angles[:, None, None]
     lines = operator.comfort * np.cos(2.0 * (angles - operator.wrist))
@@ -194,8 +189,9 @@ def lean(operator: SimulatedOperator, height: np.ndarray, at: tuple[int, int]) -
     """Returns the hand's lean about the base frame's x and y axes, shape (2,) [rad], at row and column `at`; `height`:
     of the cells above the table, shape (n, n) [m].
     """
+    eye_m = 0.02  # standard deviation of the blur through which the lean of a surface is seen
     row, column = at
-    seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), EYE_M / CELL_M)
+    seen = gaussian(np.clip(height, 0.0, None).astype(np.float32), eye_m / CELL_M)
     down, right = (float(np.gradient(seen, CELL_M, axis=axis)[row, column]) for axis in (0, 1))
     steep = 1.0 + np.hypot(down, right)  # an edge is no slope to lean with
     away = operator.lean * max(0.0, 1.0 - max(0.0, height[at]) / operator.upright)
@@ -297,6 +293,9 @@ def episodes(
     """Yields for each operator, by name, the scene's episode, none where nothing can be grasped. All see the same
     `frames` images, each of which draws the camera's faults again.
     """
+    map_side = 150
+    frame_s = 0.5  # between two frames; from the last one to the closing of the fingers [s]
+    reach_s = 2.0
     of, rng = situation(split, number), np.random.default_rng([96, number])
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):
@@ -304,10 +303,10 @@ def episodes(
         image = depth_image.prepare(depth * np.float32(0.001), trials.CROP)
         output = infer(network, image.input)
         peak = maps.highest(maps.smoothed(output, image.valid, SMOOTHING))
-        small = np.stack([cv2.resize(m, (MAP_SIDE, MAP_SIDE), interpolation=cv2.INTER_AREA) for m in output])
+        small = np.stack([cv2.resize(m, (map_side, map_side), interpolation=cv2.INTER_AREA) for m in output])
         for key, value in zip(stored, (depth, small.astype(np.float16), image.mean, peak)):
             stored[key].append(value)
-    stamp = FRAME_S * np.arange(frames)
+    stamp = frame_s * np.arange(frames)
     for name in operators:
         anybody = name.startswith(ANYBODY)
         chosen = anything(of, image, output, int(name[-1])) if anybody else choose(of, OPERATORS[name])
@@ -323,7 +322,7 @@ def episodes(
                 T_flange_tool=np.eye(4),
                 T_tool_grasp=np.eye(4),
                 T_base_tool_closed=read_only(chosen.T_base_grasp),
-                t_grasp=float(stamp[-1] + REACH_S),
+                t_grasp=float(stamp[-1] + reach_s),
                 held=lifted,
                 stamp=stamp,
                 depth=np.stack(stored["depth"]),
@@ -343,19 +342,22 @@ def anything(of: EpisodeScene, image: depth_image.NetworkImage, output: np.ndarr
     """Returns any candidate in the image, tilted and turned anyhow if `which` is odd; GGCNN's best one for 0; None
     if the image has no candidate.
     """
+    any_tilt_rad = 0.15  # standard deviations, about each axis, of these grasps
+    any_turn_rad = 0.12
     seen = maps.smoothed(output, image.valid, SMOOTHING)
     found = candidates(seen, np.hypot(output[1], output[2]), image, trials.camera())
     if not found.peaks:
         return None
     rng = np.random.default_rng([95, of.number, which])
     i = int(rng.integers(len(found.peaks))) if which else 0
-    tilt, turn = which % 2 * rng.normal(0.0, ANY_TILT_RAD, 2), which % 2 * rng.normal(0.0, ANY_TURN_RAD)
+    tilt, turn = which % 2 * rng.normal(0.0, any_tilt_rad, 2), which % 2 * rng.normal(0.0, any_turn_rad)
     R = found.frame.R @ pin.exp3(np.append(tilt, 0.0)) @ rotation_about(2, -(found.angles[i] + turn))
     opening = float(np.clip(found.openings[i], 0.02, GRIPPER.opening))
     return Chosen(camera_pose(of) @ pose(R, found.frame.R @ found.points[i]), opening)
 
 
 def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) -> Metadata:
+    settings_version = 3
     return Metadata(
         version="0.1.0",
         revision="",
@@ -365,7 +367,7 @@ def _metadata(of: EpisodeScene, name: str, lifted: bool, network_sha256: str) ->
         source=TELEOPERATION,
         reason="lifted by a parallel gripper in simulation" if lifted else "not lifted in simulation",
         configuration={
-            "simulated": SETTINGS_VERSION,
+            "simulated": settings_version,
             "person": None if name.startswith(ANYBODY) else OPERATORS[name]._asdict(),
             "view": CAMERA,
             "crop": {"side": trials.CROP.side, "rows_up": 0},

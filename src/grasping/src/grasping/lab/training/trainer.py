@@ -17,20 +17,13 @@ from torch import nn
 from grasping.lab.synthetic.samples import Sample
 from grasping.network.networks import NETWORKS
 
-LONGEST_GRADIENT = 1.0
 CPU = torch.device("cpu")
 
 GRASPABLE = 0.3  # from this quality on a pixel teaches angle and width
-CENTRED_SHARE = 0.8  # share of the windows that are centred near a pixel that can be grasped
-MEAN_JITTER_M = 0.02
 _DOUBLE_ANGLES = np.arange(256, dtype=np.float32) * np.float32(2.0 * np.pi / 256.0)
 """Twice the angle of each value of `Sample.angle` [rad]."""
 
 Samples = Mapping[str, np.ndarray]
-QUALITY_WEIGHT = 10.0
-GRASP_WEIGHT = 4.0  # how much more a pixel of quality 1 counts than the background
-ANGLE_WEIGHT = 0.5
-WIDTH_WEIGHT = 2.0
 
 
 class MapTargets(NamedTuple):
@@ -59,8 +52,9 @@ def images(samples: Samples, device: torch.device = CPU) -> Images:
 
 def random_batch(of: Images, rng: np.random.Generator, count: int, side: int) -> tuple[torch.Tensor, MapTargets]:
     """Returns `count` random windows, some of them mirrored, as input, shape (n, 1, side, side), and targets."""
+    mean_jitter_m = 0.02
     windows = [_window(of.quality, rng, side) for _ in range(count)]
-    jitter = rng.normal(0.0, MEAN_JITTER_M, (count, 1, 1, 1)).astype(np.float32)
+    jitter = rng.normal(0.0, mean_jitter_m, (count, 1, 1, 1)).astype(np.float32)
     device = of.arrays["depth"].device
     i, row, column, *flips = (torch.from_numpy(v).to(device) for v in np.array(windows).T)
     line = torch.arange(side, device=device)
@@ -86,11 +80,12 @@ def batch(arrays: Mapping[str, torch.Tensor]) -> tuple[torch.Tensor, MapTargets]
 
 def _window(quality: np.ndarray, rng: np.random.Generator, side: int) -> tuple[int, ...]:
     """Returns image, first row, first column of a window, and whether its rows and columns are mirrored."""
+    centred_share = 0.8  # share of the windows that are centred near a pixel that can be grasped
     i = rng.integers(len(quality))
     h, w = quality.shape[1:]
     row, column = rng.integers(0, h - side + 1), rng.integers(0, w - side + 1)
     graspable = np.flatnonzero(quality[i] > GRASPABLE * 255.0)
-    if len(graspable) and rng.random() < CENTRED_SHARE:
+    if len(graspable) and rng.random() < centred_share:
         y, x = divmod(int(rng.choice(graspable)), w)
         row, column = (
             int(np.clip(c - side // 2 + rng.integers(-side // 3, side // 3 + 1), 0, n - side))
@@ -110,14 +105,18 @@ class MapLosses(NamedTuple):
 
 def losses(maps: torch.Tensor, target: MapTargets) -> MapLosses:
     """Returns the losses of the network's output, shape (n, 4, h, w)."""
+    quality_weight = 10.0
+    grasp_weight = 4.0  # how much more a pixel of quality 1 counts than the background
+    angle_weight = 0.5
+    width_weight = 2.0
     quality, cos, sin, width = maps.float().unbind(1)
-    weight = target.known * (1.0 + GRASP_WEIGHT * target.quality)
+    weight = target.known * (1.0 + grasp_weight * target.quality)
     of_quality = (weight * (quality - target.quality) ** 2).sum() / target.known.sum().clamp(min=1)
     graspable = target.graspable
     count = graspable.sum().clamp(min=1)
     of_angle = (graspable * ((cos - target.cos) ** 2 + (sin - target.sin) ** 2)).sum() / count
     of_width = (graspable * (width - target.width) ** 2).sum() / count
-    total = QUALITY_WEIGHT * of_quality + ANGLE_WEIGHT * of_angle + WIDTH_WEIGHT * of_width
+    total = quality_weight * of_quality + angle_weight * of_angle + width_weight * of_width
     return MapLosses(total, of_quality, of_angle, of_width)
 
 
@@ -161,6 +160,7 @@ class NetworkTrainer:
 
     def train(self, of: Images) -> float:
         """Takes one step down the loss of the network and returns it."""
+        longest_gradient = 1.0
         s = self._settings
         made = random_batch(of, np.random.default_rng([s.seed, self.step]), s.count, s.side)
         loss = losses(*self._said(self.network.train(), *made)).total
@@ -168,7 +168,7 @@ class NetworkTrainer:
             group["lr"] = self.rate()
         self._optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), LONGEST_GRADIENT)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), longest_gradient)
         self._optimiser.step()
         memory = min(s.memory, (self.step + 1) / (self.step + 10))
         with torch.no_grad():

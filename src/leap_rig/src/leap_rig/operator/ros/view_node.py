@@ -43,9 +43,7 @@ from rig_msgs.msg import GuardState, KukaStatus, OperatorRow, TeleopState
 from rig_msgs.msg import OperatorView as OperatorViewMessage
 
 PERIOD_S = 0.1
-SKELETON_PERIOD_S = 1.0 / 15.0
 HEARTBEAT_S = 0.5  # longest time between two messages with the same rows
-BUFFER_BYTES = 2**18  # room for the messages of a period, so that all but the newest are skipped unread
 HAND_TO_ARM = "hand_to_arm_ms"  # key of the measured delay in /diagnostics
 
 
@@ -95,11 +93,13 @@ class OperatorViewNode:
 
     @staticmethod
     def _subscribe(topic: str, kind: type, take: Callable) -> rospy.Subscriber:
+        buffer_bytes = 2**18  # room for the messages of a period, so that all but the newest are skipped unread
+
         def callback(message) -> None:
             take(message)
             clock.sleep(PERIOD_S)
 
-        return rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=BUFFER_BYTES)
+        return rospy.Subscriber(topic, kind, callback, queue_size=1, buff_size=buffer_bytes)
 
     def _record(self, kind: type[Record]) -> Callable:
         names = [field.name for field in fields(kind)]
@@ -126,9 +126,10 @@ class OperatorViewNode:
                         continue
 
     def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
+        skeleton_period_s = 1.0 / 15.0
         hands = [hand for hand in frame.hands if self._hand in (ANY, LEFT if hand.is_left else RIGHT)]
         self._hands.publish(MarkerArray(hand_markers(hands, self._frames(VIRTUAL_LEAP), LIFETIME)))
-        clock.sleep(SKELETON_PERIOD_S)
+        clock.sleep(skeleton_period_s)
 
 
 def main() -> None:

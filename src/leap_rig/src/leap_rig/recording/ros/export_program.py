@@ -32,7 +32,6 @@ from leap_rig.recording.run import RecordedRun, between, read
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
 ERRORS = (common.errors.RigError, OSError)
-MOST_FPS = 1000
 WORKSPACE = Path(__file__).resolve().parents[6]
 
 
@@ -136,6 +135,7 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    most_fps = 1000
     parser = argparse.ArgumentParser(prog="export_recording.py", description="Exports recordings for other tools.")
     parser.add_argument("names", nargs="+", metavar="NAME", help="recordings; several are episodes of one dataset")
     to = parser.add_mutually_exclusive_group(required=True)
@@ -143,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
     to.add_argument("--csv", type=Path, metavar="DIR", help="a folder of CSV files: poses, joints, goals, hand")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
-    parser.add_argument("--fps", type=whole(1, MOST_FPS), default=30, help="rows a second of the dataset (default: 30)")
+    parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
     python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
     parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)

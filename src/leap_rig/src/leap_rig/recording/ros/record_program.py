@@ -40,17 +40,12 @@ from leap_rig.recording.recording_files import (
 from leap_rig.recording.topics import CAMERA, RAW_FRAMES, SENT_GOALS, recorded
 from leap_rig.report.ros.live_status import CLEAR_LINE
 
-FLUSH_S = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
 QUEUE_BYTES = 64 * 2**20  # what waits for a slow disk; more is dropped
-READ_BYTES = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
-LARGEST_FILE = 2**20  # a larger file is no calibration
 TOPIC = re.compile(r"(?:/\w|[A-Za-z])\w*(?:/\w+)*", re.ASCII)
 SUFFIXES = (".yaml", ".yml", ".json")
 PLAIN = (bool, int, float, str)  # of parameters; XML-RPC also knows bytes and dates
 SECRETS = ("code", "password", "token")
 PACKAGES = ("leap_rig", "kuka_control", "leap_kuka", "leap_hand", "leap_motion", "reflex", "vision", "grasping")
-LINE_S = 5.0  # between two lines where the output is no terminal
-GIT_S = 5.0
 
 
 class Inbox:
@@ -91,6 +86,7 @@ def main() -> None:
 
 def record(options: argparse.Namespace) -> int:
     """Records until Ctrl-C, the end of the time, or a full disk; returns the exit code."""
+    flush_s = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
     folder = folder_of(options.name)
     join("leap_rig_record", anonymous=True)
     parameters = rospy.get_param("/")
@@ -105,7 +101,7 @@ def record(options: argparse.Namespace) -> int:
     live, ended_by, began = _LiveLine(inbox, writer), "", clock.monotonic()
     try:
         while not ended_by:
-            if interrupted.wait(FLUSH_S):
+            if interrupted.wait(flush_s):
                 ended_by = "Ctrl-C"
             _store(inbox, writer)
             live.update(clock.monotonic() - began)
@@ -139,6 +135,7 @@ def _end(writer: RecordingWriter, inbox: Inbox, live: _LiveLine, ended_by: str, 
 
 
 def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
+    read_bytes = 4 * 2**20  # of a subscriber's buffer: rospy's own is smaller than an image
     kinds: dict[tuple[str, str], MessageKind] = {}
 
     def take(message: rospy.AnyMsg) -> None:
@@ -148,7 +145,7 @@ def _subscribe(topic: str, inbox: Inbox) -> rospy.Subscriber:
             kinds[key] = MessageKind(header["type"], header["message_definition"], key[0], key[1] == "1")
         inbox.put(topic, kinds[key], data_of(message))
 
-    return rospy.Subscriber(topic, rospy.AnyMsg, take, buff_size=READ_BYTES)
+    return rospy.Subscriber(topic, rospy.AnyMsg, take, buff_size=read_bytes)
 
 
 class _LiveLine:
@@ -163,6 +160,7 @@ class _LiveLine:
 
     def update(self, seconds: float) -> None:
         """Prints the line if it is due; `seconds` since the start."""
+        line_s = 5.0  # between two lines where the output is no terminal
         self.text = f"{seconds:.0f} s, {self._writer.size / 1e6:.1f} MB"
         if seconds < self._next:
             return
@@ -174,7 +172,7 @@ class _LiveLine:
         line = " | ".join([*parts, "Ctrl-C ends"])
         print(f"{CLEAR_LINE}{line}" if self._terminal else line, end="" if self._terminal else "\n", flush=True)
         self._before, self._at = received, seconds
-        self._next = seconds + (1.0 if self._terminal else LINE_S)
+        self._next = seconds + (1.0 if self._terminal else line_s)
 
     def finish(self) -> None:
         if self._terminal:
@@ -210,12 +208,13 @@ def _commit(file: Path) -> str:
     """Returns what git calls the commit of a file, with "-dirty" if any file differs; empty if git does not hold it. An
     install space may lie in a repository of something else. `git describe --dirty` would write the index, and on a full
     disk leave it locked."""
+    git_s = 5.0
     answers = []
     commit, changes = ("describe", "--always"), ("status", "--porcelain", "--untracked-files=no")
     for question in (("ls-files", str(file)), commit, changes):
         command = ("git", "--no-optional-locks", "-C", str(file.parent), *question)
         try:
-            found = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S)
+            found = subprocess.run(command, capture_output=True, text=True, timeout=git_s)
         except (OSError, subprocess.TimeoutExpired):
             return ""
         answers.append(found.stdout.strip())
@@ -241,6 +240,7 @@ def _version(package: Path) -> str:
 
 def _files(parameters: dict[str, Any]) -> dict[str, bytes]:
     """Returns the parameters, without secrets, and the files that they name, such as calibrations, by name."""
+    largest_file = 2**20  # a larger file is no calibration
     files = {}
     for name, value in _leaves("", parameters):
         path = registration_of(value) if name.endswith(".registration") else Path(value)
@@ -250,7 +250,7 @@ def _files(parameters: dict[str, Any]) -> dict[str, bytes]:
                 print(f"record: {path} is left out: no file can have the name {stored!r}.", file=sys.stderr)
                 continue
             try:
-                if path.is_file() and path.stat().st_size <= LARGEST_FILE:
+                if path.is_file() and path.stat().st_size <= largest_file:
                     files[stored] = path.read_bytes()
             except OSError as error:
                 print(f"record: {path} is left out: {error.strerror}.", file=sys.stderr)

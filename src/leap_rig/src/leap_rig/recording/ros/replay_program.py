@@ -37,14 +37,7 @@ from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
 from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
 
-SLOWLY = 0.2  # rate of the first pass on the robot
-SHARE = 0.95  # of tcp_speed, for the fastest line
-CHECK_S = 0.5  # a controller that starts during --view is seen after this time
-CLIENT_S = 60.0  # a driver is waited for so long
-AFTER_S = 0.5  # the service sends nothing for so long before it ends
-POLL_S = 0.05
 LONGEST_WAIT_S = 3600.0  # between two frames
-LATEST_NS = (2**32 - 1) * 10**9  # of ROS time
 KIND = re.compile(r"(geometry_msgs|sensor_msgs|std_msgs|tf2_msgs|visualization_msgs)/\w+", re.ASCII)
 MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", "/reflex_takktile/disable_torque")
 """Services of what moves an arm or a hand."""
@@ -75,6 +68,7 @@ def replay(options: argparse.Namespace) -> int:
 
 def view(folder: Path, options: argparse.Namespace) -> int:
     """Publishes what RViz draws, where nothing can move."""
+    check_s = 0.5  # a controller that starts during --view is seen after this time
     master = master_of_this_graph()
     _refuse_movers(master)
     join("leap_rig_replay", anonymous=True)
@@ -86,12 +80,12 @@ def view(folder: Path, options: argparse.Namespace) -> int:
     for message, due in _paced(between(folder, (*VIEW, *images), options.start, options.end), options.rate):
         while True:
             now = clock.monotonic()
-            if now - checked > CHECK_S:
+            if now - checked > check_s:
                 checked = now
                 _refuse_movers(master)
             if due <= now:
                 break
-            clock.sleep(min(due - now, CHECK_S))
+            clock.sleep(min(due - now, check_s))
         player.publish(message)
         shown |= not message.kind.is_latched
     if not shown:
@@ -178,11 +172,12 @@ class _Player:
         self._publishers[topic] = None
 
     def _restamp(self, value: object) -> None:
+        latest_ns = (2**32 - 1) * 10**9  # of ROS time
         if isinstance(value, Header):
             if value.stamp:
                 self._first = self._first or value.stamp
                 after = (value.stamp - self._first).to_nsec() / self._rate
-                value.stamp = rospy.Time(0, min(max(self._begin.to_nsec() + round(after), 1), LATEST_NS))
+                value.stamp = rospy.Time(0, min(max(self._begin.to_nsec() + round(after), 1), latest_ns))
         elif isinstance(value, list):
             if value and hasattr(value[0], "__slots__"):
                 for item in value:
@@ -202,6 +197,9 @@ def _harmless(frame: str) -> str:
 
 def serve(folder: Path, options: argparse.Namespace) -> int:
     """Serves the raw frames as the Leap service did, at their pace, to the driver."""
+    client_s = 60.0  # a driver is waited for so long
+    after_s = 0.5  # the service sends nothing for so long before it ends
+    poll_s = 0.05
     run = read(folder, options.start, options.end)
     if not run.frames:
         raise RecordingFault(f"{folder} has no tracker frames in this time.")
@@ -212,14 +210,14 @@ def serve(folder: Path, options: argparse.Namespace) -> int:
     thread.start()
     try:
         print(f"Serves {len(run.frames)} frames on 127.0.0.1:{service.port}; the arm follows them if control is on.")
-        deadline = clock.monotonic() + CLIENT_S
+        deadline = clock.monotonic() + client_s
         while not service.clients:
             if clock.monotonic() > deadline:
-                raise RecordingFault(f"Nobody connected to port {service.port} within {CLIENT_S:g} s.")
-            clock.sleep(POLL_S)
-        clock.sleep(AFTER_S)
+                raise RecordingFault(f"Nobody connected to port {service.port} within {client_s:g} s.")
+            clock.sleep(poll_s)
+        clock.sleep(after_s)
         _send(run, service, options.rate)
-        clock.sleep(AFTER_S)
+        clock.sleep(after_s)
     finally:
         service.stop()
         thread.join(2.0)
@@ -279,6 +277,8 @@ def _service(folder: Path) -> tuple[str, str]:
 
 def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     """Moves the robot along the recorded path by kuka/move: first slowly, then at the rate; each pass is agreed to."""
+    slowly = 0.2  # rate of the first pass on the robot
+    share = 0.95  # of tcp_speed, for the fastest line
     lost = manifest.get("dropped", {}).get(SENT_GOALS, 0)
     if lost:
         raise RecordingFault(
@@ -295,7 +295,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     if found:
         raise RecordingFault("\n".join(["Nothing moves, because this is not the robot of the recording:", *found]))
     config = controller_config(running)
-    fastest = SHARE * getattr(config, "tcp_speed", 0.0)
+    fastest = share * getattr(config, "tcp_speed", 0.0)
     if not fastest:
         raise RecordingFault("Nothing moves: straight lines need the real-time controller.")
     usual = config.velocity_ptp_slow
@@ -308,7 +308,7 @@ def move(folder: Path, manifest: dict, options: argparse.Namespace) -> int:
     print("Robot model, tool, mounting and limits agree with the recording. The hand stays as it is.")
     if elsewhere := moved_away(manifest["robot"], running):
         print(elsewhere)
-    for rate in sorted({min(SLOWLY, options.rate), min(options.rate, 1.0)}):
+    for rate in sorted({min(slowly, options.rate), min(options.rate, 1.0)}):
         goals = [goal for motion in motions for goal in _move_goals(motion, rate, fastest, usual)]
         print(
             f"The arm carries out {len(goals)} motions, at {rate:g} of the recorded pace; PTP to where a stream began."

@@ -30,8 +30,6 @@ from rig_msgs.msg import ObjectStates, TeleopState
 STAGE_TIME = struct.Struct("<7I")
 """A TimeReference as `StageTimes` writes it, up to its source: seq, stamp, length of the empty frame_id, time_ref,
 length of the source."""
-FRESH_S = 0.2
-"""An older frame no longer steers the arm."""
 
 
 class RigListener:
@@ -157,10 +155,12 @@ class RigListener:
     def _fresh(self, frame: str) -> np.ndarray | None:
         """Returns the pose of the frame in the base, shape (4, 4), or None where it is missing or old. Its publisher
         sends the frames between the two in the same message."""
+        # An older frame no longer steers the arm.
+        fresh_s = 0.2
         if frame not in self._frames:
             return None
         transforms = {frame_name(t.child_frame_id): t for t in TFMessage().deserialize(self._frames[frame]).transforms}
-        T, name, oldest = np.eye(4), frame, rospy.Time.now() - rospy.Duration.from_sec(FRESH_S)
+        T, name, oldest = np.eye(4), frame, rospy.Time.now() - rospy.Duration.from_sec(fresh_s)
         while name != self._base:
             transform = transforms.pop(name, None)
             if transform is None or transform.header.stamp < oldest:

@@ -19,8 +19,6 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.images import COLOUR, array_from_image, camera_model_from_info, colour_from_image, image_message
 from common.ros.inputs import NodeInputs
 
-THROTTLE_S = 10.0
-
 
 class ContinuousNode:
     """Detects tags in every image once camera_info has arrived."""
@@ -69,6 +67,7 @@ class ContinuousNode:
         self._inputs.done()
 
     def _publish(self, header, result: DetectionResult, grey: np.ndarray) -> None:
+        throttle_s = 10.0
         self._images += 1
         self._detections += len(result.targets)
         self._publisher.publish(detection_array(result.targets, header))
@@ -82,10 +81,10 @@ class ContinuousNode:
             self._drawings.publish(image_message(image, "bgr8", header.frame_id, header.stamp))
         if result.unknown:
             rospy.logwarn_throttle(
-                THROTTLE_S, f"The tags {list(result.unknown)} are visible but unknown: add them to tags.yaml."
+                throttle_s, f"The tags {list(result.unknown)} are visible but unknown: add them to tags.yaml."
             )
         for sentence in result.failed:
-            rospy.logwarn_throttle(THROTTLE_S, sentence)
+            rospy.logwarn_throttle(throttle_s, sentence)
 
     def _diagnostics(self) -> tuple[int, str, dict[str, object]]:
         return (*self._inputs.status("Detects."), {"pictures": self._images, "detections": self._detections})

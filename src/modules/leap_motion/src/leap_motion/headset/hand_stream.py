@@ -14,12 +14,9 @@ import numpy as np
 from leap_motion.headset.placement import FROM_XR, Placement, placement, xr_hand
 from leap_motion.service.hand import ReportedHand, hand_from_joints
 
-MAX_RATE_HZ = 200.0
 LATE_S = 0.1  # a message that is later than the fastest ones is ignored
-CLOCK_DRIFT = 1e-3  # how much faster than ours the page's clock may run
 JUMP_M, JUMP_M_S = 0.03, 4.0  # a palm that moved farther than both allow is another hand
-PINCH, PINCH_S = 0.8, 1.0  # both hands pinched for so long place the box anew
-LARGEST = 1e15  # numbers beyond this are not measurements
+PINCH_S = 1.0  # both hands pinched for so long place the box anew
 SETTLE_S = 0.3  # no hands after a placement: longer than any engagement outlives its hand
 
 
@@ -65,6 +62,7 @@ class HandStream:
         """Returns the frame of a message that came at `now` [s], or None if it is ignored. The box is `height` above
         the Leap [m]; while a hand `steers`, pinching does not place it anew. Raises ValueError for a message of
         another form."""
+        pinch = 0.8
         sent: Any = message.get("t")
         place, head = message.get("place"), message.get("head")
         if not (_number(sent) and type(place) is int and isinstance(head, list) and len(head) == 7):
@@ -79,7 +77,7 @@ class HandStream:
             self._placed_for = (place, height) if self.placement else None
         hands = {side: xr_hand(message.get(side)) for side in ("left", "right")}
         self._hands = {} if self.placement is None else self._reported(hands, self.placement, time)
-        pinched = len(self._hands) == 2 and all(hand.pinch >= PINCH for hand in self._hands.values())
+        pinched = len(self._hands) == 2 and all(hand.pinch >= pinch for hand in self._hands.values())
         if steers or not pinched:
             self._pinched = None
         elif self._pinched is None:
@@ -94,14 +92,16 @@ class HandStream:
 
     def _time(self, sent: float, now: float) -> float | None:
         """Returns when a message left, in our time as if the fastest one had come at once; None if it is ignored."""
-        drift = CLOCK_DRIFT * max(now - self._heard, 0.0)
+        max_rate_hz = 200.0
+        clock_drift = 1e-3  # how much faster than ours the page's clock may run
+        drift = clock_drift * max(now - self._heard, 0.0)
         self._heard = now
         self._offset = now - sent if self._offset is None else min(now - sent, self._offset + drift)
         time = sent + self._offset
         elapsed = time - self._last
         if now - time > LATE_S:
             self.note = "The hands come late: the network is slow."
-        if now - time > LATE_S or elapsed < 1.0 / MAX_RATE_HZ:
+        if now - time > LATE_S or elapsed < 1.0 / max_rate_hz:
             return None
         self._rate = (
             0.0 if math.isinf(elapsed) else 1.0 / elapsed if not self._rate else 0.9 * self._rate + 0.1 / elapsed
@@ -146,4 +146,5 @@ def _jumped(before: ReportedHand, hand: ReportedHand) -> bool:
 
 
 def _number(value: Any) -> bool:
-    return type(value) in (int, float) and abs(value) < LARGEST  # NaN is not below it
+    largest = 1e15  # numbers beyond this are not measurements
+    return type(value) in (int, float) and abs(value) < largest  # NaN is not below it

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-XR_JOINTS = 25  # of a WebXR hand: the wrist, four of the thumb, five of each finger, from the wrist outwards
 FROM_XR = np.array([[1, 1, 2, 3, 4], *([5 * i + j for j in range(5)] for i in range(1, 5))])
 """WebXR joint of the Leap's carp, mcp, pip, dip and btip (columns) of thumb to pinky (rows), shape (5, 5). The thumb of
 the Leap has a metacarpal without length and counts one joint further out."""
-LEAST_LEVEL = 0.5  # least horizontal part of the direction of sight: beyond 60 deg up or down it says no heading
 REACH_M = 20.0  # farther from the origin nobody stands
 
 
@@ -35,12 +33,13 @@ def placement(head: np.ndarray, ahead: float, below: float, height: float) -> Pl
     """Returns the placement for which the middle of the box is `ahead` [m] of the head and `below` it [m]. `head` is
     its position [m] and its quaternion x, y, z, w, shape (7,); the box is `height` above the Leap [m]. Raises
     ValueError for a head that is not a pose, or that looks too far up or down to have a heading."""
+    least_level = 0.5  # least horizontal part of the direction of sight: beyond 60 deg up or down it says no heading
     position, (x, y, z, w) = head[:3], head[3:]
     if not (np.isfinite(head).all() and abs(position).max() < REACH_M and abs(head[3:] @ head[3:] - 1.0) < 0.1):
         raise ValueError("The headset does not know where it is.")
     sight = np.array([-2.0 * (x * z + w * y), 0.0, 2.0 * (x * x + y * y) - 1.0])  # level part of the direction of sight
     level = math.hypot(sight[0], sight[2])
-    if level < LEAST_LEVEL:
+    if level < least_level:
         raise ValueError("Look straight ahead: then the box is placed before you.")
     middle = position + ahead / level * sight - [0.0, below + height, 0.0]
     return Placement(tuple(middle.tolist()), math.atan2(-sight[0], -sight[2]))
@@ -48,8 +47,9 @@ def placement(head: np.ndarray, ahead: float, below: float, height: float) -> Pl
 
 def xr_hand(numbers: object) -> np.ndarray | None:
     """Returns the positions of a WebXR hand, shape (25, 3) [m], from a list of 75 numbers; None for anything else."""
-    if not isinstance(numbers, list) or len(numbers) != 3 * XR_JOINTS:
+    xr_joints = 25  # of a WebXR hand: the wrist, four of the thumb, five of each finger, from the wrist outwards
+    if not isinstance(numbers, list) or len(numbers) != 3 * xr_joints:
         return None
     if not all(type(number) in (int, float) and abs(number) < REACH_M for number in numbers):  # NaN is not below it
         return None
-    return np.array(numbers, dtype=float).reshape(XR_JOINTS, 3)
+    return np.array(numbers, dtype=float).reshape(xr_joints, 3)

@@ -24,10 +24,7 @@ from leap_motion.ros.human import FrameMessage
 from leap_motion.ros.parameters import DriverConfig
 from leap_motion.ros.registrations import TrackerRegistration, load, registration_file
 
-POLL_S = 0.1
-REMIND_S = 10.0
 RAW_FRAMES = 100  # wait for a recorder that is late
-SETTLED_S = 0.3
 LEVELS = {LeapLink.STREAMING: DiagnosticStatus.OK, LeapLink.UNUSABLE: DiagnosticStatus.WARN}
 
 
@@ -53,12 +50,14 @@ class LinkReport:
 
     def update(self) -> None:
         """Logs the state if it is due."""
+        remind_s = 10.0
+        settled_s = 0.3
         status, now = self._checked_status(), clock.monotonic()
         if status != self._status:
             self._status, self._changed_at = status, now
         streaming = status.link is LeapLink.STREAMING
-        due = status != self._logged or (not streaming and now - self._logged_at > REMIND_S)
-        if due and now - self._changed_at > SETTLED_S:
+        due = status != self._logged or (not streaming and now - self._logged_at > remind_s)
+        if due and now - self._changed_at > settled_s:
             self._logged, self._logged_at = status, now
             fine = (streaming and not self._remark(status)) or status.link is LeapLink.CONNECTING
             log = rospy.loginfo if fine else rospy.logwarn
@@ -116,6 +115,7 @@ class LinkReport:
 def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda _: None) -> None:
     """Publishes until ROS shuts down; each message goes to `pass_on` as well. Raises RigError for a registration
     that cannot be used."""
+    poll_s = 0.1
     registration = load(config.registration, clock.time()) if config.registration else None
     rospy.loginfo("Leap service %s:%d, orientation %s.", config.host, config.port, config.orientation)
     publisher = DirectPublisher("leap_motion/leap_device", Human, queue_size=1)
@@ -141,7 +141,7 @@ def start(config: DriverConfig, pass_on: Callable[[FrameMessage], None] = lambda
             elif announced is not None and not client.status.simulated:
                 announced.unregister()
                 announced = None
-            received = client.next_frame(POLL_S)
+            received = client.next_frame(poll_s)
             if received is None:
                 continue
             waited = device_clock.waited(received.frame.timestamp_us, received.stamp.to_sec())

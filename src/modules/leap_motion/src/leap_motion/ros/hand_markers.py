@@ -13,9 +13,8 @@ from visualization_msgs.msg import Marker
 from leap_motion.frames import TrackedHand
 from leap_motion.skeleton import skeleton
 
-BONE_WIDTH_M, JOINT_WIDTH_M, TEXT_HEIGHT_M = 0.006, 0.012, 0.015
-SHAFT_M, HEAD_M = 0.004, 0.01  # diameters of an arrow
-DIRECTION, NORMAL, LABEL = 100, 101, 102  # numbers of the markers; those of bones and joints are their kinds
+NORMAL = 101  # numbers of the markers; those of bones and joints are their kinds
+LABEL = 102
 
 
 def hand_markers(
@@ -23,13 +22,19 @@ def hand_markers(
 ) -> list[Marker]:
     """Returns bones and joints of the hands, red where the tracker is not confident, green where it is; with
     `details` also palm, its axes and a label, and of a hand without joints these alone."""
+    bone_width_m = 0.006
+    joint_width_m = 0.012
+    text_height_m = 0.015
+    shaft_m = 0.004  # diameters of an arrow
+    head_m = 0.01
+    direction = 100  # numbers of the markers; those of bones and joints are their kinds
     markers = []
     for hand in hands:
         drawn = skeleton(hand)
         if drawn is None or not (details or drawn.bones.size):
             continue
         side = "left" if hand.is_left else "right"
-        shapes = [(Marker.LINE_LIST, drawn.bones, BONE_WIDTH_M), (Marker.SPHERE_LIST, drawn.joints, JOINT_WIDTH_M)]
+        shapes = [(Marker.LINE_LIST, drawn.bones, bone_width_m), (Marker.SPHERE_LIST, drawn.joints, joint_width_m)]
         for kind, points, width in shapes:
             if points.size:
                 drawing = marker(side, kind, kind, frame, lifetime)
@@ -38,13 +43,13 @@ def hand_markers(
                 markers.append(drawing)
         if not details:
             continue
-        for number, points in ((DIRECTION, drawn.direction), (NORMAL, drawn.normal)):
+        for number, points in ((direction, drawn.direction), (NORMAL, drawn.normal)):
             arrow = marker(side, Marker.ARROW, number, frame, lifetime)
-            arrow.scale.x, arrow.scale.y, arrow.points = SHAFT_M, HEAD_M, _points(points)
+            arrow.scale.x, arrow.scale.y, arrow.points = shaft_m, head_m, _points(points)
             arrow.color = ColorRGBA(0.35, 0.6, 1.0, 1.0)
             markers.append(arrow)
         label = marker(side, Marker.TEXT_VIEW_FACING, LABEL, frame, lifetime)
-        label.pose.position, label.scale.z = Point(*drawn.label_at.tolist()), TEXT_HEIGHT_M
+        label.pose.position, label.scale.z = Point(*drawn.label_at.tolist()), text_height_m
         label.text, label.color = drawn.label, ColorRGBA(1.0, 1.0, 1.0, 1.0)
         markers.append(label)
     return markers

@@ -33,8 +33,6 @@ from leap_motion.registration import (
 from leap_motion.ros.registrations import registration_file, store
 
 NAME = "register_tracker"
-CONNECT_S = 10.0
-LOWEST_MM, HIGHEST_MM = 20.0, 600.0  # of what stands on the marks; an error in it shows in no residual
 INTERRUPTED = 130
 
 
@@ -74,9 +72,11 @@ def main(arguments: list[str] | None = None, ask: Callable[[str], str] = input) 
 
 
 def _run(options: argparse.Namespace, ask: Callable[[str], str]) -> None:
-    if not LOWEST_MM <= options.height <= HIGHEST_MM:
+    lowest_mm = 20.0  # of what stands on the marks; an error in it shows in no residual
+    highest_mm = 600.0
+    if not lowest_mm <= options.height <= highest_mm:
         raise RegistrationRefused(
-            f"--height is {options.height:g} mm, but must be between {LOWEST_MM:g} and {HIGHEST_MM:g} mm."
+            f"--height is {options.height:g} mm, but must be between {lowest_mm:g} and {highest_mm:g} mm."
         )
     path = registration_file(options.name)
     points = _points(options.points) if options.points else sheet_points(1e-3 * options.height)
@@ -134,7 +134,8 @@ def _refuse_running_driver() -> None:
 
 
 def _wait_for_frames(client: LeapClient) -> None:
-    deadline = clock.monotonic() + CONNECT_S
+    connect_s = 10.0
+    deadline = clock.monotonic() + connect_s
     while client.next_frame(0.2) is None or client.status.link is not LeapLink.STREAMING:
         if clock.monotonic() > deadline:
             raise RigError(client.status.sentence)

@@ -31,8 +31,6 @@ from leap_motion.frames import (
 from leap_motion.msg import Human
 from leap_motion.ros.human import ARM, CENTER, FINGER, FRAME_ID, HAND, NO_HAND, TOP, FrameMessage, empty_fingers
 
-LOG_PERIOD_S = 1.0  # between two errors of one taker
-HUMAN_BUFFER_BYTES = 2**20  # room for many messages: rospy drops all but the newest only among those that it has read
 FIVE_BYTES = 5 * FINGER.itemsize
 COUNTS, COUNTED = (
     np.frombuffer(fingers.tobytes(), np.uint8) for fingers in (empty_fingers(5), empty_fingers(5, mask=True))
@@ -117,13 +115,15 @@ def subscribe(
     """Calls `on_frame` with the newest tracking frame and its stamp; older ones that still wait are skipped. An
     `on_frame` that takes its time thus sees fewer frames, and those skipped cost next to nothing. A process
     subscribes once: rospy gives the same kind of message to all subscribers of a topic in a process."""
+    # room for many messages: rospy drops all but the newest only among those that it has read
+    human_buffer_bytes = 2**20
 
     def on_human(human: ReceivedHuman) -> None:
         with while_running():
             on_frame(human.frame(rospy.Time.now()), human.stamp)
 
     return rospy.Subscriber(
-        "leap_motion/leap_device", kind, on_human, queue_size=1, buff_size=HUMAN_BUFFER_BYTES, tcp_nodelay=True
+        "leap_motion/leap_device", kind, on_human, queue_size=1, buff_size=human_buffer_bytes, tcp_nodelay=True
     )
 
 
@@ -146,6 +146,7 @@ class FramesHere:
 
     def pass_on(self, message: FrameMessage) -> None:
         """Gives the frame of a message to all; the exception of one is logged, once a second, and the others get it."""
+        log_period_s = 1.0  # between two errors of one taker
         frame, hands, stamp = message.frame, tracked_hands(message.frame), message.header.stamp
         for on_frame in tuple(self._takers):
             try:
@@ -153,7 +154,7 @@ class FramesHere:
                     age = (rospy.Time.now() - stamp).to_sec()
                     on_frame(TrackingFrame(int32(frame.id), age, hands), stamp)
             except Exception:
-                if clock.monotonic() - self._logged_at.get(on_frame, -math.inf) >= LOG_PERIOD_S:
+                if clock.monotonic() - self._logged_at.get(on_frame, -math.inf) >= log_period_s:
                     self._logged_at[on_frame] = clock.monotonic()
                     reason = traceback.format_exc().splitlines()[-1]
                     rospy.logerr("%s failed with a tracking frame: %s", on_frame.__qualname__, reason)

@@ -14,9 +14,7 @@ from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.parameters import VisualizerConfig
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
 
-POLL_S = 0.1
-PERIOD_S = 1.0 / 30.0  # between two frames that are drawn
-SILENT_S, REMIND_S = 3.0, 10.0
+SILENT_S = 3.0
 LIFETIME = rospy.Duration.from_sec(0.3)  # a hand that the tracker has lost vanishes
 
 
@@ -30,6 +28,8 @@ class Visualizer:
 
     def run(self) -> None:
         """Listens while somebody looks, until ROS shuts down; says so where no frames come."""
+        poll_s = 0.1
+        remind_s = 10.0
         while not rospy.is_shutdown():
             looks, now = self._markers.get_num_connections() > 0, clock.monotonic()
             self._watch(looks)
@@ -38,13 +38,14 @@ class Visualizer:
             elif now - self._drawn_at > SILENT_S:
                 missing = f"Nothing comes on {rospy.resolve_name('leap_motion/leap_device')}"
                 start = "start the driver: roslaunch leap_motion leap_driver.launch"
-                rospy.logwarn_throttle(REMIND_S, f"{missing}; {start}.")
-            clock.sleep(POLL_S)
+                rospy.logwarn_throttle(remind_s, f"{missing}; {start}.")
+            clock.sleep(poll_s)
 
     def _draw(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
+        period_s = 1.0 / 30.0  # between two frames that are drawn
         self._drawn_at = clock.monotonic()
         self._markers.publish(MarkerArray(hand_markers(frame.hands, self._frame, LIFETIME, details=True)))
-        clock.sleep(PERIOD_S)  # rospy skips the frames that come meanwhile
+        clock.sleep(period_s)  # rospy skips the frames that come meanwhile
 
 
 def main() -> None:

@@ -9,9 +9,6 @@ import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
-DAYS = 3650
-OPENSSL_S = 60.0
-
 
 class CertificateError(Exception):
     """There is no certificate; the text is one sentence for the user."""
@@ -52,14 +49,16 @@ def fingerprint_of(der: bytes) -> str:
 def own_certificate(folder: Path) -> Certificate:
     """Returns certificate and key in `folder`, which openssl makes when either is missing. Raises CertificateError
     if it cannot."""
+    days = 3650
+    openssl_s = 60.0
     certificate, key = folder / "certificate.pem", folder / "key.pem"
     if not (certificate.is_file() and key.is_file()):
         names = f"subjectAltName=DNS:localhost,IP:127.0.0.1,DNS:{socket.gethostname()}"
         command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
-        command += ["-days", str(DAYS), "-subj", "/CN=Leap Rig", "-addext", names, "-keyout", str(key)]
+        command += ["-days", str(days), "-subj", "/CN=Leap Rig", "-addext", names, "-keyout", str(key)]
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            subprocess.run([*command, "-out", str(certificate)], check=True, capture_output=True, timeout=OPENSSL_S)
+            subprocess.run([*command, "-out", str(certificate)], check=True, capture_output=True, timeout=openssl_s)
         except (OSError, subprocess.SubprocessError) as error:
             detail = getattr(error, "stderr", b"") or str(error).encode()
             reason = detail.decode(errors="replace").strip().splitlines()[-1]

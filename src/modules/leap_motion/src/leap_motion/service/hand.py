@@ -21,11 +21,7 @@ KNUCKLES_MM = np.array(
 )
 """Knuckles of thumb to pinky in palm axes, from the centre of the palm; so is the wrist."""
 WRIST_MM = np.array([7.06, 4.0, 50.0])
-SMALLEST_SCALE, LARGEST_SCALE = 0.4, 2.0  # of a hand against the template; adults have 0.85 to 1.15
-FARTHEST_MM = 1e4
-FLATNESS = 0.05  # least breadth of the palm's points against their length
 FIRST_VELOCITY_MM_S = 1.19209e-07
-VELOCITY_MEMORY, STABLE_MEMORY = 0.6, 0.8  # fraction of a filter's value that remains from frame to frame
 FLEXION_SUM_EXTENDED = math.radians(85.0)
 COS_THUMB = math.cos(math.radians(45.0))  # the thumb's hinges are turned by 45 degrees: it bends across the palm
 
@@ -70,17 +66,19 @@ class ReportedHand:
 
     def following(self, before: ReportedHand) -> ReportedHand:
         """Returns this hand with the velocities and smoothed positions that follow from the report `before`."""
+        velocity_memory = 0.6  # fraction of a filter's value that remains from frame to frame
+        stable_memory = 0.8
         dt = self.time_visible - before.time_visible
 
         def velocity(now: np.ndarray, then: np.ndarray, filtered: np.ndarray) -> np.ndarray:
-            return VELOCITY_MEMORY * filtered + (1.0 - VELOCITY_MEMORY) * (now - then) / dt if dt > 0.0 else filtered
+            return velocity_memory * filtered + (1.0 - velocity_memory) * (now - then) / dt if dt > 0.0 else filtered
 
         return replace(
             self,
             velocity=velocity(self.palm, before.palm, before.velocity),
             tip_velocities=velocity(self.tips, before.tips, before.tip_velocities),
-            stable_palm=STABLE_MEMORY * before.stable_palm + (1.0 - STABLE_MEMORY) * self.palm,
-            stable_tips=STABLE_MEMORY * before.stable_tips + (1.0 - STABLE_MEMORY) * self.tips,
+            stable_palm=stable_memory * before.stable_palm + (1.0 - stable_memory) * self.palm,
+            stable_tips=stable_memory * before.stable_tips + (1.0 - stable_memory) * self.tips,
         )
 
 
@@ -96,12 +94,13 @@ def hand_from_joints(
     """Returns the report of a hand. Palm and its axes are those of the template that fits the knuckles and the wrist
     best; the forearm, which nobody measures, continues the hand. Raises ValueError for a side, number or joints that
     no hand has."""
+    farthest_mm = 1e4
     if side not in ("right", "left"):
         raise ValueError(f"The side of the hand is {side!r}, but must be right or left.")
     joints, wrist = np.array(joints, dtype=float), np.array(wrist, dtype=float)
     if joints.shape != (5, 5, 3) or wrist.shape != (3,):
         raise ValueError(f"The joints have the shape {joints.shape}, the wrist {wrist.shape}; 5 x 5 x 3 and 3 are due.")
-    if not ((np.abs(joints) < FARTHEST_MM).all() and (np.abs(wrist) < FARTHEST_MM).all()):
+    if not ((np.abs(joints) < farthest_mm).all() and (np.abs(wrist) < farthest_mm).all()):
         raise ValueError("A joint of the hand is not finite or more than 10 m away.")
     if not math.isfinite(time_visible):
         raise ValueError(f"The time for which the hand is visible is {time_visible!r}.")
@@ -154,14 +153,17 @@ def extended(flexion: np.ndarray) -> tuple[bool, ...]:
 def _palm(knuckles: np.ndarray, wrist: np.ndarray, mirror: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Returns the palm's axes as columns of a proper rotation, shape (3, 3), its scale and its centre, from the
     knuckles of index to pinky, shape (4, 3), and the wrist (Kabsch 1976)."""
+    smallest_scale = 0.4  # of a hand against the template; adults have 0.85 to 1.15
+    largest_scale = 2.0
+    flatness = 0.05  # least breadth of the palm's points against their length
     template = KNUCKLES_MM[1:] * mirror
     points, places = np.vstack([template, WRIST_MM * mirror]), np.vstack([knuckles, wrist])
     left, stretch, right = np.linalg.svd((points - points.mean(axis=0)).T @ (places - places.mean(axis=0)))
     centre = knuckles.mean(axis=0)
     scale = float(np.linalg.norm(knuckles - centre) / np.linalg.norm(template - template.mean(axis=0)))
-    if not SMALLEST_SCALE <= scale <= LARGEST_SCALE:
+    if not smallest_scale <= scale <= largest_scale:
         raise ValueError(f"The knuckles of the hand are those of a palm {PALM_WIDTH_MM * scale:.3g} mm wide.")
-    if stretch[1] < FLATNESS * stretch[0]:
+    if stretch[1] < flatness * stretch[0]:
         raise ValueError("The knuckles and the wrist of the hand lie on one line.")
     left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
     axes = (left @ right).T

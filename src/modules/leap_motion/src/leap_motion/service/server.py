@@ -17,8 +17,6 @@ from leap_motion.service.access import AccessCode, hostname, is_loopback, is_own
 from leap_motion.service.certificate import Certificate, CertificateError
 from leap_motion.service.socket_service import SEND_S, SocketService, cut, listen, own_names
 
-GATED_FROM_VERSION = 4
-SHORTEST_CODE = 8
 LOOPBACK = "127.0.0.1"
 
 
@@ -30,8 +28,9 @@ class LeapClientLink:
     """One connection: its requests, and its newest pending frames."""
 
     def __init__(self, connection: ServerConnection, version: int, service: str) -> None:
+        gated_from_version = 4
         self.connection, self.version = connection, version
-        self.wants = {"background": service == "gemini" or version < GATED_FROM_VERSION, "focused": False}
+        self.wants = {"background": service == "gemini" or version < gated_from_version, "focused": False}
         self.events: list[str] = []
         self.frames: tuple[str, ...] = ()
         self.wake = asyncio.Event()
@@ -80,6 +79,7 @@ class LeapService(SocketService):
         secure_port: int = 6436,
         simulated: bool = False,  # its hands are simulated or recorded
     ) -> None:
+        shortest_code = 8
         self._service, self._version, self._serial, self._simulated = service, version, serial, simulated
         self._clients: list[LeapClientLink] = []
         self._attached = True
@@ -88,8 +88,8 @@ class LeapService(SocketService):
         self.mode = "desktop"  # tracking mode that clients asked for
         super().__init__()
         opened = not is_loopback(host)
-        if opened and (len(code) < SHORTEST_CODE or certificate is None):
-            needs = f"a certificate and a code of at least {SHORTEST_CODE} characters"
+        if opened and (len(code) < shortest_code or certificate is None):
+            needs = f"a certificate and a code of at least {shortest_code} characters"
             raise LeapServiceError(
                 f"Other machines reach the address {host!r}; use 127.0.0.1, or give {needs} as well."
             )

@@ -25,8 +25,7 @@ CLOSE_TIMEOUT_S = 0.5
 GONE_S = 10.0  # what could not be sent within this time after the end of a conversation is dropped,
 SEND_S = 2.0  # and within this one after the end of the service; a client that takes a message no sooner is gone
 PING_S = 10.0  # another machine that answers no ping is gone
-MAX_REFUSED = 100  # connections that are closed before others have their turn
-MAX_CONNECTIONS, MAX_OF_ADDRESS = 48, 12
+MAX_OF_ADDRESS = 12
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -75,7 +74,8 @@ class SocketService(ABC):
         self._stopping = True
 
     def _open(self, listener: socket.socket, tls: ssl.SSLContext | None = None) -> None:
-        limits = ConnectionLimits(MAX_CONNECTIONS, MAX_OF_ADDRESS)
+        max_connections = 48
+        limits = ConnectionLimits(max_connections, MAX_OF_ADDRESS)
         self._doors.append((BoundedListener(listener, limits), tls))
 
     def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
@@ -161,7 +161,8 @@ class BoundedListener:
 
     def accept(self) -> tuple[CountedSocket, Any]:
         """As of a socket that does not block."""
-        for _ in range(MAX_REFUSED):
+        max_refused = 100  # connections that are closed before others have their turn
+        for _ in range(max_refused):
             accepted, address = self._listener.accept()
             if self._limits.enter(address[0]):
                 # asyncio leaves it out for a listener of create_server

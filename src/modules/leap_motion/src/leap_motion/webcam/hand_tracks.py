@@ -15,20 +15,16 @@ from leap_motion.service.hand import ReportedHand, hand_from_joints
 from leap_motion.webcam.palm_pose import PALM, CameraHand, camera_hand
 from leap_motion.webcam.setups import CameraPlacement, NeutralPose
 
-MOST_HANDS = 2
 LEAST_FRAMES = 3  # with a hand before it is reported: MediaPipe sometimes finds one where nobody holds one
 KEPT_S = 0.2  # a hand that was not seen for longer is lost
 SETTLE_S = 0.3  # no hands after a new neutral pose was asked for: longer than any engagement outlives its hand
 AWAY_S = 3.0  # a hand that was away for longer gets a new neutral pose
-OTHER_SIDE_FRAMES = 5  # in a row, in which a hand is called the other one, before it counts as that
 SAME_SIZES = 1.0  # a hand moves by less than its size in the image from one frame to the next
-NEAREST_MM, FAR_MM, FARTHEST_MM = 200.0, 700.0, 1000.0  # beyond the second one the confidence falls
+FARTHEST_MM = 1000.0  # beyond the second one the confidence falls
 WORST_RESIDUAL = 0.2  # the filmed hand has 0.08 in the median, 0.16 in the worst hundredth
-JUMP_MM, JUMP_MM_S = 60.0, 2000.0  # a hand moves no farther between two frames
+JUMP_MM_S = 2000.0  # a hand moves no farther between two frames
 JUMP_RAD, JUMP_RAD_S = math.radians(30.0), math.radians(600.0)
-DARK, DIM = 25.0, 50.0  # mean brightness of the image, 0 to 255
 SLOW_RATE_HZ, ENOUGH_RATE_HZ = 22.0, 24.0  # below the first one it is said; the second one is leap_kuka's
-RATE_FRAMES = 30
 
 NO_HAND, SEVERAL = "No hand is seen.", "More than two hands are seen; the two most certain ones count."
 UNCLEAR = "The hand is not clear: turn its palm or its back to the camera."
@@ -78,6 +74,7 @@ class HandTracks:
     """Follows the hands in front of a camera over its frames; `palm_width`: of the person [mm]."""
 
     def __init__(self, camera: CameraPlacement, palm_width: float) -> None:
+        rate_frames = 30
         self.camera = camera
         self._palm_width = palm_width
         self._tracks: list[_Track] = []
@@ -85,7 +82,7 @@ class HandTracks:
         self._neutral = {side: NeutralPose() for side in ("right", "left")}
         self._seen_at = dict.fromkeys(self._neutral, -math.inf)
         self._centred = not camera.neutral
-        self._stamps: deque[float] = deque(maxlen=RATE_FRAMES)
+        self._stamps: deque[float] = deque(maxlen=rate_frames)
         self._renewed, self._settled = False, -math.inf
 
     def renew(self) -> None:
@@ -105,13 +102,15 @@ class HandTracks:
     def step(self, seen: Sequence[SeenHand], brightness: float, now: float) -> FrameHands:
         """Returns the hands of a frame that was taken at `now` [s], in Leap axes; `brightness`: the image's mean, 0
         to 255."""
+        dark = 25.0  # mean brightness of the image, 0 to 255
+        dim = 50.0
         self._stamps.append(now)
         if self._renewed:
             self._renewed, self._settled = False, now + SETTLE_S
         self._tracks = [track for track in self._tracks if now - track.seen <= KEPT_S]
-        remarks = [TOO_DARK] if brightness < DARK else []
-        if brightness >= DARK:
-            light = min(1.0, 0.3 + 0.7 * (brightness - DARK) / (DIM - DARK))
+        remarks = [TOO_DARK] if brightness < dark else []
+        if brightness >= dark:
+            light = min(1.0, 0.3 + 0.7 * (brightness - dark) / (dim - dark))
             remarks += self._follow(seen, light, now)
         reported = [track for track in self._tracks if track.seen == now and track.frames >= LEAST_FRAMES]
         hands = [track.report for track in reported if track.report is not None and now >= self._settled]
@@ -119,12 +118,13 @@ class HandTracks:
         if 0.0 < rate < SLOW_RATE_HZ:
             slow = f"Only {rate:.0f} frames per second; the arm needs {ENOUGH_RATE_HZ:g}."
             remarks.append(f"{slow} More light or fewer programs help.")
-        if brightness < DIM:
+        if brightness < dim:
             remarks.append(RATHER_DARK)
         distances = [track.hand.distance for track in reported if track.hand is not None]
         return FrameHands(hands, remarks[0] if remarks else "", rate, distances)
 
     def _follow(self, seen: Sequence[SeenHand], light: float, now: float) -> list[str]:
+        most_hands = 2
         found = sorted((s for s in seen if _finite(s)), key=lambda s: (self._distance(s), -s.score))
         taken: list[tuple[np.ndarray, float]] = []
         remarks: list[str] = []
@@ -134,9 +134,9 @@ class HandTracks:
             if any(np.linalg.norm(centre - other) < max(size, other_size) for other, other_size in taken):
                 continue  # the same hand, found twice
             taken.append((centre, size))
-            if len(taken) <= MOST_HANDS:
+            if len(taken) <= most_hands:
                 remarks.append(self._judge(hand, centre, size, light, now))
-        if len(taken) > MOST_HANDS:
+        if len(taken) > most_hands:
             remarks.append(SEVERAL)
         return [remark for remark in remarks if remark] if taken else [NO_HAND]
 
@@ -150,6 +150,7 @@ class HandTracks:
         return nearest / size if nearest < SAME_SIZES * size else math.inf
 
     def _judge(self, seen: SeenHand, centre: np.ndarray, size: float, light: float, now: float) -> str:
+        far_mm = 700.0  # beyond the second one the confidence falls
         track = self._track(seen, centre, size, now)
         hand = camera_hand(track.side, seen.rays, seen.world, self._palm_width)
         fault = _fault(seen, hand)
@@ -159,7 +160,7 @@ class HandTracks:
             return JUMPS
         remark = "" if _inside(seen.landmarks) else CUT_FINGERS
         certain = min(1.0, 2.0 * (seen.score - 0.5)) * min(1.0, 1.5 - 5.0 * hand.residual) * light
-        certain *= min(1.0, (FARTHEST_MM - hand.distance) / (FARTHEST_MM - FAR_MM)) * (0.5 if remark else 1.0)
+        certain *= min(1.0, (FARTHEST_MM - hand.distance) / (FARTHEST_MM - far_mm)) * (0.5 if remark else 1.0)
         report, holds = self._report(track, hand, min(max(certain, 0.0), 1.0), now)
         if report is None:
             return UNCLEAR
@@ -168,10 +169,11 @@ class HandTracks:
         return remark if holds else HOLD_STILL
 
     def _track(self, seen: SeenHand, centre: np.ndarray, size: float, now: float) -> _Track:
+        other_side_frames = 5  # in a row, in which a hand is called the other one, before it counts as that
         for track in self._tracks:
             if track.seen < now and np.linalg.norm(track.centre - centre) < SAME_SIZES * size:
                 track.other_side = track.other_side + 1 if seen.side != track.side else 0
-                if track.other_side < OTHER_SIDE_FRAMES:
+                if track.other_side < other_side_frames:
                     return track
                 self._tracks.remove(track)
                 break
@@ -226,18 +228,20 @@ def _inside(landmarks: np.ndarray) -> bool:
 
 
 def _fault(seen: SeenHand, hand: CameraHand | None) -> str:
+    nearest_mm = 200.0  # beyond the second one the confidence falls
     if not _inside(seen.landmarks[PALM]):
         return CUT
     if hand is None or hand.residual > WORST_RESIDUAL:
         return UNCLEAR
-    if hand.distance < NEAREST_MM:
-        return f"The hand is too near, {hand.distance / 10:.0f} cm; the camera needs {NEAREST_MM / 10:g} cm."
+    if hand.distance < nearest_mm:
+        return f"The hand is too near, {hand.distance / 10:.0f} cm; the camera needs {nearest_mm / 10:g} cm."
     if hand.distance > FARTHEST_MM:
         return f"The hand is too far away, {hand.distance / 10:.0f} cm; up to {FARTHEST_MM / 10:g} cm is possible."
     return ""
 
 
 def _jumps(before: CameraHand, hand: CameraHand, elapsed: float) -> bool:
+    jump_mm = 60.0  # a hand moves no farther between two frames
     turned = math.acos(min(max(0.5 * (float(np.trace(before.axes.T @ hand.axes)) - 1.0), -1.0), 1.0))
     moved = float(np.linalg.norm(hand.palm - before.palm))
-    return moved > JUMP_MM + JUMP_MM_S * elapsed or turned > JUMP_RAD + JUMP_RAD_S * elapsed
+    return moved > jump_mm + JUMP_MM_S * elapsed or turned > JUMP_RAD + JUMP_RAD_S * elapsed

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 MODELS = "plumb_bob", "rational_polynomial"  # of camera_calibration; it also has one of fish-eye lenses
-COEFFICIENTS = (4,), (5,), (8,), (12,), (14,)  # numbers that OpenCV takes
 
 
 class WebcamError(Exception):
@@ -43,13 +42,14 @@ def lens_of_view(angle: float, shape: tuple[int, ...]) -> WebcamLens:
 
 def lens_of_calibration(values: Any) -> WebcamLens:
     """Returns the lens of a calibration, as camera_calibration stores it. Raises WebcamError if it cannot be used."""
+    coefficients = (4,), (5,), (8,), (12,), (14,)  # numbers that OpenCV takes
     try:
         matrix = np.array(values["camera_matrix"]["data"], dtype=float).reshape(3, 3) * (1.0 / values["image_width"])
         distortion = np.array(values["distortion_coefficients"]["data"], dtype=float)
     except (KeyError, TypeError, ValueError, ArithmeticError) as error:
         raise WebcamError(f"The camera's calibration cannot be used: {type(error).__name__} {error}.") from error
     model = values.get("distortion_model", MODELS[0])
-    if model not in MODELS or distortion.shape not in COEFFICIENTS:
+    if model not in MODELS or distortion.shape not in coefficients:
         kind = f"distortion_model is {model!r} with {distortion.size} coefficients"
         raise WebcamError(f"The camera's calibration cannot be used: {kind}, not {' or '.join(MODELS)}.")
     matrix[2, 2] = 1.0

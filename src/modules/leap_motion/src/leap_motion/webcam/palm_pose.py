@@ -16,19 +16,13 @@ import numpy as np
 
 from leap_motion.service.hand import KNUCKLES_MM, PALM_WIDTH_MM, WRIST_MM
 
-WRIST = 0
 PALM = [0, 5, 9, 13, 17]  # wrist and knuckles: the rigid landmarks
 TEMPLATE_MM = np.vstack([[6.3, 4.0, 59.5], KNUCKLES_MM[1:]])
 """PALM of a right hand in palm axes (x to the pinky's side, y out of the back of the hand, z to the wrist), from the
 centre of the palm. MediaPipe's wrist is 10 mm farther from the knuckles than the Leap's, in a filmed hand's mean."""
 CARPS_MM = np.array([[-11.87, 12.10, 43.26], [-0.88, 13.58, 40.60], [10.41, 12.60, 39.65], [21.41, 5.68, 41.81]])
 """Starts of the metacarpals of index to pinky, which MediaPipe does not find; in palm axes."""
-MAX_RAY = 3.0  # beyond this no camera sees
-FIST_FOLD = 0.13
-"""A fist folds the palm: its landmarks span so much less. Two fists of the filmed hand, whose forearm keeps its width
-within 1 %, without this seem 14 % farther away."""
 OPEN_CURL, FIST_CURL = math.radians(100.0), math.radians(250.0)  # sum of the bends of a finger from the wrist on
-FLATNESS = 0.02  # least ratio of the palm's breadth to its length in world landmarks
 
 
 @dataclass(frozen=True)
@@ -51,16 +45,21 @@ class CameraHand:
 def camera_hand(side: str, rays: np.ndarray, world: np.ndarray, palm_width: float) -> CameraHand | None:
     """Returns the hand whose landmarks have these rays, shape (21, 2), and world landmarks, shape (21, 3) [any
     unit]; `palm_width` [mm]. None where no hand in front of the camera has them."""
-    if not (np.isfinite(rays).all() and np.isfinite(world).all() and np.abs(rays).max() < MAX_RAY):
+    max_ray = 3.0  # beyond this no camera sees
+    # A fist folds the palm: its landmarks span so much less. Two fists of the filmed hand, whose forearm keeps its
+    # width within 1 %, without this seem 14 % farther away.
+    fist_fold = 0.13
+    flatness = 0.02  # least ratio of the palm's breadth to its length in world landmarks
+    if not (np.isfinite(rays).all() and np.isfinite(world).all() and np.abs(rays).max() < max_ray):
         return None
     world = world - world[PALM].mean(axis=0)
     mirror = np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
-    scale = palm_width / PALM_WIDTH_MM * (1.0 - FIST_FOLD * _fist(world))
+    scale = palm_width / PALM_WIDTH_MM * (1.0 - fist_fold * _fist(world))
     template = TEMPLATE_MM * mirror * scale
     centred = template - template.mean(axis=0)
     left, stretch, right = np.linalg.svd(centred.T @ world[PALM])
     size = float(np.linalg.norm(world[PALM]))
-    if not 1e-9 < size < 1e9 or stretch[1] < FLATNESS * stretch[0]:
+    if not 1e-9 < size < 1e9 or stretch[1] < flatness * stretch[0]:
         return None
     left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
     axes = _along(rays[PALM].mean(axis=0)) @ (left @ right).T
@@ -97,7 +96,8 @@ def _position(points: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray | None, 
 
 def _fist(world: np.ndarray) -> float:
     """Returns how far index to pinky are closed, 0 open to 1 fist."""
-    chains = np.concatenate([np.broadcast_to(world[WRIST], (4, 1, 3)), world[5:].reshape(4, 4, 3)], axis=1)
+    wrist = 0
+    chains = np.concatenate([np.broadcast_to(world[wrist], (4, 1, 3)), world[5:].reshape(4, 4, 3)], axis=1)
     bones = np.diff(chains, axis=1)
     bones /= np.maximum(np.linalg.norm(bones, axis=2, keepdims=True), 1e-12)
     bends = np.arccos(np.clip((bones[:, :-1] * bones[:, 1:]).sum(axis=2), -1.0, 1.0))

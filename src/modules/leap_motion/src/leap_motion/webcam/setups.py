@@ -13,10 +13,9 @@ import numpy as np
 from leap_motion.webcam.palm_pose import CameraHand
 
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])  # with the shipped workspace
-STILL_S, STILL_MM, STILL_RAD = 1.0, 40.0, math.radians(15.0)
+STILL_RAD = math.radians(15.0)
 """A neutral pose is taken of a hand that stays so near to its mean for so long; a still hand seems to move by a third
 of this while its fingers move."""
-LEAST_SAMPLES = 5
 
 
 @dataclass(frozen=True)
@@ -72,16 +71,21 @@ class NeutralPose:
 
     def step(self, palm: np.ndarray, axes: np.ndarray, now: float) -> None:
         """Takes a sample at `now` [s]: `palm`, shape (3,) [mm], and palm axes, shape (3, 3), in the Leap frame."""
+        # A neutral pose is taken of a hand that stays so near to its mean for so long; a still hand seems to move by
+        # a third of this while its fingers move.
+        still_s = 1.0
+        still_mm = 40.0
+        least_samples = 5
         if self.level is not None:
             return
         self._samples.append((now, palm, axes))
-        while len(self._samples) > 1 and now - self._samples[1][0] >= STILL_S:
+        while len(self._samples) > 1 and now - self._samples[1][0] >= still_s:
             self._samples.popleft()
-        if now - self._samples[0][0] < STILL_S or len(self._samples) < LEAST_SAMPLES:
+        if now - self._samples[0][0] < still_s or len(self._samples) < least_samples:
             return
         palms = np.array([palm for _, palm, _ in self._samples])
         left, _, right = np.linalg.svd(sum(axes for _, _, axes in self._samples))
         mean, middle = left @ right, palms.mean(axis=0)
         turns = [0.5 * (float(np.trace(axes.T @ mean)) - 1.0) for _, _, axes in self._samples]
-        if np.linalg.norm(palms - middle, axis=1).max() < STILL_MM and min(turns) > math.cos(STILL_RAD):
+        if np.linalg.norm(palms - middle, axis=1).max() < still_mm and min(turns) > math.cos(STILL_RAD):
             self.level, self.middle = mean.T, middle

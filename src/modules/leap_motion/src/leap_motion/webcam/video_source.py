@@ -14,12 +14,8 @@ import numpy as np
 
 from leap_motion.webcam.lens import WebcamError
 
-SIZE_PX, RATE_HZ = (640, 480), 30.0  # asked of the camera: what nearly all have
-FILM_HZ = (5.0, 240.0)  # a film with another rate has none: some containers state 0, 1000 or 90000
+RATE_HZ = 30.0  # asked of the camera: what nearly all have
 RETRY_S = 1.0
-PAUSE_S = 2.0  # grey images between two rounds of a video
-ENTRY_S = 1.5  # its first image slides in from the side, so that a hand comes in from outside of the box
-GREY = 128
 
 
 @dataclass(frozen=True)
@@ -97,8 +93,9 @@ class CameraSource(VideoSource):
         return ""
 
     def _read(self, camera: cv2.VideoCapture) -> bool:
+        size_px = (640, 480)  # asked of the camera: what nearly all have
         camera.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
-        for key, value in ((cv2.CAP_PROP_FRAME_WIDTH, SIZE_PX[0]), (cv2.CAP_PROP_FRAME_HEIGHT, SIZE_PX[1])):
+        for key, value in ((cv2.CAP_PROP_FRAME_WIDTH, size_px[0]), (cv2.CAP_PROP_FRAME_HEIGHT, size_px[1])):
             camera.set(key, value)
         camera.set(cv2.CAP_PROP_FPS, RATE_HZ)
         came = False
@@ -117,20 +114,24 @@ class FileSource(VideoSource):
     it cannot be read."""
 
     def __init__(self, path: Path, mirrored: bool) -> None:
+        film_hz = (5.0, 240.0)  # a film with another rate has none: some containers state 0, 1000 or 90000
         super().__init__(mirrored)
         self._video = cv2.VideoCapture(str(path))
         rate = self._video.get(cv2.CAP_PROP_FPS)
-        self._period = 1.0 / (rate if FILM_HZ[0] <= rate <= FILM_HZ[1] else RATE_HZ)
+        self._period = 1.0 / (rate if film_hz[0] <= rate <= film_hz[1] else RATE_HZ)
         good, image = self._video.read()
         if not good or image is None:
             raise WebcamError(f"{path} is not a video that can be read.")
         self._first: np.ndarray = image
 
     def _run(self) -> None:
+        pause_s = 2.0  # grey images between two rounds of a video
+        entry_s = 1.5  # its first image slides in from the side, so that a hand comes in from outside of the box
+        grey = 128
         due = time.monotonic()
-        pause = np.full_like(self._first, GREY)
+        pause = np.full_like(self._first, grey)
         while not self._closing.is_set():
-            for left in np.linspace(0.5, 0.0, round(ENTRY_S / self._period), endpoint=False):
+            for left in np.linspace(0.5, 0.0, round(entry_s / self._period), endpoint=False):
                 shift = max(1, round(left * pause.shape[1]))
                 if not self._closing.is_set():
                     due = self._pace(due, np.hstack([pause[:, :shift], self._first[:, :-shift]]))
@@ -139,7 +140,7 @@ class FileSource(VideoSource):
                 due = self._pace(due, image)
                 good, image = self._video.read()
                 image = image if good else None
-            for _ in range(round(PAUSE_S / self._period)):
+            for _ in range(round(pause_s / self._period)):
                 if not self._closing.is_set():
                     due = self._pace(due, pause)
             self._video.set(cv2.CAP_PROP_POS_FRAMES, 1)

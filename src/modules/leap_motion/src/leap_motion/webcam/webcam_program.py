@@ -33,8 +33,6 @@ from leap_motion.webcam.video_source import CameraSource, FileSource, VideoImage
 NAME = "webcam_leapd"
 SERVICE = "2.3.1+webcam"
 SILENCE_S = 0.5  # without an image the camera counts as unplugged
-BETWEEN_LINES_S = 2.0
-MEASURE_S, GIVE_UP_S = 5.0, 30.0
 NUMBERS = re.compile(r"\d+")
 LETTERS = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*", re.ASCII)
 
@@ -136,9 +134,10 @@ class WebcamTracker:
         )
 
     def _tell(self, remark: str, view: TrackerView | None) -> None:
+        between_lines_s = 2.0
         self.view = view or TrackerView(None, None, self._tracks.camera, False, [], remark)
         now = time.monotonic()
-        if (kind := NUMBERS.sub("", remark)) != self._told and now - self._told_at > BETWEEN_LINES_S:
+        if (kind := NUMBERS.sub("", remark)) != self._told and now - self._told_at > between_lines_s:
             self._told, self._told_at = kind, now
             print(f"{NAME}: {remark or 'The hand is tracked.'}", file=sys.stderr, flush=True)
 
@@ -191,16 +190,18 @@ def _show(tracker: WebcamTracker, stopped: threading.Event, mirror: bool) -> Non
 
 
 def _measure(options: argparse.Namespace, stopped: threading.Event) -> int:
+    measure_s = 5.0
+    give_up_s = 30.0
     path = _palm_file(options.measure)
     find, size = (find_tag, (options.tag, options.tag)) if options.tag else (find_card, CARD_MM)
     scale = f"the tag of {options.tag:g} mm" if options.tag else "a bank card"
     source, lens_for, detector = _source(options), _lenses(options), HandDetector(single=True)
     source.start()
     print(
-        f"{NAME}: hold your open hand flat, and {scale} beside it in the same plane, for {MEASURE_S:g} s.", flush=True
+        f"{NAME}: hold your open hand flat, and {scale} beside it in the same plane, for {measure_s:g} s.", flush=True
     )
     widths: deque[tuple[float, float]] = deque()
-    end = time.monotonic() + GIVE_UP_S
+    end = time.monotonic() + give_up_s
     width: float | None = None
     while width is None and time.monotonic() < end and not stopped.is_set():
         taken = source.newest(SILENCE_S)
@@ -215,9 +216,9 @@ def _measure(options: argparse.Namespace, stopped: threading.Event) -> int:
         )
         if found is not None:
             widths.append((taken.stamp, found))
-            while taken.stamp - widths[0][0] > MEASURE_S:
+            while taken.stamp - widths[0][0] > measure_s:
                 widths.popleft()
-            if taken.stamp - widths[0][0] > 0.9 * MEASURE_S:
+            if taken.stamp - widths[0][0] > 0.9 * measure_s:
                 width = agreed([value for _, value in widths])
     source.close()
     if width is None:

@@ -16,7 +16,7 @@ BOX_MM = 100.0  # half of its edge
 CORNERS_MM = BOX_CENTRE_MM + BOX_MM * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 GREEN, AMBER, WHITE, BAND = QColor("#2e9e44"), QColor("#e0a030"), QColor("#ffffff"), QColor(20, 26, 32, 215)
-REFRESH_MS, BAND_PX = 33, 84
+BAND_PX = 84
 HELP = "N: new neutral pose    Esc: quit"
 
 
@@ -25,13 +25,14 @@ class WebcamWindow(QWidget):
     looks at the person is shown as a mirror, `mirror`."""
 
     def __init__(self, view: Callable[[], object], renew: Callable[[], None], mirror: bool) -> None:
+        refresh_ms = 33
         super().__init__()
         self._view, self._renew, self._mirror = view, renew, mirror
         self.setWindowTitle("Webcam tracker")
         self.resize(800, 600 + BAND_PX)
         self._timer = QTimer(self)
         self._timer.timeout.connect(self.update)
-        self._timer.start(REFRESH_MS)
+        self._timer.start(refresh_ms)
 
     def keyPressEvent(self, event) -> None:
         if event.key() == Qt.Key_N:

@@ -29,8 +29,6 @@ from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Finger, Hand, Motor, RadianServoCommands, RawServoCommands
 from reflex_msgs.srv import SetSpeed, SetTactileThreshold
 
-REMIND_S = 5.0
-POLL_S = 0.1
 LOG = {"info": rospy.loginfo, "warning": rospy.logwarn, "error": rospy.logerr}
 LEVELS = {"ok": DiagnosticStatus.OK, "warning": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 
@@ -56,6 +54,7 @@ class HandDriver:
 
     def run(self) -> None:
         """Runs until ROS shuts down; leaves the hand idle, or holding."""
+        poll_s = 0.1
         try:
             if self._beside is not None:
                 self._beside.refuse()
@@ -67,7 +66,7 @@ class HandDriver:
                     raise RuntimeError("the receive thread of the hand ended; its traceback is above")
                 if self._beside is not None:
                     self._beside.check()
-                clock.sleep(POLL_S)
+                clock.sleep(poll_s)
         finally:
             self._hand.disconnect()
 
@@ -84,11 +83,13 @@ class HandDriver:
 
     @staticmethod
     def _subscribe(name: str, message_type: type, send: Callable) -> None:
+        remind_s = 5.0
+
         def take(message: object) -> None:
             try:
                 send(message)
             except CommandRefused as error:
-                rospy.logwarn_throttle_identical(REMIND_S, f"Command refused: {error}")
+                rospy.logwarn_throttle_identical(remind_s, f"Command refused: {error}")
 
         rospy.Subscriber(f"reflex_takktile/{name}", message_type, take, queue_size=10)
 

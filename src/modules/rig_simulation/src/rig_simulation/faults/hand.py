@@ -27,7 +27,6 @@ HAND_FAULTS = (
 )
 FULL_LOAD = 1000
 STUCK_PRESSURE = 100
-OTHER_FORMAT = 2
 
 
 EFFECTS: Mapping[str, Callable[[SimulatedHand, int, bool], None]] = {
@@ -91,10 +90,11 @@ class HandWire:
 
 def broken(packet: bytes, rng: random.Random) -> bytes:
     """Returns an invalid state packet, broken in one of several ways."""
+    other_format = 2
     ways: list[Callable[[], bytes]] = [
         lambda: garbled(packet, rng),
         lambda: packet[: rng.randrange(1, len(packet))],
         lambda: packet + garbled(packet[:9], rng),
-        lambda: bytes([OTHER_FORMAT]) + packet[1:],
+        lambda: bytes([other_format]) + packet[1:],
     ]
     return rng.choice(ways)()

@@ -37,8 +37,6 @@ LEAP_FAULTS = (
 OF_HANDS = {
     *("hand_lost", "hand_swapped", "hand_moved", "mirrored", "scaled", "second_hand", "outliers", "low_confidence"),
 }
-NEW_ID, SECOND_ID = 1000, 500  # offsets of hand ids: the service never uses an id twice
-OUTLIER_PERIOD = 40
 
 
 class FrameStream:
@@ -83,13 +81,16 @@ class HandFaults:
         self._frames = 0
 
     def change(self, frame: str, faults: dict[str, float]) -> str:
+        new_id = 1000  # offsets of hand ids: the service never uses an id twice
+        second_id = 500
+        outlier_period = 40
         moved = {"hand_swapped", "hand_moved"} & faults.keys()
         self._renamed += moved != self._moved
         self._moved = moved
         if not OF_HANDS & faults.keys() and not self._renamed:
             return frame
         self._frames += 1
-        message = wire.with_ids(json.loads(frame), NEW_ID * self._renamed)
+        message = wire.with_ids(json.loads(frame), new_id * self._renamed)
         if "hand_lost" in faults:
             message = {**message, "hands": [], "pointables": []}
         if "hand_swapped" in faults:
@@ -102,10 +103,10 @@ class HandFaults:
             message = wire.scaled(message, faults["scaled"])
         if "low_confidence" in faults:
             message["hands"] = [{**hand, "confidence": faults["low_confidence"]} for hand in message["hands"]]
-        if "outliers" in faults and self._frames % OUTLIER_PERIOD == 0:
+        if "outliers" in faults and self._frames % outlier_period == 0:
             message = wire.shifted(message, (0.0, faults["outliers"], 0.0))
         if "second_hand" in faults:
-            other = wire.with_ids(wire.shifted(message, (faults["second_hand"], 0.0, 0.0)), SECOND_ID)
+            other = wire.with_ids(wire.shifted(message, (faults["second_hand"], 0.0, 0.0)), second_id)
             message.update({key: message[key] + other[key] for key in ("hands", "pointables")})
         return wire.text(message)
 

@@ -10,7 +10,7 @@ from rig_simulation.operator.pick_and_place import PickStep
 from rig_simulation.operator.steering import Move
 
 STROKES, REACH_M = 3, 0.08  # as far as the hand moves comfortably
-MOVE_S, SETTLE_S, PATIENCE_S = 1.5, 0.8, 20.0
+MOVE_S = 1.5
 RUNNING, CLUTCHED = "running", "clutched"  # states of leap_kuka
 
 
@@ -40,15 +40,17 @@ class Clutching:
     def step(self, grip: np.ndarray, state: str, following: bool, now: float) -> ClutchStep:
         """Takes the tool's position, shape (3,) [m], the state of leap_kuka and whether the arm follows; returns what
         to do at the time `now` [s]."""
+        settle_s = 0.8
+        patience_s = 20.0
         name = self.STEPS[self._index]
         self._since = now if self._since is None else self._since
         waited, expected = now - self._since, CLUTCHED if name in ("clutch", "back") else RUNNING
         if name == "done":
             return ClutchStep(name)
-        if waited > PATIENCE_S:
-            return ClutchStep(name, failure=f"leap_kuka is {state!r} and not {expected!r} after {PATIENCE_S:g} s")
+        if waited > patience_s:
+            return ClutchStep(name, failure=f"leap_kuka is {state!r} and not {expected!r} after {patience_s:g} s")
         moved = MOVE_S if name in ("reach", "back") else 0.0
-        if state != expected or not following or waited < moved + SETTLE_S:
+        if state != expected or not following or waited < moved + settle_s:
             return ClutchStep(name)
         if name == "wait":
             self._begun = grip

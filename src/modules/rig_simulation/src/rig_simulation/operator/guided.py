@@ -16,10 +16,7 @@ from rig_simulation.devices.leap.sensing import SETTLE_S, Tracker
 from rig_simulation.operator import motion
 from rig_simulation.operator.sources import ScriptedOperator, Sensed, as_frames, next_interval
 
-LONGEST_REACH_S = 60.0
 FARTHEST_M = 0.5
-SECOND_AT_MM = (-220.0, -40.0, 40.0)  # from the centre, of the second hand beside a right one
-SECOND_FIST_S = 0.3  # time in which it closes
 LARGEST_ANGLE = np.radians(90.0)
 
 
@@ -38,11 +35,12 @@ class HandTarget:
     seconds: float = 1.0  # duration of the move
 
     def __post_init__(self) -> None:
+        longest_reach_s = 60.0
         limits = {
             **dict.fromkeys(("right", "up", "back"), (-FARTHEST_M, FARTHEST_M, "m")),
             **dict.fromkeys(("pitch", "yaw", "roll"), (-LARGEST_ANGLE, LARGEST_ANGLE, "rad")),
             "curl": (0.0, 1.0, ""),
-            "seconds": (0.0, LONGEST_REACH_S, "s"),
+            "seconds": (0.0, longest_reach_s, "s"),
         }
         for name, (low, high, unit) in limits.items():
             value = getattr(self, name)
@@ -154,16 +152,18 @@ class SecondHand:
     """The other hand, which stays beside the first one and closes smoothly."""
 
     def __init__(self, scripted: ScriptedOperator, hand_id: int, rng: np.random.Generator) -> None:
+        second_at_mm = (-220.0, -40.0, 40.0)  # from the centre, of the second hand beside a right one
         side = "left" if scripted.side == "right" else "right"
         self._scripted = replace(scripted, side=side)
         self._tracker = Tracker(self._scripted.hand_model, hand_id, rng, scripted.frame_rate)
-        x, y, z = SECOND_AT_MM
+        x, y, z = second_at_mm
         self._state = np.array([x if side == "left" else -x, y, z, 0.0, 0.0, 0.0, 0.0])
         self._age = 0.0
 
     def report(self, curl: float, dt: float) -> ReportedHand:
         """Returns the report of the hand `dt` [s] after the one before, on its way to `curl`."""
-        most = dt / SECOND_FIST_S
+        second_fist_s = 0.3  # time in which it closes
+        most = dt / second_fist_s
         self._state[motion.CURL] += float(np.clip(curl - self._state[motion.CURL], -most, most))
         self._age += dt
         return self._tracker.report(

@@ -48,8 +48,7 @@ AT_THE_BOX = ("above", "down", "reach", "approach")  # the target is at the box,
 UP_IN_THE_AIR = ("bring", "reach", "approach", "take", AGAIN, "let go", "part", "carry", "lower")  # the box is held
 NEXT = {**dict(zip(STEPS, list(STEPS)[1:])), AGAIN: "reach"}
 BEFORE_CLOSE = list(STEPS)[: list(STEPS).index("close")]
-FINGERS, THUMB = (1, 2, 3), 3  # in the names of the robot hand's links
-HELD_M = 0.02  # a box whose lowest point is lower above the table is not held
+FINGERS = (1, 2, 3)  # in the names of the robot hand's links
 
 
 @dataclass(frozen=True)
@@ -154,8 +153,9 @@ def fingers_at(touches: Collection[str], arm: str) -> set[int]:
 
 def between_fingers(touches: Collection[str], arm: str) -> bool:
     """Returns whether the robot hand of an arm has an object between thumb and fingers."""
+    thumb = 3  # in the names of the robot hand's links
     fingers = fingers_at(touches, arm)
-    return THUMB in fingers and len(fingers) > 1
+    return thumb in fingers and len(fingers) > 1
 
 
 class BoxHandOver:
@@ -188,13 +188,14 @@ class BoxHandOver:
 
     def step(self, view: HandOverView, now: float) -> HandOverStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
+        held_m = 0.02  # a box whose lowest point is lower above the table is not held
         name = self._name
         for who, hand in self._hands.items():
             hand.see(view.grips[who], now)
         if name == "done":
             return HandOverStep(name)
         self._since = now if self._since is None else self._since
-        if name in UP_IN_THE_AIR[:-1] and view.clearance < HELD_M:
+        if name in UP_IN_THE_AIR[:-1] and view.clearance < held_m:
             return HandOverStep(name, failure=f"the box fell (step {name!r})")
         if now - self._since > self._plan.patience:
             return HandOverStep(name, failure=self._complaint(name, view))
@@ -216,7 +217,7 @@ class BoxHandOver:
             error, turn = self._target - view.grips[who], self._turn(name, who, view)
             if not self._matches(name, error) or abs(turn) > self._plan.turn_tolerance:
                 return HandOverStep(name, who, self._hands[who].shift(error, now, turn))
-        if name == "lift" and view.clearance < HELD_M:
+        if name == "lift" and view.clearance < held_m:
             return HandOverStep(name, failure="the box was not lifted")
         return self._begin(NEXT[name], view, now)
 

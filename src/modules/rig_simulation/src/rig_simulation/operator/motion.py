@@ -14,9 +14,7 @@ import numpy as np
 MIN_JERK_PEAK = 1.875  # ratio of the highest to the mean speed of a minimum-jerk move
 RAMP = 0.15  # fraction of a figure's time for its acceleration, and for its deceleration
 HOLD_S = 2.5  # time for which the hand waits at the centre until the arm follows
-EDGE_MM = 200.0  # distance from the centre, on the operator's side, at which the hand enters and leaves the view
 FAR_MM = 320.0
-SHORTEST_MOVE_S = 0.6
 TILT_SPEED = np.radians(40.0)
 FIGURES = ("circle", "square", "eight", "line")
 CURVES: Mapping[str, Callable[[float], tuple[float, float]]] = {
@@ -44,6 +42,8 @@ class Visit:
     """One visit of the hand; `rng` makes each slightly different."""
 
     def __init__(self, script: Script, rng: np.random.Generator) -> None:
+        # distance from the centre, on the operator's side, at which the hand enters and leaves the view
+        edge_mm = 200.0
         if script.figure not in FIGURES or script.plane not in PLANES:
             chosen = f"The figure is {script.figure!r} in the plane {script.plane!r}"
             raise ValueError(f"{chosen}, but must be {FIGURES}, {[*PLANES]}.")
@@ -57,8 +57,8 @@ class Visit:
         self._ends = np.cumsum([duration for duration, _ in self._segments]).tolist()
         self.duration = self._ends[-1]
         times = np.arange(0.0, self.duration, 0.005).tolist()
-        self.appears = next(t for t in times if self.state(t)[Z] < EDGE_MM)
-        self.vanishes = next(t for t in reversed(times) if self.state(t)[Z] < EDGE_MM)
+        self.appears = next(t for t in times if self.state(t)[Z] < edge_mm)
+        self.vanishes = next(t for t in reversed(times) if self.state(t)[Z] < edge_mm)
 
     def state(self, t: float) -> np.ndarray:
         """Returns the state at `t` seconds after the start of the visit, shape (7,)."""
@@ -89,10 +89,11 @@ class Visit:
         self._segments.append((duration, lambda _: here))
 
     def _move(self, there: np.ndarray, duration: float = 0.0, speed: float = 0.0) -> None:
+        shortest_move_s = 0.6
         here = self._here
         travel = np.linalg.norm(there[:3] - here[:3]) / (speed or self._script.speed)
         turn = np.abs(there[3:6] - here[3:6]).max() / TILT_SPEED
-        duration = duration or max(SHORTEST_MOVE_S, MIN_JERK_PEAK * max(travel, turn))
+        duration = duration or max(shortest_move_s, MIN_JERK_PEAK * max(travel, turn))
         self._segments.append((duration, lambda fraction: here + min_jerk(fraction) * (there - here)))
         self._here = there
 

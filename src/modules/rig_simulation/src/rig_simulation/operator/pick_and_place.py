@@ -12,8 +12,6 @@ import numpy as np
 from rig_simulation.operator.steering import UP, Habits, Move, SteeringHand
 from rig_simulation.world.scene import Cuboid, SceneObject
 
-WIDEST = 0.1  # longest side that fits between the fingers
-
 
 def heading(R_base_tool: np.ndarray) -> float:
     """Returns the direction from above of the x axis of the tool's orientation, along which the fingers close."""
@@ -29,10 +27,11 @@ def turn_to(shape: SceneObject, R_base_object: np.ndarray, fingers: float) -> fl
     """Returns the smallest turn after which the fingers, which close along the direction `fingers`, do so along a side
     that fits; 0 for a round object. The object of this shape stands upright in the orientation `R_base_object`, shape
     (3, 3)."""
+    widest = 0.1  # longest side that fits between the fingers
     if not isinstance(shape, Cuboid):
         return 0.0
     sides = shape.size[:2]
-    fitting = [axis for axis in (0, 1) if sides[axis] <= WIDEST] or [int(np.argmin(sides))]
+    fitting = [axis for axis in (0, 1) if sides[axis] <= widest] or [int(np.argmin(sides))]
     turns = [wrapped(math.atan2(R_base_object[1, axis], R_base_object[0, axis]) - fingers, math.pi) for axis in fitting]
     return min(turns, key=abs)
 

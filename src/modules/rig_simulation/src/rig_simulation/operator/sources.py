@@ -24,10 +24,6 @@ from rig_simulation.operator import motion
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 
 PERIOD_S = 1.0 / FRAME_RATE
-JITTER_S = 0.08e-3
-LOST_FRAME = 0.005  # probability that the sensor loses a frame: the interval is double, the id continues
-BETWEEN_IDS = 100_000  # between the ids of an operator's two hands
-PAUSE_S = 1.5  # empty frames between two rounds of a recording
 
 
 class RecordingError(RigError):
@@ -76,9 +72,10 @@ class BothHands:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields frames without end, with the hands that are in view."""
+        between_ids = 100_000  # between the ids of an operator's two hands
         seeds = rng.integers(2**32, size=len(self.both)).tolist()
         sensed = [
-            hand.hands(np.random.default_rng(seed), first_id + number * BETWEEN_IDS)
+            hand.hands(np.random.default_rng(seed), first_id + number * between_ids)
             for number, (hand, seed) in enumerate(zip(self.both, seeds))
         ]
         return as_frames(self._merged(sensed), self.service, self.frame_rate)
@@ -162,6 +159,7 @@ class Recording:
 
     def frames(self, rng: np.random.Generator, first_id: int) -> Iterator[tuple[float, wire.Frame]]:
         """Yields the recorded frames, then empty ones until it repeats, or without end."""
+        pause_s = 1.5  # empty frames between two rounds of a recording
         shift = 0 if first_id <= 1 else first_id
         while True:
             interval = PERIOD_S
@@ -172,7 +170,7 @@ class Recording:
             shift += self._highest_hand + 1
             pause = 0.0
             for interval, empty in empty_frames(rng, "2.3"):
-                if self._loop and pause > PAUSE_S:
+                if self._loop and pause > pause_s:
                     break
                 pause += interval
                 yield interval, empty
@@ -204,11 +202,10 @@ def _read(path: Path) -> list[str]:
 
 def next_interval(rng: np.random.Generator, frame_rate: float = FRAME_RATE) -> float:
     """Returns the time to the next frame [s]: the period of the device with its jitter, doubled for a lost frame."""
-    frames = 2 if rng.random() < LOST_FRAME else 1
-    return frames / frame_rate + JITTER_S * min(max(float(rng.standard_normal()), -3.0), 3.0)
-
-
-START_US = 1_000_000
+    jitter_s = 0.08e-3
+    lost_frame = 0.005  # probability that the sensor loses a frame: the interval is double, the id continues
+    frames = 2 if rng.random() < lost_frame else 1
+    return frames / frame_rate + jitter_s * min(max(float(rng.standard_normal()), -3.0), 3.0)
 
 
 class Source(Protocol):
@@ -264,9 +261,10 @@ class Playback:
         self._time, self._id = 0.0, 0
 
     def next(self) -> PlayedFrame:
+        start_us = 1_000_000
         interval, frame = next(self._frames)
         self._time += interval
         self._id += 1
         self.position += self.playing
         self._next_hand = max(self._next_hand, frame.hand_id + 1)
-        return PlayedFrame(self._time, frame.text(self._id, START_US + round(self._time * 1e6)))
+        return PlayedFrame(self._time, frame.text(self._id, start_us + round(self._time * 1e6)))

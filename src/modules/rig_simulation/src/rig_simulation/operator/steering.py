@@ -15,8 +15,6 @@ UP = np.array([0.0, 0.0, 1.0])
 GRIP_OFFSET = (-0.0152, 0.0, 0.0)
 """From the tool point to the middle between fingers and thumb, in the flange's axes [m]: the hand's x axis is reversed
 there, and its knuckles are at x = 60.4 mm and x = -30 mm."""
-SHORTEST_MOVE_S, SETTLE_S = 0.4, 0.3
-FINGER_FRACTION = 0.6  # the operator's fingers move for this fraction of the robot fingers' time
 
 
 @dataclass(frozen=True)
@@ -81,11 +79,13 @@ class SteeringHand:
 
     def shift(self, by: np.ndarray, now: float, turn: float = 0.0) -> Move:
         """Returns the move that shifts the tool, shape (3,) [m], and turns it anticlockwise from above [rad]."""
+        shortest_move_s = 0.4
+        settle_s = 0.3
         self.palm = self.palm + self._R_leap_base @ by
         self.yaw -= turn
         fastest = max(float(np.linalg.norm(by) / self._habits.speed), abs(turn) / self._habits.turn_speed)
-        seconds = max(SHORTEST_MOVE_S, MIN_JERK_PEAK * fastest)
-        self._busy_until = now + seconds + SETTLE_S
+        seconds = max(shortest_move_s, MIN_JERK_PEAK * fastest)
+        self._busy_until = now + seconds + settle_s
         return Move(self.palm, self.yaw, self.curl, seconds)
 
     def close(self, now: float) -> Move:
@@ -96,6 +96,7 @@ class SteeringHand:
 
     def _bend(self, curl: float, seconds: float, now: float) -> Move:
         """Returns the move of the fingers; the robot's fingers, which are slower, get `seconds` in all."""
+        finger_fraction = 0.6  # the operator's fingers move for this fraction of the robot fingers' time
         self.curl = curl
         self._busy_until = now + seconds
-        return Move(self.palm, self.yaw, curl, FINGER_FRACTION * seconds)
+        return Move(self.palm, self.yaw, curl, finger_fraction * seconds)

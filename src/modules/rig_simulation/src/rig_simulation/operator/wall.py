@@ -18,9 +18,6 @@ MOVES = (
     ("fingers", (0.0, 0.0, 0.0), 0.6, 1.5),
 )
 """Name, where the palm goes: right, up and back from its entry [m], curl of the fingers, and in what time [s]."""
-NEAR_M = 0.02  # so near its start the tool has come back
-ALLOWED_M = 0.002  # measured joints may be within the margin by this: drives follow their goals unevenly
-HELD = 0.5  # scale of the speed below which the guard holds the arm
 PATIENCE_S = 30.0
 
 
@@ -51,11 +48,12 @@ class WallVisit:
 
     def step(self, view: WallView, now: float) -> PickStep:
         """Takes an observation at the time `now` [s]; returns what to do."""
+        held = 0.5  # scale of the speed below which the guard holds the arm
         self._began = now if self._began is None else self._began
         passed, self._before = now - (self._before or now), now
         if view.following:
             self.smallest = min(self.smallest, view.distance)
-            self.held += passed * (view.scale < HELD)
+            self.held += passed * (view.scale < held)
         if self._start is None:
             if not view.following:
                 late = now - self._began > PATIENCE_S
@@ -71,12 +69,14 @@ class WallVisit:
         return PickStep(name, Move(np.array(palm), 0.0, curl, seconds - 0.3))
 
     def _failure(self, view: WallView) -> str:
+        near_m = 0.02  # so near its start the tool has come back
+        allowed_m = 0.002  # measured joints may be within the margin by this: drives follow their goals unevenly
         assert self._start is not None
         off = float(np.linalg.norm(view.grip - self._start))
-        if self.smallest < view.margin - ALLOWED_M:
+        if self.smallest < view.margin - allowed_m:
             return f"the robot came within {1e3 * self.smallest:.0f} mm of a body instead of {1e3 * view.margin:.0f} mm"
         if self.held == 0.0:
             return "the collision guard did not act"
-        if off > NEAR_M:
+        if off > near_m:
             return f"the arm did not take the way back; the tool stayed {1e3 * off:.0f} mm off"
         return ""

@@ -89,7 +89,6 @@ def short(body: str) -> str:
 
 BOX, BALL, CYLINDER = "box", "ball", "cylinder"
 _KINDS = {mujoco.mjtGeom.mjGEOM_BOX: BOX, mujoco.mjtGeom.mjGEOM_SPHERE: BALL, mujoco.mjtGeom.mjGEOM_CYLINDER: CYLINDER}
-SMALLEST_M = 0.004  # smaller balls, the feet of objects, are not shown
 
 
 @dataclass(frozen=True)
@@ -125,6 +124,7 @@ def base_pose(data: mujoco.MjData) -> np.ndarray:
 
 def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
     """Returns the shapes of the table and of all objects of the world; `data`: with computed kinematics."""
+    smallest_m = 0.004  # smaller balls, the feet of objects, are not shown
     T_base_world = inverse(base_pose(data))
     found = []
     for geom in range(model.ngeom):
@@ -133,7 +133,7 @@ def shapes(model: mujoco.MjModel, data: mujoco.MjData) -> list[Shape]:
         if kind is None or not (body == "table" or body.startswith("object/")):
             continue
         half = model.geom_size[geom]
-        if kind == BALL and half[0] < SMALLEST_M:
+        if kind == BALL and half[0] < smallest_m:
             continue
         extents = {BOX: half, BALL: half[[0, 0, 0]], CYLINDER: half[[0, 0, 1]]}[kind]
         T_world_shape = pose(data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom])
@@ -146,10 +146,7 @@ HOST = "127.0.0.1"
 TIMEOUT_S = 2.0
 RETRY_S = 0.2
 PATIENCE_S = 20.0  # longest time without an answer from a running world
-ABOVE_TABLE_M = 0.25
 NICENESS = 10  # displays must not take the processor from the rig
-WIDTH_M = 0.009
-DRAWN_LENGTH = 2.0  # MuJoCo 3.2.3 draws an arrow at half the length of its connector
 OF_ROBOT, OF_OTHERS = np.array([1.0, 0.45, 0.0, 1.0]), np.array([0.35, 0.65, 1.0, 1.0])
 
 
@@ -184,19 +181,22 @@ def wait_for_world(client: ControlClient, longest: float, stop: clock.Event) -> 
 
 def point_camera(camera: mujoco.MjvCamera, view: tuple[float, float, float], data: mujoco.MjData) -> None:
     """Points a free camera above the table, from the azimuth, elevation [deg] and distance [m] of `view`."""
+    above_table_m = 0.25
     camera.azimuth, camera.elevation, camera.distance = view
     table, base = data.body("table").xpos, base_pose(data)[:3, 3]
-    camera.lookat[:] = (*(0.8 * table[:2] + 0.2 * base[:2]), table[2] + ABOVE_TABLE_M)
+    camera.lookat[:] = (*(0.8 * table[:2] + 0.2 * base[:2]), table[2] + above_table_m)
 
 
 def add_arrows(scene: mujoco.MjvScene, arrows: Sequence[Arrow]) -> None:
     """Adds arrows to a scene, as many as it has room for."""
+    width_m = 0.009
+    drawn_length = 2.0  # MuJoCo 3.2.3 draws an arrow at half the length of its connector
     for arrow in arrows[: scene.maxgeom - scene.ngeom]:
         geom = scene.geoms[scene.ngeom]
         colour = OF_ROBOT if arrow.by_robot else OF_OTHERS
         mujoco.mjv_initGeom(
             geom, mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), np.zeros(3), np.zeros(9), colour.astype(np.float32)
         )
-        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, WIDTH_M, arrow.tail, arrow.tip)
-        geom.size[2] *= DRAWN_LENGTH
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width_m, arrow.tail, arrow.tip)
+        geom.size[2] *= drawn_length
         scene.ngeom += 1

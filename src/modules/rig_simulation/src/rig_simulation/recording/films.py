@@ -11,10 +11,6 @@ import numpy as np
 
 from common.errors import RigError
 
-WHITE, BLACK = (255, 255, 255), (0, 0, 0)
-MARGIN_PX, LINE_PX, LETTERS = 10, 24, 0.6
-LEAST_FREE_BYTES = 2**24  # with less free space a film stops: without its index, written last, it is unreadable
-
 
 class FilmError(RigError):
     """A film or contact sheet that cannot be written."""
@@ -44,8 +40,10 @@ class Mp4:
     def add(self, image: np.ndarray, time: float) -> None:
         """Adds an image, shape (height, width, 3), RGB, uint8, of the time [s]; raises FilmError if the disk is full or
         the film cannot be written: earlier images remain."""
-        if shutil.disk_usage(self._path.parent).free < LEAST_FREE_BYTES:
-            full = f"its disk has less than {LEAST_FREE_BYTES / 1e6:.0f} MB free"
+        # with less free space a film stops: without its index, written last, it is unreadable
+        least_free_bytes = 2**24
+        if shutil.disk_usage(self._path.parent).free < least_free_bytes:
+            full = f"its disk has less than {least_free_bytes / 1e6:.0f} MB free"
             raise FilmError(f"The film {self._path} stops after {self.frames / self._rate:.1f} s: {full}.")
         if self._writer is None:
             self._start = time
@@ -112,9 +110,14 @@ class ContactSheet:
 
 
 def with_lines(image: np.ndarray, lines: list[str]) -> np.ndarray:
+    white = (255, 255, 255)
+    black = (0, 0, 0)
+    margin_px = 10
+    line_px = 24
+    letters = 0.6
     written = image.copy()
     for i, line in enumerate(lines):
-        at = (MARGIN_PX, MARGIN_PX + LINE_PX * (i + 1) - LINE_PX // 3)
-        for colour, width in ((BLACK, 4), (WHITE, 1)):
-            cv2.putText(written, line, at, cv2.FONT_HERSHEY_SIMPLEX, LETTERS, colour, width, cv2.LINE_AA)
+        at = (margin_px, margin_px + line_px * (i + 1) - line_px // 3)
+        for colour, width in ((black, 4), (white, 1)):
+            cv2.putText(written, line, at, cv2.FONT_HERSHEY_SIMPLEX, letters, colour, width, cv2.LINE_AA)
     return written

@@ -21,8 +21,6 @@ from rig_simulation.recording.films import ContactSheet, Mp4, film_for, with_lin
 from rig_simulation.world.model import WorldCopy
 
 NAME = "record"
-MAX_GEOMS = 5000
-SHOWN_FORCES = 6
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -101,6 +99,7 @@ class FilmView:
 
     def image(self) -> np.ndarray:
         """Returns an image of the last state, shape (height, width, 3), RGB."""
+        shown_forces = 6
         if self._is_new:
             self._attach()
             self._is_new = False
@@ -108,7 +107,7 @@ class FilmView:
         self._renderer.update_scene(self._world.data, self._camera)
         pairs = display.pair_forces(self._contacts)
         display.add_arrows(self._renderer.scene, display.arrows(pairs))
-        grasp = [pair for pair in pairs if pair.by_robot][:SHOWN_FORCES]
+        grasp = [pair for pair in pairs if pair.by_robot][:shown_forces]
         lines = [f"{self.time:.1f} s"]
         for pair in grasp:
             first, second = map(display.short, pair.bodies)
@@ -121,11 +120,12 @@ class FilmView:
             self._renderer = None
 
     def _attach(self) -> None:
+        max_geoms = 5000
         self.close()
         model, (width, height) = self._world.model, self._size
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         try:
-            self._renderer = mujoco.Renderer(model, height, width, max_geom=MAX_GEOMS)
+            self._renderer = mujoco.Renderer(model, height, width, max_geom=max_geoms)
         except (RuntimeError, AttributeError, ImportError, mujoco.FatalError) as error:
             raise DeviceError(f"Cannot render without a display: {error}. Install libegl1 and libegl-mesa0.") from None
         display.point_camera(self._camera, self._view, self._world.data)

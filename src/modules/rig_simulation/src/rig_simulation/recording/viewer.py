@@ -18,7 +18,6 @@ from rig_simulation.recording import display
 from rig_simulation.world.model import WorldCopy
 
 NAME = "viewer"
-CLOSING_S = 30.0
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -103,6 +102,7 @@ class ViewerWindow:
 
     def close(self) -> None:
         """Closes it and waits for its drawing thread, which would crash the program at its exit."""
+        closing_s = 30.0
         self._handle.close()
         for thread in self._threads:
-            thread.join(CLOSING_S)
+            thread.join(closing_s)

@@ -27,9 +27,7 @@ from rig_simulation.faults.injection import Faults, parameter, switch_all
 from rig_simulation.node_parameters import LOOPBACK, CameraConfig, ColourConfig, DepthConfig
 from rig_simulation.world.model import WorldCopy
 
-RETRY_PERIOD_S = 0.5
 TIMEOUT_S = 1.0
-IDLE_S = 1.0  # time between two looks at the world while nobody wants an image
 SMOOTHING = 0.1  # weight of the newest value in the durations of the diagnostics
 SERIAL = "serial"  # private parameter that the node writes, as the Xtion's driver does
 SECTIONS = ("colour", "depth", "rgb_calibration", "depth_calibration")
@@ -55,6 +53,8 @@ class CameraNode:
 
     def run(self) -> None:
         """Publishes until ROS shuts down, while the world answers; raises DeviceError if this machine cannot render."""
+        retry_period_s = 0.5
+        idle_s = 1.0  # time between two looks at the world while nobody wants an image
         due = look = clock.monotonic()
         while not rospy.is_shutdown():
             wanted = [self._topics is not None and self._topics.wanted(name) for name in RGBD_FRAMES]
@@ -62,12 +62,12 @@ class CameraNode:
                 new = False
                 if any(wanted) or clock.monotonic() >= look:
                     new = self._world.follow()
-                    look = clock.monotonic() + IDLE_S
+                    look = clock.monotonic() + idle_s
             except DeviceError as error:
                 if self._trouble != str(error):
                     rospy.logwarn("No images: %s", error)
                 self._trouble = str(error)
-                due = clock.monotonic() + RETRY_PERIOD_S
+                due = clock.monotonic() + retry_period_s
             else:
                 if self._trouble:
                     rospy.loginfo("The simulated world answers; images are published.")

@@ -27,7 +27,6 @@ from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import Cuboid, scene_from
 
 PERIOD_S = 0.1
-ENTRY_M, ENTRY_S = 0.25, 1.0  # a hand enters so far in front of its workspace's centre, and needs so long to it
 AWAY_S = 2.0  # a hand is out of view before it comes in again
 THING = "box"
 
@@ -79,8 +78,10 @@ class HandOverScenario:
 
     def _show(self, arm: str, curl: float = 0.0) -> None:
         """Brings a hand into its interaction box; `curl`: of its fingers, 0 to 1."""
-        self._leapd.ask("show", back=ENTRY_M, curl=curl, side=arm)
-        self._leapd.ask("reach", seconds=ENTRY_S, curl=curl, side=arm)
+        entry_m = 0.25  # a hand enters so far in front of its workspace's centre, and needs so long to it
+        entry_s = 1.0
+        self._leapd.ask("show", back=entry_m, curl=curl, side=arm)
+        self._leapd.ask("reach", seconds=entry_s, curl=curl, side=arm)
         self._visits[arm].enter(clock.monotonic())
 
     def _come_in_again(self, now: float) -> None:

@@ -49,23 +49,23 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.node_parameters import SimulationConfig, WorldConfig
 from rig_simulation.world.clock import Pace
 
-RETRY_PERIOD_S = 0.5
-REMIND_S = 10.0
 TIMEOUT_S = 2.0
-START_S = 5.0  # time in which a device may start or restart without a warning
 
 
 def poll(publish: Callable[[], None], period: float) -> None:
     """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
     RETRY_PERIOD_S while it raises DeviceError because the device does not answer."""
+    retry_period_s = 0.5
+    remind_s = 10.0
+    start_s = 5.0  # time in which a device may start or restart without a warning
     due = answered = clock.monotonic()
     while not rospy.is_shutdown():
         try:
             publish()
         except DeviceError as error:
-            if clock.monotonic() - answered > START_S:
-                rospy.logwarn_throttle(REMIND_S, "%s", error)
-            due = clock.monotonic() + RETRY_PERIOD_S
+            if clock.monotonic() - answered > start_s:
+                rospy.logwarn_throttle(remind_s, "%s", error)
+            due = clock.monotonic() + retry_period_s
         else:
             answered = clock.monotonic()
             due = max(due + period, answered)
@@ -85,7 +85,6 @@ def trigger(client: ControlClient, request: str, done: str) -> Callable[[Trigger
     return handle
 
 
-STATUS_PERIOD_S = 0.1
 SHOWN = ("mode", "tcp_speed", "max_tcp_speed", "stops", "goals", "safety_stop", "connected")
 
 
@@ -104,6 +103,7 @@ class ArmMonitor:
 
     def publish(self) -> None:
         """Publishes the present state; raises DeviceError if the controller does not answer."""
+        status_period_s = 0.1
         try:
             state = self._client.ask("state")
         except DeviceError as error:
@@ -117,7 +117,7 @@ class ArmMonitor:
         self._flange.publish(message)
         self._peak_speed = max(self._peak_speed, state["tcp_speed"])
         if clock.monotonic() >= self._next_status:
-            self._next_status = clock.monotonic() + STATUS_PERIOD_S
+            self._next_status = clock.monotonic() + status_period_s
             stop = state["safety_stop"]
             values = {**{name: state[name] for name in SHOWN}, "peak_tcp_speed": self._peak_speed}
             level = DiagnosticStatus.WARN if stop else DiagnosticStatus.OK
@@ -129,7 +129,6 @@ class ArmMonitor:
         self._status.publish(DiagnosticStatus(level=level, name="simulation", message=message, values=texts))
 
 
-STATE_PERIOD_S = 0.5
 SLOW = 0.95  # fraction of the desired speed below which the world counts as slow
 
 
@@ -168,10 +167,11 @@ class WorldMonitor:
         self._objects.publish(message)
 
     def _take_state(self) -> None:
+        state_period_s = 0.5
         now = clock.monotonic()
         if now < self._next_state:
             return
-        self._next_state = now + STATE_PERIOD_S
+        self._next_state = now + state_period_s
         state = self._client.ask("state")
         now = clock.monotonic()
         self._pace.add(state["time"], now)
@@ -260,17 +260,15 @@ class FaultService:
         return f"on: {', '.join(active)}." if active else "no fault is on."
 
 
-LISTENER_S = 0.5
-
-
 def show_world(config: SimulationConfig) -> None:
     """Publishes the world's markers while somebody shows them. MuJoCo, which costs the node half of its start, is
     imported for the first one."""
+    listener_s = 0.5
     topics = [rospy.Publisher(f"simulation/{name}", MarkerArray, queue_size=1) for name in ("objects", "contacts")]
     while not any(topic.get_num_connections() for topic in topics):
         if rospy.is_shutdown():
             return
-        clock.sleep(LISTENER_S)
+        clock.sleep(listener_s)
     from rig_simulation.ros.world_view import WorldView
 
     poll(WorldView(ControlClient(config.host, config.world_port, TIMEOUT_S), *topics).publish, 1.0 / config.view_rate)

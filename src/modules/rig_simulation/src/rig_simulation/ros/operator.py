@@ -33,7 +33,6 @@ from rig_simulation.ros.hand_over import HandOverScenario
 from rig_simulation.ros.scenarios import AssistedScenario, ClutchScenario, PickScenario, WallScenario
 
 NAME = "operator"
-POLL_S = 0.1
 REMIND_S = ANSWER_TIMEOUT_S = 10.0
 AT_HOME = np.radians(1.0)
 
@@ -151,6 +150,7 @@ class Operator:
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
         """Waits for a condition; raises RigError after the time-out, and ROSInterruptException when ROS shuts down."""
+        poll_s = 0.1
         start = clock.monotonic()
         remind = start + 1.0
         self._why = ""
@@ -163,7 +163,7 @@ class Operator:
             if now > remind:
                 rospy.loginfo("Waiting until %s%s", what, self._why)
                 remind = now + REMIND_S
-            clock.sleep(POLL_S)
+            clock.sleep(poll_s)
 
 
 def main() -> None:

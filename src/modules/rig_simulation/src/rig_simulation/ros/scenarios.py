@@ -31,12 +31,7 @@ from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
 AT_HOME = "home"
-ENTRY_M, ENTRY_S = 0.25, 1.0  # the hand enters so far in front of the workspace's centre, and needs so long to it
-AWAY_S = 2.0  # the hand is out of view before it comes in again
-FRESH_S = 2.0  # proposals of an older image are ignored
 SERVICE_TIMEOUT_S = 10.0
-HOLD_S = 2.0
-NETWORK_START_S = 180.0  # on a busy machine, the libraries of the network take more than a minute to load
 
 
 class Scenario(abc.ABC):
@@ -71,17 +66,20 @@ class Scenario(abc.ABC):
 
     def _show_hand(self) -> None:
         """Brings the hand into the interaction box, from the operator's side of it."""
-        self._leapd.ask(assisted.SHOW, back=ENTRY_M, **self._side)
-        self._leapd.ask("reach", seconds=ENTRY_S, **self._side)
+        entry_m = 0.25  # the hand enters so far in front of the workspace's centre, and needs so long to it
+        entry_s = 1.0
+        self._leapd.ask(assisted.SHOW, back=entry_m, **self._side)
+        self._leapd.ask("reach", seconds=entry_s, **self._side)
         self._visits.enter(clock.monotonic())
 
     def _starts_over(self, now: float) -> bool:
         """Takes the hand away and starts over if the arm does not follow; returns whether that happened."""
+        away_s = 2.0  # the hand is out of view before it comes in again
         if not self._visits.over(self._arm.following, now):
             return False
         rospy.logwarn("The arm does not follow: the hand leaves the view, comes in again, and starts over.")
         self._leapd.ask(assisted.HIDE, **self._side)
-        clock.sleep(AWAY_S)
+        clock.sleep(away_s)
         self._start()
         return True
 
@@ -205,9 +203,10 @@ class AssistedScenario(Scenario):
     """Executes proposed grasps, and corrects them by hand; `rounds`: number of grasps."""
 
     def __init__(self, name: str, rounds: int, leapd: ControlClient, world: ControlClient) -> None:
+        hold_s = 2.0
         super().__init__(name, leapd, world)
         self._operator = assisted.AssistedGrasp(
-            assisted.OperatorHabits(rounds), Plan(hold=HOLD_S), self._arm.center_line
+            assisted.OperatorHabits(rounds), Plan(hold=hold_s), self._arm.center_line
         )
         self._grasps: GraspList | None = None
         self._execution: dict[str, str] = {}
@@ -217,7 +216,8 @@ class AssistedScenario(Scenario):
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._take_outcome, queue_size=10)
 
     def _start(self) -> None:
-        deadline = clock.monotonic() + NETWORK_START_S
+        network_start_s = 180.0  # on a busy machine, the libraries of the network take more than a minute to load
+        deadline = clock.monotonic() + network_start_s
         while not rospy.is_shutdown() and self._grasps is None and clock.monotonic() < deadline:
             self._publish(PickStep("network starts"))
             clock.sleep(PERIOD_S)
@@ -264,11 +264,12 @@ class AssistedScenario(Scenario):
 
     def _best(self) -> tuple[assisted.ProposedGrasp | None, str]:
         """Returns the best reachable grasp of a fresh image, or None and the reason."""
+        fresh_s = 2.0  # proposals of an older image are ignored
         grasps = self._grasps
         if grasps is None:
             return None, "no list of grasps has arrived yet"
         age = (rospy.Time.now() - grasps.header.stamp).to_sec()
-        if age > FRESH_S:
+        if age > fresh_s:
             return None, f"the newest image is {age:.1f} s old"
         for grasp in grasps.grasps:
             if grasp.reachable and grasp.pose_base.header.frame_id:

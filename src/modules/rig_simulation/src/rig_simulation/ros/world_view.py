@@ -16,9 +16,7 @@ from rig_simulation.control_port import ControlClient
 from rig_simulation.recording import display
 from rig_simulation.world.model import WorldCopy
 
-LIFETIME_S = 1.0  # markers of a stopped world disappear after this time
 KINDS = {display.BOX: Marker.CUBE, display.BALL: Marker.SPHERE, display.CYLINDER: Marker.CYLINDER}
-SHAFT_M, HEAD_M, HEAD_LENGTH_M, LETTER_M, LABEL_BESIDE_M = 0.012, 0.024, 0.03, 0.03, 0.11
 OF_ROBOT, OF_OTHERS = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.35, 0.65, 1.0, 0.9)
 
 
@@ -62,23 +60,28 @@ def shape_marker(shape: display.Shape) -> Marker:
 
 
 def arrow_marker(arrow: display.Arrow, T_base_world: np.ndarray) -> Marker:
+    shaft_m = 0.012
+    head_m = 0.024
+    head_length_m = 0.03
     marker = Marker(type=Marker.ARROW, ns="force", color=OF_ROBOT if arrow.by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
-    marker.scale.x, marker.scale.y, marker.scale.z = SHAFT_M, HEAD_M, HEAD_LENGTH_M
+    marker.scale.x, marker.scale.y, marker.scale.z = shaft_m, head_m, head_length_m
     marker.points = [_point(arrow.tail, T_base_world), _point(arrow.tip, T_base_world)]
     return marker
 
 
 def label_marker(pairs: list[display.PairForce], parts: list[display.Shape], T_base_world: np.ndarray) -> Marker:
     """Returns the label of all forces on one body, beside the body if its shapes are known."""
+    letter_m = 0.03
+    label_beside_m = 0.11
     by_robot = any(pair.by_robot for pair in pairs)
     marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
     marker.pose.orientation.w = 1.0
     if parts:
-        marker.pose.position = Point(*display.beyond(parts, T_base_world[:3, 1], LABEL_BESIDE_M).tolist())
+        marker.pose.position = Point(*display.beyond(parts, T_base_world[:3, 1], label_beside_m).tolist())
     else:
         marker.pose.position = _point(pairs[0].position, T_base_world)
-    marker.scale.z = LETTER_M
+    marker.scale.z = letter_m
     marker.text = "\n".join(f"{display.short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
     return marker
 
@@ -89,11 +92,12 @@ def _point(position: np.ndarray, T_base_world: np.ndarray) -> Point:
 
 def _array(markers: list[Marker], frame: str) -> MarkerArray:
     """Returns the markers with the frame, ids and lifetime, after one that removes the previous markers."""
+    lifetime_s = 1.0  # markers of a stopped world disappear after this time
     now = rospy.Time.now()
     for i, marker in enumerate(markers):
         marker.header.frame_id, marker.header.stamp = frame, now
         marker.id = i
-        marker.lifetime = rospy.Duration.from_sec(LIFETIME_S)
+        marker.lifetime = rospy.Duration.from_sec(lifetime_s)
     clear = Marker(action=Marker.DELETEALL)
     clear.header.frame_id, clear.header.stamp = frame, now
     return MarkerArray([clear, *markers])

@@ -39,14 +39,7 @@ P_HAND_GRIP = np.array([0.0152, 0.0, 0.150])
 TIPS_M = 0.196  # from the hand's base to the tips of its straight fingers
 GROUND_M = 0.004  # least height of the straight fingers' tips above the table, unless another one is asked for
 START_M = 0.10  # start height above the grasp
-LIFT_M = 0.10
-RISE_M = 0.06  # an object that rises by this much, and stays up, counts as lifted
-HALF_CLOSED_RAD = 1.6  # turn of a finger during the descent: the tips are about 0.11 m apart
-CLOSING_RAD_S = 1.5
-FARTHEST_RAD = 3.6
-LOAD = 300.0  # effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip
 PHASES_S = (0.8, 1.6, 1.0, 0.5, lift_trial.SHAKE_S)  # of `lift_trial.PHASES`
-SLIDE_N = 120.0
 FINGERS = 3
 SLIDE = "slide"
 FINGER = re.compile(r"reflex/(?:proximal|distal)_(\d)")  # name of a finger's body
@@ -65,34 +58,40 @@ def lift(
     hand comes from above; `target`: number of the object that the grasp is meant for, None: whichever rises most;
     `shake`: after the lift; `ground`: least height of the straight fingers' tips above the table [m]. Raises ValueError
     if the line through the fingers is vertical, or `qpos` does not match the scene."""
+    rise_m = 0.06  # an object that rises by this much, and stays up, counts as lifted
     model = mujoco.MjModel.from_xml_string(with_hand(scene, hand_pose(T_world_grasp, ground)))
     if model.nq - len(qpos) != model.nv - 6 * (len(qpos) // 7):
         raise ValueError(f"The scene with the hand has {model.nq} positions, but {len(qpos)} were given.")
     record = lift_trial.lift(SlidingReflex(model, qpos), PHASES_S, TIMESTEP_S, shake)
-    return lift_trial.judged(record, target, RISE_M)
+    return lift_trial.judged(record, target, rise_m)
 
 
 class SlidingReflex:
     """The ReFlex hand above a scene, half closed at first, a `lift_trial.LiftingHand`."""
 
     def __init__(self, model: mujoco.MjModel, qpos: np.ndarray) -> None:
+        half_closed_rad = 1.6  # turn of a finger during the descent: the tips are about 0.11 m apart
         self._model, self._count = model, len(qpos) // 7
         self._data = mujoco.MjData(model)
         self._mechanics = PhysicalMechanics()
         self._mechanics.bind(model, self._data)
         self._data.qpos[: len(qpos)] = qpos
         for finger in range(1, FINGERS + 1):
-            self._data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD / 1.4
-            self._data.joint(f"reflex/distal_joint_{finger}").qpos[0] = HALF_CLOSED_RAD * 0.4 / 1.4
-        self._spools = np.full(FINGERS + 1, HALF_CLOSED_RAD)
+            self._data.joint(f"reflex/proximal_joint_{finger}").qpos[0] = half_closed_rad / 1.4
+            self._data.joint(f"reflex/distal_joint_{finger}").qpos[0] = half_closed_rad * 0.4 / 1.4
+        self._spools = np.full(FINGERS + 1, half_closed_rad)
         self._spools[FINGERS] = 0.0
 
     def step(self, approach: float, lift: float, closing: bool, gravity: np.ndarray) -> None:
+        lift_m = 0.10
+        closing_rad_s = 1.5
+        farthest_rad = 3.6
+        load = 300.0  # effort at which a motor stops closing [0.1 %]: about 10 N at a finger's tip
         self._model.opt.gravity[:] = gravity
-        self._data.ctrl[self._model.actuator(SLIDE).id] = -START_M * approach + LIFT_M * lift
+        self._data.ctrl[self._model.actuator(SLIDE).id] = -START_M * approach + lift_m * lift
         for finger in range(FINGERS if closing else 0):
-            if self._mechanics.resistance(finger) < LOAD:
-                self._spools[finger] = min(FARTHEST_RAD, self._spools[finger] + CLOSING_RAD_S * TIMESTEP_S)
+            if self._mechanics.resistance(finger) < load:
+                self._spools[finger] = min(farthest_rad, self._spools[finger] + closing_rad_s * TIMESTEP_S)
         self._mechanics.pull(self._spools)
         mujoco.mj_step(self._model, self._data)
 
@@ -130,6 +129,7 @@ def hand_pose(T_world_grasp: np.ndarray, ground: float = GROUND_M) -> np.ndarray
 
 def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     """Returns the scene's MJCF with the hand on a vertical slide, `START_M` above its target."""
+    slide_n = 120.0
     root = ET.fromstring(scene)
     child(root, "option").set("timestep", str(TIMESTEP_S))
     world = child(root, "worldbody")
@@ -146,7 +146,7 @@ def with_hand(scene: str, T_world_hand: np.ndarray) -> str:
     prepare_hand(root)
     for part in carriage.iter("body"):
         part.set("gravcomp", "1")  # the arm carries the hand
-    law = {"kp": "40000", "forcerange": numbers((-SLIDE_N, SLIDE_N))}
+    law = {"kp": "40000", "forcerange": numbers((-slide_n, slide_n))}
     ET.SubElement(child(root, "actuator"), "position", {"name": SLIDE, "joint": SLIDE, **law})
     return ET.tostring(root, encoding="unicode")
 
@@ -156,18 +156,15 @@ DESCRIPTION = (
     " --export`, or of `make_dataset.py --check`. Prints tables of success rates, by the quality, too; with --results"
     " it writes each trial to a file, too."
 )
-SCHEMA = 2
-LABELLED = 0.3  # from this quality on a label teaches angle and opening
-QUALITIES = (0.001, 0.3, 0.6, 0.8)  # bounds of the table of reliability; below the first there is no label
-NARROW_M = 0.045  # openings below this are of slender parts: the hand's two fingers stand 52 mm apart
 
 
 def read(path: Path) -> list[dict[str, Any]]:
     """Returns the scenes of a file of grasps; raises RigError if it is invalid."""
+    schema = 2
     try:
         content = json.loads(read_text(path))
-        if content["schema"] != SCHEMA:
-            raise RigError(f"{path} has the schema {content['schema']!r}, but this program reads {SCHEMA}.")
+        if content["schema"] != schema:
+            raise RigError(f"{path} has the schema {content['schema']!r}, but this program reads {schema}.")
         for scene in content["scenes"]:
             _check(scene)
     except OSError as error:
@@ -227,11 +224,12 @@ def _ignore(_text: str) -> None:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Returns the percentage of lifted objects as a Markdown table, with 95 % Wilson intervals in brackets."""
+    narrow_m = 0.045  # openings below this are of slender parts: the hand's two fingers stand 52 mm apart
     groups: dict[str, Callable[[dict[str, Any]], bool]] = {
         "one object: lifted %": lambda row: row["objects"] == 1,
         "clutter: lifted %": lambda row: row["objects"] > 1,
-        f"opening below {1000 * NARROW_M:.0f} mm: lifted %": lambda row: (row["width"] or 0.0) < NARROW_M,
-        "wider: lifted %": lambda row: (row["width"] or 0.0) >= NARROW_M,
+        f"opening below {1000 * narrow_m:.0f} mm: lifted %": lambda row: (row["width"] or 0.0) < narrow_m,
+        "wider: lifted %": lambda row: (row["width"] or 0.0) >= narrow_m,
     }
     lines = []
     for method in dict.fromkeys(row["method"] for row in rows):
@@ -244,20 +242,22 @@ def table(rows: list[dict[str, Any]]) -> str:
 def reliability(rows: list[dict[str, Any]]) -> str:
     """Returns Markdown tables of how many objects were lifted by the quality of the grasps, and of how well a quality
     of `LABELLED` or more foretells it; empty if no grasp has a quality."""
-    ranges = list(zip((-np.inf, *QUALITIES), (*QUALITIES, np.inf)))
-    names = ["none", *(f"{low:g} to {high:g}" for low, high in ranges[1:-1]), f"{QUALITIES[-1]:g} and more"]
+    labelled = 0.3  # from this quality on a label teaches angle and opening
+    qualities = (0.001, 0.3, 0.6, 0.8)  # bounds of the table of reliability; below the first there is no label
+    ranges = list(zip((-np.inf, *qualities), (*qualities, np.inf)))
+    names = ["none", *(f"{low:g} to {high:g}" for low, high in ranges[1:-1]), f"{qualities[-1]:g} and more"]
     judged = [row for row in rows if row["peak"]]
     lines, verdicts = [], []
     for method in dict.fromkeys(row["method"] for row in judged):
         own = [(row["peak"]["quality"], row["lifted"]) for row in judged if row["method"] == method]
         lines.append([method, *(_percent([up for q, up in own if low <= q < high]) for low, high in ranges)])
-        precision = [lifted for quality, lifted in own if quality >= LABELLED]
-        recall = [quality >= LABELLED for quality, lifted in own if lifted]
+        precision = [lifted for quality, lifted in own if quality >= labelled]
+        recall = [quality >= labelled for quality, lifted in own if lifted]
         verdicts.append([method, _percent(precision), _percent(recall)])
     if not lines:
         return ""
     by_quality = _table(["lifted %, by quality", *names], lines)
-    return f"\n{by_quality}\n" + _table([f"quality of {LABELLED:g} or more", "precision %", "recall %"], verdicts)
+    return f"\n{by_quality}\n" + _table([f"quality of {labelled:g} or more", "precision %", "recall %"], verdicts)
 
 
 def _percent(outcomes: list[bool]) -> str:

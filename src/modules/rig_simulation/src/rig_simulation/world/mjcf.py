@@ -30,8 +30,6 @@ ROBOT = Touch(kind=1, partners=2, group=3)
 BOARD = Touch(kind=2, partners=1, group=0)
 OBJECT = Touch(kind=2, partners=3, group=0)
 VISUAL = Touch(kind=0, partners=0, group=1)
-FIRST_OF_SEVERAL = 8
-"""Bit of the first of several robots, the next ones follow: the parts of each touch those of the others."""
 
 
 def body(parent: ET.Element, name: str, T: np.ndarray) -> ET.Element:
@@ -115,12 +113,10 @@ def surface_from_collada(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return vertices, np.array(indices.split(), dtype=int).reshape(-1, 3), np.array(colour.split(), dtype=float)[:3]
 
 
-ROBOT_FRICTION = 0.7
 ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
 """Of the arm's gears [Nm/rad], of the published order for such arms, 6000 to 15000."""
 ARM_DAMPING = (100.0, 100.0, 60.0, 60.0, 15.0, 15.0, 15.0)
 """Of the arm's gears [Nm s/rad]: a blow decays within one or two oscillations."""
-ARM_ARMATURE, HAND_ARMATURE = 0.1, 0.0001  # inertia added to each joint [kg m^2] for numerical stability
 
 
 def add_robot(root: ET.Element, world: ET.Element, urdf: str, T_world_base: np.ndarray, visuals: bool) -> None:
@@ -154,6 +150,8 @@ def merge_robot(root: ET.Element, part: ET.Element, prefix: str, number: int, co
     """Moves a robot that stands alone in the model `part` into the model `root`, which has other things. Its names get
     the prefix, as left/kuka/joint_1; meshes are shared. The robot with this `number`, of so many, touches the others;
     an only one is as in `part`."""
+    # Bit of the first of several robots, the next ones follow: the parts of each touch those of the others.
+    first_of_several = 8
     world, asset = child(root, "worldbody"), child(root, "asset")
     for mesh in child(part, "asset"):
         if asset.find(f"mesh[@name='{mesh.get('name')}']") is None:
@@ -175,7 +173,7 @@ def merge_robot(root: ET.Element, part: ET.Element, prefix: str, number: int, co
                 if key in element.attrib:
                     element.set(key, f"{prefix}/{element.get(key)}")
         if count > 1 and element.tag == "geom" and element.get("contype") != "0":
-            own, others = FIRST_OF_SEVERAL << number, sum(FIRST_OF_SEVERAL << i for i in range(count) if i != number)
+            own, others = first_of_several << number, sum(first_of_several << i for i in range(count) if i != number)
             element.set("contype", str(int(attribute(element, "contype")) | own))
             element.set("conaffinity", str(int(attribute(element, "conaffinity")) | others))
 
@@ -185,19 +183,22 @@ def _parent(joint: ET.Element) -> str:
 
 
 def _add_joint(element: ET.Element, joint: ET.Element) -> None:
+    arm_armature = 0.1  # inertia added to each joint [kg m^2] for numerical stability
+    hand_armature = 0.0001
     if joint.get("type") == "fixed":
         return
     name, limit, axis = attribute(joint, "name"), child(joint, "limit"), attribute(child(joint, "axis"), "xyz")
     if name in JOINTS:
         effort = attribute(limit, "effort")
-        drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(ARM_ARMATURE)}
+        drive = {"damping": str(ARM_DAMPING[JOINTS.index(name)]), "armature": str(arm_armature)}
         drive["actuatorfrcrange"] = f"-{effort} {effort}"
     else:
-        drive = {"range": f"{attribute(limit, 'lower')} {attribute(limit, 'upper')}", "armature": str(HAND_ARMATURE)}
+        drive = {"range": f"{attribute(limit, 'lower')} {attribute(limit, 'upper')}", "armature": str(hand_armature)}
     ET.SubElement(element, "joint", {"name": name, "axis": axis, **drive})
 
 
 def _add_link(element: ET.Element, name: str, link: ET.Element) -> None:
+    robot_friction = 0.7
     inertial = link.find("inertial")
     if inertial is not None:
         inertia = child(inertial, "inertia")
@@ -205,7 +206,7 @@ def _add_link(element: ET.Element, name: str, link: ET.Element) -> None:
         position, mass = attribute(child(inertial, "origin"), "xyz"), attribute(child(inertial, "mass"), "value")
         ET.SubElement(element, "inertial", pos=position, mass=mass, fullinertia=entries)
     for i, collision in enumerate(link.findall("collision")):
-        _add_plain(element, f"{name}/collision_{i}", ROBOT, collision, friction=ROBOT_FRICTION)
+        _add_plain(element, f"{name}/collision_{i}", ROBOT, collision, friction=robot_friction)
 
 
 def _add_visual(root: ET.Element, element: ET.Element, name: str, visual: ET.Element) -> None:

@@ -31,15 +31,12 @@ from rig_simulation.world.mjcf import BOARD, ROBOT, VISUAL, add_mesh, add_robot,
 from rig_simulation.world.scene import CameraPose, MarkerBoard, add_object, add_table, board_from, scene_from, tag_mesh
 
 TIMESTEP_S = 0.001  # the cycle of the simulated controller
-FLOOR_BELOW_TABLE = 0.75
-SKY, HAZE = (0.85, 0.89, 0.93), (0.62, 0.67, 0.72)
-WHITE, BLACK, FLOOR_COLOUR = (0.95, 0.95, 0.95), (0.03, 0.03, 0.03), (0.45, 0.43, 0.4)
+SKY = (0.85, 0.89, 0.93)
+WHITE = (0.95, 0.95, 0.95)
+BLACK = (0.03, 0.03, 0.03)
 R_FLANGE_BOARD = ((-1, 0, 0), (0, 0, 1), (0, 1, 0))
 """Orientation of the board in the flange: its face parallel to the flange's axis, its y axis along the flange's z."""
-PLATE_THICKNESS = 0.004
 RGB_IN_LINK, DEPTH_IN_LINK = (0.0, -0.045, 0.0), (0.0, -0.018, 0.0)
-CAMERA_SIZE = (0.018, 0.090, 0.018)
-FOVY_DEG = 45.0  # from the data sheet; the renderers set the intrinsics of their cameras
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +76,9 @@ def build_model(description: WorldDescription, visuals: bool = True) -> mujoco.M
 
 def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     """Returns the model as MuJoCo's XML; arguments and errors as for `build_model`."""
+    floor_below_table = 0.75
+    haze = (0.62, 0.67, 0.72)
+    floor_colour = (0.45, 0.43, 0.4)
     if description.robot not in ROBOTS or description.flange not in FLANGES:
         raise FileNotFoundError(f"There is no robot {description.robot} with {description.flange}; check both names.")
     scene = scene_from(description.scene)
@@ -94,11 +94,11 @@ def mjcf(description: WorldDescription, visuals: bool = True) -> str:
     ET.SubElement(visual, "global", offwidth="1280", offheight="1024")
     ET.SubElement(root, "statistic", extent="1", center="0.4 -0.4 0.3")
     sky = ET.SubElement(ET.SubElement(root, "asset"), "texture", type="skybox", builtin="gradient")
-    sky.attrib.update(rgb1=numbers(SKY), rgb2=numbers(HAZE), width="64", height="384")
+    sky.attrib.update(rgb1=numbers(SKY), rgb2=numbers(haze), width="64", height="384")
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "light", pos="0.5 0 2.5", dir="0 0 -1", directional="true", diffuse="0.6 0.6 0.6")
-    floor = body(world, "floor", pose(p=(0, 0, scene.table.top - FLOOR_BELOW_TABLE)))
-    geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=FLOOR_COLOUR)
+    floor = body(world, "floor", pose(p=(0, 0, scene.table.top - floor_below_table)))
+    geom(floor, "floor", BOARD, "plane", (5, 5, 0.1), colour=floor_colour)
     add_table(world, scene.table, scene.posts)
     _add_camera(world, scene.camera)
     placements = description.placements
@@ -141,20 +141,23 @@ def camera_link_pose(camera: CameraPose) -> np.ndarray:
 
 
 def _add_camera(world: ET.Element, camera: CameraPose) -> None:
+    camera_size = (0.018, 0.090, 0.018)
+    fovy_deg = 45.0  # from the data sheet; the renderers set the intrinsics of their cameras
     link = body(world, CAMERA_LINK, camera_link_pose(camera))
-    geom(link, "camera", VISUAL, "box", np.array(CAMERA_SIZE) / 2.0, p=(-CAMERA_SIZE[0], -0.03, 0), colour=BLACK)
+    geom(link, "camera", VISUAL, "box", np.array(camera_size) / 2.0, p=(-camera_size[0], -0.03, 0), colour=BLACK)
     # Looks along x of camera_link, its own y up.
     R_link_camera = rotation_about(2, -np.pi / 2.0) @ rotation_about(0, np.pi / 2.0)
     for name, optical, p in (("rgb", RGB_OPTICAL, RGB_IN_LINK), ("depth", DEPTH_OPTICAL, DEPTH_IN_LINK)):
         mount = body(link, f"camera/{name}", pose(R_link_camera, p))
-        ET.SubElement(mount, "camera", name=optical, fovy=str(FOVY_DEG))
+        ET.SubElement(mount, "camera", name=optical, fovy=str(fovy_deg))
 
 
 def _add_board(root: ET.Element, world: ET.Element, board: MarkerBoard, visuals: bool) -> None:
+    plate_thickness = 0.004
     flange = child(world, f".//body[@name='{FLANGE}']")
     plate = body(flange, "panel", pose(R_FLANGE_BOARD, board.centre))
-    half = (*(board.size / 2.0), PLATE_THICKNESS / 2.0)
-    below = (0, 0, -PLATE_THICKNESS / 2.0)
+    half = (*(board.size / 2.0), plate_thickness / 2.0)
+    below = (0, 0, -plate_thickness / 2.0)
     geom(plate, "panel/plate", ROBOT, "box", half, p=below, colour=WHITE, mass=0.1, group="1")
     for tag in board.tags if visuals else ():
         name = f"panel/tag_{tag.id}"

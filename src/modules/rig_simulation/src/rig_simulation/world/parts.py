@@ -22,8 +22,6 @@ from rig_simulation.world.hand_model import PARTS, pad_name, tendon_name
 from rig_simulation.world.mjcf import ARM_DAMPING, ARM_STIFFNESS
 from rig_simulation.world.physics import Part, World
 
-OBSERVER_TIME_S = 0.01  # time constant of the filter by which the controller estimates external torques
-
 
 def named(prefix: str, name: str) -> str:
     """Returns what a part of the robot with this prefix is called in the model; an only robot has none."""
@@ -63,6 +61,7 @@ class CarriedJoints(Part):
         self._v_next = (self._q_next - self._q) / dt
 
     def end_step(self) -> None:
+        observer_time_s = 0.01  # time constant of the filter by which the controller estimates external torques
         v = self._v_next
         self._q, self._v = self._q_next, v
         self._update_spring()
@@ -70,7 +69,7 @@ class CarriedJoints(Part):
         torque *= self._damping
         torque += self._spring
         torque += self._torque
-        torque *= self._dt / (OBSERVER_TIME_S + self._dt)
+        torque *= self._dt / (observer_time_s + self._dt)
         self._torque = self._torque - torque
 
     def bind(self, world: World) -> None:
@@ -145,9 +144,7 @@ def _run(addresses: list[int]) -> slice:
 
 
 EFFORT_PER_NM = MAX_EFFORT / MAX_TORQUE_NM
-FINGER_RATIO, SWIVEL_RATIO = 1.42, 1.5  # turns of a motor for one turn of its spool
 COUNTS_PER_N = 25.0  # in the middle of a taxel. An assumption: the vendor counts 20 as a touch and shows at most 80
-TAXEL_REACH_M = 0.005  # standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm
 
 
 class PhysicalMechanics(Mechanics):
@@ -183,11 +180,13 @@ class PhysicalMechanics(Mechanics):
 
     def resistance(self, motor: int) -> float:
         """Returns the effort of a motor [0.1 %], from the tension of its tendon or the torques of both swivels."""
+        finger_ratio = 1.42  # turns of a motor for one turn of its spool
+        swivel_ratio = 1.5
         torque = self._forces.item
         if motor < FINGERS:
-            return torque(self._tendons[motor]) / FINGER_RATIO * EFFORT_PER_NM
+            return torque(self._tendons[motor]) / finger_ratio * EFFORT_PER_NM
         first, second = self._swivels
-        return (torque(first) - torque(second)) / SWIVEL_RATIO * EFFORT_PER_NM
+        return (torque(first) - torque(second)) / swivel_ratio * EFFORT_PER_NM
 
     def proximal(self, finger: int) -> float:
         return self._angle("proximal", finger)
@@ -221,6 +220,7 @@ class PhysicalMechanics(Mechanics):
 
     def _pressure(self, contact: int, geom: int, part: str, sign: float) -> np.ndarray:
         """Returns the counts that a contact adds to the taxels of a part; sign: +1 if the pad is its first geom."""
+        taxel_reach_m = 0.005  # standard deviation of the sensitivity beside a taxel; it falls to one half at 5.9 mm
         found = self._data.contact[contact]
         wrench = np.zeros(6)
         mujoco.mj_contactForce(self._model, self._data, contact, wrench)
@@ -232,7 +232,7 @@ class PhysicalMechanics(Mechanics):
         normals = TAXEL_NORMALS[part]
         beside = np.linalg.norm(offset - np.sum(offset * normals, axis=1, keepdims=True) * normals, axis=1)
         pressing = wrench[0] * np.maximum(0.0, normals @ outward)
-        return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / TAXEL_REACH_M) ** 2)
+        return COUNTS_PER_N * pressing * np.exp(-0.5 * (beside / taxel_reach_m) ** 2)
 
 
 class HandPart(Part):

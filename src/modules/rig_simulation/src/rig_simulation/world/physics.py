@@ -18,11 +18,7 @@ from common.rotations import quaternion_from_rotation, rotation_about
 from rig_simulation.world.model import TIMESTEP_S, WorldDescription, build_model
 from rig_simulation.world.scene import SceneObject, WorldScene, scene_from, table_pose
 
-DROP_M = 0.0008  # height above the table at which objects start; they settle on it
-DEEPEST_TOUCH_M = 0.001
-PLACEMENTS = 200
 ROBOT = re.compile(r"(\w+/)*(kuka|reflex)/|panel")  # how names of its bodies begin
-FREE_QPOS, FREE_QVEL = 7, 6
 DIVERGED = [int(mujoco.mjtWarning.__members__[f"mjWARN_BAD{what}"]) for what in ("QPOS", "QVEL", "QACC")]
 
 
@@ -142,16 +138,19 @@ class World:
 
     def _placed(self, model: mujoco.MjModel, scene: WorldScene, before: mujoco.MjData | None) -> mujoco.MjData:
         """Returns a state with the robot as in `before` and the objects as in the scene."""
+        placements = 200
+        free_qpos = 7
+        free_qvel = 6
         data = mujoco.MjData(model)
         count = len(scene.objects)
-        robot_qpos, robot_qvel = model.nq - FREE_QPOS * count, model.nv - FREE_QVEL * count
+        robot_qpos, robot_qvel = model.nq - free_qpos * count, model.nv - free_qvel * count
         if before is not None:
             data.qpos[:robot_qpos] = before.qpos[:robot_qpos]
             data.qvel[:robot_qvel] = before.qvel[:robot_qvel]
-        for _ in range(PLACEMENTS if scene.scatter else 1):
+        for _ in range(placements if scene.scatter else 1):
             for i, shape in enumerate(scene.objects.values()):
-                start = robot_qpos + FREE_QPOS * i
-                data.qpos[start : start + FREE_QPOS] = self._place(scene, shape)
+                start = robot_qpos + free_qpos * i
+                data.qpos[start : start + free_qpos] = self._place(scene, shape)
             mujoco.mj_forward(model, data)
             overlap = _overlap(model, data)
             if overlap is None:
@@ -160,10 +159,11 @@ class World:
         raise ValueError(f"There is no room: {one} would be in {other}. Change its pose, or move the arm home first.")
 
     def _place(self, scene: WorldScene, shape: SceneObject) -> np.ndarray:
+        drop_m = 0.0008  # height above the table at which objects start; they settle on it
         shift, turn = np.zeros(2), 0.0
         if scene.scatter:
             shift, turn = self._rng.uniform(-scene.scatter, scene.scatter, 2), self._rng.uniform(-np.pi, np.pi)
-        middle = (*(shape.position + shift), shape.height / 2.0 + DROP_M)
+        middle = (*(shape.position + shift), shape.height / 2.0 + drop_m)
         T = table_pose(scene.table) @ pose(rotation_about(2, np.radians(shape.yaw) + turn), middle)
         return np.concatenate([T[:3, 3], quaternion_from_rotation(T[:3, :3])[[3, 0, 1, 2]]])
 
@@ -197,7 +197,8 @@ def _pairs(data: mujoco.MjData, geom_bodies: list[str]) -> list[tuple[str, str]]
 
 def _overlap(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[str, str] | None:
     """Returns the names of two bodies that penetrate each other, or None; the robot's own parts may."""
+    deepest_touch_m = 0.001
     for (one, other), distance in zip(_pairs(data, _geom_bodies(model)), data.contact.dist):
-        if distance < -DEEPEST_TOUCH_M and not (ROBOT.match(one) and ROBOT.match(other)):
+        if distance < -deepest_touch_m and not (ROBOT.match(one) and ROBOT.match(other)):
             return (one, other) if not ROBOT.match(one) else (other, one)
     return None

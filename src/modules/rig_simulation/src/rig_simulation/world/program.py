@@ -38,8 +38,6 @@ from rig_simulation.world.parts import ArmJoints, CarriedJoints, HandPart, named
 from rig_simulation.world.physics import Part, World
 
 NAME = "world"
-MOST_STEPS = 1000
-STEPS_AT_ONCE = 20  # fewer than the arm catches up in one go
 
 
 class WorldRequests:
@@ -87,12 +85,14 @@ class WorldRequests:
         return {"loads": self._world.loads}
 
     def _step(self, count: int = 1) -> dict[str, Any]:
-        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_STEPS:
-            raise ValueError(f"The count of steps is {count!r}, but must be a whole number from 1 to {MOST_STEPS}.")
+        most_steps = 1000
+        steps_at_once = 20  # fewer than the arm catches up in one go
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= most_steps:
+            raise ValueError(f"The count of steps is {count!r}, but must be a whole number from 1 to {most_steps}.")
         while count > 0:
-            self._clock.move(min(count, STEPS_AT_ONCE) * self._world.timestep)
+            self._clock.move(min(count, steps_at_once) * self._world.timestep)
             self._server.advance()
-            count -= STEPS_AT_ONCE
+            count -= steps_at_once
         return {"time": self._world.time, "steps": self._world.steps}
 
 

@@ -222,13 +222,6 @@ def _object(name: Any, entry: Any, faults: list[str]) -> SceneObject | None:
     return parse_part(KINDS[kind], entry, f"objects/{name}/", faults, ("kind",))
 
 
-TABLE_THICKNESS, TABLE_COLOUR = 0.03, (0.72, 0.6, 0.45)
-POST_COLOUR = (0.85, 0.65, 0.2)
-WALL_PLATES = 16
-FEET, FOOT_RADIUS, FOOT_OUT = 8, 0.0025, 0.0005
-"""A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points."""
-BOTTOM_FRACTION = 0.25  # fraction of a cup's mass in its bottom
-TAG_THICKNESS = 0.0002
 _CORNERS = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], dtype=float)
 _FACES = np.array(list("031023457476015054273267046062137175"), dtype=int).reshape(-1, 3)
 
@@ -239,18 +232,25 @@ def table_pose(table: Table) -> np.ndarray:
 
 
 def add_table(world: ET.Element, table: Table, posts: Mapping[str, Post]) -> None:
-    look: dict[str, Any] = {"friction": table.friction, "colour": TABLE_COLOUR}
-    half = (*(table.size / 2.0), TABLE_THICKNESS / 2.0)
-    geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -TABLE_THICKNESS / 2.0), **look)
+    table_thickness = 0.03
+    table_colour = (0.72, 0.6, 0.45)
+    post_colour = (0.85, 0.65, 0.2)
+    look: dict[str, Any] = {"friction": table.friction, "colour": table_colour}
+    half = (*(table.size / 2.0), table_thickness / 2.0)
+    geom(body(world, "table", table_pose(table)), "table", BOARD, "box", half, p=(0, 0, -table_thickness / 2.0), **look)
     for name, post in posts.items():
         size = (post.radius, post.height / 2.0)
         x, y = post.position.tolist()
         standing = body(world, f"post/{name}", table_pose(table) @ translation(x, y, post.height / 2.0))
-        geom(standing, f"post/{name}", BOARD, "cylinder", size, friction=table.friction, colour=POST_COLOUR)
+        geom(standing, f"post/{name}", BOARD, "cylinder", size, friction=table.friction, colour=post_colour)
 
 
 def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
     """Adds a free object; a reset sets its pose."""
+    # A round bottom stands on small balls: a cylinder on a box has few, unsteady contact points.
+    feet = 8
+    foot_radius = 0.0025
+    foot_out = 0.0005
     prefix = f"object/{name}"
     element = body(world, prefix, np.eye(4))
     ET.SubElement(element, "freejoint", name=prefix)
@@ -269,19 +269,21 @@ def add_object(world: ET.Element, name: str, shape: SceneObject) -> None:
     else:
         raise TypeError(f"There is no shape for {type(shape).__name__}.")
     if isinstance(shape, (Cup, Cylinder, Bottle)):
-        across = shape.radius - FOOT_RADIUS
-        for i, angle in enumerate(2.0 * np.pi * (np.arange(FEET) + 0.5) / FEET):
-            middle = (across * np.cos(angle), across * np.sin(angle), FOOT_RADIUS - FOOT_OUT - shape.height / 2.0)
-            geom(element, f"{prefix}/foot_{i}", OBJECT, "sphere", [FOOT_RADIUS], p=middle, mass=1e-6, **look)
+        across = shape.radius - foot_radius
+        for i, angle in enumerate(2.0 * np.pi * (np.arange(feet) + 0.5) / feet):
+            middle = (across * np.cos(angle), across * np.sin(angle), foot_radius - foot_out - shape.height / 2.0)
+            geom(element, f"{prefix}/foot_{i}", OBJECT, "sphere", [foot_radius], p=middle, mass=1e-6, **look)
 
 
 def _cup(element: ET.Element, prefix: str, cup: Cup, look: dict[str, Any]) -> None:
+    wall_plates = 16
+    bottom_fraction = 0.25  # fraction of a cup's mass in its bottom
     bottom, below = (cup.radius, cup.wall / 2.0), (0, 0, cup.wall / 2.0 - cup.height / 2.0)
-    geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=BOTTOM_FRACTION * cup.mass, **look)
-    mass = (1.0 - BOTTOM_FRACTION) * cup.mass / WALL_PLATES
-    half = (cup.wall / 2.0, cup.radius * np.tan(np.pi / WALL_PLATES), (cup.height - cup.wall) / 2.0)
-    for i in range(WALL_PLATES):
-        R = rotation_about(2, 2.0 * np.pi * i / WALL_PLATES)
+    geom(element, f"{prefix}/bottom", OBJECT, "cylinder", bottom, p=below, mass=bottom_fraction * cup.mass, **look)
+    mass = (1.0 - bottom_fraction) * cup.mass / wall_plates
+    half = (cup.wall / 2.0, cup.radius * np.tan(np.pi / wall_plates), (cup.height - cup.wall) / 2.0)
+    for i in range(wall_plates):
+        R = rotation_about(2, 2.0 * np.pi * i / wall_plates)
         middle = R @ np.array([cup.radius - cup.wall / 2.0, 0.0, cup.wall / 2.0])
         geom(element, f"{prefix}/wall_{i}", OBJECT, "box", half, p=middle, R=R, mass=mass, **look)
 
@@ -300,12 +302,13 @@ def tag_mesh(tag: int, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Returns the black cells of a tag as thin plates on z = 0, exact edges that no renderer can blur or mirror:
     vertices, shape (n, 3) [m], and triangles, shape (m, 3); origin in the middle, x to the right, y up. `tag`: id, an
     index of common.tag36h11.CODES; `size`: edge of the black square [m]."""
+    tag_thickness = 0.0002
     cell = size / CELLS
     vertices: list[np.ndarray] = []
     for row, cells in enumerate(black_cells(tag)):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], cells, [False]]).astype(int)))
         for start, end in edges.reshape(-1, 2):
             low = np.array([start * cell - size / 2.0, size / 2.0 - (row + 1) * cell, 0.0])
-            high = np.array([end * cell - size / 2.0, size / 2.0 - row * cell, TAG_THICKNESS])
+            high = np.array([end * cell - size / 2.0, size / 2.0 - row * cell, tag_thickness])
             vertices.append(low + _CORNERS * (high - low))
     return np.concatenate(vertices), np.concatenate([_FACES + 8 * i for i in range(len(vertices))])

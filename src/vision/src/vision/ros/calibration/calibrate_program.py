@@ -39,10 +39,7 @@ from vision.ros.ptp_arm import PtpArm, arm_address
 NODE = "calibrate_camera"
 DETECTOR = "apriltag_ros_continuous_node"
 SETTLE_S = 0.6
-RELOAD_S = 1.0
 FIRST_VIEWS = 6
-FLANGE_WAIT_S = 3.0
-STILL_M = 5e-4
 FULL_SPEED_RAD_S = np.radians(98.0)
 
 
@@ -82,14 +79,15 @@ def _views_by_hand(
     options: argparse.Namespace, setup: CalibrationSetup, listener: BoardListener
 ) -> list[CalibrationView]:
     """Returns the views at which the operator pressed Enter; the arm is moved by hand, or by a controller."""
+    flange_wait_s = 3.0
     capture = ViewCapture(setup, listener, DETECTOR)
     if not options.ip:
         poses = TfPoses()
         try:
-            poses.flange(rospy.Time(0), FLANGE_WAIT_S)
+            poses.flange(rospy.Time(0), flange_wait_s)
         except DeviceError as error:
             raise DeviceError(f"{error} Without a controller use --ip: the program then asks the arm itself.") from None
-        return _taken_by_hand(setup, capture, lambda: poses.flange(rospy.Time.now(), FLANGE_WAIT_S))
+        return _taken_by_hand(setup, capture, lambda: poses.flange(rospy.Time.now(), flange_wait_s))
     address = arm_address(setup.store_config, options)
     model = ArmModel(urdf(address.robot, address.flange))
     with closing(PtpArm(address, model, options.velocity)) as arm:
@@ -100,6 +98,7 @@ def _taken_by_hand(
     setup: CalibrationSetup, capture: ViewCapture, flange: Callable[[], np.ndarray]
 ) -> list[CalibrationView]:
     """Returns the views; `flange` returns the present T_base_flange, shape (4, 4) [m]."""
+    still_m = 5e-4
     views: list[CalibrationView] = []
     flange()
     print("Move the arm so that the camera sees the board tilted, each time another way. Enter: take, q: finish.")
@@ -108,7 +107,7 @@ def _taken_by_hand(
             before = flange()
             detections, how = capture.capture()
             T_base_flange = flange()
-            if np.linalg.norm(T_base_flange[:3, 3] - before[:3, 3]) > STILL_M:
+            if np.linalg.norm(T_base_flange[:3, 3] - before[:3, 3]) > still_m:
                 raise ValueError("the arm moved; hold it still")
             views.append(view_from(detections, T_base_flange, views, setup.limits))
             print(f"  taken, {len(detections)} images, {how}")
@@ -211,6 +210,7 @@ def _conclude(
 ) -> None:
     """Solves, reports, shows, asks and stores; raises CalibrationRefused unless the result is good and confirmed.
     `measured`: the entries of the record that say by which camera frame, and whether by simulated devices."""
+    reload_s = 1.0
     try:
         verdict = judge(views, setup.board.T_flange_tag, setup.limits)
     except DegenerateViews as error:
@@ -234,7 +234,7 @@ def _conclude(
     record = by_views(verdict, views, **measured, **setup.head)
     print(f"Stored in {setup.store.save(record)}.")
     with suppress(ServiceFailed):
-        print(call("camera_place/reload", Trigger, timeout=RELOAD_S, wait=RELOAD_S).message)
+        print(call("camera_place/reload", Trigger, timeout=reload_s, wait=reload_s).message)
 
 
 def _confirm(options: argparse.Namespace, question: str) -> None:

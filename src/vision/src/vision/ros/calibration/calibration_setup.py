@@ -32,11 +32,10 @@ from vision.calibration.record import CalibrationRecord, mapping_from_record, re
 from vision.marker_board.board import MarkerBoardConfig, board_target
 
 NAMESPACE = "camera_calibration"
-SERIAL, SERIAL_WAIT_S, POLL_S = "camera/driver/serial", 10.0, 0.1  # written by our driver; longest wait for it
+SERIAL = "camera/driver/serial"  # written by our driver; longest wait for it
 UNKNOWN = "unknown"
 PREFIX = "camera_place_"
 HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n"
-STATIC_WAIT_S = 10.0
 DATE = re.compile(r"^date: *['\"]?([^'\"\s]+)", re.MULTILINE)
 
 
@@ -147,12 +146,14 @@ class CalibrationSetup:
 
 def read_setup(detector: str) -> CalibrationSetup:
     """Returns the setup; waits for its parameters and for those of the node `detector`. Raises ConfigError."""
+    serial_wait_s = 10.0  # written by our driver; longest wait for it
+    poll_s = 0.1
     board = wait_for_config(MarkerBoardConfig, f"{NAMESPACE}/panel")
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")
     store = wait_for_config(StoreConfig, f"{NAMESPACE}/store")
-    deadline = clock.monotonic() + SERIAL_WAIT_S
+    deadline = clock.monotonic() + serial_wait_s
     while not rospy.has_param(SERIAL) and clock.monotonic() < deadline and not rospy.is_shutdown():
-        clock.sleep(POLL_S)
+        clock.sleep(poll_s)
     serial = rospy.get_param(SERIAL, None)
     simulated = None if serial is None else serial == SIMULATED
     if not store.camera:
@@ -177,8 +178,9 @@ class TfPoses:
         """Returns the tf message of camera_link in the base, from the pose of the optical frame, shape (4, 4) [m];
         raises DeviceError if the camera's driver does not publish its frames.
         """
+        static_wait_s = 10.0
         hint = "is the camera's driver running?"
-        T_link_optical = self._lookup(CAMERA_LINK, optical, rospy.Time(0), STATIC_WAIT_S, hint)
+        T_link_optical = self._lookup(CAMERA_LINK, optical, rospy.Time(0), static_wait_s, hint)
         return stamped_transform(T_base_optical @ inverse(T_link_optical), BASE, CAMERA_LINK, stamp)
 
     def _lookup(self, parent: str, child: str, stamp: rospy.Time, timeout: float, hint: str) -> np.ndarray:

@@ -32,9 +32,7 @@ from vision.calibration.record import LIVE, STORED, CalibrationRecord, CameraPos
 from vision.ros.calibration.calibration_setup import CalibrationSetup, TfPoses, read_setup
 from vision.ros.marker_board.detections import BoardListener
 
-FLANGE_WAIT_S = 0.2
 RECENT_S = 3.0
-THROTTLE_S = 5.0
 REPEAT_S = 0.1
 AHEAD = rospy.Duration(2.0 * REPEAT_S)  # a repeated pose, which does not move, is stamped ahead: nobody has to wait
 
@@ -108,17 +106,19 @@ class CameraPoseNode:
             return TriggerResponse(True, f"The camera pose is live: {why}.")
 
     def _on_detection(self, stamp: rospy.Time, optical: str, detection: BoardDetection) -> None:
+        flange_wait_s = 0.2
+        throttle_s = 5.0
         if self._record is not None:
             return
         with while_running():
             try:
-                T_base_flange = self._poses.flange(stamp, FLANGE_WAIT_S)
+                T_base_flange = self._poses.flange(stamp, flange_wait_s)
                 T_base_camera = T_base_flange @ self._setup.board.T_flange_tag @ inverse(detection.T_camera_board)
                 transform = self._poses.camera_link(T_base_camera, optical, stamp)
             except DeviceError as error:
                 self._refused += 1
                 self._last = (clock.monotonic(), str(error))
-                rospy.logwarn_throttle(THROTTLE_S, f"A detection of the marker board gave no camera pose: {error}")
+                rospy.logwarn_throttle(throttle_s, f"A detection of the marker board gave no camera pose: {error}")
                 return
             self._was_live = True
             self._broadcaster.sendTransform(transform)

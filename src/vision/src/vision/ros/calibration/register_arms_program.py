@@ -25,7 +25,6 @@ from vision.calibration.record import VIEWS, CalibrationRecord
 from vision.ros.calibration.calibration_setup import PREFIX, read
 
 NAME = "register_arms"
-BETWEEN_M = 0.5  # in front of the second base, where the hands meet: the uncertainty is stated there [m]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -85,15 +84,16 @@ def _solution(record: CalibrationRecord, file: Path) -> HandEyeSolution:
 
 
 def _sentence(names: tuple[str, str], found: ArmRegistration) -> str:
+    between_m = 0.5  # in front of the second base, where the hands meet: the uncertainty is stated there [m]
     x, y, z = found.T_first_second[:3, 3].tolist()
     yaw, pitch, roll = np.degrees(zyx_from_rotation(found.T_first_second[:3, :3])).tolist()
-    before = found.T_first_second @ (BETWEEN_M, 0.0, 0.0, 1.0)
+    before = found.T_first_second @ (between_m, 0.0, 0.0, 1.0)
     sd = np.array2string(1e3 * found.position_sd, precision=1, separator=", ")[1:-1]
     turn = float(np.degrees(np.linalg.norm(found.turn_sd)))
     return (
         f"The base of {names[1]} stands at x {x:.4f}, y {y:.4f}, z {z:.4f} m in the base of {names[0]}, turned by roll "
         f"{roll:.2f}, pitch {pitch:.2f}, yaw {yaw:.2f} deg; standard deviations {sd} mm and {turn:.2f} deg, "
-        f"{1e3 * found.point_sd(before[:3]):.1f} mm for a point {BETWEEN_M:g} m before it."
+        f"{1e3 * found.point_sd(before[:3]):.1f} mm for a point {between_m:g} m before it."
     )
 
 

@@ -17,9 +17,6 @@ from common.ros.service_calls import MasterLost, ask_master
 
 TOPIC = "camera_calibration/markers"
 COLOURS = {"old": (0.55, 0.55, 0.55), "new": (0.1, 0.7, 0.2)}
-DEPTH_M, HALF_WIDTH_M, HALF_HEIGHT_M = 0.15, 0.09, 0.066
-LINE_M = 0.004
-VIEWER_WAIT_S, POLL_S = 5.0, 0.05
 
 
 class RvizComparison:
@@ -34,9 +31,11 @@ class RvizComparison:
     def show(self, old: np.ndarray | None, new: np.ndarray) -> None:
         """Shows the poses T_base_camera, shape (4, 4) [m], with or without an old one; waits until RViz is connected,
         if it has subscribed."""
-        deadline = clock.monotonic() + VIEWER_WAIT_S
+        viewer_wait_s = 5.0
+        poll_s = 0.05
+        deadline = clock.monotonic() + viewer_wait_s
         while self._markers.get_num_connections() < self._viewers() and clock.monotonic() < deadline:
-            clock.sleep(POLL_S)
+            clock.sleep(poll_s)
         poses = {"new": new} if old is None else {"old": old, "new": new}
         now = rospy.Time.now()
         frames = [stamped_transform(T, BASE, f"camera_calibration/{name}", now) for name, T in poses.items()]
@@ -53,13 +52,17 @@ class RvizComparison:
 
 
 def _marker(number: int, name: str, stamp: rospy.Time) -> Marker:
+    depth_m = 0.15
+    half_width_m = 0.09
+    half_height_m = 0.066
+    line_m = 0.004
     marker = Marker(id=number, ns=name, type=Marker.LINE_LIST, action=Marker.ADD, frame_locked=True)
     marker.header.frame_id = f"camera_calibration/{name}"
     marker.header.stamp = stamp
     marker.pose.orientation.w = 1.0
-    marker.scale = Vector3(LINE_M, 0.0, 0.0)
+    marker.scale = Vector3(line_m, 0.0, 0.0)
     marker.color = ColorRGBA(*COLOURS[name], 1.0)
-    corners = [Point(x * HALF_WIDTH_M, y * HALF_HEIGHT_M, DEPTH_M) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+    corners = [Point(x * half_width_m, y * half_height_m, depth_m) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     for i, corner in enumerate(corners):
         marker.points += [Point(), corner, corner, corners[(i + 1) % 4]]
     return marker

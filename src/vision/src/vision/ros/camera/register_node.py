@@ -33,7 +33,6 @@ from vision.camera.registration import POINT, PairsConfig, Registration, millime
 from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
 
 REGISTERED = "depth_registered/sw_registered"
-LISTENERS_PERIOD_S = 0.2
 NEEDED = dict(image_proc="libimage-proc-dev", depth_image_proc="libdepth-image-proc-dev", nodelet="libnodeletlib-tools")
 """ROS packages, and the Debian packages that contain them completely; `nodelet` has the manager and no nodelets."""
 
@@ -56,9 +55,10 @@ class RegisterNode:
 
     def run(self) -> None:
         """Subscribes to the camera while the node has subscribers, until ROS shuts down."""
+        listeners_period_s = 0.2
         while not rospy.is_shutdown():
             self._pairs.subscribe(self._wanted())
-            clock.sleep(LISTENERS_PERIOD_S)
+            clock.sleep(listeners_period_s)
 
     def _wanted(self) -> bool:
         return any(publisher.get_num_connections() for publisher in self._outputs)

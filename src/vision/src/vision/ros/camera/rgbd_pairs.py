@@ -22,9 +22,7 @@ from common.ros.inputs import NodeInputs, clause
 from common.ros.node import while_running
 from common.ros.on_demand import OnDemand
 
-QUEUE = 5
 CAMERAS = ("rgb", "depth")
-BASELINE_M = 1.0  # most between both cameras
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +68,10 @@ class RgbdPairs:
             self.inputs.subscribe(topic, CameraInfo, partial(self._infos.__setitem__, name))
 
     def _subscribed(self) -> list[rospy.Subscriber]:
+        queue = 5
         self.inputs.restart()
         filters = [message_filters.SimpleFilter() for _ in CAMERAS]
-        _Synchronizer(filters, QUEUE, self._slop).registerCallback(self._on_images)
+        _Synchronizer(filters, queue, self._slop).registerCallback(self._on_images)
         return [self.inputs.subscribe(t, Image, each.signalMessage) for t, each in zip(self._images, filters)]
 
     def _on_images(self, rgb: Image, depth: Image) -> None:
@@ -100,6 +99,7 @@ class RgbdPairs:
 
     def _pose(self, rgb: str, depth: str) -> np.ndarray:
         """Returns the pose of one frame in the other, shape (4, 4) [m]; raises ValueError if tf has none."""
+        baseline_m = 1.0  # most between both cameras
         if not (rgb and depth):
             raise ValueError("the images come without a frame in their headers")
         try:
@@ -107,6 +107,6 @@ class RgbdPairs:
         except tf2_ros.TransformException as error:
             raise ValueError(f"tf does not know the frame {depth!r} in {rgb!r}: {clause(error)}") from None
         try:
-            return check_near(T, BASELINE_M)
+            return check_near(T, baseline_m)
         except ValueError as error:
             raise ValueError(f"the pose of {depth!r} in {rgb!r} is wrong: {error}") from None

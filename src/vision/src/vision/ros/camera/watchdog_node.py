@@ -17,8 +17,6 @@ from common.ros.images import array_from_image
 from common.ros.params import private_config
 from vision.camera.stream_watch import StreamHealth, StreamWatch, WatchConfig
 
-POLL_S = 0.1
-LISTENERS_PERIOD_S = 1.0
 STREAMS = {"rgb": "colour camera", "depth": "depth camera"}
 LEVELS = {"waiting": DiagnosticStatus.WARN, "slow": DiagnosticStatus.WARN, "alive": DiagnosticStatus.OK}
 
@@ -84,13 +82,15 @@ class WatchedStream:
 
 def main() -> None:
     """Watches both cameras until ROS shuts down."""
+    poll_s = 0.1
+    listeners_period_s = 1.0
     config = private_config(WatchConfig)
     streams = {name: WatchedStream(name, config) for name in STREAMS}
     diagnostics = Diagnostics("camera_watchdog", lambda: _diagnosis(streams))
     next_count = 0.0
     while not rospy.is_shutdown():
         if clock.monotonic() >= next_count:
-            next_count = clock.monotonic() + LISTENERS_PERIOD_S
+            next_count = clock.monotonic() + listeners_period_s
             try:
                 _, subscribers, _ = rospy.get_master().getSystemState()[2]
             except OSError:  # the master is gone
@@ -100,7 +100,7 @@ def main() -> None:
                 stream.subscribe(stream.topic in wanted)
         if any([stream.report()[2] for stream in streams.values()]):
             diagnostics.publish()
-        clock.sleep(POLL_S)
+        clock.sleep(poll_s)
 
 
 def _diagnosis(streams: dict[str, WatchedStream]) -> tuple[int, str, dict[str, object]]:

@@ -24,9 +24,6 @@ CALIBRATIONS = ("rgb_calibration", "depth_calibration")
 FRAMES = "frames"
 SERIAL = "serial"  # private parameter that the node writes: the device's serial number, which calibrations store
 STREAMS = {"rgb": "the camera's colour stream", "depth": "the camera's depth stream"}
-TIMEOUT_S = 0.5
-SILENCE_S = 2.0  # after this time without an image of one of them the camera is reopened
-RETRY_PERIOD_S = 2.0
 
 
 class XtionNode:
@@ -64,18 +61,21 @@ class XtionNode:
         rospy.loginfo("The camera %s, serial number %s, sends images.", name, serial or "unknown")
 
     def _publish_until_lost(self) -> None:
+        timeout_s = 0.5
+        silence_s = 2.0  # after this time without an image of one of them the camera is reopened
         self._watch.restart()
         opened = clock.monotonic()
         while not rospy.is_shutdown():
-            frame, now = self._camera.read(TIMEOUT_S), clock.monotonic()
+            frame, now = self._camera.read(timeout_s), clock.monotonic()
             if frame is not None:
                 self._watch.came(STREAMS[frame.name], now)
                 self._publish(frame)
-            missing = self._watch.missing(now, SILENCE_S)
-            if missing and now - opened > SILENCE_S:
+            missing = self._watch.missing(now, silence_s)
+            if missing and now - opened > silence_s:
                 raise DeviceError(f"{missing[0].upper()}{missing[1:]}; the camera is reopened.")
 
     def _reconnect(self, error: DeviceError) -> None:
+        retry_period_s = 2.0
         self._losses += 1
         rospy.logerr("%s", error)
         self._fault = str(error)
@@ -84,7 +84,7 @@ class XtionNode:
                 return self._connect()
             except DeviceError as again:
                 self._fault = str(again)
-                rospy.rostime.wallsleep(RETRY_PERIOD_S)
+                rospy.rostime.wallsleep(retry_period_s)
 
     def _publish(self, frame: OpenniFrame) -> None:
         stamp = rospy.Time.now() + self._offset

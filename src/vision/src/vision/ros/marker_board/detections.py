@@ -27,10 +27,8 @@ from vision.ros.calibration.calibration_setup import CalibrationSetup
 POLL_S = 0.05
 IMAGES = "camera/rgb/image_raw"
 CAMERA_INFO = "camera/rgb/camera_info"
-INFO_WAIT_S = 10.0
 VIEW_TIMEOUT_S = 6.0
 DETECTOR_STATUS = "apriltag_ros"  # its name in /diagnostics
-LATE_S = 1.0  # maximum delay of an image behind its detection
 BY_CORNERS = "by the corners"
 
 
@@ -102,10 +100,11 @@ class ViewCapture:
     if the camera publishes no camera_info."""
 
     def __init__(self, setup: CalibrationSetup, listener: BoardListener, detector: str) -> None:
+        info_wait_s = 10.0
         try:
-            info, size = rospy.wait_for_message(CAMERA_INFO, CameraInfo, INFO_WAIT_S), None
+            info, size = rospy.wait_for_message(CAMERA_INFO, CameraInfo, info_wait_s), None
             if not (info.width and info.height):
-                image = rospy.wait_for_message(IMAGES, Image, INFO_WAIT_S)
+                image = rospy.wait_for_message(IMAGES, Image, info_wait_s)
                 size = image.width, image.height
             self.camera = camera_model_from_info(info, size)
         except rospy.ROSException:
@@ -160,7 +159,8 @@ class ViewCapture:
         return found
 
     def _wait_for(self, condition: Callable[[], object]) -> None:
-        deadline = clock.monotonic() + LATE_S
+        late_s = 1.0  # maximum delay of an image behind its detection
+        deadline = clock.monotonic() + late_s
         while clock.monotonic() < deadline:
             with self._lock:
                 if condition():

@@ -24,7 +24,6 @@ from common.ros.images import metres_from_millimetres
 
 INDEX = "pictures.json"
 TAGS = {"bundle": "tags.yaml", "single": "tags_single.yaml"}
-TIMEOUT_S = 1800.0  # maximum time for rendering the images
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +75,15 @@ def read_images(folder: Path) -> BoardImageSet:
 def render_images(folder: Path, board: str, *options: str) -> None:
     """Lets the simulation fill a folder with images of a board, bundle or single, with further options of
     panel_pictures.py; raises DeviceError if it fails."""
+    timeout_s = 1800.0  # maximum time for rendering the images
     command = ["rosrun", "rig_simulation", "panel_pictures.py", str(folder), "--panel", board]
     command += ["--rgb", str(config_file("xtion_rgb.yaml")), "--depth", str(config_file("xtion_depth.yaml")), *options]
     try:
-        code = subprocess.run(command, timeout=TIMEOUT_S, check=False).returncode
+        code = subprocess.run(command, timeout=timeout_s, check=False).returncode
     except FileNotFoundError:
         raise DeviceError("rosrun is not installed: source devel/setup.bash, or give a folder of images.") from None
     except subprocess.TimeoutExpired:
-        raise DeviceError(f"Rendering took longer than {TIMEOUT_S:g} s and was stopped: try fewer images.") from None
+        raise DeviceError(f"Rendering took longer than {timeout_s:g} s and was stopped: try fewer images.") from None
     if code != 0:
         raise DeviceError(f"No images: {' '.join(command[:3])} exited with code {code}; see its message above.")
 

@@ -30,7 +30,6 @@ from vision.ros.camera.rgbd_pairs import RgbdPair, RgbdPairs
 
 METHODS = ("plane", "fused")
 SECTIONS = ("detector", "panel", "plane_pose")
-THROTTLE_S = 5.0
 
 
 class PlanePoseNode:
@@ -64,13 +63,14 @@ class PlanePoseNode:
 
     def _report(self, found: RgbdDetection | None) -> None:
         """Counts, and logs why a detected marker board has no fused pose."""
+        throttle_s = 5.0
         if found is None:
             self._reason = "no tag of the marker board is visible"
             return
         self._reason = found.depth.reason
         if found.depth.fused is None:
             self._refused += 1
-            rospy.logwarn_throttle(THROTTLE_S, f"No pose with depth: {self._reason}.")
+            rospy.logwarn_throttle(throttle_s, f"No pose with depth: {self._reason}.")
             return
         self._fused += 1
         colour, fused = found.depth.colour.T_camera_board, found.depth.fused.T_camera_board

@@ -20,20 +20,19 @@ from leap_motion.service.server import LeapService, LeapServiceError
 from rig_msgs.msg import TeleopState
 from vision.stereo.view import WebConfig
 
-HEIGHT_M = 0.35  # of the box above the Leap, until leap_kuka publishes it
 FRESH_S = 0.3  # an older desired tool is not drawn
-BUFFER_BYTES = 2**20
-CLOSE_S = 2.0
 
 
 class RigScene:
     """Called, returns what leap_kuka publishes. `watch(True)` listens to the desired tool as well."""
 
     def __init__(self) -> None:
-        self._height, self._box = HEIGHT_M, {}
+        height_m = 0.35  # of the box above the Leap, until leap_kuka publishes it
+        buffer_bytes = 2**20
+        self._height, self._box = height_m, {}
         self._tool: tuple[list[float], float] = [], -FRESH_S
         self._steers, self._find = False, TransformSearch(VIRTUAL_LEAP, TOOL_DESIRED)
-        options = {"buff_size": BUFFER_BYTES, "tcp_nodelay": True}
+        options = {"buff_size": buffer_bytes, "tcp_nodelay": True}
         self.watch = OnDemand(lambda: [rospy.Subscriber("/tf", rospy.AnyMsg, self._take_tool, **options)])
         rospy.Subscriber("leap_kuka/interaction_box", MarkerArray, self._take_box, queue_size=1)
         rospy.Subscriber("leap_kuka/state", TeleopState, self._take_state, queue_size=1)
@@ -92,8 +91,9 @@ class HeadsetHands:
         self._scene.watch(self._endpoint.driven)
 
     def close(self) -> None:
+        close_s = 2.0
         self._service.stop()
-        self._thread.join(CLOSE_S)
+        self._thread.join(close_s)
 
 
 def _show(sentence: str) -> None:

@@ -24,8 +24,6 @@ from common.screen import check_screen
 from vision.ros.stereo.eye_images import StereoImageSource
 from vision.stereo.view import StereoViewConfig, WindowConfig
 
-REFRESH_S = 0.2  # period at which an old image is drawn again with its new age
-POLL_MS = 100
 FRAME = "headset"
 RIFT = "Rift"  # part of the model name that the Rift reports to the computer (EDID)
 TITLE = "Leap Rig: headset"
@@ -109,6 +107,7 @@ class StereoScreen(QWidget):
 
 
 def main() -> None:
+    poll_ms = 100
     check_screen("The headset view")
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     output = private_config(WindowConfig, others=("view",)).output
@@ -127,7 +126,7 @@ def main() -> None:
     poll = QTimer()
     # Its time-outs also give Python the chance to handle signals.
     poll.timeout.connect(lambda: application.quit() if rospy.is_shutdown() or drawing.done() else None)
-    poll.start(POLL_MS)
+    poll.start(poll_ms)
     application.exec_()
     poll.stop()
     stop.set()
@@ -136,9 +135,10 @@ def main() -> None:
 
 
 def _draw(images: StereoImageSource, window: StereoScreen, stop: clock.Event) -> None:
+    refresh_s = 0.2  # period at which an old image is drawn again with its new age
     publisher = rospy.Publisher("stereo_view/image", Image, queue_size=1)
     while not stop.is_set():
-        shown = images.wait(REFRESH_S)
+        shown = images.wait(refresh_s)
         if shown is None:
             continue
         image = shown.view.screen.draw(shown.eyes.left, shown.eyes.right)

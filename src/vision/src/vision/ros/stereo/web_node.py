@@ -41,12 +41,6 @@ from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.ros.stereo.headset_hands import HeadsetHands
 from vision.stereo.view import StereoViewConfig, WebConfig
 
-REFRESH_S = 0.2
-SILENCE_S = 0.5  # the page is notified after this time without a new image
-REQUEST_S = 10.0  # a page without a request for this time is gone
-CLOSE_S = 2.0
-MAX_PAGES, PAGES_OF_ADDRESS = 6, 3
-
 
 @dataclass(frozen=True)
 class StereoFrame:
@@ -67,6 +61,8 @@ class StereoWeb(SocketService):
     def __init__(
         self, config: WebConfig, converse: Callable[[ServerConnection], Awaitable[None]] | None = None
     ) -> None:
+        max_pages = 6
+        pages_of_address = 3
         super().__init__()
         self._hands = converse
         self._frame: StereoFrame | None = None
@@ -74,7 +70,7 @@ class StereoWeb(SocketService):
         self._next = self._loop.create_future()  # done when the next image is there
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         self._pages: list[ServerConnection] = []
-        self._limits = ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS)
+        self._limits = ConnectionLimits(max_pages, pages_of_address)
         self._names = () if is_loopback(config.host) else (*own_names(), config.name)
         self.fingerprint = ""
         try:
@@ -115,8 +111,9 @@ class StereoWeb(SocketService):
 
     def close(self) -> None:
         """Stops the server and closes the pages' connections."""
+        close_s = 2.0
         self.stop()
-        self._thread.join(CLOSE_S)
+        self._thread.join(close_s)
 
     def _take(self, frame: StereoFrame) -> None:
         self._frame = frame
@@ -162,12 +159,14 @@ class StereoWeb(SocketService):
                 self._limits.leave(address)
 
     async def _show(self, page: ServerConnection) -> None:
+        silence_s = 0.5  # the page is notified after this time without a new image
+        request_s = 10.0  # a page without a request for this time is gone
         shown = self._number
         while True:
-            await asyncio.wait_for(page.recv(), REQUEST_S)
+            await asyncio.wait_for(page.recv(), request_s)
             if self._number == shown:
                 with contextlib.suppress(asyncio.TimeoutError):
-                    await asyncio.wait_for(asyncio.shield(self._next), SILENCE_S)
+                    await asyncio.wait_for(asyncio.shield(self._next), silence_s)
             frame = self._frame
             if frame is None or self._number == shown:
                 await asyncio.wait_for(page.send(json.dumps({"picture": False, **self._more()})), SEND_S)
@@ -188,6 +187,7 @@ def _reachable(host: str) -> str:
 
 
 def main() -> None:
+    refresh_s = 0.2
     cv2.setNumThreads(1)  # images this small take more processor time when shared
     config = private_config(StereoViewConfig, "view")
     settings = private_config(WebConfig, "web")
@@ -205,7 +205,7 @@ def main() -> None:
             view(web.watched)
             if hands:
                 hands.watch()
-            shown = images.wait(REFRESH_S)
+            shown = images.wait(refresh_s)
             if shown is not None and shown.new and web.watched:
                 web.put(_frame(shown, config.jpeg_quality))
     finally:

@@ -31,7 +31,6 @@ from rig_simulation.world.model import WorldDescription, build_model
 
 NAME = "panel_pictures"
 INDEX = "pictures.json"
-HOLDING_DEG = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)  # forearm level, board on top, face up, above the table
 TURN_OVER = rotation_about(0, np.pi)
 """From MuJoCo's cameras, which look along -z with y up, to optical frames; and from a board to its viewer."""
 HALF_VIEW = np.array([0.50, 0.38])  # tangents of half the common field of view of both cameras
@@ -41,9 +40,10 @@ class BoardScene:
     """The world with a marker board, a mapping as in its yaml, and a movable camera."""
 
     def __init__(self, panel: dict) -> None:
+        holding_deg = (0.0, 30.0, 0.0, -60.0, 0.0, 0.0, 90.0)  # forearm level, board on top, face up, above the table
         self.model = build_model(WorldDescription("LBR7R800", "MF_elektrisch", (0, 0, 0), read_scene("empty"), panel))
         self.data = mujoco.MjData(self.model)
-        for number, angle in enumerate(np.radians(HOLDING_DEG), start=1):
+        for number, angle in enumerate(np.radians(holding_deg), start=1):
             self.data.qpos[self.model.joint(f"kuka/joint_{number}").qposadr[0]] = angle
         self._refresh()
         body = self.data.body("panel")

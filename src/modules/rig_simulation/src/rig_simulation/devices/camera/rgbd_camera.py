@@ -16,11 +16,7 @@ from common.frames import DEPTH_OPTICAL, RGB_OPTICAL
 from rig_simulation.devices.camera.sensors import CameraLens, ColourSensor, DepthSensor, PixelWindow
 from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
-NEAR_M = 0.05
-FAR_M = 30.0
-MAX_GEOMS = 5000
 EXTRAS_OFF = (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_HAZE)
-HIDDEN_GROUP = 5  # of geoms; not drawn by default
 SHOWN = mujoco.mjtCatBit.mjCAT_STATIC | mujoco.mjtCatBit.mjCAT_DYNAMIC
 
 
@@ -32,6 +28,7 @@ class Renderer:
     this machine cannot render off-screen."""
 
     def __init__(self, model: mujoco.MjModel, window: PixelWindow, samples: int, sky: bool = True) -> None:
+        max_geoms = 5000
         try:
             from mujoco.egl import GLContext  # opens the display
         except (ImportError, AttributeError, RuntimeError) as error:
@@ -47,7 +44,7 @@ class Renderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
         self.depth_offset = _sample_offset() if self._context.offSamples else (0.0, 0.0)
-        self._scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
+        self._scene = mujoco.MjvScene(model, maxgeom=max_geoms)
         for extra in EXTRAS_OFF:
             self._scene.flags[extra] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = sky
@@ -57,27 +54,30 @@ class Renderer:
     def render(self, data: mujoco.MjData, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """Returns colour, shape (height, width, 3), uint8, and inverse depth, shape (height, width), float32 [1/m],
         rows from the bottom up, of `data` with computed kinematics and cameras; `camera`: its number in the model."""
+        near_m = 0.05
+        far_m = 30.0
+        hidden_group = 5  # of geoms; not drawn by default
         window = self._window
         self._gl.make_current()
         groups = self._model.geom_group.copy()
-        self._model.geom_group[self._beyond(data, camera)] = HIDDEN_GROUP
+        self._model.geom_group[self._beyond(data, camera)] = hidden_group
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._free, SHOWN, self._scene)
         self._model.geom_group[:] = groups
         axes = data.cam_xmat[camera].reshape(3, 3)
         for view in self._scene.camera:
             view.pos = data.cam_xpos[camera]
             view.forward, view.up = -axes[:, 2], axes[:, 1]
-            view.frustum_near, view.frustum_far = NEAR_M, FAR_M
-            view.frustum_bottom, view.frustum_top = window.bottom * NEAR_M, window.top * NEAR_M
-            view.frustum_center = (window.left + window.right) / 2.0 * NEAR_M
-            view.frustum_width = (window.right - window.left) / 2.0 * NEAR_M  # MuJoCo means half the width
+            view.frustum_near, view.frustum_far = near_m, far_m
+            view.frustum_bottom, view.frustum_top = window.bottom * near_m, window.top * near_m
+            view.frustum_center = (window.left + window.right) / 2.0 * near_m
+            view.frustum_width = (window.right - window.left) / 2.0 * near_m  # MuJoCo means half the width
         viewport = mujoco.MjrRect(0, 0, window.width, window.height)
         mujoco.mjr_render(viewport, self._scene, self._context)
         colour = np.empty((window.height, window.width, 3), np.uint8)
         inverse_depth = np.empty((window.height, window.width), np.float32)
         mujoco.mjr_readPixels(colour, inverse_depth, viewport, self._context)
-        inverse_depth *= np.float32(1.0 / NEAR_M - 1.0 / FAR_M)
-        inverse_depth += np.float32(1.0 / FAR_M)
+        inverse_depth *= np.float32(1.0 / near_m - 1.0 / far_m)
+        inverse_depth += np.float32(1.0 / far_m)
         return colour, inverse_depth
 
     def _beyond(self, data: mujoco.MjData, camera: int) -> np.ndarray:

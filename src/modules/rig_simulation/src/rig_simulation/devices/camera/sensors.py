@@ -15,8 +15,6 @@ import numpy as np
 from common.camera_model import CameraModel
 from rig_simulation.node_parameters import ColourConfig, DepthConfig
 
-MARGIN_PX = 4  # margin of the window around the camera's view, for interpolation and for the jitter of edges
-
 
 @dataclass(frozen=True)
 class PixelWindow:
@@ -36,13 +34,14 @@ class CameraLens:
     and up from the centre [px]."""
 
     def __init__(self, camera: CameraModel, sample_offset: tuple[float, float] = (0.0, 0.0)) -> None:
+        margin_px = 4  # margin of the window around the camera's view, for interpolation and for the jitter of edges
         self.camera = camera
         focal, centre = np.diag(camera.K)[:2], camera.K[:2, 2]
         u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
         # On the camera's own pixel grid: no interpolation without distortion.
         straight = camera.rays(np.stack((u, v), axis=-1))[..., :2] * focal + centre
-        low = np.floor(straight.min(axis=(0, 1))) - MARGIN_PX
-        high = np.ceil(straight.max(axis=(0, 1))) + MARGIN_PX
+        low = np.floor(straight.min(axis=(0, 1))) - margin_px
+        high = np.ceil(straight.max(axis=(0, 1))) + margin_px
         width, height = (high - low + 1.0).astype(int)
         left, top = (low - 0.5 - centre) / focal
         right, bottom = (high + 0.5 - centre) / focal
@@ -121,12 +120,9 @@ class ColourSensor:
 
 
 MILLIMETRES = 1000.0
-EDGE = 0.01  # relative change of inverse depth over a pixel's jitter above which a surface counts as an edge
 SHADOW_TOLERANCE_PX = 0.25
-SIGNAL_SPREAD = 0.2  # relative standard deviation of the returned light: borders of regions without depth are ragged
 STEEP = np.radians(60.0)
 ANGLE_STEPS = 255
-WARP_NODES = (4, 5)  # nodes of a unit's smooth warp, over height and width of the image
 
 
 def steep_sigma(angle: float | np.ndarray) -> np.ndarray:
@@ -164,6 +160,7 @@ class DepthSensor:
     def __init__(
         self, lens: CameraLens, config: DepthConfig, rng: np.random.Generator, infrared_offset: float = 0.0
     ) -> None:
+        warp_nodes = (4, 5)  # nodes of a unit's smooth warp, over height and width of the image
         camera = lens.camera
         self._lens, self._config = lens, config
         self._fb = float(camera.K[0, 0]) * config.projector_baseline
@@ -172,7 +169,7 @@ class DepthSensor:
         self.scale = 1.0 + config.scale_error_sd * rng.standard_normal()
         self._warp = None
         if config.warp_sd > 0.0:
-            nodes = self._fb * config.warp_sd * rng.standard_normal(WARP_NODES, dtype=np.float32)
+            nodes = self._fb * config.warp_sd * rng.standard_normal(warp_nodes, dtype=np.float32)
             self._warp = cv2.resize(nodes, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
         self._noise = self._jitter = None
         if config.noise or config.min_signal > 0.0:
@@ -218,10 +215,11 @@ class DepthSensor:
 
     def _with_edges(self, inverse_depth: np.ndarray) -> np.ndarray:
         """Returns the camera's inverse depth; at edges, that of one surface or the other, never between."""
+        edge = 0.01  # relative change of inverse depth over a pixel's jitter above which a surface counts as an edge
         smooth = self._lens.distort(inverse_depth)
         shift = np.int16(0) if self._jitter is None else self._jitter.cut()
         beside = self._lens.distort_nearest(inverse_depth, shift)
-        edges = cv2.absdiff(beside, smooth) > np.float32(EDGE) * smooth
+        edges = cv2.absdiff(beside, smooth) > np.float32(edge) * smooth
         return cv2.copyTo(beside, edges.view(np.uint8), smooth)
 
     def _cosine(self, w: np.ndarray) -> np.ndarray:
@@ -243,9 +241,11 @@ class DepthSensor:
     def _signal(self, square: np.ndarray, cosine: np.ndarray, brightness: np.ndarray) -> np.ndarray:
         """Returns the reflected light of the projector, 1 for a white surface, head-on, 1 m away, from the `square` of
         the inverse depth."""
+        # relative standard deviation of the returned light: borders of regions without depth are ragged
+        signal_spread = 0.2
         grey = self._lens.distort(cv2.cvtColor(brightness, cv2.COLOR_RGB2GRAY))
         assert self._noise is not None  # the configuration created it
-        signal = self._noise.cut() * np.float32(SIGNAL_SPREAD)
+        signal = self._noise.cut() * np.float32(signal_spread)
         signal += np.float32(1.0)
         for factor in (cv2.LUT(grey, self._returned), cosine, square):
             signal *= factor

@@ -12,15 +12,9 @@ from leap_motion.service.hand import FIRST_VELOCITY_MM_S, ReportedHand, extended
 from rig_simulation.operator.hand_model import HandModel, HandPose
 
 FRAME_RATE = 115.3  # of the device [Hz]
-PALM_NOISE_MM = 0.04
 ANGLE_NOISE = np.radians(0.04)
 FLEXION_NOISE = np.radians(0.1)
-WANDER_MM = 1.2
 WANDER_ANGLE = np.radians(0.5)
-NOISE_MEMORY, WANDER_MEMORY, CONFIDENCE_MEMORY = 0.86, 0.992, 0.95
-"""Fraction of a filter's value that remains from frame to frame at FRAME_RATE."""
-NOISE_SPEED_MM_S = 40.0  # at this speed of the palm the noise is twice that at rest
-FIST_CONFIDENCE = 0.72
 SETTLE_S = 0.3
 
 
@@ -84,19 +78,24 @@ class Tracker:
     def __init__(
         self, model: HandModel, hand_id: int, rng: np.random.Generator, frame_rate: float = FRAME_RATE
     ) -> None:
+        # Fraction of a filter's value that remains from frame to frame at FRAME_RATE.
+        noise_memory = 0.86
+        wander_memory = 0.992
+        confidence_memory = 0.95
         self._model, self._id, self._rng = model, hand_id, rng
         frames = FRAME_RATE / frame_rate
-        self._noise = LowPassNoise(rng, 21, NOISE_MEMORY**frames)
-        self._wander = LowPassNoise(rng, 6, WANDER_MEMORY**frames)
-        self._confidence_noise = LowPassNoise(rng, 1, CONFIDENCE_MEMORY**frames)
+        self._noise = LowPassNoise(rng, 21, noise_memory**frames)
+        self._wander = LowPassNoise(rng, 6, wander_memory**frames)
+        self._confidence_noise = LowPassNoise(rng, 1, confidence_memory**frames)
         self._entry_confidence = rng.uniform(0.55, 0.8)
         self._last: ReportedHand | None = None
 
     def report(self, pose: HandPose, curl: float, speed: float, age: float, left: float) -> ReportedHand:
         """Returns the report of the hand in its true pose: `curl` 0 open to 1 fist, `speed` of the palm [mm/s], `age`
         since it came into view [s], `left` until it leaves the view [s]."""
+        noise_speed_mm_s = 40.0  # at this speed of the palm the noise is twice that at rest
         confidence = self._confidence(curl, age, left)
-        measured = self._measured(pose, (1.0 + speed / NOISE_SPEED_MM_S) * (4.0 - 3.0 * confidence))
+        measured = self._measured(pose, (1.0 + speed / noise_speed_mm_s) * (4.0 - 3.0 * confidence))
         hand = at_rest(self._id, self._model, measured, confidence, age, pose.flexion)
         if self._last is not None:
             hand = hand.following(self._last)
@@ -104,11 +103,13 @@ class Tracker:
         return hand
 
     def _measured(self, pose: HandPose, level: float) -> HandPose:
+        palm_noise_mm = 0.04
+        wander_mm = 1.2
         noise, wander = level * self._noise.step(), self._wander.step()
         angles = ANGLE_NOISE * noise[3:6] + WANDER_ANGLE * wander[3:]
         return replace(
             pose,
-            palm=pose.palm + PALM_NOISE_MM * noise[:3] + WANDER_MM * wander[:3],
+            palm=pose.palm + palm_noise_mm * noise[:3] + wander_mm * wander[:3],
             pitch=pose.pitch + angles[0],
             yaw=pose.yaw + angles[1],
             roll=pose.roll + angles[2],
@@ -116,7 +117,8 @@ class Tracker:
         )
 
     def _confidence(self, curl: float, age: float, left: float) -> float:
-        settled = 0.98 - (0.98 - FIST_CONFIDENCE) * curl
+        fist_confidence = 0.72
+        settled = 0.98 - (0.98 - fist_confidence) * curl
         entered = settled
         if age < SETTLE_S:
             rising = [self._entry_confidence, self._entry_confidence - 0.1, settled]

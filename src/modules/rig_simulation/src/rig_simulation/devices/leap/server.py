@@ -21,8 +21,6 @@ from rig_simulation.faults.injection import Faults
 from rig_simulation.faults.leap import LEAP_FAULTS, FrameStream
 from rig_simulation.operator.sources import Playback
 
-LATE_S = 0.05  # later frames are dropped: the clock does not wait for a busy machine
-LONGEST_LAG_S = 0.5  # a lag beyond this is dropped: frames then come at a low rate; else none would be in time
 POLL_S = 0.02
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 PURPOSE = "the Leap service"
@@ -79,14 +77,17 @@ class SimulatedLeapService(LeapService):
             await self._loop.run_in_executor(None, self._control.close)
 
     async def _play_frames(self) -> None:
+        late_s = 0.05  # later frames are dropped: the clock does not wait for a busy machine
+        # a lag beyond this is dropped: frames then come at a low rate; else none would be in time
+        longest_lag_s = 0.5
         start = clock.monotonic()
         while not self._stopping and not self.faults.is_on("restarted"):
             self._follow_faults()
             played = self._playback.next()
             due = start + played.time
             behind = clock.monotonic() - due
-            late = LATE_S < behind < LONGEST_LAG_S
-            start += behind if behind >= LONGEST_LAG_S else 0.0
+            late = late_s < behind < longest_lag_s
+            start += behind if behind >= longest_lag_s else 0.0
             await self._sleep_until(due)
             if self._attached and not late:
                 self._hand_out(tuple(self._stream.pass_on(played.text, due)))

@@ -19,17 +19,17 @@ from rig_simulation.devices.reflex.mechanics import (
 from rig_simulation.devices.reflex.wire import IDLE, POSITION, VELOCITY, ModeCommand, TargetCommand, pack_state
 
 ENCODER_COUNTS = 16384
-LIGHTEST_REST, HEAVIEST_REST = 110, 170
-LEAST_COUNT, MOST_COUNT = 56, 310
 
 
 class Finger:
     """The electronics of one finger, its knuckle encoder and its taxels, with the effects of the control port."""
 
     def __init__(self, rng: random.Random) -> None:
+        lightest_rest = 110
+        heaviest_rest = 170
         self._rng = rng
         self._encoder_zero = rng.randrange(ENCODER_COUNTS)
-        self._rest = [rng.randint(LIGHTEST_REST, HEAVIEST_REST) for _ in range(TAXELS)]
+        self._rest = [rng.randint(lightest_rest, heaviest_rest) for _ in range(TAXELS)]
         self.pressed = [0] * TAXELS  # added to each taxel [counts]
         self._stuck_count: int | None = None
         self.obstacle: float | None = None  # proximal angle [rad]
@@ -56,18 +56,16 @@ class Finger:
 
     def pressures(self, touch: Sequence[float]) -> list[int]:
         """Returns the counts of the nine taxels; `touch`: additional pressure [counts]."""
+        least_count = 56
+        most_count = 310
         counts = [
             round(rest + pressed + touched) + self._rng.randint(-1, 1)
             for rest, pressed, touched in zip(self._rest, self.pressed, touch)
         ]
-        return [max(LEAST_COUNT, min(MOST_COUNT, c)) for c in counts]
+        return [max(least_count, min(most_count, c)) for c in counts]
 
 
 PERIOD_S = 0.025
-LEAST_SLACK_RAD, MOST_SLACK_RAD = 0.04, 0.14
-PRESHAPE_STOPS_RAD = (-0.3, 2.0)
-LOOSEST_SPOOL_RAD = -20.0
-MAX_SPOOL_RAD = 4.0
 _NAMES = ("f1", "f2", "f3", "preshape")
 _CLOSING = (1, -1, 1, -1)
 _RATIOS = (1.42, 1.42, 1.42, 1.5)
@@ -80,6 +78,11 @@ class SimulatedHand:
     default a hand in free space."""
 
     def __init__(self, seed: int = 0, mechanics: Mechanics | None = None) -> None:
+        least_slack_rad = 0.04
+        most_slack_rad = 0.14
+        preshape_stops_rad = (-0.3, 2.0)
+        loosest_spool_rad = -20.0
+        max_spool_rad = 4.0
         self._rng = random.Random(seed)
         self._mechanics = mechanics or Mechanics()
         self._fingers = [Finger(self._rng) for _ in range(FINGERS)]
@@ -87,9 +90,9 @@ class SimulatedHand:
         self._open = [float(self._rng.randrange(TURN_TICKS)) for _ in _NAMES]
         self.servos = []
         for i in range(4):
-            slack = self._rng.uniform(LEAST_SLACK_RAD, MOST_SLACK_RAD) if i != _PRESHAPE else 0.0
+            slack = self._rng.uniform(least_slack_rad, most_slack_rad) if i != _PRESHAPE else 0.0
             self.servos.append(DynamixelServo(self._shaft(i, -slack)))
-        stops = [(LOOSEST_SPOOL_RAD, MAX_SPOOL_RAD)] * FINGERS + [PRESHAPE_STOPS_RAD]
+        stops = [(loosest_spool_rad, max_spool_rad)] * FINGERS + [preshape_stops_rad]
         self._stops = [sorted(self._shaft(i, stop) for stop in pair) for i, pair in enumerate(stops)]  # [ticks]
         self._forced_loads: list[float | None] = [None] * 4
         self._target_mode = POSITION

@@ -9,16 +9,12 @@ from collections.abc import Sequence
 
 TURN_TICKS = 1024
 TICK_RAD = 2 * math.pi / TURN_TICKS
-POWER_UP_TICKS = 13000
 SPEED_UNIT_RAD_S = 0.114 * 2 * math.pi / 60
 NO_LOAD_SPEED_RAD_S = 55 * 2 * math.pi / 60
 MAX_EFFORT = 1000
 MAX_TORQUE_NM = 2.5  # at 12 V
-OVERLOAD_EFFORT = 950
 OVERLOAD_TIME_S = 2.0
 OVERLOAD_BIT = 1 << 5
-STALL_EFFORT_PER_TICK = 10
-FRICTION = 25
 _RISING_BIT = 1024
 _SPEED_MASK = 1023
 
@@ -36,7 +32,8 @@ class DynamixelServo:
 
     def power_up(self) -> None:
         """Powers up: the turn is lost, torque is off, no speed is set."""
-        self._reported_minus_shaft = POWER_UP_TICKS + self.shaft % TURN_TICKS - self.shaft
+        power_up_ticks = 13000
+        self._reported_minus_shaft = power_up_ticks + self.shaft % TURN_TICKS - self.shaft
         self.goal = self.position
         self.torque = False
         self.error &= ~OVERLOAD_BIT
@@ -62,6 +59,9 @@ class DynamixelServo:
         """Moves for `dt` [s] towards the goal, between the stops `low` and `high` [ticks of the shaft]. Resistance, the
         effort against the load [0.1 %], slows it down, to a standstill at its largest torque; too long near that, it
         switches its torque off."""
+        overload_effort = 950
+        stall_effort_per_tick = 10
+        friction = 25
         before = self.shaft
         if not self.torque:
             self.velocity, self.effort = 0.0, 0.0
@@ -77,11 +77,11 @@ class DynamixelServo:
             way = max(-reach, min(reach, way))
         self.shaft = max(low, min(high, before + way))
         self.velocity = (self.shaft - before) * TICK_RAD / dt
-        self.effort = resistance + math.copysign(FRICTION, self.velocity) * (self.velocity != 0)
+        self.effort = resistance + math.copysign(friction, self.velocity) * (self.velocity != 0)
         if self.shaft in (low, high):
-            self.effort += STALL_EFFORT_PER_TICK * (wanted - self.shaft)
+            self.effort += stall_effort_per_tick * (wanted - self.shaft)
         self.effort = max(-MAX_EFFORT, min(MAX_EFFORT, self.effort))
-        self._overload_time = self._overload_time + dt if abs(self.effort) >= OVERLOAD_EFFORT else 0.0
+        self._overload_time = self._overload_time + dt if abs(self.effort) >= overload_effort else 0.0
         if self._overload_time >= OVERLOAD_TIME_S:
             self.error |= OVERLOAD_BIT
             self.torque = False

@@ -21,8 +21,6 @@ from rig_simulation.devices.reflex.wire import GROUP, STATE_BYTES, read_command
 from rig_simulation.faults.hand import HAND_FAULTS, HandWire
 from rig_simulation.faults.injection import Faults, add_option, switch_all
 
-OTHER_HAND_WAIT_S = 0.15
-MAX_DATAGRAM_BYTES = 2048
 _SIOCGIFADDR = 0x8915
 _IP_MULTICAST_ALL = 49
 
@@ -70,10 +68,11 @@ class HandLink:
 
     def collect(self) -> list[bytes]:
         """Returns the datagrams that others sent since the last call, in order."""
+        max_datagram_bytes = 2048
         found: list[bytes] = []
         while True:
             try:
-                data, source = self._inbox.recvfrom(MAX_DATAGRAM_BYTES)
+                data, source = self._inbox.recvfrom(max_datagram_bytes)
             except BlockingIOError:
                 return self.wire.incoming(found)
             if source != self._own:
@@ -84,7 +83,8 @@ class HandLink:
         self._outbox.close()
 
     def _refuse_second_hand(self) -> None:
-        clock.sleep(OTHER_HAND_WAIT_S)
+        other_hand_wait_s = 0.15
+        clock.sleep(other_hand_wait_s)
         if any(len(data) == STATE_BYTES for data in self.collect()):
             self.close()
             problem = f"Another hand already sends on port {self.port} of {self.interface}"
@@ -104,7 +104,6 @@ def _address(interface: str) -> str:
 
 
 NAME = "reflex_hand"
-LONGEST_STEP_S = 0.1
 REQUESTS = (
     *("state", "set_load", "press", "block", "stick_encoder"),
     *("unplug_servo", "jump", "set_servo", "set_silent", "power_cycle"),
@@ -135,11 +134,12 @@ def ready_line(link: HandLink, control: ControlPort, name: str = NAME) -> str:
 
 def run(hand: SimulatedHand, link: HandLink, lock: clock.Lock, stop: clock.Event) -> None:
     """Runs the hand's cycle: measure, send the state, then execute the commands received meanwhile."""
+    longest_step_s = 0.1
     before = due = clock.monotonic()
     while not stop.wait(max(0.0, due - clock.monotonic())):
         now = clock.monotonic()
         with lock:
-            hand.step(min(now - before, LONGEST_STEP_S))
+            hand.step(min(now - before, longest_step_s))
             exchange(hand, link)
         before = now
         due = max(due + PERIOD_S, now)

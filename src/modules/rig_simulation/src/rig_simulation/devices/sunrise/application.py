@@ -21,10 +21,7 @@ from rig_simulation.devices.sunrise.paths import JointMove, Unreachable
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 LAST_WORD_S = 0.016  # from the acceptance of a motion to its last word, at least; measured on the published server
-REFUSAL_S = 0.052  # from the acceptance of a motion to its refusal, likewise
-SERVO_START_S = 0.1  # from the answer to a start until the mode runs; goal: the present joints, earlier goals are lost
 INPUT_PINS = (3, 4, 10, 13, 16)
-OUTPUT_PINS = (1, 2, 11, 12)
 VERSIONS = ("1.7", "2019-03", "2019-05")
 """Versions of the server, newest last: 1.7 of 2018, and the two states of the LTS that differ on the wire."""
 
@@ -153,6 +150,7 @@ class Application:
             self.mode = "idle"
 
     def _reader_commands(self) -> list[tuple[str, Command]]:
+        output_pins = (1, 2, 11, 12)
         arm, newest = self._arm, self._version == VERSIONS[-1]
         feedback: dict[str, Callable[[], str]] = {
             "ExT_": lambda: _line(arm.external_torques),
@@ -169,7 +167,7 @@ class Application:
             ("getJointsPositions", self._joints),
             *((f"getPin{n}", lambda _: "1\n\n") for n in INPUT_PINS),
         ]
-        switches = [("blueOn", "blueOff", "blue"), *((f"pin{n}on", f"pin{n}off", f"pin{n}") for n in OUTPUT_PINS)]
+        switches = [("blueOn", "blueOff", "blue"), *((f"pin{n}on", f"pin{n}off", f"pin{n}") for n in output_pins)]
         for on, off, name in switches:
             commands += [(on, partial(self._output, name, True)), (off, partial(self._output, name, False))]
         return commands
@@ -248,6 +246,7 @@ class Application:
         return DONE
 
     def _start_motion(self, make: Planner) -> None:
+        refusal_s = 0.052  # from the acceptance of a motion to its refusal; measured on the published server
         self._accepted = None
         try:
             if self._refuses():
@@ -256,7 +255,7 @@ class Application:
         except ValueError:
             self._arm.attach(np.eye(4))
             self._refused = True
-            self._last_word += REFUSAL_S - LAST_WORD_S
+            self._last_word += refusal_s - LAST_WORD_S
             return
         if motion is not None:
             self._arm.start_motion(motion, self._break_when)
@@ -281,8 +280,10 @@ class Application:
         return reply
 
     def _start_servo(self, _: list[str]) -> str:
+        # from the answer to a start until the mode runs; goal: the present joints, earlier goals are lost
+        servo_start_s = 0.1
         self.mode = "servo"
-        self._servo_starts = self._now + SERVO_START_S
+        self._servo_starts = self._now + servo_start_s
         return DONE
 
     def _begin_servo(self) -> None:

@@ -17,15 +17,7 @@ from rig_simulation.devices.sunrise.robot import CYCLE_S, LAWS, MIN_TRAJECTORY_T
 
 FULL_SPEED_TIME_S = 0.1  # time until a joint at its acceleration limit reaches full speed; the data sheet has none
 MOTION_FRACTION = 0.4  # of the acceleration limit for planned motions; the rest is reserved for braking on the path
-SAFETY_PERIOD_STEPS = 4
-MAX_CATCH_UP_S = 1.0
-MAX_CATCH_UP_IN_ENVIRONMENT_S = 0.05  # the arm rather loses time: steps take longer there, and requests wait
-BACK_OFF_SPEED_RAD_S = 0.05
-BACK_OFF_FRACTION = 0.1  # a planned motion backs off at this fraction of its speed
-FREE_FRACTION = 0.5  # the arm backs off until every external torque is below this fraction of the limit
 TRAIL_STEP_RAD = 1e-3
-TRAIL_LENGTH = 1000
-HISTORY_STEPS = 5000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +44,9 @@ class SimulatedArm:
     [rad], is the last goal of the servo mode."""
 
     def __init__(self, robot: Robot, settings: ArmSettings, environment: ArmEnvironment | None = None) -> None:
+        back_off_speed_rad_s = 0.05
+        trail_length = 1000
+        history_steps = 5000
         self.robot = robot
         self.settings = settings
         self._environment = environment
@@ -69,7 +64,7 @@ class SimulatedArm:
         self.motion_acceleration = read_only(MOTION_FRACTION * self.acceleration)
         # Of the last steps: time [s], joints [rad] and their speeds [rad/s], speed of the tool point [m/s].
         self.history: collections.deque[tuple[float, np.ndarray, np.ndarray, float]] = collections.deque(
-            maxlen=HISTORY_STEPS
+            maxlen=history_steps
         )
         self._drives = Drives(robot.max_speed, self.acceleration, settings.trajectory_time)
         self._law = LAWS[settings.servo_law]
@@ -79,16 +74,18 @@ class SimulatedArm:
         self._motion_time, self._motion_rate = 0.0, 1.0
         self._breaking = False
         self._joint_torque, self._tool_force, self._touch_torque = np.zeros(7), np.zeros(3), np.zeros(7)
-        self._trail: collections.deque[np.ndarray] = collections.deque(maxlen=TRAIL_LENGTH)
+        self._trail: collections.deque[np.ndarray] = collections.deque(maxlen=trail_length)
         self._backing_off = False
-        self._back_drives = Drives(np.full(7, BACK_OFF_SPEED_RAD_S), self.acceleration, settings.trajectory_time)
+        self._back_drives = Drives(np.full(7, back_off_speed_rad_s), self.acceleration, settings.trajectory_time)
         self._steps = 0
         self._checked_goal: np.ndarray | None = None  # the last goal within the joint range
 
     def advance(self, now: float) -> None:
         """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
         `MAX_CATCH_UP_IN_ENVIRONMENT_S`."""
-        longest = MAX_CATCH_UP_S if self._environment is None else MAX_CATCH_UP_IN_ENVIRONMENT_S
+        max_catch_up_s = 1.0
+        max_catch_up_in_environment_s = 0.05  # the arm rather loses time: steps take longer there, and requests wait
+        longest = max_catch_up_s if self._environment is None else max_catch_up_in_environment_s
         if self.time is None or now - self.time > longest + CYCLE_S:
             self.time = now if self.time is None else now - longest
         if self.asleep:
@@ -99,6 +96,7 @@ class SimulatedArm:
 
     def step(self, dt: float) -> None:
         """Moves the arm by one step of dt [s]."""
+        safety_period_steps = 4
         v_before = self.v
         if self._motion is not None:
             self._step_motion(self._motion, dt)
@@ -115,7 +113,7 @@ class SimulatedArm:
             self._touch_torque = self._environment.follow(self.q, self.v, dt)
         self._steps += 1
         comes_to_rest = self.resting and v_before.any()
-        if self._steps % SAFETY_PERIOD_STEPS == 0 or comes_to_rest:
+        if self._steps % safety_period_steps == 0 or comes_to_rest:
             self._check_safety()
         if self.time is not None:
             self.history.append((self.time, self.q, self.v, self.tool_speed))
@@ -244,11 +242,12 @@ class SimulatedArm:
         return self.robot.wrench(self.q, self.T_flange_tool, torque)
 
     def _step_motion(self, motion: JointMove, dt: float) -> None:
+        back_off_fraction = 0.1  # a planned motion backs off at this fraction of its speed
         if self._break_when is not None and self._break_when(self):
             self._breaking = True
         wanted = 0.0 if self._breaking or self.safety_stop is not None else 1.0
         if self._still_backing_off(self._motion_time > 0.0):
-            wanted = -BACK_OFF_FRACTION
+            wanted = -back_off_fraction
         change = dt / motion.braking_time  # as fast as it was planned; of a real arm's braking nothing is published
         rate = self._motion_rate + min(max(wanted - self._motion_rate, -change), change)
         self._motion_time += 0.5 * (rate + self._motion_rate) * dt
@@ -270,8 +269,9 @@ class SimulatedArm:
             self._move(self._drives.brake(self.v, dt), dt)
 
     def _still_backing_off(self, path_left: bool) -> bool:
+        free_fraction = 0.5  # the arm backs off until every external torque is below this fraction of the limit
         if self._backing_off:
-            free = np.max(np.abs(self.external_torques)) <= FREE_FRACTION * self.settings.torque_limit
+            free = np.max(np.abs(self.external_torques)) <= free_fraction * self.settings.torque_limit
             self._backing_off = path_left and not free
         return self._backing_off
 

@@ -19,7 +19,6 @@ from common.poses import read_only, translation
 from common.rotations import rotation_from_zyx
 
 JOINTS = tuple(f"kuka/joint_{k}" for k in range(1, 8))
-DAMPING = 1e-6
 
 
 class Robot:
@@ -71,8 +70,9 @@ class Robot:
     def wrench(self, q: np.ndarray, T_flange_tool: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Returns force [N] and moment [Nm] at the tool point, in the tool's axes, shape (6,), from joint torques by
         damped least squares: there are seven torques for six unknowns, and a singularity hides some of them."""
+        damping = 1e-6
         J = self.jacobian(q, T_flange_tool)
-        return np.linalg.solve(J @ J.T + DAMPING * np.eye(6), J @ torque)
+        return np.linalg.solve(J @ J.T + damping * np.eye(6), J @ torque)
 
     def torques(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Returns the joint torques, shape (7,) [Nm], of gravity and motion at angles, speeds and accelerations."""
@@ -85,18 +85,17 @@ class Robot:
         return J[:3].T @ (self.flange(q)[:3, :3].T @ (mass * self._model.gravity.linear))
 
 
-LTS_REACH_RAD = 0.07
-LTS_WIDTH_RAD = 0.0525
 MIN_TRAJECTORY_TIME_S = 0.04
 CYCLE_S = 1e-3
-BRAKING_FRACTION = 0.8  # braking uses this fraction of the acceleration limit; the server's law needs the rest
 Law = Callable[[np.ndarray], np.ndarray]
 
 
 def lts_law(error: np.ndarray) -> np.ndarray:
     """Returns f(e) = sign(e) a (1 - exp(-(e/b)^2)) [rad], the law of the published server (builds 1.5 to LTS)."""
-    scaled = [e / LTS_WIDTH_RAD for e in error.tolist()]
-    return np.array([math.copysign(LTS_REACH_RAD * math.expm1(-s * s), s) for s in scaled])
+    lts_reach_rad = 0.07
+    lts_width_rad = 0.0525
+    scaled = [e / lts_width_rad for e in error.tolist()]
+    return np.array([math.copysign(lts_reach_rad * math.expm1(-s * s), s) for s in scaled])
 
 
 def plain_law(error: np.ndarray) -> np.ndarray:
@@ -112,9 +111,11 @@ class Drives:
     (7,) [rad/s], [rad/s^2]; `trajectory_time`: DirectServo's minimum trajectory time [s]."""
 
     def __init__(self, speed: np.ndarray, acceleration: np.ndarray, trajectory_time: float) -> None:
+        # braking uses this fraction of the acceleration limit; the server's law needs the rest
+        braking_fraction = 0.8
         self._acceleration = acceleration
         self._lag = 2.0 / 3.0 * trajectory_time
-        double_braking = 2.0 * BRAKING_FRACTION * acceleration
+        double_braking = 2.0 * braking_fraction * acceleration
         linear_range = 0.5 * double_braking * self._lag**2
         self._limits = [limit.tolist() for limit in (speed, acceleration, double_braking, linear_range)]
 

@@ -27,15 +27,8 @@ from rig_simulation.devices.sunrise.java_text import JavaLineSplitter
 from rig_simulation.faults.arm import ARM_FAULTS, ArmAnswers, Encoders
 from rig_simulation.faults.injection import Faults
 
-SWITCH_INTERVAL_S = 5e-4  # the server waits at most this long for another thread of its process [s]
-MOVING_TICK_S = 0.004
-RESTING_TICK_S = 0.02
-SEND_TIMEOUT_S = 1.0
 AT_ONCE_S = 0.005  # longest lag that the arm makes up before an answer
-PIECE_S = 0.002  # of a longer lag it makes up this much before the server looks after its client again
-LONGEST_LAG_S = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
 GOALS_AND_QUESTIONS = ("jp", "jf", "getJ", "Torques", "Eef_")  # these come many times a second
-EVENTS = 500
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)
 
 
@@ -68,8 +61,9 @@ class SunriseServer:
         at_once: float = AT_ONCE_S,  # longest lag made up in one go [s]; infinite for a clock that waits for the arm
         lock: clock.RLock | None = None,  # of an environment that several arms share
     ) -> None:
+        events = 500
         self._arm, self._settings, self._print = arm, settings, log
-        self._events: collections.deque[tuple[float, str]] = collections.deque(maxlen=EVENTS)
+        self._events: collections.deque[tuple[float, str]] = collections.deque(maxlen=events)
         self._now, self._at_once = now or clock.monotonic, at_once
         self._behind = False
         self._io = ControllerIO()
@@ -111,7 +105,8 @@ class SunriseServer:
 
     def run(self) -> None:
         """Serves until `stop`; then closes everything."""
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
+        switch_interval_s = 5e-4  # the server waits at most this long for another thread of its process [s]
+        sys.setswitchinterval(switch_interval_s)
         try:
             while not self._stop.is_set():
                 self._wait()
@@ -157,8 +152,10 @@ class SunriseServer:
         self._waiting_since = clock.monotonic()
 
     def _wait(self) -> None:
+        moving_tick_s = 0.004
+        resting_tick_s = 0.02
         calm = self._arm.asleep and not self._application.busy
-        tick = RESTING_TICK_S if calm else MOVING_TICK_S
+        tick = resting_tick_s if calm else moving_tick_s
         if self.faults.is_on("half_open"):
             self._stop.wait(tick)
             return
@@ -171,13 +168,14 @@ class SunriseServer:
                 self._receive()
 
     def _accept(self) -> None:
+        send_timeout_s = 1.0
         assert self._listener is not None  # the selector reported it
         try:
             self._client, address = self._listener.accept()
         except OSError:
             return
         self._delay_small_packets()
-        self._client.settimeout(SEND_TIMEOUT_S)
+        self._client.settimeout(send_timeout_s)
         self._lines = JavaLineSplitter()
         self._selector.unregister(self._listener)
         self._selector.register(self._client, selectors.EVENT_READ)
@@ -342,16 +340,18 @@ class SunriseServer:
 
     def _next_time(self, piece: float) -> float:
         """Returns the time to advance to: the clock's, or only `piece` [s] further where the arm lags more."""
+        longest_lag_s = 0.2  # a lag beyond this is dropped: the arm moves in slow motion, but the server answers
         now, arm = self._now(), self._arm
         if arm.time is None or arm.asleep or math.isinf(self._at_once):
             self._behind = False
             return now
-        arm.time = max(arm.time, now - LONGEST_LAG_S)
+        arm.time = max(arm.time, now - longest_lag_s)
         self._behind = now - arm.time > self._at_once
         return arm.time + piece if self._behind else now
 
     def _advance(self) -> None:
-        self._answers.put(self._application.advance(self._next_time(PIECE_S)), clock.monotonic())
+        piece_s = 0.002  # of a longer lag it makes up this much before the server looks after its client again
+        self._answers.put(self._application.advance(self._next_time(piece_s)), clock.monotonic())
 
 
 def _numbers(value: Any, count: int) -> np.ndarray:
