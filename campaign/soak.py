@@ -203,8 +203,11 @@ class Ears:
         self.goals = int({v.key: v.value for v in message.values}.get("goals") or self.goals)
 
     def _take_time(self, message) -> None:
-        _, stamp_s, stamp_ns, _, done_s, done_ns, length = STAGE_TIME.unpack_from(message._buff)
-        if message._buff[STAGE_TIME.size : STAGE_TIME.size + length] == STAGE:
+        from common.ros.raw_tf import data_of
+
+        data = data_of(message)
+        _, stamp_s, stamp_ns, _, done_s, done_ns, length = STAGE_TIME.unpack_from(data)
+        if data[STAGE_TIME.size : STAGE_TIME.size + length] == STAGE:
             self._delays.append(1e3 * (done_s - stamp_s) + 1e-6 * (done_ns - stamp_ns))
 
 

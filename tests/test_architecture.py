@@ -365,6 +365,20 @@ def test_a_class_name_means_one_thing():
     assert not {name: files for name, files in places.items() if len(files) > 1}
 
 
+def test_what_rospy_keeps_for_itself_is_asked_in_one_place():
+    """A release of rospy that names it otherwise then changes one file, and the simulated graph."""
+    places = {"_buff": "common/ros/raw_tf.py", "_connection_header": "common/ros/raw_tf.py", "impl": "common/ros/"}
+    asked = [
+        (str(path.relative_to(ROOT)), node.attr)
+        for path in PYTHON
+        if path.relative_to(ROOT).parts[0] != "simulated" and "tests" not in path.parts
+        for node in nodes_of(path)
+        if isinstance(node, ast.Attribute) and node.attr in places
+    ]
+    assert {name for _, name in asked} == places.keys()
+    assert not [(file, name) for file, name in asked if places[name] not in file]
+
+
 def test_subscribers_of_images_have_room_for_several():
     """rospy drops all but the newest only among those that it has read: with its own room images become ever older.
 

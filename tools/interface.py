@@ -22,6 +22,7 @@ import rospy
 import rosservice
 from tf2_msgs.msg import TFMessage
 
+from common.ros.raw_tf import publisher_of
 from kuka_control.numbers import FULL_SPEED_HZ, HOLD_HZ, RESUME_HZ
 from tools.reference import markdown
 from tools.reference.sources import REFERENCE
@@ -215,7 +216,7 @@ class Observer:
         return node != rospy.get_name() and not ANONYMOUS.search(node)
 
     def _take(self, message: TFMessage, topic: str) -> None:
-        node = message._connection_header["callerid"].strip("/")
+        node = publisher_of(message).strip("/")
         for transform in message.transforms:
             self._frames[transform.child_frame_id] = (transform.header.frame_id, node, topic == "/tf_static")
 

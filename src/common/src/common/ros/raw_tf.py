@@ -1,10 +1,10 @@
 """Messages as bytes: a node needs few of the many on /tf, and rospy would build all of them. The one place that knows
-what rospy keeps of a message beside its fields."""
+what rospy keeps of a message and of a subscriber beside their fields."""
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import genpy
@@ -33,6 +33,11 @@ def connection_of(message: genpy.Message) -> dict[str, str]:
 def publisher_of(message: genpy.Message) -> str:
     """Returns the name of the node that published a message."""
     return connection_of(message)["callerid"]
+
+
+def callbacks_of(subscriber: rospy.Subscriber) -> list[Callable]:
+    """Returns whatever this process does with the messages of a topic: rospy calls all of it in the same thread."""
+    return [callback for callback, _ in subscriber.impl.callbacks]
 
 
 def encoded(*names: str) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import ClassVar
 
 import numpy as np
@@ -11,9 +10,8 @@ import rospy
 from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.hand_delay import DelayMeter
-from common.ros.raw_tf import data_of, encoded, publisher_of
+from common.ros.raw_tf import RawTransform, TransformSearch, callbacks_of, publisher_of
 
-STAMP, NUMBERS = struct.Struct("<2I"), struct.Struct("<7d")
 REST_S, READ_S = 0.5, 0.01  # time between two looks at what came on tf, and time to read it
 BUFFER_BYTES = 2**20
 
@@ -27,9 +25,7 @@ class DelayMonitor:
     _looked: ClassVar[dict[str, float]] = {}  # by publisher [s]; of all monitors of the process, which rest together
 
     def __init__(self, T_tool_flange: np.ndarray, frames: ArmFrames = ONE_ARM) -> None:
-        names = frames(BASE), frames(FLANGE_MEASURED)
-        # As they stand in a tf message, after its stamp and before its seven numbers.
-        self._flange_in_base = encoded(*names)
+        self._find_flange = TransformSearch(frames(BASE), frames(FLANGE_MEASURED))
         self._meter = DelayMeter()
         self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
         self.palm = self._meter.palm
@@ -48,21 +44,18 @@ class DelayMonitor:
         are read at once; not where this process subscribes to tf for something else, which rospy calls in the same
         thread."""
         publisher, now = publisher_of(message), clock.monotonic()
-        callbacks = [] if self._subscriber is None else self._subscriber.impl.callbacks
-        alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f, _ in callbacks)
+        callbacks = [] if self._subscriber is None else callbacks_of(self._subscriber)
+        alone = bool(callbacks) and all(isinstance(getattr(f, "__self__", None), DelayMonitor) for f in callbacks)
         if alone and now - self._looked.get(publisher, 0.0) > READ_S:
             clock.sleep(REST_S)
             self._looked[publisher] = clock.monotonic()
-        data = data_of(message)
-        at = data.find(self._flange_in_base)
-        if at >= STAMP.size:
-            seconds, nanoseconds = STAMP.unpack_from(data, at - STAMP.size)
-            self._meter.tool.add(
-                seconds + 1e-9 * nanoseconds, self._tool(*NUMBERS.unpack_from(data, at + len(self._flange_in_base)))
-            )
+        flange = self._find_flange(message)
+        if flange is not None:
+            self._meter.tool.add(flange.time, self._tool(flange))
 
-    def _tool(self, px: float, py: float, pz: float, x: float, y: float, z: float, w: float) -> tuple[float, ...]:
-        """Returns the position [m] of the tool from that of the flange and its quaternion."""
+    def _tool(self, flange: RawTransform) -> tuple[float, ...]:
+        """Returns the position of the tool [m]."""
+        px, py, pz, x, y, z, w = flange.numbers
         a, b, c = self._tool_in_flange
         tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
         return px + a + w * tx + y * tz - z * ty, py + b + w * ty + z * tx - x * tz, pz + c + w * tz + x * ty - y * tx

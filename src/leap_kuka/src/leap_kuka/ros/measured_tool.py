@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import genpy
+import struct
+
 import numpy as np
 import rospy
-from tf2_msgs.msg import TFMessage
 
 from common import clock
-from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames, frame_name
+from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.ros.conversions import pose_from_transform
-from common.ros.raw_tf import data_of, publisher_of
+from common.ros.raw_tf import RawTfMessage, data_of, publisher_of
 from leap_kuka.numbers import MEASURED_AGE_S
 from rig_msgs.msg import KukaStatus
 
@@ -37,16 +37,16 @@ class MeasuredTool:
         if clock.monotonic() - at > MEASURED_AGE_S:
             raise ValueError(f"the newest {self._flange} is {clock.monotonic() - at:.1f} s old")
         try:
-            transforms = TFMessage().deserialize(data).transforms
-        except genpy.DeserializationError as error:
+            transforms = list(RawTfMessage().deserialize(data).raw_transforms())
+        except (struct.error, UnicodeDecodeError) as error:
             raise ValueError(f"the message on /tf is damaged: {error}") from None
-        flange = next((t for t in reversed(transforms) if frame_name(t.child_frame_id) == self._flange), None)
-        if flange is None or frame_name(flange.header.frame_id) != self._base:
+        flange = next((t for t in reversed(transforms) if t.child == self._flange), None)
+        if flange is None or flange.parent != self._base:
             raise ValueError(f"{self._flange} is not in {self._base}")
-        age = (received - flange.header.stamp).to_sec()
+        age = received.to_sec() - flange.time
         if abs(age) > MEASURED_AGE_S:
             raise ValueError(f"the stamp of {self._flange} is {age:.1f} s old")
-        return pose_from_transform(flange.transform) @ self._T_flange_tool
+        return pose_from_transform(flange.message.transform) @ self._T_flange_tool
 
     def _on_status(self, status: KukaStatus) -> None:
         self._controller = publisher_of(status)
