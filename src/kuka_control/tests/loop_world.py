@@ -13,6 +13,7 @@ from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about
 from kst import MotionInterrupted, MotionRefused
+from kuka_control.limits.collision import NearestPair, PathCheck
 from kuka_control.loop import algorithms
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs
@@ -278,6 +279,12 @@ def at_rate(world, rate, tool, seconds):
 
 def reached(world, tool):
     return np.linalg.norm(world.rig.kinematics.forward(world.arm.q)[:3, 3] - tool[:3, 3]) < 1e-3
+
+
+def block(world):
+    """A body is in the way of every motion from now on."""
+    pair = NearestPair(("palm", "post"), 0.003, (np.zeros(3), np.zeros(3)), (1.0, 0.0, 0.0), False)
+    world.loop._settings.guard.check = lambda *_: PathCheck(iter([pair]))
 
 
 def ptp(q, velocity):

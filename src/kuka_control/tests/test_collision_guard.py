@@ -13,13 +13,13 @@ from loop_world import DT, HOME, Q_ASIDE, SLOW, World, ptp, rig, shifted
 from test_robot_shape import signed_distances
 
 from bench.simulated import SimulatedRig
+from common.limits import Limit
 from common.modes import Mode
 from common.poses import pose, read_only
 from common.rotations import rotation_about, rotation_from_zyx
 from iiwa_kinematics import Kinematics
 from kuka_control.limits.collision import NOISE_M, CollisionGuard, _Posture
 from kuka_control.limits.moving_arm import GuardError
-from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop import algorithms
 from kuka_control.loop.control_loop import CHECKED_AT_ONCE
 from kuka_control.loop.moves import MoveState
@@ -63,7 +63,7 @@ def path_fault(of, start, goal):
     """What is in the way of a motion of all joints in step; None: nothing."""
     check = of.check((start, goal))
     check.go_on(sys.maxsize)
-    return check.fault
+    return None if check.fault is None else str(check.fault)
 
 
 def distance(around, q, opening=OPEN):
@@ -235,7 +235,7 @@ def test_the_arm_slows_down_before_a_wall_slides_along_it_and_comes_back():
         names.add(step.limited_by)
         at.append(ARM.forward(step.q))
         assert watch.nearest_at(step.q.tolist()).distance >= MARGIN - NOISE_M
-    assert COLLISION_GUARD in names and made.scale < 0.2
+    assert Limit.COLLISION_GUARD in names and made.scale < 0.2
     assert made.nearest.pair[1] == "wall" and made.nearest.distance < MARGIN + 2.0 * SOFT_M
     assert np.ptp([OUT @ T[:3, 3] for T in at[300:]]) > 0.08, "it slides along"
     turns = [np.degrees(np.arccos(np.clip((np.trace(T[:3, :3].T @ at[0][:3, :3]) - 1.0) / 2.0, -1.0, 1.0))) for T in at]
@@ -257,7 +257,7 @@ def test_the_guard_of_stops_alone_keeps_the_margin(speed):
         step = limits.step(ARM.inverse(push, q_seed=limits.goal, keep_branch=True).q, limits.goal, DT)
         names.add(step.limited_by)
         assert watch.nearest_at(step.q.tolist()).distance >= MARGIN - NOISE_M
-    assert COLLISION_GUARD in names
+    assert Limit.COLLISION_GUARD in names
 
 
 def test_from_too_near_only_what_parts_is_allowed():
@@ -515,7 +515,7 @@ def test_fingers_that_open_and_close_in_the_stream_do_not_come_nearer_than_the_m
         world.loop.open_hand(opening)
         world.run(DT, aside(min(0.2 * cycle * DT, 0.2)))
         assert distance([WALL], world.arm.q, opening) >= MARGIN - NOISE_M
-    assert world.mode == Mode.SERVO and COLLISION_GUARD in world.steps[-1].limited_by
+    assert world.mode == Mode.SERVO and Limit.COLLISION_GUARD in world.steps[-1].limited_by
 
 
 def orbit(post, radius, speed, sway, turn):
@@ -560,7 +560,7 @@ def test_a_hand_behind_a_wall_is_followed_to_the_wall_and_the_reason_names_it():
     world = guarded_world().following()
     place(world, WALL)
     world.run(1.5, lambda t: aside(min(0.2 * t, 0.2)))
-    assert world.mode == Mode.SERVO and COLLISION_GUARD in world.steps[-1].limited_by
+    assert world.mode == Mode.SERVO and Limit.COLLISION_GUARD in world.steps[-1].limited_by
     assert "holds the arm back" in world.steps[-1].reason and "wall" in world.steps[-1].reason
     assert distance([WALL], world.arm.q) >= MARGIN - NOISE_M
     world.run(1.5, lambda t: aside(max(0.2 - 0.2 * t, 0.0)))

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from loop_world import DT, HOME, SLOW, World, planner, rig, shifted
+from loop_world import DT, HOME, SLOW, World, block, planner, rig, shifted
 
 from common.modes import Mode
 from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.limits import line_plan
-from kuka_control.limits.collision import PathCheck
 from kuka_control.limits.line_plan import MoveRefused, plan_line
 from kuka_control.loop import algorithms
 from kuka_control.loop.commands import Servo
@@ -265,10 +264,10 @@ def test_a_line_whose_goals_wait_in_a_stall_continues_and_stays_on_the_line():
 def test_the_collision_guard_refuses_a_motion_and_a_line_before_they_start():
     world = World(collision_guard=True).at_home()
     world.control_on = True
-    world.loop._settings.guard.check = lambda *_: PathCheck(iter(["the palm is 3 mm from the post"]))
+    block(world)
     for ask in (lambda: world.ask("aside"), lambda: world.ask(shifted(0.0, 0.05, 0.05), straight=True)):
         ask()
-        refused(world, "3 mm from the post")
+        refused(world, "3 mm from the post; it keeps 30 mm. Clear the way")
         assert world.state is State.HOME
 
 

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
-from loop_world import DT, HOME, Q_ASIDE, World, out_of_reach_and_back, rig, shifted
+from loop_world import DT, HOME, Q_ASIDE, World, block, out_of_reach_and_back, rig, shifted
 
 from common.modes import Mode
 from common.poses import pose, translation
 from kst import ReplyTimeout
-from kuka_control.limits.collision import PathCheck
 from kuka_control.limits.line_plan import MoveRefused
 from kuka_control.limits.motion_limits import LimitedGoal
 from kuka_control.limits.moving_arm import GuardError
@@ -146,11 +145,6 @@ def touch(world):
     """Something pushes on joint 1 of an arm on its way."""
     world.run(0.1)
     world.arm.touches = (np.array([-31.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),)
-
-
-def block(world):
-    """A body is in the way of every motion from now on."""
-    world.loop._settings.guard.check = lambda *_: PathCheck(iter(["the palm is 3 mm from the post"]))
 
 
 def leave_while_blocked(world):

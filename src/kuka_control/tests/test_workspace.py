@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 
 from common.errors import ConfigError
+from common.limits import BOUNDS, Limit
 from kuka_control.model.workspace import (
-    Bound,
     Infeasibility,
     Infeasible,
     Workspace,
@@ -140,20 +140,20 @@ def test_steps_in_their_order(workspace, position):
     result = workspace.constrain(position)
     if isinstance(result, Infeasible):
         return
-    assert [b for b in Bound if b in result.bounds] == list(result.bounds)
+    assert [b for b in BOUNDS if b in result.bounds] == list(result.bounds)
     heading = math.atan2(workspace.center_line[1], workspace.center_line[0])
     horizontal = np.array([position[0], position[1]])
-    if Bound.OPENING_ANGLE in result.bounds:
+    if Limit.OPENING_ANGLE in result.bounds:
         side = math.copysign(1.0, math.cos(heading) * position[1] - math.sin(heading) * position[0])
         edge = heading + side * workspace.opening_angle / 2.0
         normal = np.array([-math.sin(edge), math.cos(edge)])
         horizontal = horizontal - (horizontal @ normal) * normal
     z = position[2]
-    if {Bound.Z_LOWER, Bound.Z_UPPER} & set(result.bounds):
-        z = workspace.z_lower if Bound.Z_LOWER in result.bounds else workspace.z_upper
+    if {Limit.Z_LOWER, Limit.Z_UPPER} & set(result.bounds):
+        z = workspace.z_lower if Limit.Z_LOWER in result.bounds else workspace.z_upper
     assert result.position[2] == z
-    if {Bound.INNER_SPHERE, Bound.OUTER_SPHERE} & set(result.bounds):
-        limit = workspace.inner_sphere if Bound.INNER_SPHERE in result.bounds else workspace.outer_sphere
+    if {Limit.INNER_SPHERE, Limit.OUTER_SPHERE} & set(result.bounds):
+        limit = workspace.inner_sphere if Limit.INNER_SPHERE in result.bounds else workspace.outer_sphere
         distance = np.linalg.norm(result.position - [0.0, 0.0, workspace.joint_2_height])
         assert distance == pytest.approx(limit, abs=1e-9)
         assume(np.linalg.norm(horizontal) > 1e-6)
@@ -176,11 +176,11 @@ def test_turned_workspace_turns_the_result(turn, position):
     "desired, expected, bounds",
     [
         ((0.6, 0.0, 0.34), (0.6, 0.0, 0.34), ()),
-        ((0.9, 0.0, 0.34), (0.7, 0.0, 0.34), (Bound.OUTER_SPHERE,)),
-        ((0.1, 0.0, 0.34), (0.5, 0.0, 0.34), (Bound.INNER_SPHERE,)),
-        ((0.6, 0.0, 0.9), (0.6, 0.0, 0.6), (Bound.Z_UPPER,)),
-        ((0.6, 0.0, 0.1), (0.6, 0.0, 0.2), (Bound.Z_LOWER,)),
-        ((0.9, 0.0, 0.9), (math.sqrt(0.49 - 0.26**2), 0.0, 0.6), (Bound.Z_UPPER, Bound.OUTER_SPHERE)),
+        ((0.9, 0.0, 0.34), (0.7, 0.0, 0.34), (Limit.OUTER_SPHERE,)),
+        ((0.1, 0.0, 0.34), (0.5, 0.0, 0.34), (Limit.INNER_SPHERE,)),
+        ((0.6, 0.0, 0.9), (0.6, 0.0, 0.6), (Limit.Z_UPPER,)),
+        ((0.6, 0.0, 0.1), (0.6, 0.0, 0.2), (Limit.Z_LOWER,)),
+        ((0.9, 0.0, 0.9), (math.sqrt(0.49 - 0.26**2), 0.0, 0.6), (Limit.Z_UPPER, Limit.OUTER_SPHERE)),
     ],
 )
 def test_examples(desired, expected, bounds):

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kuka_control.model.workspace import Bound, Workspace
+from common.limits import BOUNDS
+from kuka_control.model.workspace import Workspace
 from kuka_control.model.workspace_study import SEVERAL, UNCHANGED, constrained_samples, volume_samples
 
 COUNT = 400
@@ -66,7 +67,7 @@ def test_constrained_samples_are_in_the_workspace_and_say_what_acted(space, seed
 
 def test_every_bound_has_its_samples_and_each_sample_one_group():
     samples = constrained_samples(workspace(), COUNT, np.random.default_rng(0))
-    groups = np.array([samples.group(acted) for acted in (UNCHANGED, SEVERAL, *(bound.value for bound in Bound))])
+    groups = np.array([samples.group(acted) for acted in (UNCHANGED, SEVERAL, *(bound.value for bound in BOUNDS))])
     assert np.all(groups.sum(axis=1) > 5)
     np.testing.assert_array_equal(groups.sum(axis=0), 1)
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from common.limits import Limit, known_limits
 from common.poses import pose
 from common.reasons import ReasonCode
 from common.rotations import rotation_about
@@ -237,12 +238,35 @@ def test_a_hint_comes_after_some_seconds_and_names_what_hinders():
     assert visitor.wait(0.2, control_on=False).hint == "control_off"
     visitor.silent = {TeleopRecord}
     assert visitor.wait(2.0).hint == "no_leap"
+
+
+HINT_AT = {
+    "opening angle": "edge",
+    "lower z limit": "edge",
+    "upper z limit": "edge",
+    "inner sphere": "edge",
+    "outer sphere": "edge",
+    "reach": "move",
+    "workspace": "edge",
+    "joint limit": "edge",
+    "joint speed": "slower",
+    "arm speed": "slower",
+    "frame rate": "move",
+    "joint acceleration": "move",
+    "lag of the arm": "move",
+    "collision guard": "move",
+    "gap between goals": "move",
+}
+"""The hint in the step "move" while kuka/status names a limit."""
+
+
+def test_a_limit_of_the_arm_hints_back_to_the_middle_or_slower():
     visitor = Visitor()
     for step in ("flat", "green"):
         visitor.do(step)
-    assert visitor.wait(HINT_S + 0.5, limited_by=("arm speed",)).hint == "slower"
-    assert visitor.wait(0.2, limited_by=("z lower limit",)).hint == "edge"
-    assert visitor.wait(0.2, limited_by=()).hint == "move"
+    visitor.wait(HINT_S + 0.5)
+    assert {name: visitor.wait(0.2, limited_by=known_limits([name])).hint for name in HINT_AT} == HINT_AT
+    assert set(HINT_AT) == {limit.value for limit in Limit}
 
 
 @pytest.mark.parametrize("code", ReasonCode)

@@ -17,10 +17,11 @@ from matplotlib.ticker import MultipleLocator
 from mpl_toolkits.mplot3d import Axes3D
 from numpy.typing import ArrayLike
 
+from common.limits import Limit
 from common.rotations import rotation_about
 from iiwa_kinematics import arm_points
 from kuka_control.model.rig import Rig
-from kuka_control.model.workspace import Bound, Workspace, boundary_lines
+from kuka_control.model.workspace import Workspace, boundary_lines
 from kuka_control.model.workspace_study import SEVERAL, UNCHANGED, ConstrainedSamples, ReachStudy
 
 WORKSPACE = "#3b82c4"
@@ -33,11 +34,11 @@ FRACTIONS = "viridis"  # colour map of the fraction of orientations that are rea
 
 ACTED = {
     UNCHANGED: "#a9b2bd",
-    Bound.OPENING_ANGLE.value: "#009e73",
-    Bound.Z_LOWER.value: "#d3609a",
-    Bound.Z_UPPER.value: "#7b3fa0",
-    Bound.INNER_SPHERE.value: "#45aee6",
-    Bound.OUTER_SPHERE.value: "#0b4f8a",
+    Limit.OPENING_ANGLE.value: "#009e73",
+    Limit.Z_LOWER.value: "#d3609a",
+    Limit.Z_UPPER.value: "#7b3fa0",
+    Limit.INNER_SPHERE.value: "#45aee6",
+    Limit.OUTER_SPHERE.value: "#0b4f8a",
     SEVERAL: "#e0b400",
 }
 """Which bound moved a sample."""

@@ -63,18 +63,19 @@ class NearestPair(NamedTuple):
     distance: float  # negative: how deep they overlap [m]
     points: tuple[np.ndarray, np.ndarray]  # shape (3,) each [m]
     normal: Vector  # from the first to the second; where they overlap it still says how they approach
+    finger: bool  # whether one of them is a finger
 
     def __str__(self) -> str:
         return f"the {self.pair[0]} is {1e3 * self.distance:.0f} mm from the {self.pair[1]}"
 
 
 class PathCheck:
-    """The check of one path, a part of it at a time, for any opening of the hand; `fault` is what is in the way, the
-    end of a sentence, None if nothing so far."""
+    """The check of one path, a part of it at a time, for any opening of the hand; `fault` is the pair that meets
+    on it, None if none has so far."""
 
-    def __init__(self, distances: Iterator[str | None]) -> None:
+    def __init__(self, distances: Iterator[NearestPair | None]) -> None:
         self.done = False
-        self.fault: str | None = None
+        self.fault: NearestPair | None = None
         self._distances = distances
 
     @_guarding
@@ -254,8 +255,8 @@ class CollisionGuard:
         pair comes where its approach would end."""
         return PathCheck(self._check(path, self._bound + (SOFT_M if softly else 0.0)))
 
-    def _check(self, path: Sequence[np.ndarray], bound: float) -> Iterator[str | None]:
-        """Yields what is in the way, or None, after each distance and each sample."""
+    def _check(self, path: Sequence[np.ndarray], bound: float) -> Iterator[NearestPair | None]:
+        """Yields the pair that meets, or None, after each distance and each sample."""
         low, needed = np.full(len(self._pairs), -math.inf), np.full(len(self._pairs), math.inf)
         near = list(range(len(self._pairs)))
         for start, goal in zip(path, path[1:]):
@@ -272,7 +273,7 @@ class CollisionGuard:
                     low[pair] = distance = contact.distance
                     rate[pair] = min(fastest[pair], self._closing(pair, contact, twists))
                     if distance < min(needed[pair], bound) - NOISE_M and needed[pair] < math.inf:
-                        yield str(contact)
+                        yield contact
                         return
                     needed[pair] = distance if needed[pair] == math.inf else max(needed[pair], distance)
                     yield None
@@ -363,6 +364,7 @@ class CollisionGuard:
             distance,
             (first, second),
             (x / length, y / length, z / length),
+            self.bodies[i].finger or self.bodies[j].finger,
         )
 
     def _approach(self, pair: int, contact: NearestPair, posture: _Posture) -> list[float]:

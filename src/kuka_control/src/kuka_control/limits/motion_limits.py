@@ -15,13 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.limits import Limit
 from common.poses import read_only
 from iiwa_kinematics import Ball
 from kuka_control.limits.moving_arm import JointState, ShapeLimits, approach_speed
-from kuka_control.limits.speed_change import ARM_SPEED, COLLISION_GUARD, GuardedRoom, SpeedChange, StoppingGuard
+from kuka_control.limits.speed_change import GuardedRoom, SpeedChange, StoppingGuard
 from kuka_control.numbers import GAP_S
 
-LATE_GOAL = "gap between goals"  # what limits the first goal after a longer gap than GAP_S
 GAIN_PER_S = 40.0  # gain on a small distance between goal and target [1/s]
 LATE_S = 0.04  # if a velocity change takes longer than this, the limits of acceleration and jerk hold the goal back [s]
 
@@ -42,9 +42,7 @@ class LimitedGoal:
 
     q: np.ndarray
     v: np.ndarray
-    limited_by: str | None
-    """What holds the goal back: "joint speed", "arm speed", "frame rate", "joint acceleration", "joint limit", "lag of
-    the arm", "workspace", "collision guard" or "gap between goals"; None if it moves with the desired velocity."""
+    limited_by: Limit | None  # what holds the goal back; None if it moves with the desired velocity
 
 
 class MotionLimits:
@@ -110,7 +108,7 @@ class MotionLimits:
         at_rest_rad = 1e-7
         if self._room.collisions is not None:
             self._room.collisions.follow(self._now.q, measured, dt)
-        gap = LATE_GOAL if dt > GAP_S else None
+        gap = Limit.LATE_GOAL if dt > GAP_S else None
         dt = self._after(dt)
         own = [0.0] * 7 if speed is None else speed.tolist()
         q, v, ahead = self._now.q, self._now.v, target.tolist()
@@ -124,20 +122,20 @@ class MotionLimits:
             needed = max(self._joint_fraction(own), self._arm_fraction(own))
             scale = min(1.0, max(scale, needed + 0.5 * scale))
         allowed, limited_by = self._allowed(desired, measured.tolist(), min(scale, cap))
-        if cap < scale and limited_by in ("joint speed", ARM_SPEED):
-            limited_by = "frame rate"
+        if cap < scale and limited_by in (Limit.JOINT_SPEED, Limit.ARM_SPEED):
+            limited_by = Limit.FRAME_RATE
         within, slowed = self._in_ranges(allowed)
         if slowed:
-            limited_by = limited_by or "joint limit"
+            limited_by = limited_by or Limit.JOINT_RANGE
         if self._room.collisions is not None:
             within, slowed = self._room.collisions.slowed(q, within)
             if slowed:
-                limited_by = COLLISION_GUARD
+                limited_by = Limit.COLLISION_GUARD
         now, held = self._guard.step(self._now, within, dt)
-        late = "joint acceleration" if now.duration > LATE_S else None
+        late = Limit.ACCELERATION if now.duration > LATE_S else None
         return self._moved(now, gap or held or limited_by or held_by or late)
 
-    def _moved(self, now: JointState, limited_by: str | None) -> LimitedGoal:
+    def _moved(self, now: JointState, limited_by: Limit | None) -> LimitedGoal:
         self._now, self._goal = now, read_only(now.q)
         return LimitedGoal(self._goal, read_only(now.v), limited_by)
 
@@ -162,15 +160,15 @@ class MotionLimits:
             within.append(rate)
         return within, slowed
 
-    def _desired_velocity(self, error: list[float], speed: list[float]) -> tuple[list[float], str | None]:
-        """Returns the desired velocity, and "joint acceleration" if braking before the target limits it."""
+    def _desired_velocity(self, error: list[float], speed: list[float]) -> tuple[list[float], Limit | None]:
+        """Returns the desired velocity, and ACCELERATION if braking before the target limits it."""
         # In units of what each joint brakes with, distances are squares of times.
         far = max([abs(e) / braking for e, braking in zip(error, self._braking)])
         braking = far * GAIN_PER_S**2 > 1.0
         gain = approach_speed(far, 1.0, GAIN_PER_S) / far if braking else GAIN_PER_S
-        return [v + gain * e for v, e in zip(speed, error)], "joint acceleration" if braking else None
+        return [v + gain * e for v, e in zip(speed, error)], Limit.ACCELERATION if braking else None
 
-    def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], str | None]:
+    def _allowed(self, desired: list[float], measured: list[float], scale: float) -> tuple[list[float], Limit | None]:
         """Returns the desired velocity scaled down to the limits, and the limit that scales it down most."""
         least_used = 1e-9  # fraction of a speed limit below which nothing moves
         fastest, limited_by = self._joint_fraction(desired), None
@@ -178,7 +176,7 @@ class MotionLimits:
         used = max(fastest, arm, least_used)
         if used > scale:
             factor = scale / used
-            limited_by = "joint speed" if fastest > arm else ARM_SPEED
+            limited_by = Limit.JOINT_SPEED if fastest > arm else Limit.ARM_SPEED
             desired = [factor * rate for rate in desired]
         behind = 0.0
         for rate, angle, joint in zip(desired, self._now.q, measured):
@@ -190,7 +188,7 @@ class MotionLimits:
         room = (end - behind) / (end - begin)
         if room >= 1.0:
             return desired, limited_by
-        return [max(room, 0.0) * rate for rate in desired], "lag of the arm"
+        return [max(room, 0.0) * rate for rate in desired], Limit.LAG
 
     def _joint_fraction(self, velocity: list[float]) -> float:
         return max([abs(rate) / limit for rate, limit in zip(velocity, self._joint_speeds)])

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
 
+from common.limits import Limit
 from kuka_control.limits.moving_arm import STOPPING, JointState, MovingPoints, ShapeLimits
 from kuka_control.model.workspace import Workspace
 from kuka_control.numbers import SLACK_M
@@ -23,8 +24,6 @@ if TYPE_CHECKING:  # without a collision guard its library is not loaded
 EVEN_S = 0.012  # least duration of a velocity change [s]
 SLACK_RAD = 1e-9  # rounding error of a stop that ends at a joint limit [rad]
 INWARD_PER_S = 40.0  # gain on the distance between a bound and a tool that slides along it [1/s]
-COLLISION_GUARD = "collision guard"  # what held a velocity back
-ARM_SPEED = "arm speed"  # likewise
 
 
 class SpeedChange:
@@ -126,7 +125,7 @@ class StoppingGuard:
         self._allowed = _Stop(room.speed, SLACK_M)
         self._ranges = list(zip(room.lower.tolist(), room.upper.tolist()))
 
-    def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, str | None]:
+    def step(self, now: JointState, desired: Sequence[float], dt: float) -> tuple[JointState, Limit | None]:
         """Returns the state after dt [s], and what held the desired velocities, 7 [rad/s], back."""
         halvings = 5  # bisections of the fraction of the desired velocity that can be kept
         free = self._change.step(now, desired, dt)
@@ -139,7 +138,7 @@ class StoppingGuard:
             if not beyond and stop.within(self._allowed):
                 return free, None
         braking = self._change.stop(now, dt)
-        held = "joint limit" if beyond else None
+        held = Limit.JOINT_RANGE if beyond else None
         best, stop = self._ranged(free, braking)
         # An arm that can no longer stop within bounds may take any step that is no worse than a full stop.
         least, _ = self._stop(braking)
@@ -148,7 +147,7 @@ class StoppingGuard:
             return best, held
         kept, given_up, best = [0.0] * 7, desired, braking
         if stop.outside > bound.outside:
-            held = "workspace"
+            held = Limit.WORKSPACE
             along = self.along(np.array(now.q), np.array(desired)).tolist()
             state, stop = self._ranged(self._change.step(now, along, dt), braking)
             if stop.within(bound):
@@ -156,7 +155,7 @@ class StoppingGuard:
             else:
                 given_up = along
         elif not stop.apart(bound):
-            held = COLLISION_GUARD
+            held = Limit.COLLISION_GUARD
         for _ in range(halvings):
             middle = [0.5 * (a + b) for a, b in zip(kept, given_up)]
             state, stop = self._ranged(self._change.step(now, middle, dt), braking)
@@ -164,7 +163,7 @@ class StoppingGuard:
                 kept, best = middle, state
             else:
                 given_up = middle
-        return best, held or ARM_SPEED
+        return best, held or Limit.ARM_SPEED
 
     def along(self, q: np.ndarray, desired: np.ndarray) -> np.ndarray:
         """Returns the joint velocities without what carries the tool beyond a bound; shape (7,) [rad/s], at q [rad]."""

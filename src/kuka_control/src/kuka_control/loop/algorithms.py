@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from common.limits import Limit
 from iiwa_kinematics import Ball
 from kuka_control.limits.line_plan import LineLimits
-from kuka_control.limits.motion_limits import LATE_GOAL, LimitedGoal, MotionLimits, Unlimited
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import GuardError, MovingPoints, ShapeLimits
 from kuka_control.limits.speed_change import GuardedRoom
 from kuka_control.loop.commands import Servo, Wait
@@ -198,7 +199,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
     def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
         if goal.limited_by is not None:
             self.counts["limited_goals"] += 1
-            self.counts["goal_gaps"] += goal.limited_by == LATE_GOAL
+            self.counts["goal_gaps"] += goal.limited_by == Limit.LATE_GOAL
             self._limited_by = (goal.limited_by,)
         self.counts["goals_sent"] += 1
         return Servo(goal.q, stamp)

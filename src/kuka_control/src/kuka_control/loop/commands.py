@@ -8,6 +8,7 @@ from typing import Union
 
 import numpy as np
 
+from common.limits import Limit
 from common.modes import Mode
 from kuka_control.loop.moves import MoveProgress, ProgramMotion
 from kuka_control.loop.transitions import Action, State, Trigger
@@ -100,7 +101,7 @@ class Step:
     reason: str  # why this mode, in sentences, and why the arm does not follow the desired tool frame that comes
     events: tuple[Event, ...]  # what to log
     target: Target | None = None  # where the arm goes, or what it follows
-    limited_by: tuple[str, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
+    limited_by: tuple[Limit, ...] = ()  # the workspace bounds and the motion limits that acted on the last command
     transitions: tuple[tuple[State, Trigger], ...] = ()  # the transitions taken in this cycle
     move: MoveProgress | None = None  # of the last motion for a program
     scaling: MotionScaling | None = None  # of the desired tool frame; None while nothing follows it

@@ -19,16 +19,16 @@ from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 
 import numpy as np
 
+from common.limits import Limit
 from common.poses import read_only
 from kuka_control.limits.moving_arm import GuardError
-from kuka_control.limits.speed_change import COLLISION_GUARD
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
 from kuka_control.loop.own_motions import TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Trait, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, until_anew
-from kuka_control.model.robot_shape import REACH, Opening
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
@@ -178,7 +178,7 @@ class ControlLoop(ABC, Generic[Settings]):
         # What this cycle has brought so far.
         self._checks = False  # whether that check continues
         self._events: list[Event] = []
-        self._limited_by: tuple[str, ...] = ()
+        self._limited_by: tuple[Limit, ...] = ()
         self._taken: list[tuple[State, Trigger]] = []
 
     def step(self, observation: Observation, now: float) -> Step:
@@ -215,7 +215,7 @@ class ControlLoop(ABC, Generic[Settings]):
             because = f"{BARRED_BY_MOVE} {until_anew(self._stream.foreign)}"
             self._barred, self._barred_because = self._stream.number, because
         guard = self._settings.guard
-        self.guard_scale = 1.0 if guard is None or COLLISION_GUARD not in self._limited_by else guard.scale
+        self.guard_scale = 1.0 if guard is None or Limit.COLLISION_GUARD not in self._limited_by else guard.scale
         self._note_move(observation)
         if self._taken or not self._checks:
             self._check = None
@@ -368,7 +368,7 @@ class ControlLoop(ABC, Generic[Settings]):
             return False, None
         self._check = None
         refuses = f"The collision guard refuses the {what}: on the way {before[1].fault}"
-        finger = FINGER_IN_THE_WAY if REACH in before[1].fault else ""
+        finger = FINGER_IN_THE_WAY if before[1].fault.finger else ""
         return True, f"{refuses}; it keeps {1e3 * guard.margin:.0f} mm. {finger}Clear the way."
 
     def _note_own(self, target: State, causes: tuple[Trigger | None, Trigger], now: float) -> None:
@@ -670,7 +670,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def _held_back(self) -> str | None:
         """Returns what the collision guard keeps the arm away from, a sentence, if it acted in this cycle."""
         guard = self._settings.guard
-        if guard is None or guard.nearest is None or COLLISION_GUARD not in self._limited_by:
+        if guard is None or guard.nearest is None or Limit.COLLISION_GUARD not in self._limited_by:
             return None
         return f"The collision guard holds the arm back: {guard.nearest}."
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from common.frame_rate import FrameRate
+from common.limits import Limit
 from common.poses import read_only
 from common.rotations import rotation_angle
 from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
@@ -319,7 +320,7 @@ class GoalStream(ServoStream):
         if limited.limited_by is None and self._stamp is not None:
             self._catching_up = False
         if self._rate.holds:
-            limited, self._catching_up = replace(limited, limited_by="frame rate"), True
+            limited, self._catching_up = replace(limited, limited_by=Limit.FRAME_RATE), True
         return self._for_robot(limited, measured, dt)
 
     def _look(self, now: float) -> None:

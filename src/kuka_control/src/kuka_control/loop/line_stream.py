@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from common.limits import Limit
 from kuka_control.limits.line_plan import LinePlan
 from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.loop.goal_stream import GoalStreamSettings, ServoStream
@@ -32,7 +33,7 @@ class LineStream(ServoStream):
         self._elapsed = 0.0  # of the plan [s]
         self._rate = 1.0  # of the plan's time
         self._progress = 0.0, now  # of the plan, and when
-        self._limited_by: str | None = None
+        self._limited_by: Limit | None = None
 
     @property
     def q_goal(self) -> np.ndarray:

@@ -19,7 +19,7 @@ from rig_description import arms, hand
 from rig_description.urdf import TABLE_HALF, TABLE_THICKNESS
 
 OPENED_RAD = 0.02  # a hand some of whose joints has turned by more than this since has another opening [rad]
-TABLE, REACH = "table", "reach of finger"
+TABLE = "table"
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def hand_bodies(model: RobotModel, ring: bool, opening: Opening | None) -> list[
     for finger in (1, 2, 3):
         if opening is None:
             T, sphere = pose(p=frames[f"proximal_{finger}"][:3, 3]), ConvexShape("sphere", (hand.FINGER_REACH,))
-            bodies.append(ConvexBody(f"{REACH} {finger}", 7, sphere, T, True))
+            bodies.append(ConvexBody(f"reach of finger {finger}", 7, sphere, T, True))
             continue
         for part, ends in (("proximal", proximal), ("distal", distal)):
             a, b = ((x, 0.0, z) for x, z in ends)

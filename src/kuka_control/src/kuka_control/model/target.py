@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from common.limits import Limit
 from common.modes import Mode
 from common.poses import pose, read_only
 from common.rotations import rotation_angle
@@ -61,14 +62,14 @@ class Target:
 
     q: np.ndarray | None  # joints, shape (7,) [rad]; None when no valid solution reaches the tool frame
     T_base_tool: np.ndarray  # the tool frame after scaling, workspace and reach, shape (4, 4) [m]
-    bounds: tuple[str, ...] = ()  # names of the workspace's bounds that acted
+    bounds: tuple[Limit, ...] = ()  # the workspace's bounds that acted
     failure: str | None = None  # why there are no joints, a sentence; None when there are
     deviation: float = 0.0  # angle between the desired orientation and that of T_base_tool [rad]
 
     @property
-    def limited_by(self) -> tuple[str, ...]:
-        """What keeps the tool from the desired frame: the workspace's bounds, and "reach" if its orientation yields."""
-        return (*self.bounds, "reach") if self.deviation > SHOWN_RAD else self.bounds
+    def limited_by(self) -> tuple[Limit, ...]:
+        """What keeps the tool from the desired frame: the workspace's bounds, and REACH if its orientation yields."""
+        return (*self.bounds, Limit.REACH) if self.deviation > SHOWN_RAD else self.bounds
 
     @property
     def outside(self) -> str | None:
@@ -145,7 +146,6 @@ class TargetChain:
         if constrained.bounds:
             T_base_scaled = pose(T_base_scaled[:3, :3], constrained.position)
         T_base_tool = read_only(T_base_scaled)
-        bounds = tuple(bound.value for bound in constrained.bounds)
         result = self._kinematics.inverse(T_base_tool, q_seed=q_seed, keep_branch=follows)
         q, T_reached = result.q, T_base_tool
         if q is None:
@@ -154,12 +154,12 @@ class TargetChain:
                 T_reached = read_only(T_tilted)
                 q = self._kinematics.inverse(T_tilted, q_seed=q_seed, keep_branch=follows).q
         if q is None:
-            return Target(None, T_base_tool, bounds, str(result.failure))
+            return Target(None, T_base_tool, constrained.bounds, str(result.failure))
         if not follows and max(abs(q - q_seed).tolist()) > HALF_TURN_RAD:
-            return Target(None, T_base_tool, bounds, _refused_turn(np.abs(q - q_seed)))
+            return Target(None, T_base_tool, constrained.bounds, _refused_turn(np.abs(q - q_seed)))
         if T_reached is T_base_tool:
-            return Target(q, T_base_tool, bounds)
-        return Target(q, T_reached, bounds, None, _angle(T_base_tool, T_reached))
+            return Target(q, T_base_tool, constrained.bounds)
+        return Target(q, T_reached, constrained.bounds, None, _angle(T_base_tool, T_reached))
 
     def _steady(
         self, target: Target, T_base_scaled: np.ndarray, q_seed: np.ndarray, before: Target, dt: float

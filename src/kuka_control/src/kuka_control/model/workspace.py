@@ -14,18 +14,8 @@ from typing import Sequence
 import numpy as np
 
 from common.errors import ConfigError
+from common.limits import Limit
 from common.poses import read_only
-
-
-class Bound(str, Enum):
-    OPENING_ANGLE = "opening angle"
-    Z_LOWER = "lower z limit"
-    Z_UPPER = "upper z limit"
-    INNER_SPHERE = "inner sphere"
-    OUTER_SPHERE = "outer sphere"
-
-    def __str__(self) -> str:
-        return self.value
 
 
 class Infeasibility(str, Enum):
@@ -38,7 +28,7 @@ class Infeasibility(str, Enum):
 @dataclass(frozen=True)
 class Constrained:
     position: np.ndarray  # shape (3,) [m]; the desired position itself if no bound was active
-    bounds: tuple[Bound, ...]  # the active bounds, in the order of their application
+    bounds: tuple[Limit, ...]  # the active bounds, in the order of their application
 
 
 @dataclass(frozen=True)
@@ -189,15 +179,15 @@ class Workspace:
         side = math.copysign(self.opening_angle / 2.0, left)
         c_side, s_side = math.cos(side), math.sin(side)
         if abs(left) * c_side - along * abs(s_side) > on_bound:
-            bounds.append(Bound.OPENING_ANGLE)
+            bounds.append(Limit.OPENING_ANGLE)
             r = along * c_side + left * s_side
             along, left = r * c_side, r * s_side
         if not self.z_lower <= z <= self.z_upper:
-            bounds.append(Bound.Z_LOWER if z < self.z_lower else Bound.Z_UPPER)
+            bounds.append(Limit.Z_LOWER if z < self.z_lower else Limit.Z_UPPER)
             z = min(max(z, self.z_lower), self.z_upper)
         r_inner, r_outer = self.radii(z)
         if not r_inner - on_bound <= r <= r_outer + on_bound:
-            bounds.append(Bound.INNER_SPHERE if r < r_inner else Bound.OUTER_SPHERE)
+            bounds.append(Limit.INNER_SPHERE if r < r_inner else Limit.OUTER_SPHERE)
             moved = min(max(r, r_inner), r_outer)
             along, left = along / r * moved, left / r * moved
         if not bounds:

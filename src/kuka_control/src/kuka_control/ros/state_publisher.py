@@ -226,7 +226,8 @@ class StatePublisher:
         scaling = step.scaling or MotionScaling(switched.scale)
         status.gripper_on, status.scaling_factor = switched.gripper_on, scaling.factor
         status.scaling_offset = Vector3(*scaling.offset.tolist())
-        status.mode, status.reason, status.limited_by = step.mode.value, step.reason, list(step.limited_by)
+        status.mode, status.reason = step.mode.value, step.reason
+        status.limited_by = [limit.value for limit in step.limited_by]
         status.round_trip = snapshot.round_trip or 0.0
         status.header.stamp = rospy.Time.now()
         self._status.publish(status)

@@ -12,6 +12,7 @@ from typing import Any, Union
 
 import numpy as np
 
+from common.limits import Limit
 from common.modes import Mode
 from common.operator_rows import OLD_ROWS_S
 from common.reasons import ReasonCode
@@ -51,7 +52,7 @@ class ArmRecord:
     mode: str
     control_on: bool
     gripper_on: bool
-    limited_by: tuple[str, ...] = ()
+    limited_by: tuple[Limit, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -212,9 +213,9 @@ class Tutorial:
             return "gripper_off"
         if step == "fingers" and self._fresh(FingersRecord, now) is None:
             return "no_robot_hand"
-        if any("speed" in limit for limit in arm.limited_by):
+        if any(limit.speed for limit in arm.limited_by):
             return "slower"
-        if any("limit" in limit for limit in arm.limited_by):
+        if any(limit.edge for limit in arm.limited_by):
             return "edge"
         return step
 

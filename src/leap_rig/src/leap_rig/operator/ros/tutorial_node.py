@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from common import clock
 from common.config import choice, flag
 from common.frames import BASE, FLANGE_MEASURED
+from common.limits import known_limits
 from common.robot_hand import HAND, hand_state
 from common.ros.conversions import pose_from_transform
 from common.ros.params import private_config
@@ -92,7 +93,7 @@ class TutorialNode:
         self._take(teleop_record(message))
 
     def _on_status(self, message: KukaStatus) -> None:
-        self._take(ArmRecord(message.mode, message.control_on, message.gripper_on, tuple(message.limited_by)))
+        self._take(ArmRecord(message.mode, message.control_on, message.gripper_on, known_limits(message.limited_by)))
 
     def _on_hand(self, message: Hand) -> None:
         angles = hand_state(message).angles[: len(HAND.fingers)]
