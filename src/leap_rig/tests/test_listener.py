@@ -8,12 +8,15 @@ import pytest
 from common import clock
 from common.frames import BASE, FLANGE_DESIRED, HAND, HAND_FILTERED, TOOL_COMMANDED, TOOL_DESIRED, VIRTUAL_LEAP
 from common.poses import pose
+from common.reasons import ReasonCode
 from common.rotations import rotation_from_zyx
+from common.teleop_record import RUNNING, WAITING
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rig_msgs.msg import TeleopState
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
@@ -118,6 +121,14 @@ def test_a_stage_time_is_read_as_genpy_reads_it(listener):
         frame = round(stamp.to_sec(), 4)
         assert listener.recorder.stamps[frame] == pytest.approx(stamp.to_sec(), abs=1e-6)
         assert listener.recorder.stage_times[source][frame] == pytest.approx(done.to_sec(), abs=1e-6)
+
+
+def test_the_end_of_a_stream_is_recorded_with_its_codes(listener):
+    codes = [ReasonCode.HAND_GONE.value, "of a newer version"]
+    listener._teleop(TeleopState(state=RUNNING))
+    listener._teleop(TeleopState(state=WAITING, reason="why", reason_codes=codes))
+    (stream,) = listener.recorder.streams
+    assert stream.reason == "why" and stream.codes == (ReasonCode.HAND_GONE,)
 
 
 def test_a_sampled_topic_is_read_once_a_period_however_many_messages_come(listener):

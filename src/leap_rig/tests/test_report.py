@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from common.poses import pose, translation
+from common.reasons import ReasonCode
 from common.rotations import rotation_about
 from leap_rig.report.processor import ProcessorLoad, cpu_times
 from leap_rig.report.recorder import Recorder
@@ -212,16 +213,16 @@ def test_a_film_that_ended_is_a_warning_and_no_fault():
 
 
 def test_a_stream_lost_on_a_full_machine_is_a_warning_that_says_what_was_lacking():
-    def lost(load: float, reason: str = "no tracking frames come in") -> dict:
+    def lost(load: float, *codes: ReasonCode) -> dict:
         recorder = good_run()
         recorder.stream(True, "palm in the box", 16.0)
-        recorder.stream(False, reason, 18.0)
+        recorder.stream(False, "why", 18.0, codes)
         recorder.loads = [(12.0, 1.0), (17.0, 0.4), (18.5, load), (25.0, 1.0)]
         return summarise(recorder, 30.0)
 
-    (warning,) = lost(0.97)["warnings"]
+    (warning,) = lost(0.97, ReasonCode.TRACKER_SILENT)["warnings"]
     assert warning.startswith("The stream was lost at 8.0 s while 97 % of the processors were in use")
-    assert lost(0.9)["warnings"] == [] and lost(0.97, "the hand was lost")["warnings"] == []
+    assert lost(0.9, ReasonCode.TRACKER_SILENT)["warnings"] == [] and lost(0.97, ReasonCode.HAND_GONE)["warnings"] == []
     assert lost(0.97)["processor"] == {"median_percent": 98.5, "max_percent": 100.0, "full_s": 3}
     assert "processors             98 % in use (largest 100 %); full for 3 s" in as_text(lost(0.97))
     assert summarise(good_run(), 20.0)["processor"] is None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from common.hand_delay import Track
+from common.reasons import ReasonCode
 from common.rotations import rotation_angle
 
 STAGES = ("received", "leap_motion", "leap_kuka", "kuka_control", "leap_hand")
@@ -23,6 +24,7 @@ class RecordedStream:
     started: float
     stopped: float | None = None
     reason: str = "still running when the run ended"
+    codes: tuple[ReasonCode, ...] = ()  # of the reason
 
 
 @dataclass
@@ -144,12 +146,13 @@ class Recorder:
             self.stamps.setdefault(frame, frame_stamp)
             self.stage_times[stage].setdefault(frame, done)
 
-    def stream(self, running: bool, reason: str, now: float) -> None:
+    def stream(self, running: bool, reason: str, now: float, codes: tuple[ReasonCode, ...] = ()) -> None:
         if running and not self.streaming:
             self.streams.append(RecordedStream(now))
         elif not running and self.streaming:
             self.streams[-1].stopped = now
             self.streams[-1].reason = reason
+            self.streams[-1].codes = codes
 
     def status(self, name: str, values: dict[str, str]) -> None:
         self.counters[name] = dict(values)

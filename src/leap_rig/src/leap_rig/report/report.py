@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 
 from common.hand_delay import hand_delay
+from common.reasons import ReasonCode
 from leap_rig.report.recorder import ObjectTrack, Recorder, TrackingErrors
 
 SLOW_WORLD = 0.95
 """Below this fraction of the requested speed of the world, the machine is too slow."""
 FULL = 0.95
 """Above this fraction in use the processors are full, and programs wait for each other."""
-NO_FRAMES = "tracking frame"
-"""Part of the reasons of a stream that ended because frames were missing or late."""
 TUTORIAL = "tutorial"  # a scenario that lifts nothing
 HAND_OVER = "hand_over"
 LEAST_LIFT_MM = {"pick_cup": 195.0, "two_cups": 195.0, HAND_OVER: 100.0}
@@ -23,9 +22,9 @@ LEAST_LIFT_MM = {"pick_cup": 195.0, "two_cups": 195.0, HAND_OVER: 100.0}
 simulated operator tolerates an error of 4 mm.
 """
 SCENARIO_KEYS = (
-    *("scenario", "step", "failure", "thing", "giver", "taker", "smallest_mm", "held_s", "way_back"),
-    *("clutched", "travel_mm", "engagement_step_mm"),
-)
+    "scenario", "step", "failure", "thing", "giver", "taker", "smallest_mm", "held_s", "way_back",
+    "clutched", "travel_mm", "engagement_step_mm",
+)  # fmt: skip
 COUNTERS = {
     "servo_goals_sent": ("kuka_control", "goals_sent"),
     "pickups": ("kuka_control", "pickups"),
@@ -104,7 +103,7 @@ def lost_streams(recorder: Recorder, began: float) -> list[str]:
     around_s = 2.0
     lost = []
     for stream in recorder.streams:
-        if stream.stopped is not None and NO_FRAMES in stream.reason:
+        if stream.stopped is not None and ReasonCode.TRACKER_SILENT in stream.codes:
             around = [load for time, load in recorder.loads if abs(time - stream.stopped) <= around_s]
             lost += [(stream.stopped - began, max(around))] if around and max(around) > FULL else []
     if not lost:

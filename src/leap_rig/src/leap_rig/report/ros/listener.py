@@ -98,7 +98,7 @@ class RigListener:
     def _teleop(self, message: TeleopState) -> None:
         record = teleop_record(message)
         self._owner = record.owner
-        self.recorder.stream(record.running, record.reason, clock.monotonic())
+        self.recorder.stream(record.running, record.reason, clock.monotonic(), record.codes)
 
     def _palm(self, human: ReceivedPalms) -> None:
         for hand in human.hands:
