@@ -40,10 +40,6 @@ def test_projection_agrees_with_opencv(camera, points):
     np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
 
 
-def test_the_principal_point_is_where_the_optical_axis_meets_the_picture(camera):
-    np.testing.assert_allclose(camera.project([0.0, 0.0, 2.0]), [326.2, 249.0])
-
-
 def test_the_rectified_camera_has_no_distortion_and_the_projections_matrix(camera):
     rectified = camera.rectified()
     np.testing.assert_array_equal(rectified.K, camera.P[:, :3])
@@ -65,15 +61,12 @@ def test_a_distortion_that_folds_the_picture_over_is_refused():
         ("image_height", 480.0),
         ("camera_name", ""),
         ("distortion_model", "equidistant"),
-        ("distortion_model", None),
         ("camera_matrix", {"data": [0.0] * 9}),
         ("camera_matrix", {"data": [1.0] * 8}),
         ("camera_matrix", {"data": [272.9, 0, 163.1, 0, 273.6, 124.5, 0, 0, 1]}),
         ("camera_matrix", {"data": [0.853, 0, 0.51, 0, 1.14, 0.519, 0, 0, 1]}),
         ("projection_matrix", {"data": [1080.0, 0, 640.0, 0, 0, 1082.0, 480.0, 0, 0, 0, 1, 0]}),
         ("distortion_coefficients", {"data": [float("nan")] * 5}),
-        ("distortion_coefficients", {"data": [0.1] * 3}),
-        ("distortion_coefficients", {"data": [0.1, 0, 0, 0, 0, 0.2, 0, 0]}),
         ("distortion_coefficients", {"data": "0.1"}),
         ("rectification_matrix", None),
         ("projection_matrix", {"data": ["a"] * 12}),

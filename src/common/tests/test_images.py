@@ -159,13 +159,6 @@ def test_a_longer_distortion_is_that_of_opencv_and_comes_back_from_its_message(D
     )
 
 
-def test_depth_in_metres_says_nan_where_there_is_none():
-    images, _ = messages()
-    metres = images.metres_from_millimetres(np.array([[0, 1, 3500]], np.uint16))
-    assert metres.dtype == np.float32
-    np.testing.assert_allclose(metres, [[np.nan, 0.001, 3.5]])
-
-
 def test_colour_comes_red_first_and_depth_in_metres_whatever_the_encoding():
     """Reported in https://github.com/ros-naoqi/naoqi_driver/issues/77: depth comes as mono16 or 16UC1. Tried:
     mono16.

@@ -63,12 +63,6 @@ def test_shares_of_a_rotation_add_up_to_it(a, b, c, share):
     np.testing.assert_allclose(rot.rotation_angle(first), share * rot.rotation_angle(R), atol=1e-6)
 
 
-def test_quaternion_order_is_x_y_z_w():
-    np.testing.assert_allclose(
-        rot.rotation_from_quaternion([np.sqrt(0.5), 0, 0, np.sqrt(0.5)]), rot.rotation_about(0, np.pi / 2), atol=1e-12
-    )
-
-
 @pytest.mark.parametrize("q", [[0, 0, 0, 0], [0, 0, 0, 1.01], [np.nan, 0, 0, 1], [0, 0, 1], [np.inf, 0, 0, 0]])
 def test_a_bad_quaternion_is_refused(q):
     with pytest.raises(ValueError):

@@ -27,12 +27,6 @@ def test_a_length_alone_is_a_shift_along_z_bit_for_bit(length):
     )
 
 
-@given(st.floats(0.0, 1.0))
-def test_the_transform_of_a_length_is_that_length_bit_for_bit(length):
-    by_length = parse(ToolConfig, {"tool_length": length}).T_flange_tool
-    np.testing.assert_array_equal(tool(translation(0.0, 0.0, length)), by_length)
-
-
 @given(angle, angle, angle, distance, distance, distance)
 def test_every_rigid_pose_is_taken_as_it_is(a, b, c, x, y, z):
     T = pose(rotation_from_zyx(a, b, c), (x, y, z))

@@ -153,38 +153,31 @@ def test_who_looks_at_the_rig_gets_the_camera_and_its_cloud(arguments, there, mi
     assert not missing & started
 
 
-def test_the_camera_of_the_demo_takes_few_pictures_of_its_own_world():
-    values = parameters("rviz:=true", "world_port:=5000", "camera_rate:=2.5")
-    assert (values["/camera/driver/rate"], values["/camera/driver/port"]) == (2.5, 5000)
-    assert values["/camera_truth/port"] == 5000
-    assert parameters("rviz:=true")["/camera/driver/rate"] == 3.0
-    values = parameters("grasping:=true")
-    assert values["/camera/driver/rate"] == 6.0
-    assert 1.0 / values["/camera/driver/rate"] < values["/camera/watchdog/silence"]
+PORTS = [f"{device}_control_port:={5000 + i}" for i, device in enumerate(("robot", "leap", "hand", "camera"))]
 
 
-def test_faults_are_asked_of_the_ports_that_the_devices_listen_on():
-    ports = ("robot_control_port", "leap_control_port", "hand_control_port", "camera_control_port")
-    values = parameters("grasping:=true", *(f"{name}:={5000 + i}" for i, name in enumerate(ports)))
-    asked = [values[f"/simulation/{device}_port"] for device in ("arm", "leap", "hand", "camera")]
-    assert asked == [5000, 5001, 5002, 5003]
-    assert values["/camera/driver/control_port"] == 5003
-
-
-def test_the_page_serves_the_hands_where_the_driver_looks_for_them():
-    values = parameters("tracker:=headset", "rviz:=false", "leap_port:=7000", "web_host:=0.0.0.0")
-    assert values["/stereo_web/web/hands"] is True and values["/stereo_web/web/host"] == "0.0.0.0"
-    assert values["/stereo_web/web/leap_port"] == values["/leap_driver/port"] == 7000
-    assert values["/operator/leapd_port"] == values["/simulation/leap_port"] == 0
-    assert parameters("tracker:=headset", "rviz:=false")["/stereo_web/web/host"] == "127.0.0.1"
-
-
-def test_faults_of_the_camera_reach_it_from_the_command_line():
-    values = parameters("grasping:=true", "camera_fault:=slow garbled:5:0.2")
-    assert values["/camera/driver/fault"] == "slow garbled:5:0.2"
-    values = parameters("grasping:=true")
-    assert values["/camera/driver/fault"] == ""
-    assert values["/camera/driver/control_port"] == values["/simulation/camera_port"]
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["rviz:=true", "world_port:=5000", "camera_rate:=2.5"],
+         {"camera/driver/rate": 2.5, "camera/driver/port": 5000, "camera_truth/port": 5000}),
+        (["rviz:=true"], {"camera/driver/rate": 3.0}),
+        (["grasping:=true", *PORTS],
+         {"camera/driver/rate": 6.0, "camera/driver/fault": "", "camera/driver/control_port": 5003,
+          "simulation/arm_port": 5000, "simulation/leap_port": 5001, "simulation/hand_port": 5002,
+          "simulation/camera_port": 5003}),
+        (["grasping:=true", "camera_fault:=slow garbled:5:0.2"], {"camera/driver/fault": "slow garbled:5:0.2"}),
+        (["tracker:=headset", "rviz:=false", "leap_port:=7000", "web_host:=0.0.0.0"],
+         {"stereo_web/web/hands": True, "stereo_web/web/host": "0.0.0.0", "stereo_web/web/leap_port": 7000,
+          "leap_driver/port": 7000, "operator/leapd_port": 0, "simulation/leap_port": 0}),
+        (["tracker:=headset", "rviz:=false"], {"stereo_web/web/host": "127.0.0.1"}),
+    ],
+)  # fmt: skip
+def test_arguments_of_the_demo_reach_the_nodes_that_need_them(arguments, expected):
+    values = parameters(*arguments)
+    assert {name: values[f"/{name}"] for name in expected} == expected
+    if "/camera/driver/rate" in values:
+        assert 1.0 / values["/camera/driver/rate"] < values["/camera/watchdog/silence"]
 
 
 def test_the_nodes_of_a_frame_run_in_one_process_with_their_parameters():

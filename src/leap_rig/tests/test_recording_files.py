@@ -116,15 +116,6 @@ def test_a_killed_recording_keeps_every_flushed_chunk_wherever_its_file_ends(tmp
     assert "not completed" in verify(tmp_path / "run")[1]
 
 
-def test_a_killed_recording_says_what_was_dropped_before_each_chunk_it_keeps(tmp_path):
-    writer = writer_in(tmp_path / "run")
-    assert verify(tmp_path / "run")[0]["dropped"] == {}
-    for dropped in ({"/a": 3}, {"/a": 3, "/b": 1}):
-        writer.add(few(1)[0])
-        writer.flush(dropped)
-        assert verify(tmp_path / "run")[0]["dropped"] == dropped
-
-
 def test_a_killed_recording_that_is_damaged_says_how_much_is_read(tmp_path):
     writer = writer_in(tmp_path / "run")
     file, ends = tmp_path / "run" / MESSAGES, []
@@ -261,12 +252,6 @@ def test_a_definition_that_is_no_text_is_no_traceback(tmp_path):
     Channel(id=1, topic="/a", message_encoding="ros1", metadata={}, schema_id=1).write(builder)
     Message(channel_id=1, log_time=5, data=b"1", publish_time=5, sequence=0).write(builder)
     assert [m.data for m in messages(file_of(tmp_path / "file", builder.end()))] == [b"1"]
-
-
-def test_no_recording_is_overwritten(tmp_path):
-    with pytest.raises(RecordingFault, match="exists"):
-        writer_in(tmp_path)
-    assert not list(tmp_path.iterdir())
 
 
 class FullDisk:

@@ -174,15 +174,6 @@ def test_the_hand_takes_over_without_a_jump_and_without_a_return_home(scale, tur
     assert rig.modes[-3:] == ["servo", "returning", "home"]
 
 
-def test_a_hold_that_nobody_takes_over_ends_at_home():
-    rig = Rig()
-    rig.hold(rig.tool(0.0, 0.0, -0.08, 30.0), 4.0)
-    rig.run(2.5)
-    assert rig.modes[-1] == "servo"
-    rig.run(1.5)
-    assert rig.modes[-3:] == ["servo", "returning", "home"]
-
-
 @pytest.mark.parametrize(
     "name, lift", [("confidence-74fps", (0.0, 0.19, 0.0)), ("rollAndPitchWithEntry", (-0.05, 0.19, 0.0))]
 )

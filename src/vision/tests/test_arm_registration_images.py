@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import yaml
 from depth_scene import load
 from hand_eye_scene import difference
-from two_arm_scene import BOARD, OPTICAL, TwoArmScene
+from two_arm_scene import BOARD, TwoArmScene
 
-from common.arms import arms_from
 from common.config import parse
 from common.errors import DeviceError
 from common.poses import inverse
 from vision.calibration.acceptance import CalibrationConfig, judge
 from vision.calibration.arm_registration import register
-from vision.calibration.record import by_views, mapping_from_record
 from vision.calibration.view_planner import ViewsConfig
 
 NAMES = ("left", "right")
@@ -63,25 +60,3 @@ def test_the_second_base_is_where_it_stands_and_within_the_stated_uncertainty(se
     assert np.all(np.abs(error) < 4.0 * sd), (error, sd)
     assert np.linalg.norm(error[:3]) < BOUND_M and np.linalg.norm(error[3:]) < BOUND_RAD
     assert np.linalg.norm(truth[:3, 3] - (0.0, -0.9, 0.0)) > 0.05, "the drawing would not do"
-
-
-@pytest.mark.ros
-def test_the_program_writes_that_base_from_both_calibrations(seen, tmp_path, capsys):
-    from vision.ros.calibration.register_arms_program import main
-
-    found, truth = seen
-    head = {"robot": "LBR7R800", "flange": "MF_elektrisch", "panel": BOARD.frame, "camera": "simulated"}
-    for name, (views, verdict) in found.items():
-        record = by_views(verdict, views, date="2026-01-31T12:00:00", camera_frame=OPTICAL, simulated=True, **head)
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "camera_place_1.yaml").write_text(yaml.safe_dump(mapping_from_record(record)))
-    given = tmp_path / "drawing.yaml"
-    given.write_text(yaml.safe_dump({**ARMS, "right": {"position": [0.0, -0.45, 0.0]}}))
-    output = tmp_path / "arms.yaml"
-    code = main([f"{n}={tmp_path / n}" for n in NAMES] + ["--arms", str(given), "--output", str(output)])
-    assert code == 0, capsys.readouterr()
-    bases = arms_from(yaml.safe_load(output.read_text())).placements
-    written = inverse(bases["left"].T_world_base) @ bases["right"].T_world_base
-    error = difference(written, truth)
-    assert np.linalg.norm(error[:3]) < BOUND_M and np.linalg.norm(error[3:]) < BOUND_RAD
-    np.testing.assert_allclose(bases["left"].T_world_base, arms_from(ARMS).placements["left"].T_world_base, atol=1e-6)

@@ -20,7 +20,6 @@ from common.rotations import rotation_about
 from rig_description.urdf import urdf
 from vision.calibration.acceptance import BoardDetection, CalibrationConfig, ViewRejected, judge, view_from
 from vision.calibration.arm_model import SHIFT_TOLERANCE_M, ArmModel
-from vision.calibration.hand_eye import CalibrationView, check_motion
 from vision.calibration.view_planner import (
     ARM_RADIUS_M,
     EDGE_PX,
@@ -131,10 +130,6 @@ def test_the_arm_keeps_away_from_a_second_one_that_stands_upright(arm, config, p
     planner = ViewPlanner(passed, arm, camera, points, board, np.eye(3))
     here, there = (np.radians([turn, 60.0, 0.0, -60.0, 0.0, 60.0, 0.0]) for turn in (-20.0, -160.0))
     assert free.path_clear(here, there, guess) and not planner.path_clear(here, there, guess)
-
-
-def test_views_turn_about_several_axes(arm, views):
-    check_motion([CalibrationView(arm.flange(view), np.eye(4), np.eye(6)) for view in views])
 
 
 def test_the_chosen_views_are_surer_than_the_first_ones(planner, candidates, views, guess):

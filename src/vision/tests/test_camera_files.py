@@ -8,9 +8,7 @@ import yaml
 
 from common.camera_model import from_calibration
 from common.config import parse
-from common.errors import ConfigError
 from vision.camera.frames import CameraFramesConfig, camera_frames
-from vision.camera.stream_watch import WatchConfig
 
 CONFIG = Path(__file__).parents[1] / "config"
 
@@ -34,10 +32,6 @@ def test_the_calibrations_are_those_of_the_rigs_own_camera(name, K, D):
     np.testing.assert_array_equal(camera.P[:, :3], camera.K)
 
 
-def test_the_watchdogs_file_fits_its_schema():
-    assert parse(WatchConfig, load("camera_watchdog.yaml")).silence < 1.0
-
-
 def test_optical_frames_look_ahead_with_y_down():
     frames = {
         child: (parent, T) for parent, child, T in camera_frames(parse(CameraFramesConfig, load("camera_frames.yaml")))
@@ -51,11 +45,6 @@ def test_optical_frames_look_ahead_with_y_down():
         assert parent == f"camera_{name}_optical_frame"
         np.testing.assert_array_equal(T, np.eye(4))
     assert frames["camera_rgb_frame"][0] == frames["camera_depth_frame"][0] == "camera_link"
-
-
-def test_a_position_needs_three_numbers():
-    with pytest.raises(ConfigError, match="depth"):
-        parse(CameraFramesConfig, {**load("camera_frames.yaml"), "depth": [0.0, 0.0]})
 
 
 def test_beside_a_driver_with_frames_of_its_own_only_our_names_are_added():

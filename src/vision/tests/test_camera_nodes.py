@@ -125,7 +125,6 @@ def test_a_camera_pulled_out_or_silent_is_reported_and_comes_back(xtion, ros):
         ("present", {"rate": 0, "gain": 1}, "~gain is not a known key"),
         ("present", {"rgb_calibration": {}}, "camera_matrix"),
         ("simulated", {}, "The calibration rgb_calibration was measured with simulated devices"),
-        ("maybe", {}, "~rgb_calibration/simulated is 'maybe', but must be true or false"),
         ("present", {"frames": {}}, "~frames/rgb"),
     ],
 )
@@ -296,14 +295,6 @@ def test_the_watchdog_refuses_bad_limits(ros):
     process = start_watchdog(ros, silence=0.0)
     assert process.wait(1.0) == 1
     assert "~silence is 0.0" in process.log_path.read_text()
-
-
-def test_the_frames_name_wrong_parameters(ros):
-    rospy.set_param("frames", {"rgb": [0.0, 0.0, 0.0], "infrared": 1})
-    process = ros.run("vision", "camera_frames_node.py", "__name:=frames")
-    assert process.wait(1.0) == 1
-    log = process.log_path.read_text()
-    assert "~depth is missing" in log and "~infrared" in log and "Traceback" not in log
 
 
 def test_the_launch_file_brings_frames_and_waits_for_the_world(ros):

@@ -30,16 +30,6 @@ def test_errors_are_in_millimetres_degrees_and_standard_deviations():
     assert found.square == pytest.approx((9.0 + 16.0 + 4.0) / 6.0)
 
 
-def test_the_reach_is_the_mean_square_over_all_directions():
-    shift, turn = np.array([0.002, -0.001, 0.004]), np.array([0.01, 0.02, -0.005])
-    T = board_pose(1.0, 20.0)
-    reach = pose_evaluation.trial(1.0, 20.0, T, poses(T, shift, turn)).errors["colour"].reach
-    directions = np.random.default_rng(0).normal(size=(20000, 3))
-    directions *= pose_evaluation.REACH_M / np.linalg.norm(directions, axis=1)[:, None]
-    moved = shift + directions @ (pin.exp3(turn) - np.eye(3)).T
-    assert reach == pytest.approx(1e3 * np.sqrt(np.mean(np.sum(moved**2, axis=1))), rel=0.02)
-
-
 def test_tables_name_what_was_not_found():
     T = board_pose(1.0, 20.0)
     trials = [pose_evaluation.trial(1.0, 20.0, T, poses(T)), pose_evaluation.trial(1.0, 20.0, T, None)]
@@ -104,14 +94,3 @@ def test_the_program_refuses_with_a_sentence(folder, tmp_path, capsys, break_it,
     assert program.main(["--pictures", str(folder), "--panel", "single", "--output", str(tmp_path / "out")]) == 1
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize(
-    "options", [["--units", "0"], ["--focal-error", "nan"], ["--depth-bias", "2"], ["--panel", "x"]]
-)
-def test_bad_options_of_the_program_are_named(capsys, options):
-    program = pytest.importorskip("vision.ros.marker_board.evaluate_program")
-    with pytest.raises(SystemExit) as ended:
-        program.main(options)
-    assert ended.value.code == 2
