@@ -16,7 +16,6 @@ pytest.importorskip("rig_msgs.srv")
 import rospy
 import tf2_ros
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rig_msgs.msg import TeleopState
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
@@ -24,6 +23,7 @@ from tf2_msgs.msg import TFMessage
 from common.ros.conversions import pose_from_transform, stamped_transform
 from leap_rig.report.recorder import Recorder
 from leap_rig.report.ros.listener import RigListener
+from rig_msgs.msg import TeleopState
 
 pytestmark = pytest.mark.ros
 

@@ -8,6 +8,7 @@ import pytest
 from test_report import good_run
 
 from common.poses import translation
+from common.reasons import ReasonCode
 from leap_rig.report.recorder import Recorder
 from leap_rig.report.report import summarise as of_one
 from leap_rig.report.report_of_arms import as_text, summarise
@@ -35,7 +36,7 @@ def test_faults_and_warnings_say_which_arm():
     left, idle = good_run(), Recorder()
     idle.start(10.0)
     idle.stream(True, "", 11.0)
-    idle.stream(False, "no tracking frame for 0.2 s", 12.0)
+    idle.stream(False, "why", 12.0, (ReasonCode.TRACKER_SILENT,))
     idle.loads.append((12.0, 0.99))
     summary = summarise({"left": left, "right": idle}, 20.0, ["leapd ended with exit code 1"])
     assert summary["faults"] == [
