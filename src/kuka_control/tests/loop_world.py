@@ -71,7 +71,7 @@ class FakeArm(Arm):
         self.refuse = None
         self.fail = None
         self.shift = 0.0
-        self.frozen = self.touches = self.ranges = None
+        self.touches = self.ranges = None
         self._measure()
 
     def tick(self, dt):
@@ -128,7 +128,7 @@ class FakeArm(Arm):
         self.mode = "closed"
 
     def _measure(self):
-        self.state = ArmState(read_only((self.q if self.frozen is None else self.frozen) + self.shift))
+        self.state = ArmState(read_only(self.q + self.shift))
 
     def _refuse(self, what):
         if self.refuse == what:

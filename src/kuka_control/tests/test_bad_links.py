@@ -75,19 +75,3 @@ def test_a_link_that_stalls_with_every_loss_is_slow_but_safe(following):
     steps = following.follow(4.0)
     assert len(following.goals) > 250 and following.controller.holds > 2
     assert {step.mode for _, step, _ in steps} == {"servo"} and following.robot.stops == 0
-
-
-def test_a_motion_whose_acknowledgement_is_lost_ends_at_its_goal_and_latches_nothing():
-    with bench() as one:
-        put, lost = one.down.put, []
-
-        def lossy(now, data):
-            if b"done" in data and one.sent.count("doPTP!inJS") > 1 and not lost:  # the first moves nothing
-                lost.append(now)
-                data = data.replace(b"done\n", b"", 1)
-            if data:
-                put(now, data)
-
-        one.down.put = lossy
-        one.run(clock.monotonic() + 12.0, "home")
-        assert lost and one.loop.stopped_because is None

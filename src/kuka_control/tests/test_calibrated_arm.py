@@ -78,15 +78,6 @@ def test_the_tool_of_a_deviating_arm_is_where_it_is_wanted_if_the_controller_kno
     assert after[0] < 0.05 and after[1] < 0.02, after
 
 
-def test_at_home_the_true_tool_is_in_the_centre():
-    found = deviations()
-    rig = SimulatedRig(robot=deviating_robot(found), dh=found)
-    true = deviating_robot(found).flange(rig.rig.home.q) @ rig.rig.T_flange_tool
-    np.testing.assert_allclose(true, rig.rig.home.T_base_tool, atol=1e-9)
-    np.testing.assert_allclose(true[:3, 3], rig.rig.workspace.centre, atol=1e-9)
-    np.testing.assert_allclose(true[:3, 2], [0.0, 0.0, -1.0], atol=1e-9)
-
-
 def test_a_home_of_ones_own_has_its_centre_where_the_true_tool_is():
     found = deviations()
     rig = SimulatedRig(robot=deviating_robot(found), dh=found, use_home_pos=True).rig

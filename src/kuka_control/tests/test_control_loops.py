@@ -44,38 +44,6 @@ def to_zero(world):
     return ptp(np.zeros(7), world.rig.ptp_velocity(HOME.q, np.zeros(7), SLOW))
 
 
-def test_far_from_home_the_frame_is_picked_up_by_a_fast_motion():
-    world = World().at_home()
-    world.control_on = True
-    tool = shifted(0.05, 0.0, 0.05)
-    world.run(2.0, tool)
-    kind, q, velocity = world.arm.commands[0]
-    assert (kind, velocity) == ("ptp", FAST)
-    np.testing.assert_allclose(world.rig.kinematics.forward(np.array(q)), tool, atol=1e-6)
-    assert world.arm.commands[1:] == [("start_servo",)]
-    assert world.modes == ["home", "pick_up", "servo"], "one frame alone says nothing about the stream"
-    assert reached(world, tool)
-
-
-def test_servo_follows_without_lag_when_nothing_is_limited():
-    """At 0.25 m/s, more than what is allowed while the arm catches up; frames come in every third cycle."""
-
-    def circle(t):
-        angle = 5.0 * t - 2.0 * (1.0 - np.exp(-2.5 * t))
-        return shifted(0.05 * np.sin(angle), 0.0, 0.05 * (1.0 - np.cos(angle)))
-
-    world = World().following()
-    first = len(world.steps)
-    start = world.now
-    world.run(3.0, circle)
-    behind = []
-    for i, step in enumerate(world.steps[first:]):
-        tool = world.rig.kinematics.forward(step.command.q)[:3, 3]
-        behind.append(np.linalg.norm(tool - circle(i * DT)[:3, 3]))
-    assert world.now - start == pytest.approx(3.0) and world.mode == "servo"
-    assert max(behind) < 1.5e-3 and world.steps[-1].limited_by == ()
-
-
 @both
 @pytest.mark.parametrize("lifted", [False, True])
 def test_a_lifted_workspace_holds_no_tool_back_and_shuts_no_controller_down(schema, lifted):
@@ -308,18 +276,6 @@ def test_an_infeasible_position_shuts_the_controller_down_where_the_arm_stands(s
     assert isinstance(world.steps[-1].command, End) and "infeasible" in world.steps[-1].command.fault
 
 
-def test_an_unreachable_frame_keeps_the_joints_and_is_said_once():
-    world = World().following(shifted(0.0, 0.0, 0.15))
-    before = world.arm.q.copy()
-    world.run(0.5, tipped(1.4, z=0.15))
-    assert world.loop.counts["ik_failures"] > 10
-    assert sum("keeps its joints" in e for e in world.events) == 1
-    np.testing.assert_allclose(world.arm.q, before, atol=1e-9)
-    assert "servo mode. The arm keeps its joints: The tool pose is out of reach" in world.steps[-1].reason
-    world.run(0.1, shifted(0.0, 0.0, 0.15))
-    assert "keeps its joints" not in world.steps[-1].reason
-
-
 def test_an_unreachable_frame_at_home_is_in_the_status_while_it_comes_and_control_is_on():
     world = World().at_home()
     world.run(0.5, tipped(1.4))
@@ -366,14 +322,6 @@ def test_a_stream_with_a_conflict_before_the_arm_follows_does_not_count_afterwar
         world.run(0.5).until("servo", 4.0, tool)
 
 
-def test_a_frame_outside_is_clipped_and_the_bound_is_named():
-    world = World().following(shifted(0.0, 0.0, -0.15))
-    world.run(2.0, shifted(0.0, 0.0, -0.25))
-    assert world.steps[-1].limited_by == ("lower z limit",)
-    assert reached(world, pose(HOME.T_base_tool[:3, :3], [*HOME.centre[:2], 0.2]))
-    assert world.loop.counts["workspace_clips"] == 1
-
-
 def test_the_wall_clock_may_be_set_while_the_arm_follows():
     def sway(t):
         return shifted(0.0, 0.0, 0.06 * (1.0 - np.cos(6.0 * t)))  # up to 0.36 m/s
@@ -387,14 +335,6 @@ def test_the_wall_clock_may_be_set_while_the_arm_follows():
             each.run(0.096, lambda t, start=start: sway(start + 0.048 + t))
         assert world.mode == "servo" and not set(world.modes) - {"servo"}, world.steps[-1].reason
         np.testing.assert_allclose(world.arm.q, steady.arm.q, atol=np.radians(1.0))  # at a third of the speed it lags
-
-
-@pytest.mark.parametrize("skew", [-0.7, 0.7])
-def test_stale_and_future_frames_do_not_move_the_arm(skew):
-    world = World().at_home()
-    world.control_on, world.skew = True, skew
-    world.run(1.0, shifted(0.1, 0.0, 0.0))
-    assert world.arm.commands == [] and sum("0.7" in e and "refused" in e for e in world.events) == 1
 
 
 @pytest.mark.hazard(8)
@@ -483,34 +423,6 @@ def test_after_a_way_home_that_a_safety_stop_held_the_arm_stays_there(schema, se
     assert world.arm.commands[0] == ptp(HOME.q, SLOW) and reached(world, tool)
 
 
-@pytest.mark.parametrize("seconds, ends", [(1.0, True), (4.0, False)])
-def test_a_way_to_zero_that_a_safety_stop_held_ends_there_if_it_continues_soon(seconds, ends):
-    world = World().at_home()
-    world.exit_requested = True
-    world.run(0.1)
-    world.arm.held = True
-    world.run(seconds)
-    world.arm.held = False
-    world.run(5.0)
-    fault = world.steps[-1].command.fault
-    assert (fault is None) == ends and (ends or "does not end" in fault)
-
-
-@both
-def test_an_arm_that_moves_slowly_is_not_held(schema):
-    """The speed override on the smartPad is reduced; nothing tells so, motions just take longer."""
-    world = World(schema)
-    world.arm.speed = 0.2 * 0.1
-    world.until("home", 100.0)
-    world.control_on = True
-    world.until("pick_up", 1.0, shifted(0.1, 0.0, 0.0))
-    if schema is RealTimeConfig:
-        world.until("servo", 30.0, shifted(0.1, 0.0, 0.0))
-    else:
-        world.until("home", 60.0)
-    assert world.loop.counts["faults"] == 0 and not any("does not continue" in e for e in world.events)
-
-
 def test_a_lost_connection_ends_the_cycle():
     world = World().following()
     world.arm.fail = ConnectionLost("the link is gone")
@@ -526,18 +438,6 @@ def test_ptp_goes_to_frames_beyond_the_threshold_only():
     world.run(2.0, shifted(0.05, 0.0, 0.0))
     assert [t[0] for t in world.arm.commands] == ["ptp"] and world.arm.commands[0][2] == 0.15
     assert reached(world, shifted(0.05, 0.0, 0.0))
-
-
-@both
-def test_a_stream_that_ran_when_control_went_on_does_not_count(schema):
-    world = World(schema).at_home().run(0.5, shifted(0.05, 0.0, 0.05))
-    world.control_on = True
-    world.run(3.0, shifted(0.05, 0.0, 0.05))
-    assert world.arm.commands == [] and "take the hand out of the box" in world.steps[-1].reason
-    world.run(0.3)
-    assert world.steps[-1].reason == "The arm is at home."
-    world.run(3.0, shifted(0.05, 0.0, 0.05))
-    assert reached(world, shifted(0.05, 0.0, 0.05))
 
 
 @pytest.mark.hazard(1)
@@ -638,17 +538,6 @@ def test_frames_that_come_22_times_a_second_are_followed_again():
     assert "frame rate" not in world.steps[-1].limited_by and world.mode == "servo"
     at_rate(world, 20.5, lambda t: shifted(0.0, 0.0, 0.0), 1.0)
     assert "frame rate" not in world.steps[-1].limited_by
-
-
-def test_frames_below_20_a_second_are_not_followed_until_they_come_faster():
-    world = at_rate(World().following(), 15.0, lambda t: shifted(0.0, 0.0, 0.0), 0.5)
-    first = len(world.arm.goals)
-    at_rate(world, 15.0, lambda t: shifted(0.0, min(0.1 * t, 0.1), 0.0), 2.0)
-    assert np.max(np.abs(np.diff(world.arm.goals[first:], axis=0))) < 1e-6 and world.mode == "servo"
-    assert "frame rate" in world.steps[-1].limited_by
-    at_rate(world, 60.0, lambda t: shifted(0.0, 0.1, 0.0), 3.0)
-    assert reached(world, shifted(0.0, 0.1, 0.0)) and "frame rate" not in world.steps[-1].limited_by
-    assert [command[0] for command in world.arm.commands] == ["stop_servo", "ptp", "start_servo"], "it counts as a jump"
 
 
 @pytest.mark.hazard(6)

@@ -108,15 +108,6 @@ def test_a_motion_that_is_not_confirmed_counts_as_refused():
     assert cycles.seen[-1].refused == str(NAN)
 
 
-def test_a_motion_whose_end_is_refused_counts_as_refused():
-    cycles = Cycles(PTP)
-    cycles.run(None)
-    assert cycles.controller.moving
-    cycles.command = Wait()
-    cycles.run(MotionRefused("nak"))
-    assert not cycles.controller.moving and cycles.seen[-1].refused == "nak"
-
-
 @pytest.mark.parametrize("error", [NAN, LATE])
 def test_a_motion_whose_end_could_not_be_read_runs_on(error):
     cycles = Cycles(PTP)

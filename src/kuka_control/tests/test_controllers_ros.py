@@ -8,7 +8,6 @@ import types
 
 import numpy as np
 import pytest
-import yaml
 from controller_rig import (
     CONFIG,
     MOVE_S,
@@ -40,14 +39,12 @@ from std_msgs.msg import Bool, String
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose, stamped_transform
+from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
 from kuka_control.model.config import RobotAddress
 from kuka_control.ros import controller_node
 from kuka_msgs.msg import jointPositions, jointTorquesExternal, jointTorquesMeasured
 from rig_msgs.msg import KukaStatus
 from rig_msgs.srv import CheckToolPose
-from rig_simulation.devices.sunrise.robot import Robot
-from rig_simulation.files import read_urdf
 
 pytestmark = pytest.mark.ros
 
@@ -100,11 +97,6 @@ def frame(name, ros):
     ros.wait_until(lambda: buffer.can_transform("kuka/base_frame", name, rospy.Time(0)), 20.0, f"tf of {name}")
     listener.unregister()
     return pose_from_transform(buffer.lookup_transform("kuka/base_frame", name, rospy.Time(0)).transform)
-
-
-def gravity_on_the_floor(q):
-    """Returns the joint torques that hold an arm on the floor, shape (7,) [Nm]."""
-    return Robot(read_urdf("LBR7R800", "MF_elektrisch")).torques(q, np.zeros(7), np.zeros(7))
 
 
 def check_tool_poses(node, robot):
@@ -271,31 +263,6 @@ def test_a_motion_that_something_pushes_on_ends_there_and_both_services_say_what
     np.testing.assert_array_equal(robot.joints, there)
 
 
-def test_bad_frames_do_not_move_the_arm_and_an_infeasible_one_stops_the_controller(ros, robot, start):
-    node = start()
-    node.wait_for_mode("home")
-    check_tool_poses(node, robot)
-    assert node.call("scaling_factor", "setScalingFactor", 1.0).message == "The scaling factor is 1."
-    assert not node.call("scaling_factor", "setScalingFactor", 0.05).success
-    assert node.control(True).success
-    at_home = robot.joints
-    hand = Hand(shifted(home_tool(), float("nan"), 0.0, 0.0))
-    ros.wait_until(lambda: "not finite" in node.log, 1.0, "the refusal of NaN")
-    hand.T, hand.delay = shifted(home_tool(), 0.1, 0.0, 0.0), rospy.Duration(-2.0 * 3600.0)  # a recording
-    ros.wait_until(lambda: "behind this machine's clock" in node.log, 5.0, "the refusal of old stamps")
-    np.testing.assert_allclose(robot.joints, at_home, atol=1e-9)
-    hand.delay = rospy.Duration(0.0)
-    node.wait_for_mode("servo")
-    clock.sleep(1.0)
-    there = robot.joints
-    hand.T = shifted(home_tool(), -0.9, 0.9, 0.0)
-    assert node.wait_for_end() == 1
-    np.testing.assert_allclose(robot.joints, there, atol=1e-3)
-    assert "infeasible: it lies behind the base" in node.log
-    clock.sleep(0.1)
-    assert not robot.ask("state")["connected"]
-
-
 @pytest.mark.parametrize("robot", [("--toolbox-version", version) for version in ("1.7", "2019-03")], indirect=True)
 def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, start):
     diagnostics = ros.record("/diagnostics", DiagnosticArray)
@@ -321,33 +288,6 @@ def test_with_a_server_before_may_2019_pose_and_force_are_reckoned(ros, robot, s
     assert node.modes[-1].data == "servo"
 
 
-def test_in_servo_mode_joints_come_with_the_goals_a_jump_is_picked_up_anew_and_an_interrupt_leaves_and_disconnects(
-    ros, robot, start
-):
-    node = start(rate_joints=2.0)
-    node.wait_for_mode("home")
-    assert node.control(True).success
-    T_home = home_tool()
-    hand = Hand(T_home)
-    node.wait_for_mode("servo")
-    states, positions = ros.record("joint_states", JointState), ros.record("kuka/joint_positions", jointPositions)
-    clock.sleep(0.5)
-    states.clear(), positions.clear()
-    clock.sleep(4.0)
-    assert len(states) == pytest.approx(8, abs=1) and 400 <= len(positions) <= 800
-    node.modes.clear()
-    hand.T = shifted(T_home, 0.0, 0.1, 0.0)
-    ros.wait_until(lambda: node.moved_through() == ["pick_up", "servo"], MOVE_S, "the hand to be picked up")
-    ros.wait_until(lambda: robot.is_at(hand.T), 5.0, "the tool where the hand is")
-    assert robot.ask("state")["stops"] == 0
-    node.process.send_signal(signal.SIGINT)
-    assert node.wait_for_end(2.0) == 0
-    clock.sleep(0.1)
-    truth = robot.ask("state")
-    assert not truth["connected"] and truth["mode"] == "idle"
-    assert "the client ended the application" in robot.log and "Traceback" not in node.log
-
-
 def test_an_interrupt_while_the_arm_follows_a_moving_hand_brakes_it_by_goals(robot, start):
     node = start()
     node.wait_for_mode("home")
@@ -364,30 +304,6 @@ def test_an_interrupt_while_the_arm_follows_a_moving_hand_brakes_it_by_goals(rob
     after = robot.ask("state")
     assert before["tcp_speed"] > 0.05 and after["goals"] - before["goals"] > 5
     assert after["tcp_speed"] < 1e-3 and after["stops"] == 0, "it stands still before the controller leaves"
-
-
-def test_a_frame_that_two_nodes_publish_stops_the_arm_and_names_both(ros, robot, start):
-    def another():
-        rospy.init_node("another")
-        broadcaster = tf2_ros.TransformBroadcaster()
-        names = "kuka/base_frame", "leap_motion/virtual_frame"
-        while not rospy.is_shutdown():
-            broadcaster.sendTransform(stamped_transform(pose(p=(0.5, 0.0, 0.0)), *names, rospy.Time.now()))
-            clock.sleep(0.01)
-
-    node = start()
-    node.wait_for_mode("home")
-    states = ros.record("kuka/status", KukaStatus)
-    node.control(True)
-    T = shifted(home_tool(), 0.0, 0.0, 0.05)
-    Hand(T, parent_chain=True)
-    node.wait_for_mode("servo")
-    ros.wait_until(lambda: robot.is_at(T), MOVE_S, "the tool where the hand is")
-    ros.start("another", another)
-    said = "The desired tool frame is refused: /another and /test both publish leap_motion/virtual_frame; end one of"
-    ros.wait_until(lambda: said in states[-1].reason, 1.0, "the status that names both")
-    node.wait_for_mode("stopped", timeout=2.0)
-    assert robot.ask("state")["stops"] == 0
 
 
 def test_the_emergency_exit_works_while_the_robot_hangs(robot, start):
@@ -436,52 +352,6 @@ def test_a_lost_robot_is_waited_for_and_moves_only_after_control_was_switched_on
     lose(ros, back, states)
     answer = node.call("exit_app", "exitApp")
     assert answer.success and "leaves the arm as it is: the robot is out of reach" in answer.message
-    assert node.wait_for_end(2.0) == 0
-    assert "Traceback" not in node.log
-
-
-def test_a_frozen_robot_is_waited_for_on_the_same_connection_and_for_a_lost_one_it_waits_until_an_interrupt(
-    ros, robot, start
-):
-    node = start()
-    node.wait_for_mode("home")
-    node.control(True)
-    hand = Hand(home_tool())
-    node.wait_for_mode("servo")
-    states, diagnostics = ros.record("kuka/status", KukaStatus), ros.record("/diagnostics", DiagnosticArray)
-    node.modes.clear()
-    frozen = clock.monotonic()
-    robot.process.send_signal(signal.SIGSTOP)
-    ros.wait_until(lambda: LINK_LOST in node.log, 1.0, "the hold", poll=0.001)
-    assert 0.12 <= clock.monotonic() - frozen <= 0.2
-    clock.sleep(0.7 - (clock.monotonic() - frozen))  # after a second control would go off
-    assert any("ms; the goals hold" in state.reason for state in states)
-    robot.process.send_signal(signal.SIGCONT)
-    clock.sleep(0.1)
-    assert re.search(r"The robot answers again after 0\.(69|70|71) s", node.log)
-    clock.sleep(1.0)
-    assert {v.key: v.value for v in diagnostics[-1].status[0].values}["holds"] == "1"
-    assert not node.modes and states[-1].mode == "servo"
-
-    frozen = clock.monotonic()
-    robot.process.send_signal(signal.SIGSTOP)
-    ros.wait_until(lambda: node.modes, 5.0, "the end of control", poll=0.001)
-    assert 1.0 <= clock.monotonic() - frozen <= 1.1
-    clock.sleep(0.1)
-    assert "the same connection is probed" in states[-1].reason
-    refused = node.control(True)
-    assert not refused.success and refused.message == "Control stays off: the robot does not answer."
-    robot.process.send_signal(signal.SIGCONT)
-    ros.wait_until(lambda: "connected again" in states[-1].reason, 5.0, "the robot's return")
-    truth = robot.ask("state")
-    assert truth["mode"] == "idle" and truth["connected"] and "deaf" not in node.log
-    assert node.moved_through() == ["stopped"]
-    node.engage()
-    leaves_and_comes_back(hand, node)
-    assert node.moved_through()[0] == "homing"
-
-    lose(ros, robot, states)
-    node.process.send_signal(signal.SIGTERM)
     assert node.wait_for_end(2.0) == 0
     assert "Traceback" not in node.log
 
@@ -592,25 +462,6 @@ def test_it_waits_for_parameters_and_says_so_and_takes_what_comes_late(ros, robo
     ros.wait_until(lambda: re.search("Waiting for parameters under /kuka/: .*robot", node.log), 10.0, "the sentence")
     quick_params(PTP, robot.port)
     node.wait_for_mode("home")
-
-
-@pytest.mark.parametrize("robot", [("--mounting", "180", "0", "0")], indirect=True)
-def test_an_arm_on_a_ceiling_follows_the_hand(ros, robot, start):
-    external = ros.record("kuka/joint_torques_external", jointTorquesExternal)
-    measured = ros.record("kuka/joint_torques_measured", jointTorquesMeasured)
-    node = start(**yaml.safe_load((CONFIG / "ceiling.yaml").read_text()))
-    node.wait_for_mode("home")
-    home = frame("kuka/tool_frame/home", ros)
-    np.testing.assert_allclose(home[:3, :3], np.eye(3), atol=1e-6)  # z away from the ceiling
-    np.testing.assert_allclose(robot.tool, home, atol=2e-3)
-    assert node.control(True).success
-    T = shifted(home, 0.0, 0.05, 0.05)
-    Hand(T)
-    node.wait_for_mode("servo")
-    ros.wait_until(lambda: robot.is_at(T), MOVE_S, "the tool where the hand is")
-    assert len(external) > 3 and all(m.joint_1 == m.joint_2 == m.joint_4 == 0.0 for m in external)
-    # The weight of the arm, which leans towards center_line, pulls at joint 4 the other way than on the floor.
-    assert measured[-1].joint_4 * gravity_on_the_floor(robot.joints)[3] < 0.0
 
 
 def test_a_tool_that_is_a_whole_pose(ros, robot, start):

@@ -273,9 +273,3 @@ def test_joint_1_stays_in_its_quarter_where_the_wrist_is_behind_the_base_axis():
     check_any(home, model, workspace, TOOL, mounting)
     wrist = home.T_base_flange[:3, 3] - model.wrist_flange * home.T_base_flange[:3, 2]
     assert wrist[0] < 0.0 and abs(home.q[0]) < math.pi / 2
-
-
-def test_the_usual_workspace_on_a_ceiling_is_refused_with_the_cause():
-    workspace = workspace_of(MODELS[0], [1.0, -1.0, 0.0])
-    with pytest.raises(HomeError, match="needs joint 6 .* on a ceiling far from the base"):
-        home_pose(Kinematics(MODELS[0], TOOL), workspace, mounting_frame(workspace.center_line, (180.0, 0.0, 0.0)))

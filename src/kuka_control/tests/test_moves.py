@@ -240,13 +240,6 @@ def test_a_line_planned_from_elsewhere_is_refused():
     refused(world, "no longer where the line begins")
 
 
-def test_a_cancelled_ptp_motion_ends_at_its_goal_and_says_so():
-    world = at_home().ask("aside")
-    run(world, 0.1)
-    assert world.progress.state is MoveState.DONE
-    assert "ends at its goal" in world.progress.sentence
-
-
 def test_a_line_whose_goals_wait_in_a_stall_continues_and_stays_on_the_line():
     world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True, velocity=0.3)
     world.run(0.3)
@@ -332,14 +325,3 @@ def test_a_goal_whose_planning_fails_is_rejected_by_a_sentence(monkeypatch):
     server, handle = moves.MoveServer(Planner(), lambda: (step, HOME.q)), Handle()
     server._goal(handle)
     assert "cannot be planned" in handle.rejected and "by nothing" in handle.rejected and server.move is None
-
-
-def test_a_hand_that_came_in_while_a_program_moved_the_arm_does_not_count_afterwards():
-    world = at_home().ask(shifted(0.0, 0.05, 0.1), straight=True)
-    world.run(0.3)
-    hand = shifted(0.03, 0.05, 0.1)
-    world.until_state(State.AT_GOAL, hand)
-    world.run(1.0, hand)
-    assert world.state is State.AT_GOAL
-    world.run(1.0)
-    world.until_state(State.SERVO, hand)

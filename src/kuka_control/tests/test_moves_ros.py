@@ -73,24 +73,6 @@ def pose_goal(T, frame="kuka/base_frame", **goal):
     return {"kind": MoveGoal.POSE, "pose": stamped_pose(T, frame, rospy.Time()), **goal}
 
 
-def test_nothing_moves_while_control_is_off_or_for_an_invalid_goal(robot, client):
-    home = home_tool()
-    start = robot.joints
-    loose = pose_goal(home)
-    loose["pose"].pose.orientation.x += 0.01
-    for goal, words in (
-        ({"kind": MoveGoal.NAMED, "name": "hand_mounting"}, "Control is off"),
-        ({"kind": MoveGoal.NAMED, "name": "nowhere"}, "There is no position 'nowhere'"),
-        ({"kind": 7}, "must be JOINTS, POSE or NAMED"),
-        (pose_goal(home, frame="camera_link"), "its frame is 'camera_link'"),
-        (pose_goal(shifted(home, np.nan, 0.0, 0.0)), "not finite"),
-        (loose, "instead of 1"),
-    ):
-        result = client.move(**goal)
-        assert not result.success and words in result.message
-    np.testing.assert_allclose(robot.joints, start, atol=1e-9)
-
-
 @pytest.mark.hazard(24)
 def test_the_weight_of_the_hand_and_of_a_payload_is_no_contact(ros, node):
     contact = ros.record("kuka/joint_torques_contact", jointTorquesExternal)

@@ -99,17 +99,6 @@ def test_frames_of_this_machine_that_are_steadily_late_or_ahead_are_never_follow
     assert "runs on this machine, so its frames are late" in refused[-1]
 
 
-@pytest.mark.parametrize("offset", [-40.0, -1.0, 1.0, 5.0])
-def test_a_clock_that_differs_counts_once_it_was_asked(elsewhere, offset):
-    elsewhere.clock = offset + 0.1
-    stream = Stream()
-    accepted, refused = stream.run(1.2, offset)
-    assert accepted == 0 and "its clock is being asked" in refused[0]
-    accepted, refused = stream.run(1.0, offset)
-    assert accepted >= 0.9 / DT and refused == []
-    assert stream.desired.offset == pytest.approx(offset, abs=0.11)
-
-
 def test_after_the_clock_was_set_nothing_counts_until_the_stream_begins_anew(elsewhere):
     elsewhere.clock = 5.0
     stream = Stream()

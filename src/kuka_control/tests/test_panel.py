@@ -88,12 +88,6 @@ def test_dragging_asks_once_at_its_end(panel):
     assert asked == [(0.5,)]
 
 
-def test_reset_asks_for_one(panel):
-    asked = emitted(panel.scaling_requested)
-    click(panel.reset)
-    assert asked == [(1.0,)]
-
-
 def test_without_a_controller_only_the_emergency_stop_works(panel):
     panel.show_state(state(present=False, status_line="silent"))
     asked, stopped = emitted(panel.exit_requested), emitted(panel.emergency_requested)

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("rig_msgs.srv")
-import rospy
 
 from kuka_control.gui.panel import ControlPanel
 from kuka_control.ros.panel_link import PanelLink
@@ -57,14 +56,3 @@ def test_emergency_stop_ends_a_controller_that_hangs_and_no_other_process(link, 
     see(lambda: controller.poll() is not None, "the end of the process")
     assert controller.returncode == -signal.SIGKILL
     see(lambda: "hung and its process was ended" in link.panel.answer.full, "the sentence")
-
-
-def test_without_a_master_it_says_so_while_rospy_waits_for_one(ros, application, see, monkeypatch, free_port):
-    uri = f"http://localhost:{free_port()}"
-    panel = ControlPanel()
-    with monkeypatch.context() as elsewhere:
-        elsewhere.setenv("ROS_MASTER_URI", uri)
-        with rospy.topics.get_topic_manager().lock:  # as rospy's first topic does
-            link = PanelLink(panel)
-            see(lambda: panel.status.full == f"Waiting for the ROS master at {uri}.", "the sentence")
-        link.close()

@@ -11,7 +11,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from controller_rig import MOVE_S, PTP, REAL_TIME, quick_params, run_robot, set_params
+from controller_rig import PTP, REAL_TIME, set_params
 
 from common import clock
 
@@ -158,14 +158,6 @@ def test_a_toggle_is_green_when_the_controller_says_so(panel, controller, see, n
     click(button)
     see(lambda: not button.isChecked(), "grey")
     see(lambda: "is off" in panel.answer.full, "the answer, which may come after the status")
-
-
-def test_a_call_made_elsewhere_turns_the_toggles_green(panel, controller, see):
-    assert call("kuka_control", "setKukaControl", True).success
-    see(panel.control.isChecked, "control in green")
-    assert call("gripper_control", "setGripperControl", True).success
-    see(panel.gripper.isChecked, "gripper in green")
-    assert panel.answer.full == ""
 
 
 def test_double_clicks_and_quick_changes_are_harmless(panel, controller, see):
@@ -339,38 +331,6 @@ def test_the_panel_shows_what_the_operator_sees_and_that_nobody_says_it_any_more
     said = panel.operator.accessibleDescription
     see(lambda: publisher.publish(rows) or "flat yes" in said(), "the rows")
     assert is_after(1.5, see(lambda: "no news" in said(), "the silence") + PERIOD_S)
-
-
-def test_the_panel_of_the_real_controller(ros, panel, see, monkeypatch):
-    def run():
-        node = ros.run("kuka_control", REAL_TIME, "gui:=false")
-        monkeypatch.setattr(emergency, "_is_controller", lambda pid: True)
-        monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if node.poll() is None else None)
-        monkeypatch.setattr(os, "kill", lambda pid, number: node.send_signal(number))
-        return node
-
-    robot = run_robot(ros, ros.wait_until, "--port", "0", "--control-port", "0")
-    quick_params(REAL_TIME, robot.port)
-    controller = run()
-    see(lambda: panel.status.full.startswith("home: "), "the arm at home", MOVE_S)
-    click(panel.control)
-    see(panel.control.isChecked, "control in green")
-    assert call("gripper_control", "setGripperControl", True).success
-    see(panel.gripper.isChecked, "the gripper in green")
-    click(panel.control)
-    see(lambda: not panel.control.isChecked(), "control in grey")
-    click(panel.exit)
-    see(lambda: controller.poll() is not None, "the end of the controller", MOVE_S)
-    assert controller.returncode == 0
-    see(lambda: not panel.control.isEnabled(), "the lock")
-    clock.sleep(2.0)  # both have the number of this process
-    controller = run()
-    see(lambda: panel.status.full.startswith("home: "), "the second controller at home", MOVE_S)
-    controller.send_signal(signal.SIGSTOP)
-    click(panel.emergency)
-    assert is_after(0.5, see(lambda: controller.poll() is not None, "the end of the process"))
-    assert controller.returncode == -signal.SIGKILL
-    see(lambda: not panel.control.isEnabled(), "the lock")
 
 
 @pytest.fixture

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from common.poses import pose
-from common.stream_pause import NEW_STREAM_PAUSE_S
-from kuka_control.model.desired_frame import LOOK_S, DesiredFrame, DesiredStream
+from kuka_control.model.desired_frame import DesiredFrame, DesiredStream
 
 CLOCK = 1.7e9
 
@@ -32,32 +31,12 @@ def test_silence_counts_from_the_last_new_stamp():
     assert stream.silence == pytest.approx(0.3)
 
 
-def test_in_servo_mode_a_stall_of_the_loop_is_no_silence():
-    stream = DesiredStream()
-    stream.take(desired(CLOCK), CLOCK, 1.0)
-    stream.take(desired(CLOCK), CLOCK, 1.3, in_servo=True)
-    assert stream.silence == pytest.approx(LOOK_S)
-
-
 def looked_at(stream, start, seconds, frames, skew=0.0):
     """Looks every 10 ms; returns the time of the end."""
     for i in range(round(seconds / 0.01)):
         now = start + 0.01 * i
         stream.take(desired(CLOCK + now + skew) if frames else None, CLOCK + now, now)
     return start + seconds
-
-
-def test_a_pause_separates_streams():
-    stream = DesiredStream()
-    now = looked_at(stream, 0.0, 0.5, frames=True)
-    assert stream.number == 0, "it may have begun before"
-    now = looked_at(stream, now, NEW_STREAM_PAUSE_S - 0.03, frames=False)
-    now = looked_at(stream, now, 0.1, frames=True)
-    assert stream.number == 0 and stream.runs
-    now = looked_at(stream, now, NEW_STREAM_PAUSE_S + 0.03, frames=False)
-    assert not stream.runs
-    looked_at(stream, now, 0.1, frames=True)
-    assert stream.number == 1
 
 
 @pytest.mark.parametrize("unseen", ["refused frames", "stall of the loop"])

@@ -136,18 +136,6 @@ def test_a_frame_that_stands_nowhere_is_refused_after_a_while_until_it_has_a_way
     assert hear(listener, "table", 0.5, 100.7).conflict is None
 
 
-def test_a_frame_of_the_chain_that_jumps_is_a_conflict_and_a_tool_that_jumps_is_not(listener):
-    hear(listener, BASE, 0.1, 100.0, "table")
-    hear(listener, BASE, 0.1, 101.0, "table")
-    assert hear(listener, "table", 0.5, 100.01).conflict is None
-    assert hear(listener, "table", 0.6, 100.02).conflict is None
-    listener.hear([])
-    hear(listener, BASE, 0.15, 101.0, "table")
-    listener.desired.buffer.clear()
-    hear(listener, BASE, 0.15, 100.03, "table")
-    assert "The frame table" in hear(listener, "table", 0.6, 100.03).conflict
-
-
 def test_simulated_time_that_goes_back_is_a_conflict_once_and_a_wall_clock_that_is_set_back_is_not(listener):
     """Reported in https://github.com/ros/geometry2/issues/347: a clock that goes back by 85 us clears the buffer.
     Tried: wall clock set back.

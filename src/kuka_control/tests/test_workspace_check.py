@@ -23,24 +23,6 @@ def faults(**changes):
     return caught.value.faults
 
 
-@pytest.mark.parametrize("name", ["kuka_params_rt.yaml", "kuka_params_ptp.yaml"])
-def test_the_shipped_parameters_are_sound(name):
-    config, rig = checked_rig(values(name))
-    np.testing.assert_array_equal(rig.workspace.center_line, config.center_line)
-
-
-def test_single_values_and_the_geometry_are_judged_together():
-    found = faults(center_line=[0, 0, 1], opening_angle=200.0, z_lower_limit=0.9, inner_sphere_limit=0.75, colour=3)
-    keys = [fault.split()[0] for fault in found]
-    assert keys == [
-        "kuka/colour",
-        "kuka/opening_angle",
-        "kuka/center_line",
-        "kuka/z_lower_limit",
-        "kuka/inner_sphere_limit",
-    ]
-
-
 def test_no_key_is_blamed_twice():
     assert len(faults(center_line=[0, 0, 0])) == 1
     assert len(faults(z_lower_limit=0.05)) == 1
@@ -53,11 +35,6 @@ def test_no_key_is_blamed_twice():
 def test_what_is_no_number_leaves_the_geometry_unjudged(key, value):
     (fault,) = faults(**{key: value})
     assert fault.startswith(f"kuka/{key} is ")
-
-
-def test_parameters_that_are_no_mapping_are_a_fault():
-    with pytest.raises(ConfigError, match="must be a mapping"):
-        checked_rig([1, 2], "kuka/")
 
 
 def test_a_home_out_of_reach_is_a_fault():

@@ -56,52 +56,6 @@ def test_a_custom_home_and_other_tolerances(plotter, tmp_path):
     assert "<svg" in (tmp_path / "w.svg").read_text()
 
 
-def test_a_file_of_what_differs(plotter, tmp_path):
-    path = tmp_path / "overrides.yaml"
-    path.write_text("z_lower_limit: 0.9\n")
-    done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
-    assert done.returncode == 1
-    assert "z_lower_limit (0.9 m)" in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
-
-
-def test_all_faults_of_a_bad_workspace_are_said(plotter, tmp_path):
-    path = params_file(tmp_path, center_line=[0, 0, 1], z_lower_limit=0.9, time_out=-1.0)
-    done = plotter("--params", path, "--save", tmp_path / "w.png", *QUICK)
-    assert done.returncode == 1
-    assert len(done.stderr.splitlines()) == 3
-    assert all(key in done.stderr for key in ("center_line", "z_lower_limit", "time_out"))
-    assert not (tmp_path / "w.png").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (["--params", "/no/such.yaml", "--save", "w.png"], "/no/such.yaml cannot be read"),
-        (["--save", "w.xyz"], "w.xyz is not the name of a picture"),
-        (["--save", "/no/folder/w.png"], "There is no folder /no/folder"),
-    ],
-)
-def test_what_does_not_work_is_said_in_one_sentence(plotter, arguments, sentence):
-    done = plotter(*arguments, *QUICK)
-    assert done.returncode == 1
-    assert sentence in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
-
-
-def test_without_a_display_a_window_is_refused_in_one_sentence(plotter, monkeypatch):
-    monkeypatch.setenv("QT_API", "pyqt5")  # the program sets it
-    done = plotter(*QUICK)
-    assert done.returncode == 1
-    assert "The window is not opened: " in done.stderr and len(done.stderr.splitlines()) == 1, done.stderr
-
-
-@pytest.mark.parametrize(
-    "arguments", [["--samples", "0"], ["--tolerances", "1", "2", "100"], ["--params", "a", "--from-server"]]
-)
-def test_bad_options_are_refused(plotter, arguments):
-    done = plotter(*arguments)
-    assert done.returncode == 2 and "error:" in done.stderr
-
-
 def test_a_calibrated_arm_is_studied_by_its_own_parameters(plotter, tmp_path):
     example = CONFIG / "dh_parameters_example.yaml"
     done = plotter("--params", params_file(tmp_path, dh_parameters=str(example)), "--save", tmp_path / "w.png", *QUICK)
@@ -123,9 +77,30 @@ def test_takes_the_parameters_from_the_server(virtual_graph, plotter, tmp_path):
     assert bad.returncode == 1 and "kuka/inner_sphere_limit" in bad.stderr
 
 
-def test_says_that_there_is_no_master(virtual_graph, plotter, tmp_path, monkeypatch):
+BAD = {"center_line": [0, 0, 1], "z_lower_limit": 0.9, "time_out": -1.0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        ("--params /no/such.yaml --save w.png", 1, ["/no/such.yaml cannot be read"]),
+        ("--save w.xyz", 1, ["w.xyz is not the name of a picture"]),
+        ("--save /no/folder/w.png", 1, ["There is no folder /no/folder"]),
+        ("--params differs.yaml --save w.png", 1, ["center_line", "z_lower_limit", "time_out"]),
+        ("", 1, ["The window is not opened: "]),
+        ("--from-server --save w.png", 1, ["There is no ROS master at http://localhost:11311"]),
+        ("--samples 0", 2, ["error:"]),
+        ("--tolerances 1 2 100", 2, ["error:"]),
+        ("--params a --from-server", 2, ["error:"]),
+    ],
+)
+def test_what_does_not_work_is_said(virtual_graph, plotter, tmp_path, monkeypatch, arguments, code, words):
     virtual_graph.master_answers = False
     monkeypatch.setenv("ROS_MASTER_URI", "http://localhost:11311")
-    done = plotter("--from-server", "--save", tmp_path / "w.png")
-    assert done.returncode == 1
-    assert "There is no ROS master at http://localhost:11311" in done.stderr and len(done.stderr.splitlines()) == 1
+    monkeypatch.setenv("QT_API", "pyqt5")  # the program sets it
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "differs.yaml").write_text(yaml.safe_dump(BAD))
+    done = plotter(*arguments.split(), *QUICK)
+    assert done.returncode == code and all(word in done.stderr for word in words), done.stderr
+    assert code == 2 or len(done.stderr.splitlines()) == len(words), "one sentence for each fault"
+    assert not (tmp_path / "w.png").exists()

@@ -99,17 +99,6 @@ def test_an_arm_that_moves_stops_without_a_jump(law, offset):
         assert is_latched(world) and np.max(np.abs(joints - joints[0])) < STAYS_RAD
 
 
-@offsets
-@laws
-def test_joints_that_are_wrong_when_the_pick_up_ends_start_no_stream(law, offset):
-    world = at_home(law=law)
-    world.control_on = True
-    world.until("pick_up", 1.0, shifted(0.1, 0.0, 0.0))
-    world.arm.shift = offset
-    watch(world, 3.0, shifted(0.1, 0.0, 0.0))
-    assert is_latched(world) and [t[0] for t in world.arm.commands] == ["ptp"]
-
-
 @pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 @offsets
 def test_joints_that_become_wrong_at_home_start_nothing_until_they_are_right_again(schema, offset):
@@ -185,18 +174,6 @@ def test_joints_that_become_wrong_when_servo_mode_starts_get_no_goal(law):
     watch(world, 1.0, shifted(0.003, 0.0, 0.0))
     assert is_latched(world) and world.arm.commands == [("start_servo",), ("stop_servo",)]
     np.testing.assert_allclose(world.arm.q, HOME.q, atol=2e-3)
-
-
-@laws
-def test_frozen_joints_pull_the_arm_back_nowhere(law):
-    world = following(law)
-    tool = lambda t: shifted(0.0, 0.15 * min(t, 1.5), 0.0)  # noqa: E731
-    watch(world, 0.6, tool)
-    at = world.arm.frozen = world.arm.q
-    joints = watch(world, 1.5, lambda t: tool(t + 0.6))
-    assert world.mode == "stopped" and world.arm.commands == [("stop_servo",)]
-    away = np.max(np.abs(joints - at), axis=1)
-    assert away[-1] > np.max(away) - 5e-3, "it did not go back"
 
 
 def check(goals, readings, age=2.0 * DT):

@@ -243,9 +243,3 @@ def test_what_only_the_arm_of_the_data_sheet_reaches_is_refused_by_name(model):
 def test_what_is_no_pose_is_refused(T):
     with pytest.raises(ValueError):
         arm_of(MODELS[0], NONE).inverse(T, HOME)
-
-
-@pytest.mark.parametrize("near", [np.full(7, np.nan), np.zeros(6)])
-def test_present_joints_must_be_seven_numbers(near):
-    with pytest.raises(ValueError, match="seven finite"):
-        arm_of(MODELS[0], NONE).inverse(np.eye(4), near)

@@ -333,12 +333,6 @@ def test_arm_angle_counts_from_base_x_where_the_wrist_is_above_the_shoulder(turn
     assert arm.inverse(arm.forward(q), q).arm_angle == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("preference", [-0.5, 0.3])
-def test_preferred_arm_angle_is_reached(preference):
-    arm = Kinematics(ARMS[0].model, TOOL, elbow_preference=preference)
-    assert wiggled(arm, HOME, 2500).arm_angle == pytest.approx(preference, abs=0.02)
-
-
 def test_arm_angle_is_zero_with_the_elbow_up_and_turns_about_the_line_to_the_wrist():
     arm = ARMS[0]
     assert arm.inverse(arm.forward(HOME), HOME).arm_angle == pytest.approx(0.0, abs=1e-9)

@@ -178,20 +178,6 @@ def test_a_ptp_motion_and_its_two_answers(server, connect):
         client.ptp_arrived()
 
 
-@pytest.mark.parametrize("mixed", [b"done\n%s", b"%sdone\n"])
-def test_the_final_word_may_come_between_or_after_numbers(server, connect, mixed):
-    client = connect()
-    client.start_ptp_joints(HOME, 0.25)
-    np.testing.assert_array_equal(client.joints(), HOME)
-    assert not client.ptp_arrived()
-    server.once("getJointsPositions", mixed % server.answers["getJointsPositions"])
-    np.testing.assert_array_equal(client.joints(), HOME)
-    assert client.mode is KstMode.PTP
-    assert client.ptp_arrived()
-    np.testing.assert_array_equal(client.joints(), HOME)
-    assert client.counts.stray == 0
-
-
 def test_lights_during_a_motion_do_not_end_it(server, connect):
     server.answers["blueOn"] = b"done\n"
     client = connect()

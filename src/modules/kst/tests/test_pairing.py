@@ -6,7 +6,7 @@ import pytest
 from common import clock
 from kst.client import KstMode
 from kst.codec import Feedback
-from kst.errors import ConnectionLost, MotionInterrupted, ReplyTimeout, UnexpectedReply
+from kst.errors import ConnectionLost, ReplyTimeout, UnexpectedReply
 from kst.session import KstTiming
 from simulated.wires import DELAY_S
 
@@ -51,15 +51,6 @@ def test_nothing_is_sent_again_while_the_arm_moves(server, connect):
     assert not client.ptp_arrived()
 
 
-def test_nothing_is_sent_again_to_an_arm_that_met_something(server, connect):
-    client = connect()
-    server.once("doPTP!inJS", b"interrupted\n")
-    client.start_ptp_joints(AWAY, 0.25, np.tile((-10.0, 10.0), (7, 1)))
-    assert server.words().count("doPTP!inJS") == 1
-    with pytest.raises(MotionInterrupted):
-        client.ptp_arrived()
-
-
 def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, connect, takes):
     client = connect()
     server.once("doPTPinJS", b"")
@@ -73,18 +64,6 @@ def test_nothing_is_sent_again_to_an_arm_that_is_at_the_goal_already(server, con
     np.testing.assert_array_equal(client.joints(), HOME)
     client.start_ptp_joints(AWAY, 0.25)
     assert not client.ptp_arrived()
-
-
-def test_a_late_acknowledgement_after_all_is_not_the_arrival(server, connect):
-    client = connect()
-    server.once("doPTPinJS", b"")
-    server.once("getJointsPositions", *(joints(0.01 * i) for i in range(3)))
-    client.start_ptp_joints(AWAY, 0.25)
-    server.push(b"done\n")
-    np.testing.assert_array_equal(client.joints(), HOME)
-    assert not client.ptp_arrived()
-    server.push(b"done\n")
-    assert client.ptp_arrived()
 
 
 @pytest.mark.parametrize("word", ["jRelVel", "doPTPinJS", "startDirectServoJoints", "Torques_ext_J"])
@@ -103,38 +82,6 @@ def test_a_dead_main_thread_is_distinguished_from_a_dead_link(server, connect, w
     np.testing.assert_array_equal(client.joints(), HOME)
 
 
-@pytest.mark.parametrize("late", [b"done\n", b"done\ndone\n"])
-def test_a_late_start_of_a_motion_is_taken_as_its_start(server, connect, late):
-    client = connect()
-    server.once("doPTPinJS", b"")
-    server.once("getJointsPositions", late + server.answers["getJointsPositions"])
-    client.start_ptp_joints(AWAY, 0.25)
-    assert server.words().count("doPTPinJS") == 1
-    if late == b"done\n":
-        assert not client.ptp_arrived()
-        server.push(b"done\n")
-    assert client.ptp_arrived()
-
-
-@pytest.mark.parametrize("arrives", ["before the next command", "with the probe", "never"])
-def test_a_late_answer_is_never_taken_for_the_next_one(server, connect, arrives):
-    client = connect()
-    client.start_joint_servo()
-    server.answers["jpJP"] = joints(2.0)
-    server.once("jpJP", b"")
-    with pytest.raises(ReplyTimeout) as caught:
-        client.servo(HOME, Feedback.JOINTS)
-    assert caught.value.command == "jpJP"
-    if arrives == "before the next command":
-        server.push(joints(1.0))
-    elif arrives == "with the probe":
-        server.once("getPin3", joints(1.0) + b"1\n\n")
-    for _ in range(3):
-        assert client.servo(HOME, Feedback.JOINTS)[0] == 2.0
-    assert client.counts.stray == (0 if arrives == "never" else 1)
-    assert client.mode is KstMode.SERVO
-
-
 def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect):
     client = connect()
     client.start_joint_servo()
@@ -145,23 +92,6 @@ def test_a_late_acknowledgement_does_not_count_for_the_next_goal(server, connect
     server.once("jp", b"")
     with pytest.raises(ReplyTimeout):
         client.servo(HOME)
-
-
-def test_a_reader_that_falls_silent_is_a_lost_connection(server, connect, takes):
-    client = connect()
-    client.start_joint_servo()
-    server.answers.clear()
-    with takes(WAITS.silence):
-        with takes(WAITS.servo_reply), pytest.raises(ReplyTimeout):
-            client.servo(HOME)
-        assert client.silence(0.01) == pytest.approx(WAITS.servo_reply + 0.01)
-        with pytest.raises(ConnectionLost):
-            while client.silence(0.05):
-                pass
-    with pytest.raises(ConnectionLost):
-        client.servo(HOME)
-    with pytest.raises(ConnectionLost):
-        client.joints()
 
 
 def test_a_probe_whose_answer_is_missing_is_searched_for_like_any_other_answer(server, connect, takes):
