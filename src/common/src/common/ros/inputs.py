@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 
 import rospy
@@ -12,8 +11,7 @@ from common import clock
 from common.frames import frame_name
 from common.input_watch import OUTPUT_S, InputWatch
 from common.ros.node import while_running
-
-NUMBERS = re.compile(r"\d+(\.\d+)?")
+from common.sentences import without_numbers
 
 
 class NodeInputs:
@@ -82,7 +80,7 @@ class FaultLog:
 
     def __call__(self, fault: str) -> str:
         settled_s = 0.4  # a fault that is shorter is not logged
-        kind, now = NUMBERS.sub("#", fault), clock.monotonic()
+        kind, now = without_numbers(fault), clock.monotonic()
         if kind != self._kind:
             self._kind, self._since = kind, now
         if kind != self._logged and now - self._since >= settled_s:

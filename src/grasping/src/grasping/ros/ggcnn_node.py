@@ -8,7 +8,6 @@ camera_target_frame below camera_depth_frame, and, with a view of the table, ggc
 from __future__ import annotations
 
 import ctypes
-import re
 from time import perf_counter
 
 import cv2
@@ -32,6 +31,7 @@ from common.ros.images import image_message
 from common.ros.node import run
 from common.ros.params import private_values
 from common.ros.service_calls import MasterLost, ask_master
+from common.sentences import without_numbers
 from grasp_msgs.msg import GraspList
 from grasping.network.depth_image import NETWORK_SIDE, TABLE, Crop, centre_crop, prepare
 from grasping.network.networks import infer
@@ -49,7 +49,6 @@ from grasping.ros.reach_client import ReachClient
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
-NUMBERS = re.compile(r"-?\d+(\.\d+)?")
 
 
 class ReasonLog:
@@ -62,7 +61,7 @@ class ReasonLog:
     def update(self, reason: str) -> None:
         """Takes the newest reason."""
         self.present = reason
-        kind = NUMBERS.sub("#", reason)
+        kind = without_numbers(reason)
         if kind == self._kind:
             return
         self._kind = kind

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,6 +14,7 @@ import numpy as np
 from common.frame_rate import FrameRate
 from common.poses import check_pose, inverse
 from common.rotations import UNIT_TOLERANCE, rotation_angle
+from common.sentences import without_numbers
 from common.stream_pause import NEW_STREAM_PAUSE_S
 from kuka_control.numbers import (
     FOREIGN_PAUSE_S,
@@ -253,7 +253,7 @@ class DesiredStream:
             steady = self._stamps.take(newest.stamp, now)
             self._rate.take(steady)
             return StreamUpdate(replace(newest, stamp=steady))
-        kind = re.sub(r"\d", "", fault)
+        kind = without_numbers(fault)
         reported = kind in self._reported
         self._reported.add(kind)
         self._refusal = (fault, now)

@@ -253,7 +253,8 @@ class LeapClient:
         self._set_status(LeapLink.CONNECTING, f"Connected to {service}; no frame yet.", version, is_simulated(text))
 
     def _stranger(self, first: bytes) -> str:
-        return "W" + stranger(self._address, "a Leap service", first)[1:]
+        what = stranger(self._address, "a Leap service", first)
+        return what[0].upper() + what[1:]
 
     def _read(self, connection: LeapSocket) -> None:
         silence_s = 0.1

@@ -86,7 +86,8 @@ class PacketFilter:
             self.counts.malformed += 1
             if source == self._source:
                 return PacketArrival.DROPPED, None, f"{error} It came from {_name(source)}."
-            self._foreign = now, f"W{stranger(_name(source), 'the hand', data)[1:]}. {error}"
+            what = stranger(_name(source), "the hand", data)
+            self._foreign = now, f"{what[0].upper()}{what[1:]}. {error}"
             return PacketArrival.DROPPED, None, self._foreign[1]
         if self.alive(now) and source != self._source:
             self.counts.other_hands += 1

@@ -16,6 +16,8 @@ from leap_motion.webcam.lens import WebcamError
 
 RATE_HZ = 30.0  # asked of the camera: what nearly all have
 RETRY_S = 1.0
+TRYING = " Trying again."
+"""End of the fault of a camera that may come yet."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class CameraSource(VideoSource):
         if not self._path.exists():
             there = ", ".join(str(path) for path in sorted(Path("/dev").glob("video*"))) or "none"
             what = f"The camera {self._path} was unplugged" if lost else f"There is no camera {self._path}"
-            return f"{what}; cameras: {there}. Trying again."
+            return f"{what}; cameras: {there}.{TRYING}"
         if not os.access(self._path, os.R_OK | os.W_OK):
             return f"This user may not read the camera {self._path}: `sudo adduser $USER video`, then log in again."
         return ""

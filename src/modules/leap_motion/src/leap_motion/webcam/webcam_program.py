@@ -28,7 +28,7 @@ from leap_motion.webcam.hand_tracks import HandTracks
 from leap_motion.webcam.lens import WebcamError, WebcamLens, lens_of_calibration, lens_of_view
 from leap_motion.webcam.palm_width import CARD_MM, NARROWEST_MM, WIDEST_MM, agreed, find_card, find_tag, palm_width
 from leap_motion.webcam.setups import FRONT, SETUPS, CameraPlacement, placement
-from leap_motion.webcam.video_source import CameraSource, FileSource, VideoImage, VideoSource
+from leap_motion.webcam.video_source import TRYING, CameraSource, FileSource, VideoImage, VideoSource
 
 NAME = "webcam_leapd"
 SERVICE = "2.3.1+webcam"
@@ -109,7 +109,7 @@ class WebcamTracker:
                 if plugged and not self._stopping:
                     self._service.plug(False)
                 plugged = False
-                self._tell(self._source.fault or "The camera sends no images. Trying again.", None)
+                self._tell(self._source.fault or f"The camera sends no images.{TRYING}", None)
                 continue
             if not plugged:
                 self._service.plug(True)
@@ -223,7 +223,7 @@ def _measure(options: argparse.Namespace, stopped: threading.Event) -> int:
     source.close()
     if width is None:
         seen = f"Hand and {scale} were seen together in {len(widths)} images, or not flat."
-        what = source.fault.replace(" Trying again.", "") or seen
+        what = source.fault.replace(TRYING, "") or seen
         raise WebcamError(f"The palm could not be measured. {what} Nothing was stored.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
