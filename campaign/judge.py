@@ -23,9 +23,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from common.modes import TO_DESIRED_TOOL
+
 FULL_SPEED = np.radians([98, 98, 100, 130, 140, 180, 180])
 """Joint speeds of the 7 R800 [rad/s]."""
-FOLLOWING = ("pick_up", "servo")
 STEP_S = 1e-3
 DRIVES = 17.2  # what the drives of joint 1 do by themselves [rad/s^2]
 WINDOW_STEPS = 20  # accelerations are means over so many steps
@@ -156,7 +157,7 @@ def judge(expected: Expected, seen: Evidence) -> Verdict:
     if expected.operator:
         until = seen.operator if seen.operator is not None else seen.end
         by_itself = [mode for when, mode, _ in seen.statuses if seen.fault + expected.within < when < until]
-        if set(by_itself) & set(FOLLOWING):
+        if set(by_itself) & set(TO_DESIRED_TOOL):
             verdict.faults.append("it followed again without the operator")
     if seen.end - seen.heard > WATCHED_S:
         verdict.faults.append(f"the arm was not seen for the last {seen.end - seen.heard:.1f} s")
@@ -211,12 +212,12 @@ def _hold(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float 
 
 def _disengage(expected: Expected, seen: Evidence, after: np.ndarray) -> tuple[float | None, str]:
     later = [(when, mode) for when, mode, _ in seen.statuses if seen.fault <= when < _until(seen)]
-    if not any(mode in FOLLOWING for when, mode, _ in seen.statuses if when <= seen.fault):
+    if not any(mode in TO_DESIRED_TOOL for when, mode, _ in seen.statuses if when <= seen.fault):
         return None, "the arm did not follow before the fault"
-    out = next((when for when, mode in later if mode not in FOLLOWING), None)
+    out = next((when for when, mode in later if mode not in TO_DESIRED_TOOL), None)
     if out is None:
         return None, "the controller never left servo mode"
-    if any(mode in FOLLOWING for when, mode in later if when > out):
+    if any(mode in TO_DESIRED_TOOL for when, mode in later if when > out):
         return None, "the arm followed again without the operator"
     # So far the controller's word; the arm's own is where it went, and the hand goes on to sway.
     if short := _too_short(seen, out + LEAVES_S, "it had left"):

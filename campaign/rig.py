@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import rosgraph
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
@@ -35,10 +35,11 @@ from common import clock
 from common.frames import BASE
 from common.ros.action_client import ActionClient
 from common.ros.conversions import pose_from_message, pose_from_transform, stamped_pose
+from common.teleop_record import RUNNING, WAITING, teleop_record
 from kuka_msgs.msg import MoveAction, MoveGoal
 from kuka_msgs.srv import setGripperControl, setKukaControl
 from leap_motion.msg import Human
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, TeleopState
 from rig_msgs.srv import CheckToolPose, HoldTool
 from rig_simulation.control_port import ControlClient
 
@@ -150,7 +151,7 @@ class RigUnderTest:
                 ("kuka/mode", String, self._take_mode),
                 ("kuka/status", KukaStatus, self._take_status),
                 ("/tf", TFMessage, self._take_transforms),
-                ("leap_kuka/stream", DiagnosticStatus, self._take_stream),
+                ("leap_kuka/state", TeleopState, self._take_teleop),
                 ("/diagnostics", DiagnosticArray, self._take_counts),
                 ("/rosout_agg", Log, lambda log: self.hear("rosout", f"{log.name}: {log.msg}")),
             )
@@ -522,10 +523,12 @@ class RigUnderTest:
         self.modes.append(message.data)
         self.entered.append((clock.monotonic(), message.data))
 
-    def _take_stream(self, message: DiagnosticStatus) -> None:
-        self.stream_state = {v.key: v.value for v in message.values}["state"]
-        self.stream.append((self.stream_state, message.message))
-        self.hear("leap_kuka/stream", message.message)
+    def _take_teleop(self, message: TeleopState) -> None:
+        self.stream_state = RUNNING if teleop_record(message).running else WAITING
+        said = self.stream_state, message.reason
+        if not self.stream or self.stream[-1] != said:
+            self.stream.append(said)
+        self.hear("leap_kuka/state", message.reason)
 
     def _take_counts(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -34,6 +34,7 @@ sys.path[:0] = [] if str(ROOT) in sys.path else [str(ROOT)]
 from bench.bench_demo import processes_below  # noqa: E402 - needs the path above
 from campaign.soak_report import check_name, report  # noqa: E402
 from common.errors import DeviceError, RigError  # noqa: E402
+from common.teleop_record import teleop_record  # noqa: E402
 from rig_simulation.control_port import ControlClient  # noqa: E402
 from rig_simulation.faults.arm import ARM_FAULTS  # noqa: E402
 from rig_simulation.faults.camera import CAMERA_FAULTS  # noqa: E402
@@ -164,14 +165,14 @@ class Ears:
         import rospy
         from diagnostic_msgs.msg import DiagnosticStatus
 
-        from rig_msgs.msg import KukaStatus
+        from rig_msgs.msg import KukaStatus, TeleopState
 
         self.status: KukaStatus | None = None
         self.goals = self.streams = self.servo = 0
         self._running, self._delays = False, []
         for topic, kind, take in (
             ("kuka/status", KukaStatus, self._take_status),
-            ("leap_kuka/stream", DiagnosticStatus, self._take_stream),
+            ("leap_kuka/state", TeleopState, self._take_teleop),
             ("simulation/status", DiagnosticStatus, self._take_simulation),
             ("rig/stage_times", rospy.AnyMsg, self._take_time),
         ):
@@ -194,8 +195,8 @@ class Ears:
         self.servo += status.mode == "servo" != self.mode
         self.status = status
 
-    def _take_stream(self, message) -> None:
-        running = {v.key: v.value for v in message.values}.get("state") == "running"
+    def _take_teleop(self, message) -> None:
+        running = teleop_record(message).running
         self.streams += running and not self._running
         self._running = running
 

@@ -379,6 +379,13 @@ def test_what_rospy_keeps_for_itself_is_asked_in_one_place():
     assert not [(file, name) for file, name in asked if places[name] not in file]
 
 
+def test_the_robot_hand_is_named_in_its_record_alone():
+    """A rig with another hand then changes common/robot_hand.py, its driver and the launch files."""
+    named = [path for path in FILES if "reflex_takktile/" in path.read_text()]
+    assert {package(path) for path in named} == {"reflex", "common"}, named
+    assert [path.name for path in named if package(path) == "common"] == ["robot_hand.py"]
+
+
 def test_subscribers_of_images_have_room_for_several():
     """rospy drops all but the newest only among those that it has read: with its own room images become ever older.
 

@@ -14,9 +14,9 @@ import pytest
 
 pytest.importorskip("rig_msgs.srv")
 from campaign import rows, run, trial
-from campaign.judge import FOLLOWING
 from campaign.rig import RigUnderTest
 from campaign.virtual import judged
+from common.modes import TO_DESIRED_TOOL
 from leap_rig.recording.ros import record_program
 from simulated.graph import Graph
 from simulated.rig import VirtualRig
@@ -133,8 +133,8 @@ class TestRealRig:
         lost = "was lost|no tracking frames come in|No new desired tool frame|out of reach|not answer"
         rig.wait(lambda: says(rig, lost), "the reason", 60.0)
         rig.watch(4.0)
-        left = next(i for i, mode in enumerate(rig.modes) if mode not in FOLLOWING)
-        assert not set(rig.modes[left:]) & set(FOLLOWING)
+        left = next(i for i, mode in enumerate(rig.modes) if mode not in TO_DESIRED_TOOL)
+        assert not set(rig.modes[left:]) & set(TO_DESIRED_TOOL)
         operate(rig, lambda: rig.mode == "servo", "the arm that follows again")
 
 

@@ -7,10 +7,11 @@ import signal
 
 import numpy as np
 
-from campaign.judge import FOLLOWING, Expected, Limits
+from campaign.judge import Expected, Limits
 from campaign.rig import CONTROLLER
 from campaign.trial import Trial, row
 from common import clock
+from common.modes import TO_DESIRED_TOOL
 from kuka_msgs.srv import setGripperControl, setKukaControl, setPayload, setScalingFactor
 
 MEAN_STEPS = 200  # [ms]
@@ -21,7 +22,7 @@ def follows(trial: Trial) -> bool:
     """Returns whether the arm follows the swaying hand and did so ever since the fault; a jump is picked up."""
     rig = trial.rig
     moves = rig.wait(lambda: rig.mode == "servo" and rig.arm.now.tool_speed > 0.05, "the arm to follow")
-    return moves and {mode for when, mode, _ in list(rig.statuses) if when > trial.begins()} <= set(FOLLOWING)
+    return moves and {mode for when, mode, _ in list(rig.statuses) if when > trial.begins()} <= set(TO_DESIRED_TOOL)
 
 
 @row(74, "GUI closed or frozen", "", real="the panel's window and its event loop are Qt's", hazards=(9,))

@@ -10,10 +10,11 @@ import tempfile
 import rospy
 from tf2_msgs.msg import TFMessage
 
-from campaign.judge import FOLLOWING, Expected, Limits
+from campaign.judge import Expected, Limits
 from campaign.rig import CONTROLLER, DRIVER, HAND, HAND_DRIVER, TELEOP
 from campaign.trial import row
 from common import clock
+from common.modes import TO_DESIRED_TOOL
 
 ROBOT_BRAKES = Limits.of_the_drives()
 """Where goals fail to come in time the drives brake by themselves: a node dies, or stands still."""
@@ -45,7 +46,7 @@ def master_killed(trial):
     trial.begins()
     with rig.core.hanging():
         rig.watch(1.0)
-        trial.check("the arm follows on while the master hangs", rig.mode in FOLLOWING, rig.mode)
+        trial.check("the arm follows on while the master hangs", rig.mode in TO_DESIRED_TOOL, rig.mode)
         rig.hand.hide()
         rig.wait_for_modes("returning", "home")
         trial.stays_away(2.0)
@@ -159,7 +160,7 @@ def two_sources(trial):
     text = rig.finish(program := rig.run("kuka_control", "simple_controller.py", "zero", "--yes"))
     trial.check("simple_controller.py is refused", program.returncode not in (0, None), text)
     trial.check("the arm follows on", moves(trial), rig.modes[-5:])
-    trial.check("and did so ever since", {mode for _, mode, _ in rig.statuses[-20:]} <= set(FOLLOWING))
+    trial.check("and did so ever since", {mode for _, mode, _ in rig.statuses[-20:]} <= set(TO_DESIRED_TOOL))
     # A hand and another program while a program moves: the first program keeps it.
     rig.hand.hide()
     rig.wait_for_modes("returning", "home")
@@ -321,5 +322,5 @@ def disk_full(trial):
     trial.check("the recording ends with 1", recorder.returncode == 1, text)
     trial.check("and with what was recorded", "Recorded " in text, text)
     modes = {mode for when, mode, _ in rig.statuses if when > trial.begins()}
-    trial.check("control was switched on", modes <= set(FOLLOWING), modes)
+    trial.check("control was switched on", modes <= set(TO_DESIRED_TOOL), modes)
     trial.check("the arm follows on", moves(trial), rig.modes[-5:])

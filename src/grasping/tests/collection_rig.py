@@ -100,11 +100,11 @@ def camera_pose(stamp):
     return TFMessage([stamped_transform(DOWN, "kuka/base_frame", CAMERA_FRAME, stamp)])
 
 
-def stream(active: bool):
-    """The message of leap_kuka/stream."""
-    from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+def teleop(active: bool):
+    """The message of leap_kuka/state."""
+    from rig_msgs.msg import TeleopState
 
-    return DiagnosticStatus(name="stream", values=[KeyValue("state", "running" if active else "waiting")])
+    return TeleopState(state=TeleopState.RUNNING if active else TeleopState.WAITING)
 
 
 class PuppetRig:
@@ -121,6 +121,7 @@ class PuppetRig:
 
         from grasp_msgs.msg import GraspOutcome
         from reflex_msgs.msg import Hand
+        from rig_msgs.msg import TeleopState
 
         kinds = {
             "/tf": TFMessage,
@@ -131,7 +132,7 @@ class PuppetRig:
         }
         latched = {
             "/tf_static": TFMessage,
-            "/leap_kuka/stream": DiagnosticStatus,
+            "/leap_kuka/state": TeleopState,
             "/grasping/state": DiagnosticStatus,
         }
         self.publishers = {name: rospy.Publisher(name, kind, queue_size=10) for name, kind in kinds.items()}
@@ -139,7 +140,7 @@ class PuppetRig:
             {name: rospy.Publisher(name, kind, queue_size=1, latch=True) for name, kind in latched.items()}
         )
         self.publishers["/tf_static"].publish(camera_pose(rospy.Time.now()))
-        self.say("/leap_kuka/stream", stream(False))
+        self.say("/leap_kuka/state", teleop(False))
         self.depth = image()
         self.silent: set[str] = set()
         self._tick, self._seconds, self._image_every = (OPEN, False, GRASP_Z + 0.1), tick, image_every

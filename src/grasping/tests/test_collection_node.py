@@ -18,7 +18,7 @@ from collection_rig import (
     TICK_S,
     PuppetRig,
     grasp,
-    stream,
+    teleop,
     tool,
 )
 from episodes import CAMERA, DOWN
@@ -119,7 +119,7 @@ def files(folder):
 def test_a_person_who_grasps_makes_an_episode_and_may_take_it_back(rig, start, status, folder):
     process = start()
     assert status()["message"] == "0 episodes, 0 held"
-    rig.say("/leap_kuka/stream", stream(True))
+    rig.say("/leap_kuka/state", teleop(True))
     rig.perform(grasp())
     (file,) = files(folder)
     made = decode(file.read_bytes())
@@ -203,7 +203,7 @@ def full_disk():
 
 def test_while_the_disk_is_full_an_episode_waits_and_at_the_end_it_is_named(rig, start, status, folder, full_disk):
     process = start()
-    rig.say("/leap_kuka/stream", stream(True))
+    rig.say("/leap_kuka/state", teleop(True))
     rig.perform(grasp())
     clock.sleep(STATUS_S)
     assert "An episode waits in memory" in status()["message"]

@@ -14,7 +14,7 @@ from common.poses import pose, translation
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -23,7 +23,7 @@ from common.ros.conversions import message_from_pose, pose_from_message, pose_in
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.ros.execution_io import hand_measurement
 from reflex_msgs.msg import Hand
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, TeleopState
 from rig_msgs.srv import CheckToolPose, CheckToolPoseResponse, HoldTool
 
 pytestmark = pytest.mark.ros
@@ -51,7 +51,7 @@ class Rig:
 
         self._tf, self._hand = publisher("/tf", TFMessage), publisher("reflex_takktile/hand_state", Hand)
         self._status, self._grasps = publisher("kuka/status", KukaStatus), publisher("ggcnn/out/grasps", GraspList)
-        self._stream = publisher("leap_kuka/stream", DiagnosticStatus, latch=True)
+        self._teleop = publisher("leap_kuka/state", TeleopState, latch=True)
         self.tool, self.fingers, self.control_on, self.mode = HOME, (0.0, 0.0), True, "home"
         self.grasps, self.why_none, self.hold = [self.grasp(7)], "", "none"
         self.out_of_reach, self.not_held = "", ""
@@ -75,9 +75,8 @@ class Rig:
 
     def say_hold(self, hold, reason="no hand is seen"):
         self.hold = hold
-        state = "running" if hold == "taken" else "waiting"
-        values = [KeyValue("state", state), KeyValue("hold", hold)]
-        self._stream.publish(DiagnosticStatus(name="leap_kuka", message=reason, values=values))
+        state = {"taken": TeleopState.RUNNING, "none": TeleopState.WAITING}.get(hold, TeleopState.HOLDING)
+        self._teleop.publish(TeleopState(state=state, hold=hold, reason=reason))
 
     def end(self):
         self.answers.set()
@@ -85,7 +84,7 @@ class Rig:
         self._thread.join()
         for service in self._services:
             service.shutdown()
-        for topic in (self._tf, self._hand, self._status, self._grasps, self._stream):
+        for topic in (self._tf, self._hand, self._status, self._grasps, self._teleop):
             topic.unregister()
 
     def _check(self, request):
@@ -314,10 +313,10 @@ def test_diagnostics_say_which_inputs_do_not_come(ros, rig, node):
 
     node.start()
     rig.say_hold("none")
-    says(DiagnosticStatus.WARN, "No grasp can be executed: nothing has come on /leap_kuka/stream for ")
+    says(DiagnosticStatus.WARN, "No grasp can be executed: nothing has come on /leap_kuka/state for ")
     rig.silent = {"/kuka/status", "/ggcnn/out/grasps"}
-    says(DiagnosticStatus.WARN, "/ggcnn/out/grasps, /kuka/status, /leap_kuka/stream for ")
-    assert node.process.log_path.read_text().count("/leap_kuka/stream for ") == 2
+    says(DiagnosticStatus.WARN, "/ggcnn/out/grasps, /kuka/status, /leap_kuka/state for ")
+    assert node.process.log_path.read_text().count("/leap_kuka/state for ") == 2
     rig.silent = set()
     for _ in range(4):
         rig.say_hold("none")

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import yaml
-from collection_rig import FIST, GRASP_Z, KUKA, OPEN, PuppetRig, stream, tool
+from collection_rig import FIST, GRASP_Z, KUKA, OPEN, PuppetRig, teleop, tool
 from episodes import CAMERA, CROP, DOWN, metadata
 from hypothesis import given
 from hypothesis import strategies as st
@@ -212,19 +212,19 @@ def test_maps_at_home_then_poses_while_a_hand_is_followed_each_after_enter(
     clock.sleep(1.2)
     assert "15/15" in one.log and "Bring the hand to the grasp" in one.log and not files()
     arm("servo")
-    rig.say("/leap_kuka/stream", stream(True))
+    rig.say("/leap_kuka/state", teleop(True))
     rig.perform([(0.5, OPEN, False, GRASP_Z + 0.1, GRASP_Z), (0.2, OPEN, False, GRASP_Z, GRASP_Z)])
     assert "Enter starts" in one.log and not files(), "the tool is on its way"
     keyboard.enter()
     clock.sleep(0.5)
     said, count = len(one.log), len(files())
     assert count in (15, 16)
-    rig.say("/leap_kuka/stream", stream(False))
+    rig.say("/leap_kuka/state", teleop(False))
     rig.perform([(1.0, OPEN, False, GRASP_Z, GRASP_Z + 0.1)])
     keyboard.enter()
     clock.sleep(1.0)
     assert "Enter starts" in one.log[said:] and len(files()) == count, "it pauses, and Enter alone does not end that"
-    rig.say("/leap_kuka/stream", stream(True))
+    rig.say("/leap_kuka/state", teleop(True))
     rig.silent.add(TOOL_DESIRED)
     rig.perform([(1.0, FIST, False, GRASP_Z + 0.1, GRASP_Z), (0.2, FIST, False, GRASP_Z, GRASP_Z)])
     assert len(files()) == count, "also where a hand is followed again"

@@ -22,3 +22,5 @@ class Mode(str, Enum):
 
 TO_DESIRED_TOOL = (Mode.PICK_UP.value, Mode.SERVO.value)  # the arm goes to the desired tool frame, or follows it
 FOLLOWS_TOOL = (Mode.HOME.value, *TO_DESIRED_TOOL)  # the same, or it would as soon as the frame comes
+LEAVES_TOOL = (Mode.RETURNING.value, Mode.HOMING.value, Mode.HOME.value)  # it leaves the frame, or has
+CANNOT_FOLLOW = (Mode.STARTING.value, Mode.ZERO.value, Mode.STOPPED.value)  # whatever frame comes

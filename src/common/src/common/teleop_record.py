@@ -10,6 +10,7 @@ from common.reasons import ReasonCode
 
 WAITING = "waiting"
 RUNNING = "running"
+CLUTCHED = "clutched"
 HELD = "held"
 TAKEN = "taken"
 NO_HOLD = "none"

@@ -8,9 +8,10 @@ import numpy as np
 
 from common.config import choice, flag, number, text, vector
 from common.hand_tracking import ANY, LEFT, RIGHT
+from common.robot_hand import HAND
 from common.simulated import simulated_field
 
-FINGERS = ("index", "middle", "thumb", "spread")
+FINGERS = HAND.motors
 """Order of the angles of the human hand and of the commands of the robot hand."""
 STEERING = "steering"
 

@@ -11,14 +11,12 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from common.config import number
-from common.modes import TO_DESIRED_TOOL, Mode
+from common.modes import CANNOT_FOLLOW, LEAVES_TOOL, TO_DESIRED_TOOL
 from common.rotations import rotation_angle
 from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
 
-UNABLE = (Mode.STARTING, Mode.ZERO, Mode.STOPPED)  # modes in which the arm follows no desired tool frame
-AWAY = (Mode.RETURNING, Mode.HOMING, Mode.HOME)  # modes in which it leaves the desired tool frame
 IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 
 
@@ -77,7 +75,7 @@ class ExecutionRequest(NamedTuple):
 REFUSALS: tuple[tuple[Callable[..., bool], str], ...] = (
     (lambda r: r.controller is None, "The arm's controller is silent."),
     (lambda r: not r.controller.control_on, "Control of the arm is off."),
-    (lambda r: r.controller.mode in UNABLE, "The arm cannot go there: {r.controller.reason}"),
+    (lambda r: r.controller.mode in CANNOT_FOLLOW, "The arm cannot go there: {r.controller.reason}"),
     (lambda r: r.hand_followed, "The arm follows a hand; take it away first."),
     (lambda r: r.proposals is None, "No grasp was proposed yet."),
     (lambda r: not -r.fresh <= r.proposals.age <= r.fresh, "The newest proposal is {r.proposals.age:.1f} s old."),
@@ -164,7 +162,7 @@ RUNNING = (*BEFORE_HAND, PERSON)
 STOPS: tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...] = (
     (RUNNING, lambda f: f.seen.controller is None, "The arm's controller is silent"),
     (RUNNING, lambda f: not f.seen.controller.control_on, "Control of the arm was switched off"),
-    (RUNNING, lambda f: f.seen.controller.mode in UNABLE, "The arm stopped: {arm}"),
+    (RUNNING, lambda f: f.seen.controller.mode in CANNOT_FOLLOW, "The arm stopped: {arm}"),
     (RUNNING, lambda f: f.seen.T_base_tool is None, "The pose of the tool is unknown"),
     (BEFORE_HAND, lambda f: f.let_go, "The tool was not held for a hand: {hold}"),
     (BEFORE_HAND, lambda f: f.elapsed > f.config.wait_for_hand + f.config.silence, "No hand took over in time"),
@@ -180,7 +178,7 @@ STOPS: tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...] = (
         lambda f: f.in_state > f.config.person_time,
         "Nothing was decided within {config.person_time:g} s of the operator's hand taking over",
     ),
-    (RUNNING, lambda f: f.followed and f.seen.controller.mode in AWAY, "The arm left the grasp: {arm}"),
+    (RUNNING, lambda f: f.followed and f.seen.controller.mode in LEAVES_TOOL, "The arm left the grasp: {arm}"),
 )
 """What ends an execution before its grasp is decided: the states in which it does, the condition on `ExecutionFacts`,
 and the sentence without its full stop, with the reasons of the controller (`arm`) and of leap_kuka (`hold`). The first

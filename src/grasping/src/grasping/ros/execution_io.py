@@ -17,7 +17,7 @@ from common.robot_hand import HAND, hand_state
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
 from common.ros.inputs import NodeInputs
 from common.ros.publishing import DirectPublisher
-from common.teleop_record import NO_HOLD
+from common.teleop_record import WAITING, TeleopRecord, teleop_record
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.execution.execution import (
     OVER,
@@ -32,7 +32,7 @@ from grasping.execution.execution import (
 from grasping.execution.grasp_watch import HandMeasurement
 from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, TeleopState
 
 GHOST = ColorRGBA(0.2, 0.5, 1.0, 0.5)
 NO_GRASP = Grasp()
@@ -46,13 +46,13 @@ class ExecutionInputs:
         self.grasps: GraspList | None = None  # the newest, None if none came yet
         self._controller: tuple[KukaStatus, float] | None = None
         self._hand: tuple[Hand, float] | None = None
-        self._hold, self._hold_reason, self.hand_followed = NO_HOLD, "leap_kuka has not published yet", False
+        self._teleop = TeleopRecord(WAITING, "leap_kuka has not published yet")
         self._poses = PoseLookup()
         topics = {
             "ggcnn/out/grasps": (GraspList, self._on_grasps, 1),
             "kuka/status": (KukaStatus, self._on_controller, 1),
-            "leap_kuka/stream": (DiagnosticStatus, self._on_stream, 10),
-            "reflex_takktile/hand_state": (Hand, self._on_hand, 1),
+            "leap_kuka/state": (TeleopState, self._on_teleop, 10),
+            HAND.state: (Hand, self._on_hand, 1),
         }
         inputs = NodeInputs(topics, silent=silence)
         self.missing = inputs.missing  # returns which of them do not come, a clause
@@ -65,13 +65,17 @@ class ExecutionInputs:
         status = self._fresh(self._controller)
         return None if status is None else ControllerState(status.control_on, status.mode, status.reason)
 
+    @property
+    def hand_followed(self) -> bool:
+        return self._teleop.running
+
     def observe(self) -> ExecutionObservation:
-        hand = self._fresh(self._hand)
+        hand, teleop = self._fresh(self._hand), self._teleop
         return ExecutionObservation(
             clock=rospy.get_time(),
             controller=self.controller,
-            hold=self._hold,
-            hold_reason=self._hold_reason,
+            hold=teleop.hold,
+            hold_reason=teleop.reason,
             T_base_tool=self._tool(),
             hand=None if hand is None else hand_measurement(hand),
         )
@@ -94,10 +98,8 @@ class ExecutionInputs:
     def _on_hand(self, message: Hand) -> None:
         self._hand = message, clock.monotonic()
 
-    def _on_stream(self, message: DiagnosticStatus) -> None:
-        values = {value.key: value.value for value in message.values}
-        self._hold, self._hold_reason = values.get("hold", NO_HOLD), message.message
-        self.hand_followed = values.get("state") == "running"
+    def _on_teleop(self, message: TeleopState) -> None:
+        self._teleop = teleop_record(message)
 
 
 def proposals_from(message: GraspList, now: rospy.Time) -> ProposalList:
@@ -130,8 +132,8 @@ class ExecutionDisplay:
         self._marker = rospy.Publisher("grasping/proposal_marker", MarkerArray, queue_size=10, latch=True)
         self._shown: tuple[int, str, str] | None = None
 
-    def show(self, execution: Execution, grasp: Grasp, way: ToolGoal | None) -> None:
-        """Publishes the state if it or its reason changed; `way` is None before the first execution."""
+    def show(self, execution: Execution, grasp: Grasp, goal: ToolGoal | None) -> None:
+        """Publishes the state if it or its reason changed; `goal` is None before the first execution."""
         shown = execution.episode, execution.state, execution.reason
         if self._shown == shown:
             return
@@ -141,7 +143,7 @@ class ExecutionDisplay:
         values = execution.state, str(grasp.id), str(execution.episode), execution.reason
         pairs = [KeyValue(key, value) for key, value in zip(keys, values)]
         self._state.publish(DiagnosticStatus(DiagnosticStatus.OK, "grasp_execution", execution.reason, "", pairs))
-        shapes = [] if way is None or execution.state == OVER else _ghost(grasp, way, execution.reason)
+        shapes = [] if goal is None or execution.state == OVER else _ghost(grasp, goal, execution.reason)
         self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
 
     def publish(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:
@@ -154,7 +156,7 @@ class ExecutionDisplay:
         self._outcome.publish(message)
 
 
-def _ghost(grasp: Grasp, way: ToolGoal, text: str) -> list[Marker]:
+def _ghost(grasp: Grasp, goal: ToolGoal, text: str) -> list[Marker]:
     """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
     finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z; the palm along y and z
     palm_m = (0.08, 0.02)
@@ -164,14 +166,14 @@ def _ghost(grasp: Grasp, way: ToolGoal, text: str) -> list[Marker]:
     palm = (grasp.width + 2.0 * finger_m[0], *palm_m)
     shapes = [
         *(
-            _shape(Marker.CUBE, i, way.T_base_grip @ translation(x, 0.0, -up), finger_m)
+            _shape(Marker.CUBE, i, goal.T_base_grip @ translation(x, 0.0, -up), finger_m)
             for i, x in enumerate((half, -half))
         ),
-        _shape(Marker.CUBE, 2, way.T_base_grip @ translation(0.0, 0.0, -finger_m[2] - 0.5 * palm_m[1]), palm),
+        _shape(Marker.CUBE, 2, goal.T_base_grip @ translation(0.0, 0.0, -finger_m[2] - 0.5 * palm_m[1]), palm),
         _shape(Marker.ARROW, 3, np.eye(4), (arrow_m, 2.0 * arrow_m, 2.0 * arrow_m)),
-        _shape(Marker.TEXT_VIEW_FACING, 4, way.T_base_above, (0.0, 0.0, text_m)),
+        _shape(Marker.TEXT_VIEW_FACING, 4, goal.T_base_above, (0.0, 0.0, text_m)),
     ]
-    shapes[3].points = [Point(*way.T_base_above[:3, 3]), Point(*way.T_base_tool[:3, 3])]
+    shapes[3].points = [Point(*goal.T_base_above[:3, 3]), Point(*goal.T_base_tool[:3, 3])]
     shapes[4].text = text
     return shapes
 

@@ -57,7 +57,7 @@ class ExecutionNode:
         self._execution = execution.Execution(config, watch, self._home.up)
         self._lock = clock.Lock()
         self._asking = clock.Lock()
-        self._grasp, self._way = NO_GRASP, None
+        self._grasp, self._goal = NO_GRASP, None
         self._counts = {"executed": 0, "refused": 0, "held": 0, "not_held": 0}
         self._inputs = ExecutionInputs(arm.T_flange_tool, config.silence)
         self._display, self._log = ExecutionDisplay(), FaultLog()
@@ -79,7 +79,7 @@ class ExecutionNode:
         if not self._asking.acquire(blocking=False):
             return TriggerResponse(False, "Another execution is being requested.")
         try:
-            refusal = self._refusal()
+            refusal = self._begin()
         finally:
             self._asking.release()
         if refusal is not None:
@@ -90,7 +90,7 @@ class ExecutionNode:
         rospy.loginfo(sentence)
         return TriggerResponse(True, sentence)
 
-    def _refusal(self) -> str | None:
+    def _begin(self) -> str | None:
         """Begins an execution, or returns why not, one sentence."""
         if self._execution.running:
             return f"The grasp {self._grasp.id} is being executed; cancel it first."
@@ -100,17 +100,17 @@ class ExecutionNode:
         chosen = execution.choose(request)
         if isinstance(chosen, execution.Refusal):
             return chosen.sentence
-        way = execution.tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
-        if isinstance(way, execution.Refusal):
-            return way.sentence
-        refusal = self._not_held(way)
+        goal = execution.tool_goal(chosen.T_base_grasp, self._tool, self._home.R_base_tool, self._home.up)
+        if isinstance(goal, execution.Refusal):
+            return goal.sentence
+        refusal = self._hold_above(goal)
         if refusal is not None:
             return refusal
         with self._lock:
-            self._grasp, self._way = next(g for g in message.grasps if g.id == chosen.id), way
+            self._grasp, self._goal = next(g for g in message.grasps if g.id == chosen.id), goal
             self._counts["executed"] += 1
-            self._execution.start(way.T_base_above, clock.monotonic())
-            self._display.show(self._execution, self._grasp, way)
+            self._execution.start(goal.T_base_above, clock.monotonic())
+            self._display.show(self._execution, self._grasp, goal)
         return None
 
     def _check(self, T_base_tool: np.ndarray) -> tuple[Pose, str | None]:
@@ -122,9 +122,9 @@ class ExecutionNode:
             return Pose(), f"It is unknown whether the arm reaches the grasp: {error}."
         return answer.desired, None if answer.success else answer.message
 
-    def _not_held(self, way: execution.ToolGoal) -> str | None:
+    def _hold_above(self, goal: execution.ToolGoal) -> str | None:
         """Requests that the tool is held above the grasp; returns why it is not, one sentence, or None."""
-        for T_base_tool in (way.T_base_tool, way.T_base_above):
+        for T_base_tool in (goal.T_base_tool, goal.T_base_above):
             desired, refusal = self._check(T_base_tool)
             if refusal is not None:
                 return refusal
@@ -160,7 +160,7 @@ class ExecutionNode:
         if outcome is not None:
             self._counts["held" if outcome.held else "not_held"] += 1
             self._display.publish(outcome, self._grasp)
-        self._display.show(self._execution, self._grasp, self._way)
+        self._display.show(self._execution, self._grasp, self._goal)
 
     def _release(self, outcome: execution.ExecutionOutcome | None) -> None:
         if outcome is not None and outcome.release:

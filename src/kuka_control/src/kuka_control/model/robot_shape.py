@@ -24,7 +24,7 @@ TABLE = "table"
 
 @dataclass(frozen=True)
 class Opening:
-    """Joints of the hand as the topic reflex_takktile/hand_state has them: fingers index, middle, thumb [rad]."""
+    """Joints of the hand as its state topic has them: fingers index, middle, thumb [rad]."""
 
     proximal: tuple[float, float, float]
     distal: tuple[float, float, float]

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from common.limits import Limit
-from common.modes import Mode
+from common.modes import TO_DESIRED_TOOL, Mode
 from common.poses import pose, read_only
 from common.rotations import rotation_angle
 from iiwa_kinematics import Kinematics, approached, tilted
@@ -33,7 +33,7 @@ SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as wit
 
 SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
 
-FOLLOWING = (Mode.PICK_UP, Mode.SERVO, Mode.HOLDING)  # modes in which the arm goes to a desired frame from where it is
+FROM_HERE = (*TO_DESIRED_TOOL, Mode.HOLDING.value)  # modes in which the arm goes to a desired frame from where it is
 
 
 NO_OFFSET = read_only(np.zeros(3))
@@ -218,7 +218,7 @@ def refused(reason: str) -> ToolCheck:
 
 def seed(mode: Mode, joints: np.ndarray | None, q_home: np.ndarray) -> np.ndarray:
     """Returns the joints from which the arm would go to a pose, shape (7,) [rad]; `joints` are the measured ones."""
-    return joints if mode in FOLLOWING and joints is not None else q_home
+    return joints if mode in FROM_HERE and joints is not None else q_home
 
 
 def check_tool_pose(

@@ -15,6 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
 from common.poses import translation
+from common.robot_hand import HAND
 from common.ros.conversions import message_from_pose
 from common.ros.node import repeat, while_running
 from kuka_control.limits.moving_arm import GuardError
@@ -41,7 +42,7 @@ class HandOpening:
         self._newest: tuple[float, Opening] | None = None
         self._taken: Opening | None = None
         self._next = 0.0
-        rospy.Subscriber("reflex_takktile/hand_state", Hand, self._take, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber(HAND.state, Hand, self._take, queue_size=1, tcp_nodelay=True)
 
     def at(self, now: float) -> Opening | None:
         """Returns the joints of the hand, None if they are not known; the same object until they change."""

@@ -47,12 +47,12 @@ class HandTeleopNode:
         self._lock = clock.Lock()
         self._result = GripperResult(GripperState.WAITING, "no tracking frames came yet", None)
         self._commands_sent = 0
-        self._commands = DirectPublisher(f"{of}reflex_takktile/radian_hand_command", RadianServoCommands, queue_size=1)
+        commands, _ = HAND.commands
+        self._commands = DirectPublisher(of + commands, RadianServoCommands, queue_size=1)
         self._stage_times = StageTimes("leap_hand", of)
         Diagnostics("leap_hand", self._diagnostics, of)
         self._state_received = clock.Event()
-        hand_state = f"{of}reflex_takktile/hand_state"
-        rospy.Subscriber(hand_state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
+        rospy.Subscriber(of + HAND.state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
     def run(self, subscribe: Subscribe) -> None:
         """Follows the operator's hand once the state of the robot hand is known, until ROS shuts down."""

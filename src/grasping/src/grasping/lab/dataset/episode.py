@@ -25,7 +25,6 @@ thumb's knuckle, along the line on which they close (URDF of the hand)."""
 DEPTH_M = 0.150 - 0.0816  # from the knuckles down to the grasp
 NONE_MM = 0  # what a depth image holds where the camera had no reading
 NOWHERE = read_only(np.full((4, 4), np.nan))  # stands for a pose that is not known
-FINGERS = ("index", "middle", "thumb", "spread")  # columns of `Episode.finger_angles`
 EXECUTION, TELEOPERATION, SHOWN = SOURCES = "execution", "teleoperation", "shown"
 """Of an episode: a confirmed proposal, free teleoperation, or a tool that an operator held at the grasp, unlifted."""
 

@@ -1,6 +1,6 @@
 """The node grasp_collection: records depth images and the grasp of the operator that followed, one file an episode.
 
-In: the depth images of the node ggcnn with their camera_info, tf, reflex_takktile/hand_state, leap_kuka/stream, and
+In: the depth images of the node ggcnn with their camera_info, tf, the state of the robot hand, leap_kuka/state, and
 from grasp_execution grasping/state and grasping/outcome. Out: the files, /diagnostics, and the service
 grasping/collection_label (std_srvs/SetBool), which sets the last episode aside (false) or takes it back (true).
 The network runs here, on the kept frames only, with the parameters of the node ggcnn: its maps before smoothing, which
@@ -20,13 +20,16 @@ from common import clock
 from common.config import parse
 from common.errors import ConfigError
 from common.frames import BASE, TOOL_DESIRED
+from common.robot_hand import HAND, hand_state
 from common.ros.compressed_images import depth_topic
 from common.ros.conversions import pose_in
 from common.ros.diagnostics import Diagnostics
 from common.ros.inputs import FaultLog, NodeInputs, clause
 from common.ros.node import run
 from common.ros.params import private_values
+from common.teleop_record import teleop_record
 from grasp_msgs.msg import GraspOutcome
+from grasping.execution.execution import RUNNING
 from grasping.execution.grasp_watch import ObservedGrasp
 from grasping.lab.dataset.collector import Collector, Finished
 from grasping.lab.dataset.episode import NOWHERE, Episode
@@ -37,9 +40,7 @@ from grasping.pipeline.view import NoView
 from grasping.ros.execution_io import hand_measurement
 from grasping.ros.pose_lookup import PoseLookup
 from reflex_msgs.msg import Hand
-
-EXECUTING = ("approaching", "waiting_for_hand", "person")  # in grasping/state: the outcome is awaited
-HAND_STATE = "reflex_takktile/hand_state"
+from rig_msgs.msg import TeleopState
 
 
 class GraspCollection:
@@ -53,7 +54,7 @@ class GraspCollection:
         self._poses = PoseLookup()
         self._lock = clock.Lock()
         topics = setup.ggcnn.input
-        self._inputs = NodeInputs([topics.depth_topic, HAND_STATE], once=[topics.info_topic], silent=silent_s)
+        self._inputs = NodeInputs([topics.depth_topic, HAND.state], once=[topics.info_topic], silent=silent_s)
         self._log = FaultLog()
         self._reader = FrameReader(setup, self._poses, self._inputs)
         self._collector = Collector(setup.frames, setup.watch, setup.up)
@@ -63,8 +64,8 @@ class GraspCollection:
         self._unused = {"images": "", "hand": ""}  # why what comes is not used
         self._episodes = self._held = self._on_robot = 0
         self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth))
-        self._inputs.subscribe(HAND_STATE, Hand, self._on_hand, queue_size=10)
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        self._inputs.subscribe(HAND.state, Hand, self._on_hand, queue_size=10)
+        rospy.Subscriber("leap_kuka/state", TeleopState, self._on_teleop, queue_size=10)
         rospy.Subscriber("grasping/state", DiagnosticStatus, self._on_state, queue_size=10)
         rospy.Subscriber("grasping/outcome", GraspOutcome, self._on_outcome, queue_size=10)
         rospy.Service("grasping/collection_label", SetBool, self._on_label)
@@ -129,18 +130,18 @@ class GraspCollection:
         self._unused["hand"] = ""
         with self._lock:
             self._take_time(now)
-            self._fingers = np.array([motor.joint_angle for motor in message.motor])
+            self._fingers = hand_state(message).angles
             finished = self._collector.hand(hand_measurement(message), T_base_tool, now.to_sec())
         self._store(finished)
 
-    def _on_stream(self, message: DiagnosticStatus) -> None:
+    def _on_teleop(self, message: TeleopState) -> None:
         with self._lock:
-            self._collector.stream({value.key: value.value for value in message.values}.get("state") == "running")
+            self._collector.stream(teleop_record(message).running)
 
     def _on_state(self, message: DiagnosticStatus) -> None:
         values = {value.key: value.value for value in message.values}
         with self._lock:
-            self._collector.executing(values.get("state") in EXECUTING)
+            self._collector.executing(values.get("state") in RUNNING)
 
     def _on_outcome(self, message: GraspOutcome) -> None:
         if not message.tool.header.frame_id:

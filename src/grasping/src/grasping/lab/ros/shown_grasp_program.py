@@ -17,7 +17,6 @@ from typing import TextIO
 import numpy as np
 import rospy
 import tf2_ros
-from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Image
 from tqdm import tqdm
 
@@ -28,6 +27,7 @@ from common.ros.compressed_images import depth_topic
 from common.ros.files import write_whole
 from common.ros.inputs import NodeInputs, clause
 from common.ros.node import join, run_program
+from common.teleop_record import teleop_record
 from grasping.lab.dataset.episode import NOWHERE, SHOWN
 from grasping.lab.dataset.shown_grasp import Phase, ShownGrasp
 from grasping.lab.dataset.store import encode, file_name
@@ -35,7 +35,7 @@ from grasping.lab.ros.collection_setup import CollectionSetup, default_values, s
 from grasping.lab.ros.frame_reader import FrameReader
 from grasping.pipeline.view import NoView
 from grasping.ros.pose_lookup import PoseLookup
-from rig_msgs.msg import KukaStatus
+from rig_msgs.msg import KukaStatus, TeleopState
 
 NAME = "collect_shown_grasp"
 STALE_S = 0.5
@@ -56,7 +56,7 @@ class ShownGraspRecorder:
         self.waits_for = ""  # a clause, why nothing is taken; empty while something is
         self.following = False
         rospy.Subscriber("kuka/status", KukaStatus, self._on_status, queue_size=1)
-        rospy.Subscriber("leap_kuka/stream", DiagnosticStatus, self._on_stream, queue_size=10)
+        rospy.Subscriber("leap_kuka/state", TeleopState, self._on_teleop, queue_size=10)
         self._inputs.subscribe(*depth_topic(topics.depth_topic, self._on_depth))
 
     def take_pose(self) -> bool:
@@ -95,8 +95,8 @@ class ShownGraspRecorder:
     def _on_status(self, message: KukaStatus) -> None:
         self._mode = message.mode, clock.monotonic()
 
-    def _on_stream(self, message: DiagnosticStatus) -> None:
-        self.following = {value.key: value.value for value in message.values}.get("state") == "running"
+    def _on_teleop(self, message: TeleopState) -> None:
+        self.following = teleop_record(message).running
 
     def _on_depth(self, message: Image) -> None:
         try:

@@ -21,6 +21,7 @@ from common import clock
 from common.command_line import real, whole
 from common.errors import RigError
 from common.frames import BASE
+from common.robot_hand import HAND
 from common.ros.conversions import stamped_pose
 from common.ros.files import file_hash, read_yaml
 from common.ros.node import join, run_program
@@ -39,7 +40,7 @@ from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_m
 
 LONGEST_WAIT_S = 3600.0  # between two frames
 KIND = re.compile(r"(geometry_msgs|sensor_msgs|std_msgs|tf2_msgs|visualization_msgs)/\w+", re.ASCII)
-MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", "/reflex_takktile/disable_torque")
+MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", f"/{HAND.driver}/disable_torque")
 """Services of what moves an arm or a hand."""
 DESCRIPTION = "robot_description"
 AGREED = "yes"

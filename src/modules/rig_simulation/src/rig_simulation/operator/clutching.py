@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from common.teleop_record import CLUTCHED, RUNNING
 from rig_simulation.operator.pick_and_place import PickStep
 from rig_simulation.operator.steering import Move
 
 STROKES, REACH_M = 3, 0.08  # as far as the hand moves comfortably
 MOVE_S = 1.5
-RUNNING, CLUTCHED = "running", "clutched"  # states of leap_kuka
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from common import clock
 from common.arms import arms_from
 from common.errors import RigError
+from common.modes import Mode
 from common.poses import inverse
 from common.ros.conversions import array
 from common.ros.service_calls import ServiceFailed, call
@@ -30,7 +31,6 @@ from rig_simulation.ros.seen_arm import SeenArm
 from rig_simulation.world.scene import scene_from
 
 PERIOD_S = 0.1
-AT_HOME = "home"
 SERVICE_TIMEOUT_S = 10.0
 
 
@@ -253,7 +253,7 @@ class AssistedScenario(Scenario):
             grip=self._arm.grip,
             heading=fingers,
             following=self._arm.streams and self._arm.following,
-            at_home=self._arm.mode == AT_HOME,
+            at_home=self._arm.mode == Mode.HOME,
             objects=objects,
             proposal=proposal,
             complaint=complaint,

@@ -12,11 +12,12 @@ from std_msgs.msg import String
 
 from common.config import parse
 from common.errors import RigError
+from common.modes import Mode
 from common.mounting import ToolConfig
 from common.ros.conversions import pose_from_message
+from common.teleop_record import teleop_record
+from rig_msgs.msg import TeleopState
 from rig_simulation.operator.steering import GRIP_OFFSET
-
-FOLLOWING = "servo"
 
 
 class SeenArm:
@@ -46,11 +47,11 @@ class SeenArm:
         self._publisher = rospy.Publisher(f"{of}simulation/scenario", DiagnosticStatus, queue_size=10, latch=True)
         rospy.Subscriber(f"{of}simulation/flange", PoseStamped, self._take_flange, queue_size=1)
         rospy.Subscriber(f"{of}kuka/mode", String, self._take_mode, queue_size=10)
-        rospy.Subscriber(f"{of}leap_kuka/stream", DiagnosticStatus, self._take_stream, queue_size=10)
+        rospy.Subscriber(f"{of}leap_kuka/state", TeleopState, self._take_teleop, queue_size=10)
 
     @property
     def following(self) -> bool:
-        return self.mode == FOLLOWING
+        return self.mode == Mode.SERVO
 
     def tell(self, step: str, failure: str, **more: str) -> None:
         """Publishes the progress, if it is new."""
@@ -76,5 +77,5 @@ class SeenArm:
     def _take_mode(self, message: String) -> None:
         self.mode = message.data
 
-    def _take_stream(self, message: DiagnosticStatus) -> None:
-        self.streams = message.level == DiagnosticStatus.OK
+    def _take_teleop(self, message: TeleopState) -> None:
+        self.streams = teleop_record(message).follows
