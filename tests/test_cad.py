@@ -286,28 +286,17 @@ class TestNumbersOfTheRig:
         tags = yaml.safe_load((ROOT / "src/vision/config/tags_single.yaml").read_text())
         assert [(tag["id"], tag["size"]) for tag in tags["standalone_tags"]] == [(0, d.SINGLE_TAG / 1000)]
 
-    def test_place_of_the_single_tag(self):
+    @pytest.mark.parametrize(("panel", "beyond"), [("single", d.SINGLE_BEYOND), ("bundle", d.PANEL_BEYOND)])
+    def test_places_of_the_tags(self, panel, beyond):
         model = pytest.importorskip("rig_simulation.world.model")
-        expected = [0.0, d.TAG_DISTANCE / 1000, d.SINGLE_BEYOND / 1000]
-        np.testing.assert_allclose(simulated_panel(model, "single"), expected, atol=1e-9)
+        expected = [0.0, d.TAG_DISTANCE / 1000, beyond / 1000]
+        np.testing.assert_allclose(simulated_panel(model, panel), expected, atol=1e-9)
 
     def test_the_simulated_hand_stands_on_the_ring_where_there_is_a_panel(self):
         model = pytest.importorskip("rig_simulation.world.model")
         for panel, beyond in ((None, d.CONNECTOR_LENGTH), ("single", d.RING + d.CONNECTOR_LENGTH)):
             built = world(model, panel)
             assert built.body("reflex/base_link").pos[2] == pytest.approx(beyond / 1000)
-
-    def test_place_of_the_large_panel(self):
-        model = pytest.importorskip("rig_simulation.world.model")
-        expected = [0.0, d.TAG_DISTANCE / 1000, d.PANEL_BEYOND / 1000]
-        np.testing.assert_allclose(simulated_panel(model, "bundle"), expected, atol=1e-9)
-
-    def test_places_of_the_detectors_panels(self):
-        beyond = {d.SINGLE_PLATE: d.SINGLE_BEYOND, d.PANEL_PLATE: d.PANEL_BEYOND}
-        for file in ROOT.glob("src/vision/config/panel*.yaml"):
-            values = yaml.safe_load(file.read_text())
-            expected = [0.0, -d.TAG_DISTANCE / 1000, -beyond[round(values["plate"] * 1000, 3)] / 1000]
-            assert values["translation"] == pytest.approx(expected), file.name
 
 
 @functools.lru_cache(maxsize=None)

@@ -332,17 +332,6 @@ class TestRows:
         assert run.RESULTS.read_text() == page.as_json(results)
         assert run.TIMES.read_text() == page.times_as_json(times)
 
-    def test_a_new_time_stands_on_the_page_as_it_is_stored(self, tmp_path, monkeypatch):
-        from campaign import run
-
-        for name in ("RESULTS", "TIMES", "PAGE"):
-            (tmp_path / name).write_text(getattr(run, name).read_text())
-            monkeypatch.setattr(run, name, tmp_path / name)
-        run.store({}, {"54": 0.6153})
-        results, times = (json.loads(path.read_text()) for path in (run.RESULTS, run.TIMES))
-        assert times["54"] == 0.615
-        assert run.PAGE.read_text() == page.page(run.rows.load(), results, times)
-
     def test_no_row_passes_where_nothing_happens_but_those_that_look_at_conditions_only(self):
         from campaign import rows
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import io
+import importlib
 import json
+import sys
 import threading
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tools.options import new_file, new_folder, number
+from tools.options import is_written, new_file, new_folder, number
 
 ros = pytest.mark.ros
 
@@ -46,62 +48,33 @@ def test_files_and_folders_that_cannot_be_are_refused(tmp_path, monkeypatch, nam
     assert new_folder("a/b").is_dir()
 
 
-@ros
-@pytest.mark.parametrize(
-    "arguments",
-    [*(["--only", text] for text in ("0", "999", "x", "5-3", ",", "-3", "1-99999999999", "\n", "dangerous2")),
-     ["--rigs", "0"], ["--rigs", "-1"], ["--json", "/nowhere/x.json"], ["--json", "/"], ["--traces", "/dev/null/x"]],
-    ids=str,
-)  # fmt: skip
-@pytest.mark.parametrize("program", ["campaign", "networks"])
-def test_the_campaign_starts_no_rig_for_what_names_none(monkeypatch, capsys, program, arguments):
-    from campaign import run
-    from campaign.network import run as networks
+REFUSED = [
+    *(("campaign.run", f"--only={rows}")
+      for rows in ("0", "999", "x", "5-3", ",", "-3", "1-99999999999", "\n", "dangerous2")),
+    *(("campaign.run", argument) for argument in ("--rigs=0", "--rigs=-1", "--json=/", "--traces=/dev/null/x")),
+    *(("campaign.network.run", argument) for argument in ("--only=x", "--rigs=0", "--json=/nowhere/x.json")),
+    *(("campaign.soak", f"--hours={hours}") for hours in ("0", "nan", "")),
+    *(("fuzz.run", argument) for argument in ("--minutes=0", "--minutes=inf", "--only=nothing")),
+    ("bench.run", "--json=no folder/new.json"),
+    ("tools.pictures", "nonsense"),
+    *(("golden.__main__", argument) for argument in ("three-claps", "--check")),
+]  # fmt: skip
 
-    monkeypatch.setattr(run.Campaign, "run", lambda self: pytest.fail("a rig was started"))
-    flag, value = arguments
-    if program == "networks" and flag == "--traces":
-        pytest.skip("it has no such option")
+
+@ros
+@pytest.mark.parametrize(("program", "argument"), REFUSED)
+def test_what_a_program_does_not_take_is_refused_in_a_sentence_before_it_begins(monkeypatch, capsys, program, argument):
+    monkeypatch.setattr(sys, "argv", [program, argument])
     with pytest.raises(SystemExit) as refused:
-        (run if program == "campaign" else networks).main([f"{flag}={value}"])
+        importlib.import_module(program).main()
     said = capsys.readouterr().err or refused.value.code
     assert refused.value.code not in (0, None) and "Traceback" not in said
     assert len(said.strip().splitlines()[-1]) < 400
 
 
-@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "x", ""])
-def test_hours_and_minutes_are_numbers(monkeypatch, capsys, value):
-    from campaign import soak
-    from fuzz import run as fuzz
-
-    monkeypatch.setattr(soak, "Soak", lambda *_: pytest.fail("a rig was started"))
-    monkeypatch.setattr(fuzz.subprocess, "run", lambda *_: pytest.fail("it runs"))
-    for main, name in ((soak.main, "--hours"), (fuzz.main, "--minutes")):
-        with pytest.raises(SystemExit) as refused:
-            main([f"{name}={value}"])
-        assert refused.value.code == 2 and "is not a number from" in capsys.readouterr().err
-
-
-def test_a_target_that_is_none_is_refused(capsys):
-    from fuzz import run as fuzz
-
-    with pytest.raises(SystemExit):
-        fuzz.main(["--only", "nothing"])
-    assert "invalid choice: 'nothing'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"5\nnull\n[]\n", b"\xff\xfe\n", b'{"t": 1, "processes": {"a": {}}}\n', b'{"t": "x", "processes": 3}\n',
-     b'{"t": 1, "processes": {}, "log": "x", "delay": 3}\n'],
-)  # fmt: skip
-def test_a_file_that_is_of_no_run_is_not_judged(tmp_path, capsys, content):
-    from campaign import soak
-
-    path = tmp_path / "soak.jsonl"
-    path.write_bytes(content)
-    assert soak.main(["--judge", str(path)]) == 2
-    assert "holds no samples" in capsys.readouterr().err and not path.with_suffix(".json").exists()
+def test_results_that_the_disk_does_not_take_are_a_sentence(capsys):
+    assert not is_written(Path("/dev/full"), "x")
+    assert "/dev/full: No space left on device" in capsys.readouterr().err
 
 
 def test_a_run_that_is_too_short_to_judge_is_not_steady(tmp_path, capsys):
@@ -173,32 +146,6 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
     assert not reported, "a row that was cut off says nothing"
 
 
-@ros
-@pytest.mark.parametrize("program", ["campaign", "networks"])
-def test_results_that_the_disk_does_not_take_are_a_sentence(monkeypatch, capsys, program):
-    from campaign import run
-    from campaign.network import run as networks
-
-    monkeypatch.setattr(run.Campaign, "run", lambda self: {})
-    monkeypatch.setattr(networks.subprocess, "run", lambda *_, **__: argparse.Namespace(returncode=0))
-    assert (run if program == "campaign" else networks).main(["--json", "/dev/full"]) == 1
-    assert "/dev/full: No space left on device" in capsys.readouterr().err
-
-
-@ros
-def test_the_folder_of_the_logs_of_a_campaign_is_made(tmp_path, monkeypatch):
-    from campaign import run
-
-    worker = argparse.Namespace(returncode=0, stdin=io.StringIO(), stdout=io.StringIO(), wait=lambda _: 0)
-    monkeypatch.setattr(run, "ROOT", tmp_path)
-    for name in ("run", "Popen"):
-        monkeypatch.setattr(run.subprocess, name, lambda *_, **__: worker)
-    rig = run.Rig("shipped", None)
-    assert list((tmp_path / "build").glob("campaign-*.log"))
-    rig.close()
-    assert not list((tmp_path / "build").iterdir())
-
-
 def test_golden_renews_nothing_that_it_cannot_draw(monkeypatch):
     import golden.__main__ as golden
 
@@ -229,13 +176,3 @@ def test_ctrl_c_ends_golden_in_a_sentence(monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         golden.main([])
     assert ended.value.code == 130 and "Interrupted" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("argument", ["--help", "three-claps", "--check"])
-def test_golden_renews_nothing_where_it_is_asked_something_else(monkeypatch, capsys, argument):
-    import golden.__main__ as golden
-
-    monkeypatch.setattr(golden, "RUNS", {"run": lambda: pytest.fail("it plays the recordings")})
-    with pytest.raises(SystemExit):
-        golden.main([argument])
-    assert "usage: python -m golden" in "".join(capsys.readouterr())

@@ -106,6 +106,9 @@ def test_a_rig_that_works_with_faults_is_steady_and_without_one_it_is_not(tmp_pa
         lambda records: [{**r, "t": 5.0} for r in records],
         lambda records: records[::-1],
         lambda records: ["[" * 10**5],
+        lambda records: [5, None, []],
+        lambda records: [{"t": "x", "processes": 3}],
+        lambda records: [{"t": 1, "processes": {}, "log": "x", "delay": 3}],
         lambda records: [],
     ],
 )
