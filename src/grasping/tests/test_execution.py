@@ -238,11 +238,9 @@ def test_the_best_grasp_is_executed_and_no_other_in_its_place():
     [
         (ProposalList(0.1, [GRASP]), None, False, "The arm's controller is silent."),
         (ProposalList(0.1, [GRASP]), ControllerState(False, "home", "."), False, "Control of the arm is off."),
-        (
-            ProposalList(0.1, [GRASP]),
-            ControllerState(True, "stopped", "It hit."),
-            False,
-            "The arm cannot go there: It hit.",
+        *(
+            (ProposalList(0.1, [GRASP]), ControllerState(True, mode, "So."), False, "The arm cannot go there: So.")
+            for mode in ("starting", "zero", "stopped")
         ),
         (ProposalList(0.1, [GRASP]), SERVO, True, "The arm follows a hand; take it away first."),
         (None, HOME, False, "No grasp was proposed yet."),

@@ -262,6 +262,13 @@ def test_what_is_refused(rig, node):
     assert not node.outcomes and node.now["state"] == "idle"
 
 
+def test_a_hold_that_ends_is_named_with_the_reason_of_the_teleoperation(rig, asked):
+    clock.sleep(NODE_S + LATER_S)  # it has seen the hold
+    rig.say_hold("none", "control of the arm is off")
+    outcome = asked.outcomes.wait(1, KNOWN_S)[0]
+    assert outcome.reason == "The tool was not held for a hand: control of the arm is off."
+
+
 def test_ctrl_c_tells_the_outcome_and_lets_the_tool_go(rig, asked):
     asked.process.send_signal(signal.SIGINT)
     assert asked.process.wait(NODE_S + LATER_S) == 0

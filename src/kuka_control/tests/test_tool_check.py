@@ -87,7 +87,7 @@ def test_why_it_cannot_be_brought_there(T, words):
     assert words in answer.sentence and answer.sentence.endswith((".", "?"))
 
 
-@pytest.mark.parametrize("mode", ["pick_up", "servo"])
+@pytest.mark.parametrize("mode", ["pick_up", "servo", "holding"])
 def test_an_arm_that_follows_continues_from_where_it_is(mode):
     joints = HOME.q + 0.1
     assert seed(mode, joints, HOME.q) is joints
