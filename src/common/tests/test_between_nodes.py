@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from common.modes import Mode
 from common.reasons import Reason, ReasonCode, joined
 from common.robot_hand import HAND, hand_state
-from common.teleop_record import teleop_record
+from common.teleop_record import CLUTCHED, RUNNING, WAITING, teleop_record
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
@@ -86,6 +86,8 @@ def test_the_hand_says_what_each_of_its_parts_does():
     assert np.argwhere(state.pressures).tolist() == np.argwhere(state.contacts).tolist() == [[0, 0], [1, 1], [2, 2]]
 
 
-def test_the_message_has_the_same_modes():
+def test_the_messages_have_the_same_modes_and_states():
     constants = {name: value for name, value in vars(KukaStatus).items() if name.isupper() and isinstance(value, str)}
     assert constants == {mode.name: mode.value for mode in Mode}
+    states = TeleopState.CLUTCHED, TeleopState.RUNNING, TeleopState.WAITING
+    assert states == (CLUTCHED, RUNNING, WAITING)

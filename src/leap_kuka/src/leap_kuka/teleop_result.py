@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from common import teleop_record
 from common.reasons import ReasonCode
 from leap_kuka.tool_hold import HoldState
 from leap_kuka.virtual_leap import Attitude
@@ -15,8 +16,8 @@ from leap_kuka.virtual_leap import Attitude
 class StreamState(Enum):
     """Whether a hand steers the arm."""
 
-    WAITING = "waiting"
-    RUNNING = "running"
+    WAITING = teleop_record.WAITING
+    RUNNING = teleop_record.RUNNING
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
+from common import teleop_record
 from common.poses import check_pose
 from leap_kuka.numbers import MAX_HOLD_S, MAX_TILT_DEG, MAX_TOOL_DISTANCE_M
 
@@ -18,9 +19,9 @@ TOOL_AXIS = (0.0, 0.0, 1.0)  # of the tool, which points down
 class HoldState(Enum):
     """Whether the tool is held."""
 
-    NONE = "none"
-    HELD = "held"  # for a hand
-    TAKEN = "taken"  # over by the hand that steers now
+    NONE = teleop_record.NO_HOLD
+    HELD = teleop_record.HELD  # for a hand
+    TAKEN = teleop_record.TAKEN  # over by the hand that steers now
     KEPT = "kept"  # where a relative engagement stopped, for the next one
 
 
