@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.hand_tracking import LEFT_BOX_FRAMES, MAX_SKEW_S, FrameWatch, HandLock
+from common.hand_tracking import LEFT_BOX_FRAMES, FrameWatch, HandLock
+from common.numbers import STAMP_SKEW_S
 
 GAP = 0.2
 
@@ -197,7 +198,7 @@ def test_a_frame_that_was_on_its_way_when_the_wall_clock_was_set_does_not_break_
         assert watch.silence(0.01 * i) is None
 
 
-@given(st.floats(-MAX_SKEW_S, MAX_SKEW_S))
+@given(st.floats(-STAMP_SKEW_S, STAMP_SKEW_S))
 def test_a_stamp_near_now_is_taken(age):
     assert FrameWatch(0.2).arrived(1, age, 0.0).usable
 

@@ -12,8 +12,8 @@ from typing import Generic, Protocol, TypeVar
 import numpy as np
 
 from common.frame_rate import FrameRate
+from common.numbers import STAMP_SKEW_S
 
-MAX_SKEW_S = 0.5  # how far a frame's stamp may be from the present time [s]
 LEFT, RIGHT, ANY = "left", "right", "any"  # which of the operator's hands
 RATE_WINDOW_S = 0.5  # time over which the frame rate is measured [s]
 
@@ -48,7 +48,7 @@ class FrameWatch:
         """Judges a frame that arrived at `now` [s], `age` [s] after its stamp. A repeated number means that the tracker
         hangs, a large age that the clocks differ, or that one was set while the frame was on its way: it is ignored,
         and the silence continues. A lower number means that the tracker has restarted."""
-        if not abs(age) <= MAX_SKEW_S:
+        if not abs(age) <= STAMP_SKEW_S:
             skewed = f"the stamps of the tracking frames are {abs(age):.1f} s {'old' if age > 0 else 'in the future'}"
             self._refusal = (skewed, now)
             return FrameArrival(False)

@@ -6,13 +6,15 @@ from __future__ import annotations
 
 from typing import Final
 
+from common.numbers import FAR_TOOL_M, LEAST_RATE_HZ, STAMP_SKEW_S
+
 # A link to the robot that falls silent. TCP repeats a lost packet after 0.2 s, and after 0.4 s more.
 NAMED_S: Final = 0.12  # beyond the link's usual delay: then it is said; with a cycle's wait within 0.2 s
 OFF_S: Final = 1.0  # in servo mode control is switched off then; outside of it after twice that: no goals depend on it
-MAX_MISSED: Final = 5  # so many missing or unusable answers in a row end the link,
-MISSING_S: Final = 3.0  # if they took this long at least: a busy machine is late several times in a row
-FIRST_PAUSE_S: Final = 0.5  # before a lost robot is tried again; the pause doubles
-LONGEST_PAUSE_S: Final = 5.0  # up to this
+MAX_MISSED: Final = 5  # so many missing or unusable answers in a row end the link, if they took MISSING_S at least
+MISSING_S: Final = 3.0  # a busy machine is late several times in a row
+FIRST_PAUSE_S: Final = 0.5  # before a lost robot is tried again; the pause doubles up to LONGEST_PAUSE_S
+LONGEST_PAUSE_S: Final = 5.0
 PROBE_S: Final = 12.0  # longest wait for a robot that answers nonsense; the client gives a silent one up before
 TIMEOUT_S: Final = 5.0  # of a connection at the start, and of its first answer
 AGAIN_TIMEOUT_S: Final = 2.0  # of a try to connect again, likewise
@@ -29,8 +31,8 @@ FASTER: Final = 1.2  # joints that change faster than this fraction of their ful
 LAST_GOALS_S: Final = 0.2  # the arm may still be on its way between the goals of this time before a reading
 
 # Whether the desired tool frame counts. Its pauses: common/stream_pause.py.
-MAX_DISTANCE_M: Final = 5.0  # a tool further from the base was not meant in metres
-MAX_SKEW_S: Final = 0.5  # how far a stamp may be from the clock
+MAX_DISTANCE_M: Final = FAR_TOOL_M  # of the tool from the base
+MAX_SKEW_S: Final = STAMP_SKEW_S  # how far a stamp may be from the clock
 MAX_OFFSET_S: Final = 60.0  # a clock that differs by more was never set, and a stamp that does is of a recording
 HANDOVER_S: Final = 1.0  # another node may take over a frame after the one before has been silent for this long
 PAUSE_PERIODS: Final = 2.5  # a pause before a new stream also is longer than so many times the time between its frames
@@ -46,22 +48,20 @@ TOLERANCE_M: Final = 0.017  # of a frame's step on top of the speed limits: 2 de
 LOST_S: Final = 0.1  # after a longer gap than this the signal counts as lost and found again
 LONGEST_STALL_S: Final = 0.5  # frames that came in a longer stall of the control loop than this do not count
 FULL_SPEED_HZ: Final = 60.0  # the tool moves at most 11 mm a frame at 0.65 m/s; at lower rates no further
-HOLD_HZ: Final = 20.0  # frames that come less often than this are not followed
-RESUME_HZ: Final = 22.0  # until they come this often
-CONTINUED_S: Final = 0.03  # a frame is continued for 1.5 times the time between frames, at most for this long;
-FADE_S: Final = 0.02  # then the target slows down to rest in this time
+HOLD_HZ: Final = LEAST_RATE_HZ  # frames that come less often than this are not followed
+RESUME_HZ: Final = 22.0  # frames that were not are followed again from this rate on; leap_kuka lets a hand steer at 24
+CONTINUED_S: Final = 0.03  # a frame is continued for 1.5 times the time between frames, at most for this long
+FADE_S: Final = 0.02  # a target that is not continued any more slows down to rest in this time
 ANNOUNCED_S: Final = 1.0  # a stream that ran already is taken over so long after that was announced
 
 # What else the loop waits for.
 HAND_S: Final = 1.0  # at the start: for the first report of the hand
 BLOCKED_S: Final = 0.25  # a pick-up motion that the collision guard refused is checked again after this time
 EXIT_PATIENCE_S: Final = 2.0  # on exit: for an arm that something holds
-PROGRESS_S: Final = 0.02  # a line whose plan does not come so far
-NO_PROGRESS_S: Final = 2.0  # in this time does not continue
+PROGRESS_S: Final = 0.02  # how far the plan of a line must come in NO_PROGRESS_S, or the line ends
+NO_PROGRESS_S: Final = 2.0
 LINE_START_RAD: Final = 2e-3  # a line begins where the arm stands; no joint is further off than this
-TEST_MOTIONS: Final = (
-    3  # so often at most joint 7 turns to show the servo law, where a busy machine did not see it well
-)
+TEST_MOTIONS: Final = 3  # of joint 7 at most, to show the servo law, where a busy machine did not see it well
 
 # The stream of goals.
 SPEED_MARGIN: Final = 0.97  # the arm's speed is checked at some times only; between them it is up to 2.5 % faster

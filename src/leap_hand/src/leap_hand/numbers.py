@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from common.numbers import HAND_LOST_S
+
 MAX_SILENCE_S: Final = 0.5  # without a usable frame for longer the hand opens, once
-MAX_MISSING_S: Final = 0.2  # longest time without the owner of a lock that is made here, as with the arm
+MAX_MISSING_S: Final = HAND_LOST_S  # longest time without the owner of a lock that is made here, as with the arm
 NEAR: Final = 0.15  # of a finger's range: so near to the kept command the operator's finger takes over
 FIRST_STATE_S: Final = 2.0  # longest wait for the first state of the robot hand
 ANSWER_TIMEOUT_S: Final = 10.0  # of the services that calibrate the robot hand

@@ -7,6 +7,7 @@ import math
 from typing import Final
 
 from common.hand_tracking import LONG_GAP_SPEED_M_S
+from common.numbers import FAR_TOOL_M, HAND_LOST_S, LEAST_RATE_HZ
 from common.operator_rows import OLD_ROWS_S
 from common.stream_pause import SENDER_PAUSE_S
 
@@ -17,12 +18,12 @@ STILL_WINDOW_S: Final = 10.0 / NOMINAL_RATE_HZ  # time over which the speed is m
 STILL_SAMPLES: Final = 4  # fewest samples that have a speed
 
 # A stream, and the hand that steers it.
-MAX_SILENCE_S: Final = 0.2  # longest time between two frames of one stream, or two frames with its hand
+MAX_SILENCE_S: Final = HAND_LOST_S  # longest time between two frames of one stream, or two frames with its hand
 MAX_LEFT_OUT: Final = 5  # outliers in a row after which the hand counts as lost
 MAX_HAND_DISTANCE_M: Final = 2.0  # of a palm from the Leap, whose documented range is 0.6 m
 TURN_S: Final = 0.5  # how long a hand whose mean is full may start, before another hand in the box has its turn
-MIN_RATE_HZ: Final = 20.0  # below this frame rate the tool stays,
-ENOUGH_RATE_HZ: Final = 24.0  # until this one is reached
+MIN_RATE_HZ: Final = LEAST_RATE_HZ  # below this frame rate the tool stays
+ENOUGH_RATE_HZ: Final = 24.0  # a tool that stayed moves again from here on: the controller then follows (at 22), too
 MAX_HELD_TURN: Final = math.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves when the rate is back
 FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over takes full effect
 HEARTBEAT_S: Final = 0.5  # longest time without a report: leap_hand follows nobody when leap_kuka falls silent
@@ -33,8 +34,8 @@ MAX_STATUS_AGE_S: Final = OLD_ROWS_S  # of its status, for a relative start
 MEASURED_AGE_S: Final = 0.5  # of the measured tool, and how far its stamp may be off
 
 # Whether the arm comes to a desired tool: asked before a start and while a stream runs.
-REACH_LOOK_S: Final = 0.2  # while a stream runs: between two looks at the newest answer;
-REACH_RUNNING_S: Final = 3.0 * REACH_LOOK_S  # between two questions to the controller
+REACH_LOOK_S: Final = 0.2  # while a stream runs: between two looks at the newest answer
+REACH_RUNNING_S: Final = 3.0 * REACH_LOOK_S  # while a stream runs: between two questions to the controller
 REACH_START_S: Final = 0.1  # between two questions before a start
 REACH_TIMEOUT_S: Final = 0.5
 REACH_FRESH_S: Final = 2.0  # older answers are ignored; longer than a question that times out, and two periods
@@ -50,7 +51,7 @@ JUST_S: Final = 0.5  # an arm that brakes, since the hand jumped, was near so sh
 MOVED_M: Final = 0.1  # and came so far
 AT_HOME_M: Final = 0.03
 MAX_HOLD_S: Final = 120.0
-MAX_TOOL_DISTANCE_M: Final = 5.0  # a larger distance from the base is probably not in metres
+MAX_TOOL_DISTANCE_M: Final = FAR_TOOL_M  # from the base
 MAX_TILT_DEG: Final = 10.0  # of a held tool: a stream starts with the tool as at home, pointing down
 AHEAD_M: Final = 0.1  # least distance in front of the base, nearer than the workspace; at most half of its centre's
 ABOVE_M: Final = 1e-3  # least height over the foot; the workspace may end at the foot

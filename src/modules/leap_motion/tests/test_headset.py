@@ -15,7 +15,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from common import clock
-from leap_motion.headset.hand_stream import SETTLE_S, HandStream
+from leap_motion.headset.hand_stream import HandStream
 from leap_motion.headset.placement import FROM_XR, placement, xr_hand
 from leap_motion.headset.transport import (
     BUSY,
@@ -25,6 +25,7 @@ from leap_motion.headset.transport import (
     HandsEndpoint,
     Scene,
 )
+from leap_motion.numbers import SETTLE_S
 from leap_motion.service.access import CODE_DIGITS, HeadsetAccess
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
 from leap_motion.service.socket_service import SocketService, listen

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from common.modes import Mode
+from kuka_control.numbers import EXIT_PATIENCE_S, NO_PROGRESS_S
 
 _MOVES = "{because} The arm moves to {name} at {velocity:g} of the full joint speed."
 _LEAVES = "{because} The arm leaves servo mode."
@@ -68,7 +69,7 @@ class Trigger(Enum):
     ARRIVED_AFTER_HOLD = "arrived after something held the arm"
     EXIT = "exit_app"
     INFEASIBLE = "an infeasible position"
-    EXIT_WHILE_HELD = "exit_app while the arm is held for 2 s"
+    EXIT_WHILE_HELD = f"exit_app while the arm is held for {EXIT_PATIENCE_S:g} s"
     CONTROL_OFF = "control off"
     CONTROL_WAS_OFF = "control off and on again at once"
     ENABLED_AGAIN = "control off and on again"
@@ -95,7 +96,7 @@ class Trigger(Enum):
     MOVE = "a program asks for a PTP motion"
     LINE = "a program asks for a straight line"
     CANCELLED = "the program cancels"
-    NO_PROGRESS = "no progress for 2 s"
+    NO_PROGRESS = f"no progress for {NO_PROGRESS_S:g} s"
 
 
 class Action(Enum):

@@ -18,6 +18,7 @@ from common import clock
 from common.errors import ConfigError, DeviceError, RigError
 from common.frames import ArmFrames
 from common.modes import Mode
+from common.numbers import SWITCH_INTERVAL_S
 from common.ros import master, node
 from common.ros.diagnostics import Diagnostics, StageTimes
 from common.ros.files import read_yaml
@@ -51,7 +52,6 @@ from kuka_control.ros.state_publisher import GoalPublisher, Snapshot, StatePubli
 NAMED_POSITIONS = "joint_configurations.yaml"
 PARAMETERS_S = 15.0  # if only some parameters are set, such as those for leap_kuka, wait this long for the others [s]
 RETRY_POLL_S = 0.05  # polling interval of the switches while the robot is out of reach [s]
-SWITCH_INTERVAL_S = 5e-4  # the control loop waits at most this long for another thread of this process [s]
 PATIENCE_S = 20.0  # how long a server that does not run yet is tried again at the start [s]
 LONGEST_PERIOD_S = 0.025  # of the control loop, so that pauses of the desired tool frame are seen [s]
 SHUTDOWN_S = 0.5  # a lost connection is no fault if ROS is to shut down within this time [s]

@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from common.hand_tracking import ANY
+from common.numbers import SWITCH_INTERVAL_S
 from common.ros.node import dispensable, run, run_together
 from common.ros.params import private_config, wait_for_param
 from leap_hand.config import NodeConfig
@@ -24,8 +25,7 @@ from leap_rig.teleop_config import DRIVER, HAND, LeapTeleopConfig
 
 
 def _start() -> None:
-    switch_interval_s = 5e-4  # a frame waits at most this long for another thread of this process [s]
-    sys.setswitchinterval(switch_interval_s)
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     arms = private_config(LeapTeleopConfig, others=(DRIVER, HAND)).arms
     driver_config, hand_config = private_config(DriverConfig, DRIVER), private_config(NodeConfig, HAND)
     frames = FramesHere()

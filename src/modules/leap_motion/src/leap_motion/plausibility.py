@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from leap_motion.frames import THUMB, LeapFrame, LeapHand
+from leap_motion.numbers import SETTLE_S
 
 SHORTEST_M = 0.003  # bone of a finger; a webcam has shown 7 mm
 TIP_M = 0.03  # farthest that the finger tip's centre is from the end of the last bone
@@ -54,9 +55,12 @@ class HandBounds:
         40.0, "rad/s", "fastest turn of the palm; recorded hands reach 20, one that was hardly seen 50", 5.0, 100.0
     )
     hold: float = _bound(
-        0.3, "s", "for how long what was plausible last is the measure; longer than an engagement outlives its hand",
-        *(0.25, 2.0),
-    )  # fmt: skip
+        SETTLE_S,
+        "s",
+        "for how long what was plausible last is the measure; longer than an engagement outlives its hand",
+        0.25,
+        2.0,
+    )
 
 
 class _Known:

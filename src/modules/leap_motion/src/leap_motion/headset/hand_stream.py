@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from leap_motion.headset.placement import FROM_XR, Placement, placement, xr_hand
+from leap_motion.numbers import SETTLE_S
 from leap_motion.service.hand import ReportedHand, hand_from_joints
 
 LATE_S = 0.1  # a message that is later than the fastest ones is ignored
-JUMP_M, JUMP_M_S = 0.03, 4.0  # a palm that moved farther than both allow is another hand
+JUMP_M = 0.03  # a palm that moved farther than this and JUMP_M_S allow is another hand
+JUMP_M_S = 4.0
 PINCH_S = 1.0  # both hands pinched for so long place the box anew
-SETTLE_S = 0.3  # no hands after a placement: longer than any engagement outlives its hand
 
 
 @dataclass(frozen=True)

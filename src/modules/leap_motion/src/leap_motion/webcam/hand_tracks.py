@@ -11,26 +11,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leap_motion.numbers import ENOUGH_RATE_HZ, KEPT_S, SETTLE_S
 from leap_motion.service.hand import ReportedHand, hand_from_joints
 from leap_motion.webcam.palm_pose import PALM, CameraHand, camera_hand
 from leap_motion.webcam.setups import CameraPlacement, NeutralPose
 
 LEAST_FRAMES = 3  # with a hand before it is reported: MediaPipe sometimes finds one where nobody holds one
-KEPT_S = 0.2  # a hand that was not seen for longer is lost
-SETTLE_S = 0.3  # no hands after a new neutral pose was asked for: longer than any engagement outlives its hand
 AWAY_S = 3.0  # a hand that was away for longer gets a new neutral pose
 SAME_SIZES = 1.0  # a hand moves by less than its size in the image from one frame to the next
 FARTHEST_MM = 1000.0  # beyond the second one the confidence falls
 WORST_RESIDUAL = 0.2  # the filmed hand has 0.08 in the median, 0.16 in the worst hundredth
 JUMP_MM_S = 2000.0  # a hand moves no farther between two frames
-JUMP_RAD, JUMP_RAD_S = math.radians(30.0), math.radians(600.0)
-SLOW_RATE_HZ, ENOUGH_RATE_HZ = 22.0, 24.0  # below the first one it is said; the second one is leap_kuka's
+JUMP_RAD = math.radians(30.0)
+JUMP_RAD_S = math.radians(600.0)
+SLOW_RATE_HZ = 22.0  # a lower frame rate is said
 
-NO_HAND, SEVERAL = "No hand is seen.", "More than two hands are seen; the two most certain ones count."
+NO_HAND = "No hand is seen."
+SEVERAL = "More than two hands are seen; the two most certain ones count."
 UNCLEAR = "The hand is not clear: turn its palm or its back to the camera."
 JUMPS = "The hand is seen in two ways by turns: turn its palm or its back to the camera."
-CUT, CUT_FINGERS = "The hand is cut off by the image's edge.", "Some fingers are cut off by the image's edge."
-TOO_DARK, RATHER_DARK = "It is too dark; turn a light on.", "It is rather dark; more light makes the hand steadier."
+CUT = "The hand is cut off by the image's edge."
+CUT_FINGERS = "Some fingers are cut off by the image's edge."
+TOO_DARK = "It is too dark; turn a light on."
+RATHER_DARK = "It is rather dark; more light makes the hand steadier."
 HOLD_STILL = "Hold the hand still for a second, as feels natural: this becomes level, and the middle of the box."
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from common import clock
 from common.config import is_number
 from common.errors import DeviceError
+from common.numbers import SWITCH_INTERVAL_S
 from rig_simulation.control_port import ControlPort, listen, within
 from rig_simulation.devices.sunrise.application import VERSIONS, Application, ControllerIO
 from rig_simulation.devices.sunrise.arm import SimulatedArm
@@ -105,8 +106,7 @@ class SunriseServer:
 
     def run(self) -> None:
         """Serves until `stop`; then closes everything."""
-        switch_interval_s = 5e-4  # the server waits at most this long for another thread of its process [s]
-        sys.setswitchinterval(switch_interval_s)
+        sys.setswitchinterval(SWITCH_INTERVAL_S)
         try:
             while not self._stop.is_set():
                 self._wait()
