@@ -102,6 +102,14 @@ def test_the_stream_of_a_controller_reaches_and_keeps_the_limits_of_its_paramete
     assert reached == pytest.approx(limit, rel=0.05)
 
 
+@settings(max_examples=12)
+@given(joints, joints)
+def test_the_tool_keeps_its_speed_limit(start, target):
+    tool = np.array([tool_position(q) for q in run(limits(start), target, 1.0)])
+    # A speed is chosen for the pose it starts from; while it is approached the tool moves on along its curve.
+    assert np.max(np.linalg.norm(np.diff(tool, axis=0), axis=1)) <= 1.05 * TCP_SPEED * DT
+
+
 @settings(max_examples=8)
 @given(joints, joints)
 def test_the_target_is_reached_without_overshoot_and_stood_on(start, target):

@@ -26,6 +26,11 @@ def test_the_centre_stays(centre, factor):
     np.testing.assert_array_equal(scaled(centre, centre, factor), centre)
 
 
+@given(positions, positions)
+def test_factor_one_changes_nothing(position, centre):
+    np.testing.assert_allclose(scaled(position, centre, 1.0), position, atol=1e-12)
+
+
 @given(factors)
 def test_factors_of_the_range_are_accepted(factor):
     assert check_scaling_factor(factor) == factor

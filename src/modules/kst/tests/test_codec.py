@@ -122,6 +122,11 @@ def test_what_is_no_reply_is_foreign_and_printable(line):
     assert reply.text.isprintable() and len(reply.text) <= 60
 
 
+@given(st.binary(max_size=600))
+def test_no_bytes_break_the_parser(line):
+    assert isinstance(parse_reply(line).kind, ReplyKind)
+
+
 @given(doubles)
 def test_numbers_keep_every_bit_and_suit_javas_parser(value):
     text = codec.number(value)
