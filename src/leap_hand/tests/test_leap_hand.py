@@ -250,40 +250,6 @@ def test_a_silent_tracker_does_not_cut_a_longer_grip_short():
     assert play.teleop.silence(play.now + 2.2) is None
 
 
-def test_when_leap_kuka_falls_silent_the_grip_is_kept_for_a_while_then_nobody_is_followed():
-    play = Player(hand_only=False)
-    play.teleop.switch(True)
-    for _ in range(300):
-        if play.number % 50 == 0:
-            play.teleop.steered_by((7, False), play.now)
-        assert play.step(hand_with(20.0, 20.0, 20.0)).state is GripperState.FOLLOWING
-    results = play.steps(200, hand_with(20.0, 20.0, 20.0))
-    states = [result.state for result in results]
-    assert 90 <= states.index(GripperState.KEEPING) <= 155 and states[-1] is GripperState.OPEN
-    assert states.count(GripperState.KEEPING) == pytest.approx(100.0 * CONFIG.grip_hold, abs=2)
-    assert results[-1].reason == "leap_kuka does not report which hand steers the arm"
-    play.teleop.steered_by((7, False), play.now)
-    assert play.step(hand_with()).state is GripperState.FOLLOWING
-
-
-def test_another_open_hand_in_view_does_not_open_the_robot_hand():
-    """The operator's fist is not seen in single frames while an open left hand lies beside it."""
-    play = Player()
-    fist, lies = (
-        hand_with(20.0, 20.0, 20.0),
-        dataclasses.replace(hand_with(), id=9, is_left=True, palm=[-0.3, 0.0, 0.0]),
-    )
-    results = play.steps(5, fist, lies)
-    for missing in (1, 3, 15):
-        results += play.steps(missing, lies) + play.steps(5, fist, lies)
-    commands = [r.command for r in results if r.command is not None]
-    np.testing.assert_allclose(commands, [np.radians([115, 115, 100, 0])] * len(commands), atol=1e-12)
-    opened = play.steps(200, lies)[-1]
-    assert opened.state == GripperState.OPEN and "was in view already" in opened.reason
-    play.steps(30)
-    assert play.step(lies).state == GripperState.FOLLOWING
-
-
 def test_a_silent_leap_kuka_keeps_no_grip():
     play = Player(hand_only=False)
     play.teleop.switch(True)

@@ -15,12 +15,11 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import TimeReference
-from std_msgs.msg import Bool
 from std_srvs.srv import Empty, EmptyResponse
 
 from leap_motion.msg import Human
 from reflex_msgs.msg import RadianServoCommands
-from rig_msgs.msg import KukaStatus, TeleopState
+from rig_msgs.msg import KukaStatus
 from tools import launched
 
 pytestmark = pytest.mark.ros
@@ -81,27 +80,6 @@ class Driver:
         self._states.unregister()
         for service in self._services:
             service.shutdown()
-
-
-class ArmReports:
-    """Reports which hand steers the arm, again and again as leap_kuka does."""
-
-    def __init__(self):
-        self.number = 0
-        self._publisher = rospy.Publisher("leap_kuka/state", TeleopState, queue_size=10, latch=True)
-        self._stop = clock.Event()
-        self._thread = clock.Thread(target=self._loop, daemon=True)
-        self._thread.start()
-
-    def end(self):
-        self._stop.set()
-        self._thread.join()
-        self._publisher.unregister()
-
-    def _loop(self):
-        while not self._stop.wait(0.1):
-            number = self.number
-            self._publisher.publish(TeleopState(hand_id=number, hand_side="right" if number else "", hold="none"))
 
 
 class Tracker:
@@ -169,13 +147,6 @@ def tracker(ros):
     tracker.end()
 
 
-@pytest.fixture
-def arm(ros):
-    arm = ArmReports()
-    yield arm
-    arm.end()
-
-
 def newest(driver):
     return np.array(driver.commands[-1].radian_commands) if driver.commands else np.full(4, np.nan)
 
@@ -205,47 +176,6 @@ def test_the_hand_calibrates_then_follows_and_opens(ros, driver, tracker):
     ros.wait_until(lambda: diagnostics and "no hand" in diagnostics[-1].status[0].message, 10.0, "diagnostics")
     status = diagnostics[-1].status[0]
     assert status.name == "leap_hand" and int({v.key: v.value for v in status.values}["commands_sent"]) > 0
-
-
-def test_in_the_rig_the_gripper_flag_decides(ros, driver, tracker):
-    flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
-    diagnostics = ros.record("/diagnostics", DiagnosticArray)
-    tracker.show(make_hand(20.0))
-    ros.launch("leap_hand", "leap_hand.launch", hand_only="false", overrides=PACKAGE / "config" / "full_grip.yaml")
-    waits = "waiting for kuka/gripper_control"
-    ros.wait_until(lambda: diagnostics and diagnostics[-1].status[0].message == waits, 40.0, "the node to wait")
-    assert not driver.commands
-    flag.publish(True)
-    ros.wait_until(lambda: is_near(driver, np.radians([155.0, 155.0, 145.0, 0.0])), 10.0, "the fist of the full grip")
-    flag.publish(False)
-    ros.wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose")
-    flag.unregister()
-
-
-def test_with_an_arm_the_hand_that_steers_it_is_followed_and_a_lost_grip_is_kept(ros, driver, tracker, arm):
-    def status():
-        found = diagnostics[-1].status[0] if diagnostics else None
-        return found and (found.level, found.message, {v.key: v.value for v in found.values})
-
-    diagnostics = ros.record("/diagnostics", DiagnosticArray)
-    flag = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
-    rospy.set_param("leap_hand", {**LIMITS, "grip_hold": 3.0, "fingers_follow": "steering"})
-    flag.publish(True)
-    tracker.show(make_hand(20.0))
-    process = ros.run("leap_hand", "leap_hand_node.py", "_hand_only:=false")
-    waits = "no hand steers the arm; bring one into the interaction box"
-    ros.wait_until(lambda: status() and status()[1] == waits, 40.0, "the node to wait for an engagement")
-    assert is_near(driver, np.zeros(4))
-    arm.number = 7
-    ros.wait_until(lambda: is_near(driver, FIST), 10.0, "the fist")
-    driver.commands.clear()
-    arm.number = 8
-    ros.wait_until(lambda: status()[2]["state"] == "keeping" and status()[0] == 1, 10.0, "the grip to be kept")
-    ros.wait_until(lambda: is_near(driver, np.zeros(4)), 10.0, "the open pose after grip_hold")
-    assert all(np.allclose(c.radian_commands, FIST) or not any(c.radian_commands) for c in driver.commands)
-    assert "the grip is kept for 3 s" in process.log_path.read_text()
-    assert status()[2]["grips_kept"] == "1"
-    flag.unregister()
 
 
 def test_a_finger_that_presses_stops_and_follows_again(ros, driver, tracker):
@@ -295,17 +225,6 @@ def test_a_silent_tracker_opens_the_hand_after_half_a_second(ros, driver, tracke
     ros.wait_until(lambda: is_near(driver, np.zeros(4)), 5.0, "the open pose", poll=0.001)
     assert clock.monotonic() - stopped + 0.02 >= 0.5 and clock.monotonic() - stopped <= 0.5 + 0.1 + 0.01
     assert "no tracking frames come in" in process.log_path.read_text()
-
-
-def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker):
-    rospy.set_param("leap_hand", LIMITS)
-    driver.fall_silent()
-    tracker.show(make_hand(20.0))
-    process = ros.run("leap_hand", "leap_hand_node.py")
-    words = "Force limit: no state of the robot hand came yet: no finger closes."
-    ros.wait_until(lambda: words in process.log_path.read_text(), 40.0, "the complaint")
-    ros.wait_until(lambda: len(driver.commands) > 20, 10.0, "commands")
-    assert is_near(driver, np.zeros(4))
 
 
 SOURCES = ("limits", "overrides", "operator")
@@ -458,21 +377,6 @@ def test_without_the_hands_driver_the_node_ends_with_a_sentence(ros):
     log = process.log_path.read_text()
     assert process.returncode == 1 and "Traceback" not in log
     assert "reflex_takktile/calibrate_fingers is not there after 0.5 s" in log
-
-
-def test_a_calibration_that_fails_ends_the_node_with_a_sentence(ros):
-    rospy.set_param("leap_hand", LIMITS)
-    services = [
-        rospy.Service(f"reflex_takktile/{name}", Empty, lambda _: None)
-        for name in ("calibrate_fingers", "calibrate_tactile")
-    ]
-    process = ros.run("leap_hand", "leap_hand_node.py")
-    ros.wait_until(lambda: process.poll() is not None, 20.0, "the node's end")
-    for service in services:
-        service.shutdown()
-    log = process.log_path.read_text()
-    assert process.returncode == 1 and "Traceback" not in log
-    assert "reflex_takktile/calibrate_fingers failed" in log
 
 
 def test_a_node_that_is_interrupted_while_the_hand_calibrates_ends_at_once(ros, driver):

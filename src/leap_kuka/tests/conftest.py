@@ -1,8 +1,6 @@
-"""Hands made by hand and hands from recordings, for the tests of leap_kuka."""
+"""Hands made by hand, for the tests of leap_kuka."""
 
 import dataclasses
-import gzip
-import json
 import sys
 from pathlib import Path
 
@@ -94,29 +92,3 @@ def player():
             return [self.step(hand, *others) for hand in hands]
 
     return Player
-
-
-@pytest.fixture
-def recording(shared_data):
-    """Reads a recording as a list of (time [s], hands); the palms are shifted by `offset` [m]."""
-
-    def read(name, offset=(0.0, 0.0, 0.0)):
-        frames = []
-        with gzip.open(shared_data / "leap" / f"{name}.jsonl.gz", "rt") as file:
-            for line in file:
-                frame = json.loads(line)
-                hands = tuple(
-                    TrackedHand(
-                        hand["id"],
-                        hand["type"] == "left",
-                        np.array(hand["palmPosition"]) / 1e3 + offset,
-                        hand["direction"],
-                        hand["palmNormal"],
-                        hand["confidence"],
-                    )
-                    for hand in frame["hands"]
-                )
-                frames.append((frame["timestamp"] / 1e6, hands))
-        return frames
-
-    return read

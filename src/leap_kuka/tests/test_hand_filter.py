@@ -236,7 +236,7 @@ def test_a_larger_buffer_lets_less_noise_of_a_resting_hand_through(sample, name,
 
 @pytest.mark.parametrize("name", ["mean", *FILTERS])
 @settings(max_examples=8)
-@given(SIZES, st.floats(0.03, 0.3), st.sampled_from([74.0, 110.0, 200.0]))
+@given(SIZES, st.floats(0.03, 0.3), st.sampled_from([25.0, 74.0, 110.0, 200.0]))
 def test_the_delay_grows_by_half_a_frame_with_each_sample_of_the_buffer_and_no_further(sample, name, size, speed, rate):
     times = np.arange(0.0, 3.0, 1.0 / rate)
     palms = np.outer(speed * times, (1.0, 0.0, 0.0)) + UP

@@ -198,11 +198,3 @@ def test_bad_parameters_get_a_sentence(change, words):
 
 def test_a_key_may_be_a_number():
     assert made(enable_key="183", clutch_key="").device._keys == {ENABLE: 183}
-
-
-def test_a_gamepad_that_was_silent_between_two_reports_must_be_released_again():
-    operator = made()
-    operator.gamepad.take([0] * 6, 10.0)
-    for now in (10.1, 10.2 + JOY_SILENCE_S, 10.3 + JOY_SILENCE_S):
-        operator.gamepad.take([0, 0, 0, 0, 1, 0], now)
-    assert not operator.state(now)[0]

@@ -128,21 +128,6 @@ def test_while_the_arm_is_not_ready_the_tool_stays_wherever_the_hand_was_when_th
         np.testing.assert_allclose(result.T_base_virtual @ result.T_virtual_tool, before, atol=1e-9)
 
 
-def test_after_a_loss_a_hand_must_come_in_and_continues_from_there(rig, sample):
-    play = rig(hold_time=60.0).engaged(sample())
-    for x in np.linspace(0.0, 0.15, 30):
-        play.step(sample(position=(x, BOX_HEIGHT, 0.0)))
-    play.steps(15, sample(position=(0.15, BOX_HEIGHT, 0.0)))
-    before = play.T_arm
-    assert play.steps(30).hold is HoldState.KEPT
-    assert play.steps(50, sample(id=13)).hold is HoldState.KEPT, "a hand that is found in the box starts nothing"
-    play.steps(5, sample(id=13, position=(0.0, BOX_HEIGHT, 0.2)))
-    assert "pitch" in play.steps(30, sample(id=13, pitch=40.0)).reason
-    while play.step(sample(id=13)).state is not StreamState.RUNNING:
-        assert play.results[-1].hold is HoldState.KEPT
-    np.testing.assert_allclose(play.T_arm, before, atol=1e-9)
-
-
 @pytest.mark.parametrize("loss", ["lost", "confidence"])
 def test_the_hold_ends_and_the_arm_goes_home(rig, sample, loss):
     play = rig().engaged(sample())

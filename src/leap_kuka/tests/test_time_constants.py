@@ -149,21 +149,3 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
     clock.sleep(0.03)
     with pytest.raises(ValueError, match="0.5 s old"):
         measured()
-
-
-@pytest.mark.ros
-def test_an_operators_device_reports_ten_times_a_second(virtual_graph):
-    import rospy
-
-    from leap_kuka.ros.operator_input_node import OperatorInputNode
-    from rig_msgs.msg import OperatorInput as Message
-
-    messages = virtual_graph.record("leap_kuka/operator_input", Message)
-
-    def node():
-        rospy.init_node("operator_input_node")
-        OperatorInputNode(parse(OperatorInputConfig, {**NO_DEVICE, "joy_enable_button": 4}, "")).run()
-
-    virtual_graph.start("operator_input_node", node)
-    clock.sleep(2.0)
-    np.testing.assert_allclose(np.diff([m.header.stamp.to_sec() for m in messages]), 0.1, atol=0.011)

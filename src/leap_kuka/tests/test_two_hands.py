@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -84,27 +83,6 @@ def test_what_one_hand_does_changes_nothing_for_the_arm_of_the_other(leap, arm, 
             same(one, other)
             assert one.owner is None or one.owner[1] is is_left
     assert any(result.state is StreamState.RUNNING for result in run(made(leap, arm, "left", **changes), frames))
-
-
-def test_two_hands_steer_two_arms_and_the_loss_of_one_ends_its_stream_alone(leap, arm, sample):
-    left = [*hands_of("left", [(60, "in", 0.0), (60, "away", 0.0)], sample)]
-    right = [*hands_of("right", [(120, "in", 0.0)], sample)]
-    frames = [*zip(left, right)]
-    followed = {side: [r.follows for r in run(made(leap, arm, side), frames)] for side in ("left", "right")}
-    assert followed["left"][63] and not followed["left"][64]
-    assert all(followed["right"][63:])
-    reasons = [r.reason for r in run(made(leap, arm, "left"), frames)]
-    assert reasons[64] == "left hand 5 is not seen; the tool stays"
-    assert reasons[-1] == "no left hand is seen"
-    tool = run(made(leap, arm, "right"), frames)[-1]
-    np.testing.assert_allclose((tool.T_base_virtual @ tool.T_virtual_tool)[:3, 3], [0.42, -0.42, 0.4], atol=0.01)
-
-
-@pytest.mark.parametrize("side, steers", [("any", True), ("left", True), ("right", False)])
-def test_a_hand_steers_the_arms_of_its_side_and_an_arm_of_any(leap, arm, sample, side, steers):
-    config = leap(hand=side, box_offset=OFFSET["left"])
-    frames = [(hand,) for hand in hands_of("left", [(30, "in", 0.0)], sample)]
-    assert any(result.owner for result in run(ArmTeleop(config, arm()), frames)) is steers
 
 
 def test_the_second_hand_clutches_although_it_steers_nothing(leap, arm, sample):

@@ -283,16 +283,6 @@ class TestTracks:
         assert all(np.linalg.norm(hand.palm - before.palm) < 1.0 for hand in found if hand.id == before.id)
         assert all(np.linalg.norm(hand.velocity) < 50.0 for hand in after)
 
-    def test_a_hand_that_was_away_gets_a_new_neutral_pose(self):
-        tracks = HandTracks(placement(FRONT), 84.25)
-        away = lambda i: [] if 50 <= i < 160 else [seen(FACING, (0, 0, 500))]  # noqa: E731
-        found = run(tracks, away, 170)
-        assert found[45].hands[0].confidence > 0.9 and found[165].hands[0].confidence == 0.0
-        tracks = HandTracks(placement(FRONT), 84.25)
-        run(tracks, held(), 45)
-        tracks.renew()
-        assert run(tracks, held(), 15, 45)[-1].hands[0].confidence == 0.0
-
     def test_a_hand_whose_level_is_taken_anew_is_gone_for_a_moment(self):
         """So no mean over its samples holds axes of before and after: a start would count them as a turn."""
         tracks = HandTracks(placement(FRONT), 84.25)

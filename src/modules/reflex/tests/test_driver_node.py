@@ -165,8 +165,6 @@ def end_of(ros, wire, tmp_path):
         ({"network_interface": "eth77"}, "The network interface 'eth77' does not exist; interfaces with an IPv4"),
         ({"port": "many"}, "reflex_takktile_driver/port is 'many', but must be a whole number in [1, 65535]."),
         ({"travel": [4.0, 3.6, 3.6, 1.75]}, "travel of f1 is 4 rad; the hand has 3.6 rad at most."),
-        ({"hot": None}, "reflex_takktile_driver/hot is missing"),
-        ({"colour": "blue"}, "reflex_takktile_driver/colour is not a known key"),
     ],
 )
 def test_ends_with_a_sentence(end_of, changes, sentence):
