@@ -1,11 +1,9 @@
-"""Numbers and words that packages keep for themselves, since none may import the other, and that belong together."""
+"""Numbers that packages keep for themselves, since none may import the other, and that belong together."""
 
 from __future__ import annotations
 
-from common.teleop_record import HELD, NO_HOLD, TAKEN
 from kuka_control import numbers as of_the_controller
 from leap_kuka import numbers as of_the_teleoperation
-from leap_kuka.tool_hold import HoldState
 from leap_motion import numbers as of_a_tracker
 
 
@@ -22,7 +20,3 @@ def test_axes_that_change_end_an_engagement_at_any_frame_rate():
 def test_the_arm_follows_wherever_a_hand_may_steer_again():
     assert of_the_teleoperation.MIN_RATE_HZ >= of_the_controller.HOLD_HZ
     assert of_the_teleoperation.ENOUGH_RATE_HZ > of_the_controller.RESUME_HZ
-
-
-def test_the_hold_of_a_tool_has_the_same_words_for_its_readers():
-    assert (HoldState.NONE.value, HoldState.HELD.value, HoldState.TAKEN.value) == (NO_HOLD, HELD, TAKEN)

@@ -29,6 +29,7 @@ from websockets.sync.client import connect
 
 from common import clock
 from common.errors import DeviceError
+from common.operator_rows import OLD_ROWS_S
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
@@ -51,9 +52,9 @@ REQUEST = (
     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 ).encode()
 WEB = {"host": "127.0.0.1", "port": PORT, "page": PAGE, "certificate": "", "key": ""}
-REFRESH_S, SILENCE_S, OLD_ROWS_S, REQUEST_S = 0.2, 0.5, 1.5, 10.0
-"""How often the node looks for pages; after which a page hears that there is no image; after which rows no longer
-hold; after which a page that asks for nothing is gone."""
+REFRESH_S = 0.2  # how often the node looks for pages
+SILENCE_S = 0.5  # after which a page hears that there is no image
+REQUEST_S = 10.0  # after which a page that asks for nothing is gone
 SEND_S, OPEN_TIMEOUT_S, GONE_S, ACCEPT_RETRY_S = 2.0, 5.0, 10.0, 1.0
 """After which a page is gone that takes no answers; one that sends no request; one that does not take what was sent
 before the end; asyncio accepts connections again."""

@@ -14,7 +14,9 @@ import numpy as np
 from common.frame_rate import FrameRate
 from common.numbers import STAMP_SKEW_S
 
-LEFT, RIGHT, ANY = "left", "right", "any"  # which of the operator's hands
+LEFT = "left"  # which of the operator's hands: one side, or ANY
+RIGHT = "right"
+ANY = "any"
 RATE_WINDOW_S = 0.5  # time over which the frame rate is measured [s]
 
 MAX_STEP_M = 0.02  # farthest that a palm moves between two frames; the largest true step in recordings was 15 mm

@@ -48,7 +48,8 @@ from grasping.ros.pose_lookup import PoseLookup
 from grasping.ros.reach_client import ReachClient
 from grasping.ros.weight_files import load_network, load_refinement, own_yaml
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # mallopt(3)
+M_TRIM_THRESHOLD = -1  # mallopt(3)
+M_MMAP_THRESHOLD = -3
 
 
 class ReasonLog:

@@ -29,7 +29,8 @@ from kuka_control.numbers import (
 LONGEST_PERIOD_S = 2.0  # of them that counts [s]
 LOOK_S = 0.03  # a cycle counts for at most this long as a pause: in a stall of the control loop frames came unseen [s]
 RATE_WINDOW_S = 0.3  # time over which frames are counted [s]
-CHAIN_STEP_M, CHAIN_STEP_RAD = 0.02, math.radians(2.0)  # a frame in the chain that moves farther at once was set anew
+CHAIN_STEP_M = 0.02  # a frame in the chain that moves farther at once, or turns by CHAIN_STEP_RAD, was set anew
+CHAIN_STEP_RAD = math.radians(2.0)
 AT_ONCE_S = 0.1  # between two stamps that are not farther apart [s]
 ABSENT_S = 1.0  # a frame that has not come for this long is missed [s]
 LIKE = 0.6  # how much another frame's name resembles the missing one, 0 to 1

@@ -108,11 +108,9 @@ class CapsuleObstacle(CylinderObstacle):
 
 
 BUILT_IN = frozenset(
-    (
-        *("base", "base plugs", "flange", "marker ring", "palm", "table"),
-        *(f"link {i}" for i in range(1, 7)),
-        *(f"reach of finger {i}" for i in (1, 2, 3)),
-    )
+    ["base", "base plugs", "flange", "marker ring", "palm", "table"]
+    + [f"link {i}" for i in range(1, 7)]
+    + [f"reach of finger {i}" for i in (1, 2, 3)]
 )
 """The names of the bodies that the guard knows by itself."""
 

@@ -29,7 +29,8 @@ shipped workspaces, at the tilts that the operator is permitted, no joint turns 
 STEADY_RAD = float(np.radians(1.0))  # the joints hurry if their step is larger than this and what full speed allows
 STEADY_TURN_RAD = float(np.radians(4.0))  # a tool frame with a step beyond these has jumped: the joints may, too
 FAR_RAD = float(np.radians(60.0))  # joints that are further off than this are not approached at once
-SHORTEST_S, LONGEST_S = 0.002, 0.05  # the time between two frames counts as within these for the joints' steps [s]
+SHORTEST_S = 0.002  # the time between two frames counts as this and LONGEST_S at least and most, for the joints' steps
+LONGEST_S = 0.05
 
 SHOWN_RAD = float(np.radians(0.5))  # a smaller deviation is not reported
 

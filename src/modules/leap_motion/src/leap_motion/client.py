@@ -37,7 +37,8 @@ RETRY_S = 0.5
 MAX_REASONS = 20
 FINGERPRINT = re.compile("[0-9a-f]{64}")
 CLOSED = "it closes the connection without a word, as one that expects TLS does"
-PLAIN, BY_TLS = "check address and port.", "here a service with TLS is expected, because `fingerprint` is set."
+PLAIN = "check address and port."
+BY_TLS = "here a service with TLS is expected, because `fingerprint` is set."
 ADVICE = {
     401: "Its `code` is another one: set it to the one that the service was started with.",
     403: "It serves under its address and its own name alone: set `host` to one of these.",
