@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -18,9 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.measure import ROOT, BenchError, Goal, Row, number
-from simulated.ports import free_port
+from simulated.ports import free_port, ports_of_a_rig
 
-PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port")
 READY = "Ready after"
 """What the demo prints once the arm may follow a hand."""
 
@@ -175,9 +173,7 @@ def cpu_shares(pid: int, slices: int) -> dict[str, np.ndarray]:
 
 
 def _start(arguments: list[str], env: dict[str, str], output) -> subprocess.Popen:
-    launch = {name: free_port() for name in (*PORTS, "camera_control_port")}
-    launch["hand_port"] = free_port(socket.SOCK_DGRAM)
-    ports = (f"{name}:={value}" for name, value in launch.items())
+    ports = (f"{name}:={port}" for name, port in ports_of_a_rig().items())
     command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *arguments, "--", *ports)
     return subprocess.Popen(command, env=env, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
 

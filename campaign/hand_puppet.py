@@ -6,10 +6,11 @@ not wait for the tests."""
 
 from __future__ import annotations
 
+import inspect
 import itertools
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
@@ -33,6 +34,8 @@ GONE_FRAMES = 70  # more than the node under test waits for a hand that is missi
 PATIENCE_S = 60.0  # longest wait for an answer: a pause of the machine is no fault of the rig
 BOX_CENTRE_MM = np.array([0.0, 350.0, 0.0])
 """Centre of the interaction box with the parameters as shipped, in Leap axes."""
+
+CALLS = ("show", "flash", "join", "leave", "hide", "glide", "sway", "glitch", "state")
 
 
 @dataclass(frozen=True)
@@ -144,34 +147,14 @@ class HandPuppet:
 
 
 class PuppetClient:
-    """The calls of a HandPuppet that runs as a program, for the test's process."""
+    """The calls of a HandPuppet that runs as a program, for the test's process: methods of the same names."""
 
     def __init__(self, port: int) -> None:
         self._client = ControlClient(HOST, port, PATIENCE_S)
 
-    def show(self, **at: float) -> None:
-        self._client.ask("show", at=at)
-
-    def flash(self, frames: int, **at: float) -> None:
-        self._client.ask("flash", frames=frames, at=at)
-
-    def join(self, seconds: float, to: dict[str, float], **at: float) -> None:
-        self._client.ask("join", seconds=seconds, to=to, at=at)
-
-    def leave(self) -> None:
-        self._client.ask("leave")
-
-    def hide(self) -> None:
-        self._client.ask("hide")
-
-    def glide(self, seconds: float, **to: float) -> None:
-        self._client.ask("glide", seconds=seconds, to=to)
-
-    def sway(self, seconds: float, **to: float) -> None:
-        self._client.ask("sway", seconds=seconds, to=to)
-
-    def glitch(self, **to: float) -> None:
-        self._client.ask("glitch", to=to)
+    def __getattr__(self, name: str) -> Callable[..., dict]:
+        _, *names = inspect.signature(getattr(HandPuppet, name)).parameters
+        return lambda *values, **fields: self._client.ask(name, **dict(zip(names, values)), **fields)
 
     @property
     def seen(self) -> int:
@@ -205,20 +188,9 @@ def _sway(start: Hand, end: Hand, seconds: float) -> Iterator[Hand]:
 def main() -> None:
     puppet = HandPuppet()
     service = SimulatedLeapService(Playback(puppet), sys.argv[1], 0, 0)
-    calls = {
-        "show": lambda at: puppet.show(**at),
-        "flash": lambda frames, at: puppet.flash(frames, **at),
-        "join": lambda seconds, to, at: puppet.join(seconds, to, **at),
-        "leave": puppet.leave,
-        "hide": puppet.hide,
-        "glide": lambda seconds, to: puppet.glide(seconds, **to),
-        "sway": lambda seconds, to: puppet.sway(seconds, **to),
-        "glitch": lambda to: puppet.glitch(**to),
-        "state": puppet.state,
-    }
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: service.stop())
-    with ControlPort(calls) as port:
+    with ControlPort({name: getattr(puppet, name) for name in CALLS}) as port:
         print("ready", service.port, service.control_port, port.port, flush=True)
         service.run()
 

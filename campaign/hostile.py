@@ -157,24 +157,6 @@ def by_message(topic: str, says: str, message: Any, what: str = "", count: int =
     return Attack(f"{topic} {what}", send, says, following)
 
 
-def by_move(what: str, says: str, **goal: Any) -> Attack:
-    """Returns the attack by a goal of the action kuka/move."""
-    from common.ros.action_client import ActionClient
-    from kuka_msgs.msg import MoveAction, MoveGoal
-
-    def send(trial: Any) -> Any:
-        client = ActionClient("kuka/move", MoveAction)
-        trial.rig.wait(lambda: client.wait_for_server(rospy.Duration(0.5)), "the action kuka/move")
-        client.send_goal(MoveGoal(**goal))
-        client.wait_for_result(rospy.Duration(3.0 * HEARD_S))
-        result = client.get_result()
-        if result is None:
-            client.cancel_all_goals()
-        return result
-
-    return Attack(f"kuka/move {what}", send, says)
-
-
 def attack(trial: Any, attacks: Iterable[Attack], following: bool = False) -> None:
     """Sends each attack; notes whether it was refused, with its reason where the arm is at home."""
     rig = trial.rig

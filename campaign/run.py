@@ -1,8 +1,8 @@
 """`make campaign`: provokes the rows on rigs of their own, side by side, and judges what the arm did.
 
 Prints a line as each row ends, and a table at the end; `--json` stores the results, `--page` the handbook's page.
-With `--virtual` each row runs in virtual time, where a seed makes one run, to the last bit; `--page` then stores the
-reaction times with the first seed, which are exact. The exit code is 0 if no row failed.
+With `--virtual` each row runs in virtual time, to the last bit the same each time; `--page` then stores the reaction
+times, which are exact. The exit code is 0 if no row failed.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import conftest  # noqa: F401 - sets the path of the packages
 from campaign import page, rows
 from campaign.network.wire import in_own_network
 from campaign.trial import Row
-from tools.options import is_written, new_file, new_folder, number
+from tools.options import is_written, new_file, number
 
 ROOT = Path(__file__).parents[1]
 RESULTS, PAGE = ROOT / "docs" / "campaign.json", ROOT / "docs" / "reference" / "campaign.md"
@@ -44,7 +46,6 @@ class Rig:
         worker = [sys.executable, "-m", "campaign.worker", variant, *([str(traces)] if traces else [])]
         command = in_own_network(worker) if alone else worker
         log = ROOT / "build" / f"campaign-{os.getpid()}-{id(self)}.log"
-        log.parent.mkdir(exist_ok=True)
         self._log = log.open("w+")
         # In a session of its own: the Ctrl-C of a terminal would end it, and `stop` then interrupt its end.
         self._process = subprocess.Popen(
@@ -163,9 +164,9 @@ class KeptRig:
 class Campaign:
     """Runs rows on some rigs at once."""
 
-    def __init__(self, entries: list[Row], rigs: int, traces: Path | None, tell) -> None:
+    def __init__(self, entries: list[Row], rigs: int, tell) -> None:
         self._waiting = sorted(entries, key=lambda entry: (entry.spoils, entry.variant, entry.number))
-        self._rigs = [KeptRig(traces) for _ in range(min(rigs, len(entries)))]
+        self._rigs = [KeptRig() for _ in range(min(rigs, len(entries)))]
         self._tell = tell
         self._lock = threading.Lock()
         self.results: dict[int, dict] = {}
@@ -212,38 +213,52 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--only", default="", help="numbers of rows, such as 14,33 or 1-15; or `dangerous`")
     parser.add_argument("--rigs", type=number(1, 16, int), default=2, help="how many rigs run at once")
     parser.add_argument("--json", type=new_file, help="file for the results")
-    parser.add_argument("--traces", type=new_folder, help="folder for what was seen of each row")
     parser.add_argument("--page", action="store_true", help="store the results and make the handbook's page from them")
     parser.add_argument("--render", action="store_true", help="only make the page from the stored results")
     parser.add_argument("--virtual", action="store_true", help="run in virtual time, row by row")
-    parser.add_argument("--seeds", type=number(1, 1000, int), default=1, help="and each row with so many seeds")
     options = parser.parse_args(argv)
     if options.render:
         store({})
         return 0
     entries = chosen(rows.load(), options.only)
     if options.virtual:
-        return in_virtual_time(entries, options.seeds, options.page)
-    began = time.monotonic()
-
-    def tell(entry: Row, result: dict, done: int) -> None:
-        print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {page.line(entry, result)}", flush=True)
-
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        results = Campaign(entries, options.rigs, options.traces, tell).run()
-    except KeyboardInterrupt:
-        print("\nInterrupted; no rig runs any more, and nothing was stored.")
+        return in_virtual_time(entries, options.page)
+    results = ran(entries, options.rigs, page.line)
+    if results is None:
         return INTERRUPTED
     print("\n" + page.table({entry.number: entry for entry in entries}, results))
     named = {str(number): result for number, result in results.items()}
     if options.page:
         store(named)
-    kept = options.json is None or is_written(options.json, page.as_json(named))
+    return exit_code(results, options.json, page.as_json(named))
+
+
+def ran(
+    entries: list, rigs: int, line: Callable[[Any, dict], str], take: Callable[[Any, dict], None] = lambda *_: None
+):
+    """Runs rows on so many rigs, prints a line as each ends and hands its result to `take`; returns the results by
+    number, None after Ctrl-C or SIGTERM."""
+    began = time.monotonic()
+
+    def tell(entry: Row, result: dict, done: int) -> None:
+        print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {line(entry, result)}", flush=True)
+        take(entry, result)
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        return Campaign(entries, rigs, tell).run()
+    except KeyboardInterrupt:
+        print("\nInterrupted; no rig runs any more.")
+        return None
+
+
+def exit_code(results: dict[Any, dict], file: Path | None, text: str) -> int:
+    """Writes results to a file, if one is named; returns 1 if that or one of them failed."""
+    kept = file is None or is_written(file, text)
     return int(not kept or any(result["result"] == "failed" for result in results.values()))
 
 
-def in_virtual_time(entries: list[Row], seeds: int, stores: bool) -> int:
+def in_virtual_time(entries: list[Row], stores: bool) -> int:
     """Runs rows in virtual time; returns the exit code."""
     from campaign.virtual import judged
 
@@ -252,12 +267,11 @@ def in_virtual_time(entries: list[Row], seeds: int, stores: bool) -> int:
         if entry.real:
             print(f"{entry.number:>10} runs on the real rig only: {entry.real}", flush=True)
             continue
-        for seed in range(seeds):
-            verdict = judged(entry, seed)
-            failed |= verdict.result != "passed"
-            print(f"seed {seed}: {page.line(entry, vars(verdict))}", flush=True)
-            if stores and seed == 0:
-                store({}, {str(entry.number): verdict.reaction_s})
+        verdict = judged(entry)
+        failed |= verdict.result != "passed"
+        print(page.line(entry, vars(verdict)), flush=True)
+        if stores:
+            store({}, {str(entry.number): verdict.reaction_s})
     return int(failed)
 
 

@@ -16,7 +16,6 @@ import json
 import os
 import random
 import signal
-import socket
 import struct
 import subprocess
 import sys
@@ -40,7 +39,7 @@ from rig_simulation.faults.arm import ARM_FAULTS  # noqa: E402
 from rig_simulation.faults.camera import CAMERA_FAULTS  # noqa: E402
 from rig_simulation.faults.hand import HAND_FAULTS  # noqa: E402
 from rig_simulation.faults.leap import LEAP_FAULTS  # noqa: E402
-from simulated.ports import free_port  # noqa: E402
+from simulated.ports import free_port, ports_of_a_rig  # noqa: E402
 from tools.options import number  # noqa: E402
 
 SAMPLE_S = 10.0
@@ -51,8 +50,6 @@ LISTENER_S, PANEL_S, PANEL_EVERY = 8.0, 15.0, 5
 STAGE = b"kuka_control"  # the goal is on the arm's wire
 NAME = b"__name:="
 STAGE_TIME = struct.Struct("<7I")  # a TimeReference up to its source, as leap_rig.report.ros.listener reads it
-TCP_PORTS = ("robot_port", "robot_control_port", "leap_port", "leap_control_port", "hand_control_port", "world_port",
-             "camera_control_port")  # fmt: skip
 FAULTS = {"arm": ARM_FAULTS, "leap": LEAP_FAULTS, "hand": HAND_FAULTS, "camera": CAMERA_FAULTS}
 LISTENER = """if True:
     import rosgraph, rospy
@@ -85,8 +82,7 @@ class Rig:
 
     def __init__(self, folder: Path) -> None:
         self._master = free_port()
-        ports = {name: free_port() for name in TCP_PORTS}
-        ports["hand_port"] = free_port(socket.SOCK_DGRAM)
+        ports = ports_of_a_rig()
         self.log_folder = folder / "log"
         os.environ.update(
             ROS_MASTER_URI=f"http://localhost:{self._master}", ROS_HOSTNAME="localhost", ROS_HOME=str(folder),

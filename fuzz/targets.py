@@ -127,31 +127,6 @@ KST_LINES = (
 MOTION = ("doPTP", "start", "stDc", "stVel", "handGuiding", "preciseHandGuiding")
 
 
-def _answers() -> st.SearchStrategy[Any]:
-    seeds = [b"".join(KST_ANSWERS), *KST_ANSWERS, *recorded("kst", "*.txt", lambda path: [path.read_bytes()[:3000]])]
-    return st.tuples(near_bytes(*seeds), st.lists(st.integers(1, 40), max_size=8))
-
-
-@target(_answers)
-def kst_answers(given: Any) -> None:
-    """Bytes of the arm's controller, in any packets: the lines do not depend on the packets."""
-    from kst.codec import MAX_LINE, KstLineSplitter, ReplyKind, parse_reply
-
-    data, cuts = given
-    splitter, lines, rest = KstLineSplitter(), [], data
-    for cut in cuts:
-        lines += splitter.feed(rest[:cut])
-        rest = rest[cut:]
-    lines += splitter.feed(rest)
-    assert len(splitter._rest) <= MAX_LINE + 2, "the splitter keeps more than a line"
-    if max(map(len, data.split(b"\n"))) <= MAX_LINE:
-        assert lines == KstLineSplitter().feed(data), "the lines depend on the packets"
-    for line in lines:
-        reply = parse_reply(line)
-        counts = {ReplyKind.THREE: 3, ReplyKind.SIX: 6, ReplyKind.SEVEN: 7, ReplyKind.PIN: 1}
-        assert len(reply.numbers) == counts.get(reply.kind, 0) and len(reply.text) <= max(MAX_LINE, 60)
-
-
 class Wire:
     """Stands for a KstTransport: what the server says is known from the start, and then the connection is lost."""
 

@@ -21,3 +21,9 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
                 continue
             return port
     raise OSError(f"{TRIES} random ports between {FIRST} and {LAST} are all in use")
+
+
+def ports_of_a_rig() -> dict[str, int]:
+    """Returns a free port for each argument of demo.launch that names one."""
+    tcp = ("robot", "robot_control", "hand_control", "leap", "leap_control", "world", "camera_control")
+    return {**{f"{name}_port": free_port() for name in tcp}, "hand_port": free_port(socket.SOCK_DGRAM)}

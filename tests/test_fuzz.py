@@ -22,7 +22,6 @@ from fuzz.targets import TARGETS, law
 from grasping.lab.dataset import store
 from grasping.network import weights
 from kst.client import KstClient
-from kst.codec import KstLineSplitter
 from leap_motion import codec as leap_codec
 from leap_motion.headset import hand_stream
 from leap_rig.recording import recording_files
@@ -109,14 +108,9 @@ def test_files_that_were_findings_once(monkeypatch):
         weights.load(weights.HDF5_MAGIC)
 
 
-def lost_rest(self, data: bytes) -> list[bytes]:
-    return [line.rstrip(b"\r") for line in data.split(b"\n")[:-1] if line.strip(b"\r")]
-
-
 PLANTED = {
     "the client takes numbers that are not finite": (
         "kst_client", KstClient, "_numbers", staticmethod(lambda command, reply: np.array(reply.numbers))),
-    "a line that comes in two packets is lost": ("kst_answers", KstLineSplitter, "feed", lost_rest),
     "a Leap number beyond a float's range ends the driver": (
         "leap_text", leap_codec, "_checked", lambda read, *fields: read(*fields)),
     "a parameter may be NaN": (
@@ -154,9 +148,9 @@ def test_each_target_has_its_share_of_the_minutes(monkeypatch):
         return subprocess.CompletedProcess(command, 1)
 
     monkeypatch.setattr(fuzz_run.subprocess, "run", run)
-    assert fuzz_run.main(["--minutes", "2", "--only", "kst_answers", "leap_text"]) == 1
+    assert fuzz_run.main(["--minutes", "2", "--only", "kst_client", "leap_text"]) == 1
     ((command, env),) = asked
     assert command[-2:] == [
-        f"tests/test_fuzz.py::test_nothing_is_found[{name}]" for name in ("kst_answers", "leap_text")
+        f"tests/test_fuzz.py::test_nothing_is_found[{name}]" for name in ("kst_client", "leap_text")
     ]
     assert float(env["FUZZ_SECONDS"]) == 60.0 and env["HYPOTHESIS_SEARCH"] == "1"

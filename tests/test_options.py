@@ -51,7 +51,7 @@ def test_files_and_folders_that_cannot_be_are_refused(tmp_path, monkeypatch, nam
 REFUSED = [
     *(("campaign.run", f"--only={rows}")
       for rows in ("0", "999", "x", "5-3", ",", "-3", "1-99999999999", "\n", "dangerous2")),
-    *(("campaign.run", argument) for argument in ("--rigs=0", "--rigs=-1", "--json=/", "--traces=/dev/null/x")),
+    *(("campaign.run", argument) for argument in ("--rigs=0", "--rigs=-1", "--json=/")),
     *(("campaign.network.run", argument) for argument in ("--only=x", "--rigs=0", "--json=/nowhere/x.json")),
     *(("campaign.soak", f"--hours={hours}") for hours in ("0", "nan", "")),
     *(("fuzz.run", argument) for argument in ("--minutes=0", "--minutes=inf", "--only=nothing")),
@@ -126,7 +126,7 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
     from campaign import rows, run
 
     rig = _Rigs(lasts=error is KeyboardInterrupt)
-    monkeypatch.setattr(run, "KeptRig", lambda traces: rig)
+    monkeypatch.setattr(run, "KeptRig", lambda: rig)
 
     def completed(working):
         rig.running.wait()
@@ -139,7 +139,7 @@ def test_what_ends_a_campaign_ends_its_rigs_and_no_other_row_begins(monkeypatch,
         monkeypatch.setattr(run.concurrent.futures, "as_completed", completed)
     reported = []
     take = tell if error is OSError else lambda entry, *_: reported.append(entry.number)
-    campaign = run.Campaign(run.chosen(rows.load(), "1-5"), 1, None, take)
+    campaign = run.Campaign(run.chosen(rows.load(), "1-5"), 1, take)
     with pytest.raises(error):
         campaign.run()
     assert len(rig.judged) == 1 and rig.closed == 1

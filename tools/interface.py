@@ -223,15 +223,10 @@ class Observer:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tools.interface", description=__doc__.splitlines()[0])
-    parser.add_argument("launch", nargs="*", help="package, launch file and its arguments; none: those of the page")
     parser.add_argument("--check", action="store_true", help="compare the page in the handbook with the graphs")
     parser.add_argument("--part", choices=PARTS, help="one part of the page alone: print it, or compare it")
     options = parser.parse_args()
-    if options.launch:
-        part = Part(" ".join(options.launch[:2]), "", lambda: [["roslaunch", *options.launch]])
-        with running(part):
-            sys.stdout.write(section(Observer().steady_graph(), part))
-    elif options.part:
+    if options.part:
         sys.exit(_one(options.part, options.check))
     elif options.check:
         # A process can be a node of one master alone.

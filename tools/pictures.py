@@ -13,7 +13,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -27,7 +26,8 @@ from PIL import Image
 
 from leap_motion.registration import SHEET
 from rig_simulation.control_port import ControlClient
-from simulated.ports import free_port
+from simulated.ports import free_port, ports_of_a_rig
+from tools.handbook.walk import screen
 from tools.reference.sources import ROOT
 
 PICTURES = ROOT / "docs" / "pictures"
@@ -306,8 +306,7 @@ def _shrink(file: Path) -> None:
 
 
 def _ports() -> list[str]:
-    tcp = ("robot", "robot_control", "hand_control", "leap", "leap_control", "world", "camera_control")
-    return [*(f"{name}_port:={free_port()}" for name in tcp), f"hand_port:={free_port(socket.SOCK_DGRAM)}"]
+    return [f"{name}:={port}" for name, port in ports_of_a_rig().items()]
 
 
 def _run(*command: str, **environment: str) -> None:
@@ -387,7 +386,7 @@ def _stage(size: tuple[int, int] = SCREEN) -> Iterator[tuple[Start, dict[str, st
     """Runs a ROS master and a virtual display; yields what starts a program there, and the environment of it."""
     port = free_port()
     with contextlib.ExitStack() as running:
-        display = running.enter_context(_screen(size))
+        display = running.enter_context(screen(size))
         environment = {"ROS_MASTER_URI": f"http://localhost:{port}", "DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
         environment.update(LIBGL_ALWAYS_SOFTWARE="1", QT_X11_NO_MITSHM="1")
 
@@ -405,22 +404,6 @@ def _world(start: Start, *options: str) -> tuple[str, str]:
     ports = [str(free_port()) for _ in names]
     start("rosrun", "rig_simulation", "world.py", *options, *(word for pair in zip(names, ports) for word in pair))
     return ports[0], ports[-1]
-
-
-@contextlib.contextmanager
-def _screen(size: tuple[int, int] = SCREEN) -> Iterator[str]:
-    reader, writer = os.pipe()
-    server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(writer), "-screen", "0", f"{size[0]}x{size[1]}x24"], pass_fds=[writer]
-    )
-    os.close(writer)
-    with os.fdopen(reader) as pipe:
-        number = pipe.readline().strip()
-    try:
-        yield f":{number}"
-    finally:
-        server.terminate()
-        server.wait(10.0)
 
 
 if __name__ == "__main__":

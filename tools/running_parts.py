@@ -15,11 +15,10 @@ from pathlib import Path
 
 import rosgraph
 
-from simulated.ports import free_port
+from simulated.ports import free_port, ports_of_a_rig
 from tools import launched
 from tools.handbook.walk import screen
 
-TCP = ("robot_port", "robot_control_port", "hand_control_port", "leap_port", "leap_control_port", "world_port")
 ONE_PROCESS, NO_SCREEN = "one_process:=true", ("rviz:=false", "gui:=false")
 END_S = 40.0
 """Longest wait for a program to exit after Ctrl-C [s]."""
@@ -41,16 +40,12 @@ class Part:
     started: Callable[[], dict[str, set[str]]] = dict
 
 
-def _ports() -> dict[str, int]:
-    return {**{name: free_port() for name in (*TCP, "camera_control_port")}, "hand_port": free_port(socket.SOCK_DGRAM)}
-
-
 def _given(ports: dict[str, int], *names: str) -> list[str]:
     return [f"{name}:={ports[name]}" for name in names or ports]
 
 
 def _rig() -> list[list[str]]:
-    arguments = ["rviz:=false", ONE_PROCESS, "grasping:=true", "camera_rate:=1", *_given(_ports())]
+    arguments = ["rviz:=false", ONE_PROCESS, "grasping:=true", "camera_rate:=1", *_given(ports_of_a_rig())]
     return [["roslaunch", "leap_rig", "demo.launch", *arguments], ["roslaunch", "grasping", "collect.launch"]]
 
 
@@ -73,11 +68,10 @@ def _nodes(*arguments: str) -> set[str]:
 
 
 def _ptp() -> list[list[str]]:
-    ports = _ports()
+    ports = ports_of_a_rig()
     wire = ["robot_ip:=127.0.0.1", "leap_host:=127.0.0.1", "hand_interface:=lo"]
-    devices = _given(ports, *TCP, "hand_port", "camera_control_port")
     return [
-        ["roslaunch", "leap_rig", "simulated_devices.launch", *devices],
+        ["roslaunch", "leap_rig", "simulated_devices.launch", *_given(ports)],
         [
             "roslaunch",
             "leap_rig",

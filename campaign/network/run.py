@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import subprocess
 import sys
-import time
 
 import conftest  # noqa: F401 - sets the path of the packages
 from campaign.network import cells
 from campaign.network.wire import ROOT, in_own_network
-from campaign.run import INTERRUPTED, Campaign
-from tools.options import is_written, new_file, number
+from campaign.run import INTERRUPTED, exit_code, ran
+from tools.options import new_file, number
 
 RESULTS, PAGE = ROOT / "docs" / "bad-networks.json", ROOT / "docs" / "reference" / "bad-networks.md"
 
@@ -31,23 +29,16 @@ def main(argv: list[str] | None = None) -> int:
     if subprocess.run(in_own_network(device), cwd=ROOT, capture_output=True).returncode:
         print("This machine lets nobody make a network device (/dev/net/tun, unshare --net): nothing was measured.")
         return 1
-    began = time.monotonic()
 
-    def tell(cell: cells.Cell, result: dict, done: int) -> None:
-        line = cells.line(cell.number, result)
-        print(f"[{done}/{len(entries)}, {time.monotonic() - began:4.0f} s] {line}", flush=True)
+    def take(cell: cells.Cell, result: dict) -> None:
         if options.page:
             store({cell.number: result})
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        results = Campaign(entries, options.rigs, None, tell).run()
-    except KeyboardInterrupt:
-        print("\nInterrupted; no rig runs any more.")
+    results = ran(entries, options.rigs, lambda cell, result: cells.line(cell.number, result), take)
+    if results is None:
         return INTERRUPTED
     print("\n" + "\n".join(cells.line(name, results[name]) for name in cells.CELLS if name in results))
-    kept = options.json is None or is_written(options.json, cells.as_json(results))
-    return int(not kept or any(result["result"] == "failed" for result in results.values()))
+    return exit_code(results, options.json, cells.as_json(results))
 
 
 def store(results: dict[str, dict]) -> None:

@@ -161,19 +161,6 @@ def two_sources(trial):
     trial.check("simple_controller.py is refused", program.returncode not in (0, None), text)
     trial.check("the arm follows on", moves(trial), rig.modes[-5:])
     trial.check("and did so ever since", {mode for _, mode, _ in rig.statuses[-20:]} <= set(TO_DESIRED_TOOL))
-    # A hand and another program while a program moves: the first program keeps it.
-    rig.hand.hide()
-    rig.wait_for_modes("returning", "home")
-    first = rig.run("kuka_control", "move.py", "pose", *POSE, "--straight", "--velocity", "0.02")
-    rig.wait_for_mode("moving")
-    rig.hand.show(right=-0.05)
-    text = rig.finish(program := rig.run("kuka_control", "move.py", "zero"))
-    trial.check("the second program is refused", program.returncode == 1 and "has not ended" in text, text)
-    text = rig.finish(first, 30.0)
-    trial.check("the first program ends as it should", first.returncode == 0, text)
-    rig.wait(lambda: "holding" in rig.modes, "the end of the motion")
-    by_program = rig.modes[rig.modes.index("moving") :]
-    trial.check("no hand moved the arm meanwhile", by_program[: by_program.index("holding")] == ["moving"], by_program)
 
 
 @row(38, "Subscriber queue builds up", "H", within=0.8, limits=ROBOT_BRAKES, hazards=(9,))

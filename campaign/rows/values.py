@@ -8,7 +8,7 @@ import signal
 import numpy as np
 
 from campaign import hostile
-from campaign.hostile import Frame, by_frames, by_message, by_move, by_service, pose_of
+from campaign.hostile import Frame, by_frames, by_message, by_service, pose_of
 from campaign.rig import CONTROLLER
 from campaign.trial import row
 from kuka_msgs.srv import setPayload, setScalingFactor
@@ -51,9 +51,6 @@ def not_finite(trial):
         by_service("leap_kuka/hold_tool", HoldTool, "duration is nan", pose_of(*HOME, *DOWN), NAN),
         by_service("kuka/scaling_factor", setScalingFactor, "scaling factor", NAN),
         by_service("kuka/set_payload", setPayload, "payload", NAN),
-        by_move("with NaN joints", "finite", kind=0, joints=[NAN] * 7),
-        by_move("with an infinite velocity", "velocity", kind=2, name="zero", velocity=INF),
-        by_move("with a NaN velocity", "velocity", kind=2, name="zero", velocity=NAN),
         by_message("leap_motion/leap_device", "", hand_at(NAN, 0.3, 0.0), "a palm at NaN", following=False),
         by_message("reflex_takktile/radian_hand_command", "finite", RadianServoCommands([NAN] * 4), "NaN"),
         hostile.Attack("NaN from the tracker's service", garbled, "The text|The field"),
@@ -83,9 +80,6 @@ def huge(trial):
         by_service("leap_kuka/hold_tool", HoldTool, "duration", pose_of(*HOME, *DOWN), HUGE),
         by_service("kuka/scaling_factor", setScalingFactor, "scaling factor", HUGE),
         by_service("kuka/set_payload", setPayload, "outside 0 to 5 kg", HUGE),
-        by_move("to joints of 1e9", "range|limit|beyond", kind=0, joints=[HUGE] * 7),
-        by_move("to a pose in millimetres", "metres", kind=1, pose=pose_of(*millimetres, *DOWN)),
-        by_move("with a velocity of 1e9", "velocity", kind=2, name="zero", velocity=HUGE),
         by_message("leap_motion/leap_device", "", hand_at(0.0, HUGE, 0.0), "a palm at 1e9", following=False),
         hostile.Attack("a tracker in another unit", scaled, "not millimetres", following=False),
     ])  # fmt: skip
@@ -115,7 +109,6 @@ def quaternions(trial):
         ),
         by_service("kuka/check_tool_pose", CheckToolPose, "norm 0 instead of 1", pose_of(*HOME, *zero)),
         by_service("leap_kuka/hold_tool", HoldTool, "norm 1.5 instead of 1", pose_of(*HOME, *long), 10.0),
-        by_move("to a zero quaternion", "norm 0 instead of 1", kind=1, pose=pose_of(*HOME, *zero)),
     ]  # fmt: skip
     hostile.at_home_and_while_following(trial, attacks)
     almost = trial.rig.call("kuka/check_tool_pose", CheckToolPose, pose_of(*HOME, *(0.9995 * np.array(DOWN))))

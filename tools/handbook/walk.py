@@ -130,9 +130,9 @@ def walk_beside_rig(pages: list[Path], folder: Path, environment: dict[str, str]
 
 
 @contextlib.contextmanager
-def screen() -> Iterator[str]:
+def screen(size: tuple[int, int] = (1280, 1024)) -> Iterator[str]:
     """Gives a screen without a monitor; yields its DISPLAY."""
-    command = ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-noreset"]
+    command = ["Xvfb", "-displayfd", "1", "-screen", "0", f"{size[0]}x{size[1]}x24", "-noreset"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as server:
         assert server.stdout is not None
         try:
