@@ -1,7 +1,10 @@
-"""The page of the control loops' states: diagrams and a table, from the table of transitions."""
+"""The page of the control loops' states and of the streams they follow, from the tables of both."""
 
 from __future__ import annotations
 
+from enum import Enum
+
+from kuka_control.loop.admission import ADMISSIONS, REFUSALS, Admission
 from kuka_control.loop.transitions import (
     PTP_STATES,
     REAL_TIME_STATES,
@@ -19,6 +22,11 @@ INTRO = (
     "A fault ends in `stopped`, which waits until control is switched off and on again."
 )
 
+STREAMS = (
+    "A stream is a run of desired tool frames without a pause. Only one that counts is followed, and one that ran "
+    "before slowly, once that is announced. What has no row changes nothing.\n"
+)
+
 
 def page() -> str:
     """Returns the page."""
@@ -32,6 +40,9 @@ def page() -> str:
             f"Only the PTP controller has {_only(PTP_STATES, REAL_TIME_STATES)}; "
             f"only the real-time controller has {_only(REAL_TIME_STATES, PTP_STATES)}. "
             "A motion or servo mode that the robot refuses leads to `stopped`; after `zero` to `ended`.\n",
+            "## Which desired tool frame counts\n",
+            STREAMS,
+            streams(),
         ]
     )
 
@@ -61,7 +72,21 @@ def diagram(states: frozenset[State]) -> str:
     return "\n".join(lines) + f"\n\nA PTP motion runs in {', '.join(f'`{name}`' for name in ptp)}.\n"
 
 
-def _name(state: State) -> str:
+def streams() -> str:
+    """Returns what happens to a stream, and why it is not followed, the first reason on top."""
+    states = markdown.table(("state", "the stream"), ((f"`{_name(state)}`", state.value) for state in Admission))
+    rows = []
+    for row in ADMISSIONS:
+        sources = "any" if len(row.sources) == len(Admission) else ", ".join(f"`{_name(s)}`" for s in row.sources)
+        sentence = markdown.text(row.sentence.format(detail="…", anew="…"))
+        rows.append((sources, row.event.value, f"`{_name(row.target)}`", sentence))
+    table = markdown.table(("state", "what happens", "next", "what the operator reads"), rows)
+    refusals = ((row.when, row.where.text) for row in REFUSALS)
+    reasons = markdown.table(("the stream is not followed because", "where"), refusals)
+    return f"{states}\n{table}\nThe first reason that holds is published:\n\n{reasons}"
+
+
+def _name(state: Enum) -> str:
     return state.name.lower()
 
 

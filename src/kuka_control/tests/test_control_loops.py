@@ -11,8 +11,8 @@ from loop_world import DT, FAST, HOME, SLOW, World, at_rate, out_of_reach_and_ba
 from common.poses import pose
 from common.rotations import rotation_angle, rotation_from_zyx
 from kst import ConnectionLost
+from kuka_control.loop.admission import OFF
 from kuka_control.loop.commands import End
-from kuka_control.loop.control_loop import OFF
 from kuka_control.loop.goal_stream import CATCH_UP_SCALE
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig

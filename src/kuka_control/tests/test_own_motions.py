@@ -13,13 +13,13 @@ from loop_world import DT, HOME, SLOW, World, reached, rig, shifted
 
 from common.poses import pose
 from common.rotations import rotation_about
+from kuka_control.loop.admission import TAKEN_OVER, too_far
 from kuka_control.loop.commands import Servo, StartPtp
 from kuka_control.loop.moves import MoveState
-from kuka_control.loop.own_motions import AGAIN_S, NEAR_M, NEAR_RAD, TAKEN_OVER, too_far
 from kuka_control.loop.transitions import State, Trigger
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.target import MotionScaling
-from kuka_control.numbers import ANNOUNCED_S
+from kuka_control.numbers import AGAIN_S, ANNOUNCED_S, NEAR_M, NEAR_RAD
 
 both = pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
 schemas = st.sampled_from([RealTimeConfig, RealTimeConfig, PtpConfig])

@@ -4,6 +4,7 @@ test (tests/test_time_constants.py)."""
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from common.numbers import FAR_TOOL_M, LEAST_RATE_HZ, STAMP_SKEW_S
@@ -53,6 +54,9 @@ RESUME_HZ: Final = 22.0  # frames that were not are followed again from this rat
 CONTINUED_S: Final = 0.03  # a frame is continued for 1.5 times the time between frames, at most for this long
 FADE_S: Final = 0.02  # a target that is not continued any more slows down to rest in this time
 ANNOUNCED_S: Final = 1.0  # a stream that ran already is taken over so long after that was announced
+NEAR_M: Final = 0.3  # and only if it is not farther from the tool at home
+NEAR_RAD: Final = math.radians(45.0)  # nor turned further
+AGAIN_S: Final = 10.0  # a PTP motion that nobody asked for is not repeated within this time
 
 # What else the loop waits for.
 HAND_S: Final = 1.0  # at the start: for the first report of the hand

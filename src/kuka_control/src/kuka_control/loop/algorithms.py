@@ -23,7 +23,6 @@ from kuka_control.loop.goal_stream import (
     GoalStream,
     GoalStreamSettings,
     ServoStream,
-    rare_frames,
 )
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MovePlanner, ProgramMotion
@@ -54,6 +53,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
 
     STATES = REAL_TIME_STATES
     PICK_UP = "the pick-up pose"
+    LEAST_RATE_HZ = HOLD_HZ
 
     def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits | Unlimited) -> None:
         super().__init__(settings, chain)
@@ -83,11 +83,6 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if opening != self._opening:
             self._limits.carry(self._settings.carried(opening))
         super().open_hand(opening)
-
-    def _too_rare(self) -> str | None:
-        """As for all loops; in servo mode the goals hold."""
-        rate = self._stream.rate
-        return rare_frames(rate) if rate is not None and rate < HOLD_HZ else None
 
     def _followed(self, command: Servo) -> np.ndarray:
         """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
@@ -133,13 +128,12 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         leaves = self._leaves(cycle)
         if leaves is not None:
             return leaves
-        if self._stream.number == self._barred:
-            return Fired(Trigger.CONFLICT, self._barred_because)
+        if self._admission.barred is not None:
+            return Fired(Trigger.CONFLICT, self._admission.barred)
         joints = cycle.observation.joints
         if self._active.data is None:
             lts = self._law is not None and self._law.lts
             stream = GoalStream(self._settings.goals, self._limits, lts, joints, cycle.now)
-            self._rare = None
             self._active = replace(self._active, data=stream)
         goals: GoalStream = self._active.data
         lag = goals.lag(joints, cycle.now)
@@ -147,10 +141,8 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return Fired(Trigger.LAG, lag)
         stamp = None
         if cycle.fresh is not None:
-            stall, held = goals.hear(cycle.fresh, cycle.now), self._rare
-            self._rare = goals.too_rare
-            if self._rare is not None and held is None:
-                self._report("warn", self._rare)
+            stall = goals.hear(cycle.fresh, cycle.now)
+            self._admission.hear_rate(goals.too_rare)
             q = self._resolve(cycle.fresh, goals.q_target)
             if self._infeasible is not None:
                 return Fired(Trigger.INFEASIBLE, self._infeasible)

@@ -22,27 +22,23 @@ import numpy as np
 from common.limits import Limit
 from common.poses import read_only
 from kuka_control.limits.moving_arm import GuardError
+from kuka_control.loop.admission import StreamAdmission
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
-from kuka_control.loop.own_motions import TAKEN_OVER, OwnMotions, too_far
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import Action, State, Trait, Transition, Trigger, transitions_among
-from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, until_anew
+from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
-from kuka_control.numbers import ANNOUNCED_S, BLOCKED_S, EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
+from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard, PathCheck
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 
-BARRED = f"The desired tool frame moved before control was switched on and does not count: {HAND_IN_AGAIN}"
-BARRED_BY_MOVE = "The desired tool frame began to move while a program moved the arm."
-OFF = "Control is off, so the desired tool frame is not followed."
-SILENT = "No desired tool frame comes."
 HELD_BACK = "The arm is in servo mode."  # instead of that it follows
 
 COUNTED = (
@@ -50,8 +46,6 @@ COUNTED = (
     *("pickups", "returns", "ptp_motions", "moves", "jumps", "flips", "faults"),
 )
 """The names of the counters; all are there from the start."""
-
-TICK_S = 0.1  # longest time between two frames in which such a refusal is still shown [s]
 
 FINGER_IN_THE_WAY = (
     "A finger that opens or closes meanwhile could come that near; what the fingers may touch, name in allow_contact. "
@@ -122,18 +116,17 @@ class ControlLoop(ABC, Generic[Settings]):
 
     Attributes:
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
-        stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it.
-        outlook: what happens to the present desired tool frame once control is switched on; None if none comes."""
+        stopped_because: why the arm cannot move, a sentence; None if nothing inhibits it."""
 
     STATES: frozenset[State]  # of the algorithm; the rows of the table between them are its transitions
 
     PICK_UP = ""  # what a motion to a target goes to, in words
     NOT_COUNTED: frozenset[str] = frozenset()  # counters of the table that it leaves alone
+    LEAST_RATE_HZ = 0.0  # frames that come less often are not followed [Hz]
 
     def __init__(self, settings: Settings, chain: TargetChain) -> None:
         self.counts: Counter[str] = Counter(dict.fromkeys(COUNTED, 0))
         self.stopped_because: str | None = None
-        self.outlook: str | None = None
         self.guard_scale = 1.0
         self._settings = settings
         self._chain = chain
@@ -147,7 +140,8 @@ class ControlLoop(ABC, Generic[Settings]):
             State.STOPPED: self._stopped,
             State.ENDED: lambda _: End(None if self._active.trigger is Trigger.ARRIVED else self._active.because),
         }
-        self._stream = DesiredStream()
+        self._admission = StreamAdmission(settings.time_out, self.LEAST_RATE_HZ, self._away, self._report)
+        self._stream = self._admission.stream
         self._active = Active()
         self._joints = JointCheck(settings.joint_speeds)
         self._target: Target | None = None
@@ -156,18 +150,8 @@ class ControlLoop(ABC, Generic[Settings]):
         self._target_stamp = 0.0
         self._scaling = MotionScaling()
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
-        self._rare: str | None = None  # that the frames in servo mode come too rarely, a sentence
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
-        self._blocked: tuple[str, float] | None = None  # why a pick-up motion is refused, and until when [s]
-        self._enable_count = 0
-        self._barred: int | None = None  # the stream of desired tool frames that does not count
-        self._barred_because = BARRED
-        self._early: int | None = None  # the stream that ran before control was switched on, until the arm follows it
-        self._announced: float | None = None  # when it was said that the arm takes it over [s]
-        self._own = OwnMotions()
-        self._engagement: int | None = None  # of the hand that was accepted last
-        self._waits: tuple[str, float] | None = None  # why the arm does not repeat a motion, and since when [s]
         self._move: ProgramMotion | None = None  # the last motion for a program that started
         self._q_before = Q_ZERO  # joints where it started
         self._cancelled = False  # whether the program has cancelled it
@@ -183,37 +167,22 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def step(self, observation: Observation, now: float) -> Step:
         """Returns the command of this cycle, with what there is to report; `now` is monotonic [s]."""
-        self._events, self._limited_by, self._taken, self._checks = [], (), [], False
+        self._events = []
+        self._limited_by = ()
+        self._taken = []
+        self._checks = False
         inputs = observation.inputs
-        if inputs.switches.enable_count != self._enable_count:
-            self._enable_count = inputs.switches.enable_count
-            self._barred, self._early = None, self._stream.number if self._stream.lasts else None
-            self._announced = None
-            self._own.forget()
         move = inputs.move
         self._cancelled = move is None or move.cancelled or self._move is None or move.number != self._move.number
-        update = self._stream.take(inputs.desired, inputs.clock, now, self._active.state is State.SERVO)
+        self._scale(inputs.switches.scale)
+        update = self._admission.take(inputs, now, self._active.state is State.SERVO)
         if update.refused:
             self.counts["refused_frames"] += 1
-            self._report("warn", update.refused)
-        if not self._stream.runs:
-            self._announced = None
-        if update.conflict is not None:
-            because = f"{update.conflict} {until_anew(self._stream.foreign)}"
-            self._barred, self._barred_because = self._stream.number, because
-        elif update.fresh is not None and not update.fresh.foreign and self._stream.number == self._early:
-            self._barred, self._barred_because, self._early = self._early, BARRED, None
-        if update.fresh is not None and update.fresh.engagement not in (None, self._engagement):
-            self._engagement = update.fresh.engagement
-            self._own.forget()
-        self._scale(inputs.switches.scale)
-        self._look_out(observation, update.fresh, now)
         command = self._command(Cycle(observation, update.fresh, now))
         if isinstance(command, Servo):
             self._joints.follow(self._followed(command), now)
-        if self._active.has(Trait.PROGRAM) and self._stream.runs:
-            because = f"{BARRED_BY_MOVE} {until_anew(self._stream.foreign)}"
-            self._barred, self._barred_because = self._stream.number, because
+        if self._active.has(Trait.PROGRAM):
+            self._admission.program_moves(now)
         guard = self._settings.guard
         self.guard_scale = 1.0 if guard is None or Limit.COLLISION_GUARD not in self._limited_by else guard.scale
         self._note_move(observation)
@@ -221,7 +190,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._check = None
         active = self._active
         bounds = self._target.limited_by if self._target else ()
-        inhibited = self._inhibited_by(observation, now)
+        inhibited = self._admission.refusal(inputs.switches.control_on, active.state, now)
         why = inhibited or self._limited(observation)
         held_back = active.state is State.SERVO and why is not None
         return Step(
@@ -236,6 +205,11 @@ class ControlLoop(ABC, Generic[Settings]):
             self._scaling,
             inhibited is not None,
         )
+
+    @property
+    def outlook(self) -> str | None:
+        """What happens to the present desired tool frame once control is switched on; None if none comes."""
+        return self._admission.outlook
 
     @property
     def stays(self) -> Stays | None:
@@ -293,7 +267,7 @@ class ControlLoop(ABC, Generic[Settings]):
             ranges = torques and torques(cycle.observation.joints, q, velocity, cycle.switches.payload)
             data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity, ranges)
             self.counts["ptp_motions"] += 1
-            self._note_own(row.target, (before.trigger, fired.trigger), cycle.now)
+            self._admission.own.note(before.state, row.target, (before.trigger, fired.trigger), cycle.now)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if row.counted and row.counted not in self.NOT_COUNTED:
@@ -302,7 +276,7 @@ class ControlLoop(ABC, Generic[Settings]):
         if before.has(Trait.PROGRAM) and Trait.PROGRAM not in traits:
             self._end_move(row.target, cause if fired.trigger is Trigger.AT_REST else fired.trigger, because)
         elif Trait.PROGRAM in traits and not before.has(Trait.PROGRAM):
-            self._own.forget()
+            self._admission.own.forget()
         if row.target is State.STOPPED:
             enable_count, self.stopped_because = cycle.switches.enable_count, because
             self._infeasible = None
@@ -312,7 +286,7 @@ class ControlLoop(ABC, Generic[Settings]):
         if Trait.FORGETS in traits:
             self._target = None
         if Trait.FOLLOWS in traits:
-            self._early = None
+            self._admission.followed(cycle.now)
         if Trait.MOVES in traits or row.target is State.STOPPED:
             self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
@@ -330,7 +304,7 @@ class ControlLoop(ABC, Generic[Settings]):
             return "the zero position", Q_ZERO, settings.velocity_home
         if target is State.PICK_UP:
             assert self._target is not None and self._target.q is not None, "a motion needs a target that is reachable"
-            slow = self._stream.number == self._early
+            slow = self._admission.ran_before
             return self.PICK_UP, self._target.q, settings.velocity_home if slow else settings.velocity_return
         if target is State.TO_GOAL:
             assert self._move is not None, "a program's motion is known"
@@ -371,51 +345,9 @@ class ControlLoop(ABC, Generic[Settings]):
         finger = FINGER_IN_THE_WAY if before[1].fault.finger else ""
         return True, f"{refuses}; it keeps {1e3 * guard.margin:.0f} mm. {finger}Clear the way."
 
-    def _note_own(self, target: State, causes: tuple[Trigger | None, Trigger], now: float) -> None:
-        """Counts a PTP motion, if nobody asked for it; with PTP motions alone, each of a stream is asked for."""
-        picks_up = target is State.PICK_UP and self._active.state is not State.AT_POSE
-        if picks_up or (target is State.RETURNING and Trigger.TIME_OUT in causes):
-            self._own.note(target, now)
-
-    def _repeats(self, trigger: Trigger, fresh: DesiredFrame, now: float) -> bool:
-        """Whether what `trigger` begins would repeat a motion that nobody asked for too soon."""
-        state = self._active.state
-        leaves_home = state in (State.HOME, State.AT_GOAL)
-        kinds = [State.RETURNING] * leaves_home + [State.PICK_UP] * (trigger is Trigger.FAR_TARGET)
-        waits = self._own.waits(fresh.foreign, kinds, now) if kinds and state is not State.AT_POSE else None
-        if waits is not None and (self._waits is None or now > self._waits[1] + TICK_S):
-            self._report("info", waits)
-        self._waits = None if waits is None else (waits, now)
-        return waits is not None
-
-    def _takes_over(self, fresh: DesiredFrame, now: float) -> bool:
-        """Whether the arm goes to a stream from before control was switched on: a near one, once that was announced."""
-        far = self._too_far(fresh)
-        if far is not None:
-            self._barred, self._barred_because, self._early = self._early, far, None
-            self._report("warn", far)
-            return False
-        if self._announced is None:
-            self._announced = now
-            self._report("info", TAKEN_OVER)
-        return now - self._announced >= ANNOUNCED_S
-
-    def _too_far(self, desired: DesiredFrame) -> str | None:
-        return too_far(*self._chain.away(desired.T_base_tool, self._scaling, self._settings.q_home))
-
-    def _look_out(self, observation: Observation, fresh: DesiredFrame | None, now: float) -> None:
-        if observation.inputs.switches.control_on or not self._stream.runs:
-            self.outlook = None
-        elif fresh is not None:
-            not_taken = self._stream.too_slow(self._settings.time_out) or self._too_far(fresh)
-            taken_over = " ".join(filter(None, (TAKEN_OVER, self._too_rare())))
-            self.outlook = (not_taken or taken_over) if fresh.foreign else BARRED
-        else:
-            self.outlook = self._stream.refusal(now) or self.outlook
-
-    def _too_rare(self) -> str | None:
-        """Returns that the arm goes to frames at their rate, but does not follow them, a sentence, or None."""
-        return None
+    def _away(self, T_base_tool: np.ndarray) -> tuple[float, float]:
+        """Returns how far a desired tool frame, shape (4, 4) [m], is from the tool at home: [m], [rad]."""
+        return self._chain.away(T_base_tool, self._scaling, self._settings.q_home)
 
     def _scale(self, factor: float) -> None:
         """Takes the scaling factor over; where the arm follows, about its present pose."""
@@ -425,10 +357,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._scaling = self._chain.rescaled(self._scaling, factor, self._position)
 
     def _refuse_pick_up(self, blocked: str, now: float) -> Command:
-        """The arm stays where it is, and looks again a little later."""
-        if self._blocked is None or now > self._blocked[1] + BLOCKED_S:
-            self._report("warn", blocked)
-        self._blocked = blocked, now + BLOCKED_S
+        self._admission.block(blocked, now)
         return Wait()
 
     def _starting(self, cycle: Cycle) -> Outcome:
@@ -495,23 +424,19 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.ENABLED_AGAIN) if again and self._doubt is None else Wait()
 
     def _new_target(self, cycle: Cycle) -> Outcome:
-        if not cycle.switches.control_on or not self._stream.runs or self._stream.number == self._barred:
+        if not cycle.switches.control_on or not self._admission.counts:
             return Wait()
         if self._check is not None and self._target is not None and self._check[0][-1] is self._target.q:
             return Fired(Trigger.FAR_TARGET)  # the way to this one is being checked
-        if cycle.fresh is None:
-            return Wait()
-        if self._blocked is not None and cycle.now < self._blocked[1]:
-            return Wait()
-        if not self._stream.steady(self._settings.time_out):
-            return Wait()
-        if self._stream.number == self._early and not self._takes_over(cycle.fresh, cycle.now):
+        if cycle.fresh is None or not self._admission.admits(cycle.fresh, cycle.now):
             return Wait()
         q = self._resolve(cycle.fresh, cycle.observation.joints)
         if q is None:
             return Wait()
         outcome = self._follow(float(np.max(np.abs(q - cycle.observation.joints))))
-        repeats = isinstance(outcome, Fired) and self._repeats(outcome.trigger, cycle.fresh, cycle.now)
+        if not isinstance(outcome, Fired):
+            return outcome
+        repeats = self._admission.repeats(self._active.state, outcome.trigger, cycle.fresh, cycle.now)
         return Wait() if repeats else outcome
 
     def _asked(self, observation: Observation) -> ProgramMotion | None:
@@ -616,7 +541,7 @@ class ControlLoop(ABC, Generic[Settings]):
     def _resolve(self, fresh: DesiredFrame, q_seed: np.ndarray) -> np.ndarray | None:
         """Returns the joints of a desired tool frame, shape (7,) [rad]; without a solution the arm keeps its own."""
         servo = self._active.state is State.SERVO
-        rests = servo and self._rare is not None
+        rests = servo and self._admission.rare is not None
         before = self._target if servo and not rests else None
         dt = fresh.stamp - self._target_stamp
         self._position = fresh.T_base_tool[:3, 3]
@@ -641,20 +566,6 @@ class ControlLoop(ABC, Generic[Settings]):
             self.counts["workspace_clips"] += 1
         self._target, self._target_stamp = target, fresh.stamp
         return target.q
-
-    def _inhibited_by(self, observation: Observation, now: float) -> str | None:
-        """Returns the first reason why incoming frames are not followed, a sentence, or None."""
-        if not observation.inputs.switches.control_on:
-            return OFF if self._active.has(Trait.RESTS) and self._stream.runs else None
-        barred = self._barred_because if self._stream.number == self._barred and self._stream.runs else None
-        slow = self._stream.too_slow(self._settings.time_out) if self._active.has(Trait.RESTS) else None
-        announced = TAKEN_OVER if self._announced is not None and self._stream.number == self._early else None
-        blocked = self._blocked[0] if self._blocked is not None and now <= self._blocked[1] + TICK_S else None
-        waits = self._waits[0] if self._waits is not None and now <= self._waits[1] + TICK_S else None
-        rare = silent = None
-        if self._active.state is State.SERVO:
-            rare, silent = self._rare, None if self._stream.runs else SILENT
-        return self._stream.refusal(now) or barred or silent or rare or slow or announced or blocked or waits
 
     def _limited(self, observation: Observation) -> str | None:
         """Returns why frames are not followed exactly, or that none comes, a sentence, or None."""
