@@ -59,11 +59,16 @@ def guard(*around, opening=OPEN, margin=MARGIN, **options):
     return CollisionGuard(ARM, options.pop("ring", False), around, margin, options.pop("allowed", ("table",)), opening)
 
 
-def path_fault(of, start, goal):
-    """What is in the way of a motion of all joints in step; None: nothing."""
+def pair_in_the_way(of, start, goal):
+    """The pair that meets in a motion of all joints in step; None: nothing."""
     check = of.check((start, goal))
     check.go_on(sys.maxsize)
-    return None if check.fault is None else str(check.fault)
+    return check.fault
+
+
+def path_fault(of, start, goal):
+    pair = pair_in_the_way(of, start, goal)
+    return None if pair is None else str(pair)
 
 
 def distance(around, q, opening=OPEN):
@@ -454,7 +459,8 @@ def test_the_fingers_may_touch_what_is_allowed_but_the_palm_may_not():
         spread = Opening((0.6, 0.6, 0.6), (0.1, 0.1, 0.1), 1.5)
         made = guard(WALL, allowed=("table", *allowed), opening=spread)
         q = joints(0.2)
-        assert names in path_fault(made, HOME.q, q)
+        pair = pair_in_the_way(made, HOME.q, q)
+        assert names in str(pair) and pair.finger is (names == "finger")
 
 
 def guarded_world():

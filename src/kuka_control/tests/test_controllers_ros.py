@@ -197,6 +197,11 @@ def test_the_life_of_the_real_time_controller(ros, robot, run):
     assert abs(commanded.translation.x - (T_home[0, 3] + 0.05)) < 1e-6
     status = heard["kuka/status"][-1]
     assert (status.control_on, status.mode, status.scaling_factor) == (True, "servo", pytest.approx(0.5))
+    assert status.limited_by == []
+    for z in np.linspace(0.0, -0.7, 100):
+        hand.T = shifted(T_home, 0.1, 0.0, z)
+        clock.sleep(0.01)
+    assert "lower z limit" in heard["kuka/status"][-1].limited_by
 
     hand.hide()
     hidden = clock.monotonic()
