@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from bench.measure import ROOT, BenchError, Goal, Row, number
 from simulated.ports import free_port, ports_of_a_rig
@@ -28,7 +29,6 @@ WATCHED_S = 3.0
 READY_S = 100.0
 END_S = 120.0
 SLICE_S = 1.0
-TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 STEERING_S = 4.0  # by then the arm is at home and has picked up the hand [s]
 GOALS = {
     "frame received to goal on the arm's wire": ("demo: frame to goal on the wire", Goal(2.5, 8.0)),
@@ -206,30 +206,21 @@ def _cpu_times(root: int) -> dict[tuple[int, str], float]:
     return {(pid, _name(words)): used for pid, (words, used) in processes_below(root).items()}
 
 
-def processes_below(root: int) -> dict[int, tuple[list[bytes], float]]:
+def processes_below(root: int) -> dict[int, tuple[list[str], float]]:
     """Returns for a process and all below it, by id, the words of its command line and the CPU time so far [s]."""
-    parents, used = {}, {}
-    for entry in Path("/proc").iterdir():
-        if not entry.name.isdigit():
-            continue
-        try:
-            fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
-            words = (entry / "cmdline").read_bytes().split(b"\0")
-        except OSError:  # it has just ended
-            continue
-        pid = int(entry.name)
-        parents[pid] = int(fields[1])
-        used[pid] = words, (int(fields[11]) + int(fields[12])) * TICK_S
-    found, new = set(), {root}
-    while new:
-        found |= new
-        new = {pid for pid, parent in parents.items() if parent in new} - found
-    return {pid: used[pid] for pid in found if pid in used}
+    found = {}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        first = psutil.Process(root)
+        for process in (first, *first.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):  # it has just ended
+                used = process.cpu_times()
+                found[process.pid] = process.cmdline(), used.user + used.system
+    return found
 
 
-def _name(words: list[bytes]) -> str:
+def _name(words: list[str]) -> str:
     """Returns the program of a command line: the script where Python runs one."""
-    names = [Path(os.fsdecode(word)).name for word in words if word and not word.startswith(b"-")]
+    names = [Path(word).name for word in words if word and not word.startswith("-")]
     if len(names) > 1 and names[0].startswith("python"):
         return names[1]
     return names[0] if names else "unknown"

@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [] if str(ROOT) in sys.path else [str(ROOT)]
@@ -48,7 +49,7 @@ READY_S, END_S, ANSWER_S, RECOVERY_S = 240.0, 30.0, 10.0, 60.0
 FAULT_S, WATCH_S, REST_S = (1.0, 6.0), 6.0, 30.0
 LISTENER_S, PANEL_S, PANEL_EVERY = 8.0, 15.0, 5
 STAGE = b"kuka_control"  # the goal is on the arm's wire
-NAME = b"__name:="
+NAME = "__name:="
 STAGE_TIME = struct.Struct("<7I")  # a TimeReference up to its source, as leap_rig.report.ros.listener reads it
 FAULTS = {"arm": ARM_FAULTS, "leap": LEAP_FAULTS, "hand": HAND_FAULTS, "camera": CAMERA_FAULTS}
 LISTENER = """if True:
@@ -61,17 +62,18 @@ LISTENER = """if True:
 
 
 def measures(pid: int) -> dict[str, float]:
-    """Returns memory [MiB], threads, sockets and open files of a process; raises OSError if it has ended."""
-    folder = Path("/proc", str(pid))
-    memory = dict(line.split(":", 1) for line in (folder / "smaps_rollup").read_text().splitlines()[1:])
+    """Returns memory [MiB], threads, sockets and open files of a process; raises psutil.Error or OSError if it has
+    ended."""
+    process = psutil.Process(pid)
+    memory = process.memory_full_info()
     links = []
-    for file in (folder / "fd").iterdir():
+    for file in Path(f"/proc/{pid}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):
             links.append(os.readlink(file))
     return {
-        "rss": int(memory["Rss"].split()[0]) / 1024,
-        "pss": int(memory["Pss"].split()[0]) / 1024,
-        "threads": len(list((folder / "task").iterdir())),
+        "rss": memory.rss / 2**20,
+        "pss": memory.pss / 2**20,
+        "threads": process.num_threads(),
         "sockets": sum(link.startswith("socket:") for link in links),
         "files": len(links),
     }
@@ -109,12 +111,12 @@ class Rig:
         `seconds` [%]. What a node starts for a moment is left out."""
         used, found = {}, {}
         for pid, (words, time_used) in processes_below(self._launch.pid).items():
-            name = next((os.fsdecode(word[len(NAME) :]) for word in words if word.startswith(NAME)), None)
+            name = next((word[len(NAME) :] for word in words if word.startswith(NAME)), None)
             if pid == self._launch.pid or name is None:
-                name = "roslaunch" if pid == self._launch.pid else "rosmaster" if b"--core" in words else None
+                name = "roslaunch" if pid == self._launch.pid else "rosmaster" if "--core" in words else None
             if name is None:
                 continue
-            with contextlib.suppress(OSError, KeyError):  # it has just ended
+            with contextlib.suppress(OSError, psutil.Error):  # it has just ended
                 share = 100.0 * (time_used - self._used.get(pid, 0.0)) / seconds
                 found[name] = {"pid": pid, **measures(pid), "cpu": share}
             used[pid] = time_used

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 from campaign.judge import Evidence, Expected, Limits, Verdict, judge
@@ -284,8 +285,6 @@ def run(rig: Any, entry: Row, traces: Path | None = None) -> Verdict:
 
 def runs(pid: int) -> bool:
     """Returns whether a process runs; one that has ended and waits for its parent does not."""
-    try:
-        with open(f"/proc/{pid}/stat") as file:
-            return file.read().rsplit(")", 1)[1].split()[0] not in "ZX"
-    except OSError:
-        return False
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return psutil.Process(pid).status() not in (psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD)
+    return False

@@ -14,7 +14,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
+
+import psutil
 
 BUSY, STOP_S, BETWEEN_S = 8, 5.0, 15.0
 
@@ -32,18 +33,13 @@ def load() -> Iterator[None]:
 
 def workers(root: int) -> list[int]:
     """The Python programs below a process: pytest, and what it starts."""
-    parents, names = {}, {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            parents[int(stat.parent.name)] = int(stat.read_text().rsplit(")", 1)[1].split()[1])
-            names[int(stat.parent.name)] = stat.with_name("cmdline").read_bytes()
-
-    def below(pid: int | None) -> bool:
-        while pid and pid != root:
-            pid = parents.get(pid)
-        return pid == root
-
-    return [pid for pid, name in names.items() if b"python" in name and below(pid)]
+    found = []
+    first = psutil.Process(root)
+    for process in (first, *first.children(recursive=True)):
+        with contextlib.suppress(psutil.Error):  # it has just ended
+            if any("python" in word for word in process.cmdline()):
+                found.append(process.pid)
+    return found
 
 
 def main() -> int:

@@ -18,6 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
+import psutil
+
 POLL_S, LONG_S, SOON_S = 0.3, 300.0, 45.0
 """How often is looked, and the longest waits [s], on a busy machine: for a command, its start or its end; for what it
 started to end after it."""
@@ -45,9 +47,12 @@ FAULT = re.compile(
 )
 """What no command prints that does what the page says."""
 
+MARK = "HANDBOOK_TERMINAL"  # environment variable of all that a terminal starts
+
 
 class Terminal:
-    """Runs a command with bash, which stops at the first failure, in a terminal of its own.
+    """Runs a command with bash, which stops at the first failure, in a terminal of its own. pexpect would read what is
+    shown only while somebody waits for it, and a program that nobody reads stands still.
 
     Attributes:
         command: what was typed.
@@ -56,9 +61,8 @@ class Terminal:
     def __init__(self, command: str, folder: Path, log: Path, environment: dict[str, str]) -> None:
         self.command = command
         self.log = log
-        self._mark = f"HANDBOOK_TERMINAL={uuid.uuid4()}"
-        name, _, value = self._mark.partition("=")
-        self._environment = {**os.environ, **environment, name: value}
+        self._mark = str(uuid.uuid4())
+        self._environment = {**os.environ, **environment, MARK: self._mark}
         self._pids: dict[str, tuple[str, int]] = {}
         self._registered: dict[str, tuple[set[tuple[int, str]], float]] = {}
         self._keyboard, inside = os.openpty()
@@ -176,10 +180,10 @@ class Terminal:
 
     def _processes(self) -> dict[int, str]:
         found = {}
-        for folder in Path("/proc").glob("[0-9]*"):
-            with contextlib.suppress(OSError):
-                if self._mark.encode() in (folder / "environ").read_bytes():
-                    found[int(folder.name)] = shlex.join((folder / "cmdline").read_text().split("\0")[:-1])
+        for process in psutil.process_iter():
+            with contextlib.suppress(psutil.Error):  # it has just ended, or is another user's
+                if process.environ().get(MARK) == self._mark:
+                    found[process.pid] = shlex.join(process.cmdline())
         return found
 
 
