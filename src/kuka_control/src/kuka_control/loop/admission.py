@@ -149,11 +149,12 @@ class StreamAdmission:
     ) -> None:
         """Frames farther apart than `time_out` [s] or rarer than `least_rate` [Hz] are not followed. `away` returns
         how far a tool frame, shape (4, 4) [m], is from the tool at home: [m], [rad]; `report` logs a sentence."""
-        self.stream = DesiredStream()
+        self.stream: DesiredStream = DesiredStream()
         self.state = Admission.COUNTS
         self.outlook: str | None = None
         self.rare: str | None = None
-        self.blocked = self.waits = Postponed()
+        self.blocked: Postponed = Postponed()
+        self.waits: Postponed = Postponed()
         self.own = OwnMotions()
         self._time_out = time_out
         self._least_rate = least_rate
