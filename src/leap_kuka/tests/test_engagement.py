@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
 from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
+from leap_kuka.numbers import DEVICE_SILENCE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -49,11 +51,14 @@ KINDS = {  # relative or not, hold_time, whether devices enable, clutch and choo
 }
 
 
+STOPS = ("clutch", "release", "silence", "other arm")
+
+
 class Engagement(RuleBasedStateMachine):
     """An arm that is where it is told at once, its controller, two hands, the operator's device, a choice of arm."""
 
-    @initialize(kind=st.sampled_from([*KINDS, "switched"]), known=st.booleans())
-    def begin(self, kind, known):
+    @initialize(kind=st.sampled_from([*KINDS, "switched"]), known=st.booleans(), engaged=st.booleans())
+    def begin(self, kind, known, engaged=False):
         relative, hold_time, switched = KINDS[kind]
         changes = {"engagement": "relative" if relative else "absolute", "hold_time": hold_time}
         if switched:
@@ -63,11 +68,14 @@ class Engagement(RuleBasedStateMachine):
         self.box = self.teleop.box
         self.tool, self.mode, self.control_on, self.silent = HOME, "home", False, 1.0
         self.pressed, self.clutched, self.device_there, self.chosen = False, False, True, True
+        self.reported, self.reported_at = (False, False), -math.inf  # pressed and clutched, in the newest message
         self.hands, self.now, self.number = {}, 50.0, 0
         self.outside, self.may = {}, set()  # frames in a row outside of the box; hands that came in while control is on
         self.last = self.sent = None
         self.told = known
         self.frames(1)
+        if engaged:
+            self.engage(2)
 
     def at(self):
         return self.tool
@@ -105,7 +113,7 @@ class Engagement(RuleBasedStateMachine):
 
     @rule(number=st.sampled_from([2, 4]))
     def rest(self, number):
-        """A hand came in before, and rests in the box when control goes on."""
+        """A hand came in before, and rests in the box when control is switched on."""
         self.switch(False)
         self.come_in(number)
         self.frames(60)
@@ -113,14 +121,16 @@ class Engagement(RuleBasedStateMachine):
         self.frames(45)
         self.drift()
 
-    @rule(number=st.sampled_from([2, 4]), stop=st.sampled_from(["clutch", "release", "silence", "other arm"]))
+    @rule(number=st.sampled_from([2, 4]), stop=st.sampled_from(STOPS))
     def stop(self, number, stop):
         """The operator stops the tool, and the hand moves on."""
         self.engage(number)
         self.clutched, self.pressed = stop == "clutch", stop != "release"
         self.device_there, self.chosen = stop != "silence", stop != "other arm"
-        self.frames(1 if stop != "silence" else 30)
+        self.frames(1)
         self.drift()
+        if stop == "silence":
+            self.drift()  # beyond DEVICE_SILENCE_S
 
     @rule(number=st.sampled_from([2, 4]), unsure=st.booleans())
     def hide(self, number, unsure):
@@ -184,7 +194,8 @@ class Engagement(RuleBasedStateMachine):
         if self.switched:
             self.teleop.choose(None if self.chosen else "the hand steers the other arm", True)
             if self.device_there:
-                self.teleop.switches.device.take(self.pressed, self.clutched, "pedal", 0.0, self.now)
+                self.reported, self.reported_at = (self.pressed, self.clutched), self.now
+                self.teleop.switches.device.take(*self.reported, "pedal", 0.0, self.now)
         owner, hands = self.last.owner if self.last else None, tuple(self.hands.values())
         for seen in hands:
             out = self.box.outside(seen.palm) > 0.02
@@ -218,7 +229,8 @@ class Engagement(RuleBasedStateMachine):
             return
         assert result.owner is not None and result.owner[0] in self.may, f"{result.owner} did not come in: {self.may}"
         if self.switched:
-            assert self.chosen and not self.clutched and self.device_there and self.pressed, result.reason
+            silence = self.now - self.reported_at
+            assert self.chosen and self.reported == (True, False) and silence <= DEVICE_SILENCE_S, result.reason
 
 
 def test_the_machine_engages():
@@ -228,6 +240,14 @@ def test_the_machine_engages():
         machine.begin(kind, True)
         machine.engage(2)
         assert machine.last.follows and not np.allclose(machine.sent, HOME), machine.last.reason
+
+
+@pytest.mark.parametrize("stop", STOPS)
+def test_the_machine_tries_each_stop(stop):
+    machine = Engagement()
+    machine.begin("switched", True)
+    machine.stop(2, stop)
+    assert not machine.last.follows
 
 
 TestEngagement = Engagement.TestCase

@@ -65,14 +65,18 @@ class HandTeleop:
     than `side` (LEFT, RIGHT or ANY of common.hand_tracking) do not exist for it."""
 
     def __init__(self, config: HandConfig, hand_only: bool, side: str = ANY) -> None:
-        self._side, self._steering_only = side, config.fingers_follow == STEERING
-        self._human, self._robot, self._grip_hold = config.human, config.robot, config.grip_hold
+        self._side = side
+        self._steering_only = config.fingers_follow == STEERING
+        self._human = config.human
+        self._robot = config.robot
+        self._grip_hold = config.grip_hold
         self.open_pose = read_only(self._robot[:, 0])
         self.counts = GripperCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
         self._lock: HandLock[TrackedHand] = HandLock(max(MAX_MISSING_S, config.grip_hold))
         self._hand_only = hand_only
-        self._arm_reports, self._reported_at = False, -math.inf
+        self._arm_reports = False
+        self._reported_at = -math.inf
         self._owner: tuple[int, bool] | None = None
         self._keep_grip = False
         self._gripper_on: bool | None = True if hand_only else None
@@ -88,7 +92,10 @@ class HandTeleop:
         `keep_grip` the grip is kept without it."""
         if self._hand_only:
             return
-        self._arm_reports, self._owner, self._reported_at, self._keep_grip = True, owner, now, keep_grip
+        self._arm_reports = True
+        self._owner = owner
+        self._reported_at = now
+        self._keep_grip = keep_grip
         if owner is not None or keep_grip:
             self._lock.end()
 
@@ -123,7 +130,9 @@ class HandTeleop:
         except ValueError as error:
             return self._keep(f"{hand.name} has invalid numbers: {error}", now)
         self._kept |= self._state.grips and not self._continues(hand, frame, arrival.stamp)
-        self._state, self._followed_at, self._followed = GripperState.FOLLOWING, now, (hand, arrival.stamp)
+        self._state = GripperState.FOLLOWING
+        self._followed_at = now
+        self._followed = (hand, arrival.stamp)
         wanted = map_angles(angles, self._human, self._robot)
         self._kept &= np.abs(wanted - self._command) > NEAR * np.abs(np.diff(self._robot)[:, 0])
         self._command = read_only(np.where(self._kept, self._command, wanted))
@@ -143,7 +152,8 @@ class HandTeleop:
     def _choose(self, frame: TrackingFrame, stamp: float, now: float) -> tuple[TrackedHand | None, str]:
         """Returns the hand that moves the fingers as this frame shows it, or None and why."""
         hands = of_side(frame.hands, self._side)
-        hand, refused = self._lock.update(hands, stamp), self._alone_refused(now)
+        hand = self._lock.update(hands, stamp)
+        refused = self._alone_refused(now)
         if refused or (self._state.grips and not self._lock.engaged):
             self._lock.end()
         if refused:
@@ -192,6 +202,7 @@ class HandTeleop:
         return GripperResult(GripperState.KEEPING, f"{reason}; the grip is kept {how_long}", None)
 
     def _open(self, reason: str) -> GripperResult:
-        self._state, self._command = GripperState.OPEN, self.open_pose
+        self._state = GripperState.OPEN
+        self._command = self.open_pose
         self._kept = np.zeros_like(self._kept)
         return GripperResult(GripperState.OPEN, reason, self.open_pose)

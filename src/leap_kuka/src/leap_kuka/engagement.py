@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from common import reasons
-from common.reasons import ReasonCode
+from common.reasons import Reason, ReasonCode
 
 
 class Tool(Enum):
@@ -94,6 +94,10 @@ class EngagementTrigger(Enum):
         self.happens = happens
         self.sentence = sentence
         self.code = code
+
+    def reason(self, hand: str = "", detail: str = "", code: ReasonCode | None = None) -> Reason:
+        """Returns what the operator reads; `code`: instead of the trigger's own."""
+        return Reason(self.sentence.format(hand=hand, detail=detail), (code or self.code,))
 
 
 class When(Enum):

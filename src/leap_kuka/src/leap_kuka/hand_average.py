@@ -62,6 +62,8 @@ class HandAverage:
         self._samples: deque[tuple[float, list[float]]] = deque(maxlen=size)
         self._newest: deque[tuple[float, list[float]]] = deque()  # palms
         self._first: float | None = None
+        self._seen_at = -math.inf  # stamp of the newest sample, of this hand or of the one before [s]
+        self._gap_frames = 0  # frames left in which the mean spans a gap
         self.left_out = 0
 
     def reset(self) -> None:
@@ -86,6 +88,11 @@ class HandAverage:
         """Whether the hand counts as lost after too many outliers in a row."""
         return self.left_out >= MAX_LEFT_OUT
 
+    @property
+    def spans_gap(self) -> bool:
+        """Whether the mean holds samples from both sides of a gap in which nobody saw where the hand was."""
+        return self._gap_frames > 0
+
     def add(self, hand: TrackedHand, now: float) -> str | None:
         """Adds the sample of a frame whose stamp is at `now` [s]; returns why it was left out, or None."""
         numbers = _numbers(hand)
@@ -94,8 +101,11 @@ class HandAverage:
             self.left_out += 1
             return fault
         self.left_out = 0
+        gap = now - self._seen_at > LONG_GAP_S
+        self._gap_frames = 2 if gap else max(self._gap_frames - 1, 0)
+        self._seen_at = now
         if self._filter is not None:
-            self._filtered = self._after(numbers[:9], now)
+            self._filtered = self._after(numbers[:9], now, gap and bool(self._samples))
         self._first = now if self._first is None else self._first
         self._newest.append((now, numbers[:3]))
         self._samples.append((now, numbers))
@@ -116,12 +126,11 @@ class HandAverage:
                 return None
         return MeanHand(_pose(vectors), confidence, self._speed())
 
-    def _after(self, sample: list[float], now: float) -> Sequence[float]:
+    def _after(self, sample: list[float], now: float, gap: bool) -> Sequence[float]:
         """Returns the filtered sample, nine numbers: the mean of the filter's newest results. A filter begins anew
-        after a gap in which nobody saw where the hand was. The first result is half-way then, as the mean's is, so
+        after a gap. The first result is half-way then, as the mean's is, so
         that the tool makes two smaller steps."""
         assert self._filter is not None, "only a filter has a state of its own"
-        gap = bool(self._samples) and now - self._samples[-1][0] > LONG_GAP_S
         if gap or not self._samples:
             self._filter.reset()
             self._results.clear()

@@ -16,9 +16,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from common.reasons import ReasonCode
+from common.reasons import Reason, ReasonCode
 from leap_kuka.config import DEVICE, NONE, LeapConfig
+from leap_kuka.engagement import EngagementTrigger
 from leap_kuka.numbers import CLOSED, DEBOUNCE_S, DEVICE_SILENCE_S, GAP_S, LEFT_S, OPENED
+from leap_kuka.start_gate import CHOSEN, ENABLED, RELEASED
 from leap_motion.frames import TrackedHand
 
 
@@ -129,8 +131,8 @@ class SecondHandSwitch:
 
 class OperatorSwitches:
     """Both switches as the parameters leap/enabling and leap/clutch choose them. `device` takes the messages; after
-    `update`, `enabled` and `clutched` hold, `lost` says why the engagement must end, and `source` names what enables
-    or clutches. `elsewhere` says why another arm is steered, or is None."""
+    `update`, `enabled` and `clutched` hold, `lost` says whether the clutch's device is silent, so that the engagement
+    must end, and `source` names what enables or clutches. `elsewhere` says why another arm is steered, or is None."""
 
     def __init__(self, leap: LeapConfig) -> None:
         self._enabling, self._clutch = leap.enabling, leap.clutch
@@ -141,7 +143,7 @@ class OperatorSwitches:
             if kind not in (NONE, DEVICE)
         }
         self.enabled, self.clutched = leap.enabling == NONE, False
-        self.lost: str | None = None
+        self.lost = False
         self.elsewhere = None if leap.arm_choice == NONE else "no arm is chosen yet"
         self.source = ""
 
@@ -159,10 +161,9 @@ class OperatorSwitches:
             self.enabled = device.enabled(now)
         elif self.enabling_needed:
             self.enabled = self._hands["enabling"].pressed
-        self.lost = None
+        self.lost = self._clutch == DEVICE and device.silent(now)
         if self._clutch == DEVICE:
             self.clutched = device.clutch(now)
-            self.lost = "the clutch device is silent" if device.silent(now) else None
         elif self._clutch != NONE:
             self.clutched = self._hands["clutch"].pressed
         kinds = [self._enabling if self.enabling_needed and self.enabled else NONE]
@@ -171,17 +172,20 @@ class OperatorSwitches:
         self.source = " and ".join(dict.fromkeys(names))
 
     @property
-    def stop(self) -> str | None:
-        """Why the hand must not steer now, or None."""
+    def stops(self) -> dict[str, Reason]:
+        """Why the hand must not steer now, by condition of a start; the first one is the one to say."""
+        stops = {}
+        if self.lost:
+            stops[RELEASED] = EngagementTrigger.CLUTCH_LOST.reason()
         if self.elsewhere:
-            return self.elsewhere
+            stops[CHOSEN] = Reason(self.elsewhere, (ReasonCode.ELSEWHERE,))
         if self.clutched:
-            return "the clutch is pressed"
-        return None if self.enabled else "the enabling device is not pressed"
+            stops.setdefault(RELEASED, Reason("the clutch is pressed", (ReasonCode.CLUTCHED,)))
+        if not self.enabled:
+            stops[ENABLED] = Reason("the enabling device is not pressed", (ReasonCode.NOT_ENABLED,))
+        return stops
 
     @property
-    def stop_code(self) -> ReasonCode:
-        """The code of `stop`."""
-        if self.elsewhere:
-            return ReasonCode.ELSEWHERE
-        return ReasonCode.CLUTCHED if self.clutched else ReasonCode.NOT_ENABLED
+    def stop(self) -> Reason | None:
+        """The first of `stops`, or None."""
+        return next(iter(self.stops.values()), None)

@@ -8,12 +8,13 @@ hold_time. While no hand steers, a program may hold the tool for the next one (t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, Callable
 
 import numpy as np
 
-from common.hand_tracking import ANY, LONG_GAP_S, MAX_STEP_M, FrameWatch, HandLock, of_side
+from common.hand_tracking import ANY, MAX_STEP_M, FrameWatch, HandLock, of_side
 from common.modes import FOLLOWS_TOOL, Mode
 from common.poses import inverse, pose, read_only
 from common.reasons import FOLLOWED, NO_HAND, Reason, ReasonCode, joined
@@ -40,15 +41,12 @@ from leap_kuka.scaling import NO_OFFSET, Scaling
 from leap_kuka.start_gate import (
     BOX,
     CAME_IN,
-    CHOSEN,
     CONFIDENCE,
-    ENABLED,
     OF_A_HAND,
     PITCH,
     RATE,
     REACH,
     READY,
-    RELEASED,
     ROLL,
     StartGate,
     interaction_box,
@@ -58,6 +56,7 @@ from leap_kuka.tool_hold import Held, HoldAnswer, HoldState, hold_fault
 from leap_kuka.virtual_leap import Attitude, SteadyAttitude, heading, virtual_leap_pose
 from leap_motion.frames import TrackedHand, TrackingFrame
 
+CONTROL_IS_OFF = EngagementTrigger.CONTROL_OFF.reason().text
 HAND_CAME_IN = {BOX, PITCH, ROLL, CAME_IN, REACH}  # what a hand that continues has fulfilled
 
 CanReach = Callable[[np.ndarray, bool], "str | None"]
@@ -78,13 +77,16 @@ class ArmTeleop:
         can_reach: CanReach = lambda T, starts: None,
         measured_tool: Measured = no_measured_tool,
     ) -> None:
-        self._can_reach, self._asked, self._out_of_reach = can_reach, 0.0, ""
+        self._can_reach = can_reach
+        self._asked = 0.0  # when, the last time [s]
+        self._out_of_reach = ""
         self._mounting = arm.mounting_frame
         self._ws_center = arm.ws_center
         self._limits = Attitude(*np.radians([leap.run_tol_yaw, leap.run_tol_pitch, leap.run_tol_roll]).tolist())
         self._R_home = arm.R_level_home
-        self.box, self._side = interaction_box(leap, arm), leap.hand
+        self.box = interaction_box(leap, arm)
         self._own_side = leap.hand
+        self._side = leap.hand
         self.T_tool_flange = read_only(inverse(arm.T_flange_tool))
         self.counts = TeleopCounts()
         self._watch = FrameWatch(MAX_SILENCE_S)
@@ -93,14 +95,18 @@ class ArmTeleop:
         )
         self._average = HandAverage(leap.buffer_size, leap.filter)
         self._gate = StartGate(leap, self.box)
-        self._relative, self._hold_time = leap.engagement == RELATIVE, leap.hold_time
+        self._relative = leap.engagement == RELATIVE
+        self._hold_time = leap.hold_time
         self._keeps = self._relative and self._hold_time > 0.0  # whether the tool stays when a stream ends
-        self._state, self._taken = EngagementState.WAITING, False  # and whether the stream took a held tool over
+        self._state = EngagementState.WAITING
+        self._taken = False  # whether the stream took a held tool over
         self._held: Held | None = None
         self._hold_ended: Reason | None = None  # why, which is said once
-        self._measured_tool, self._behind = measured_tool, ToolBehind()
+        self._measured_tool = measured_tool
+        self._behind = ToolBehind()
         self._left: Leaving | None = None  # how an engagement left the tool that is kept
-        self._border, self._stopped_by = FeasibleSide(arm), False  # the second: whether it acts on the newest tool
+        self._border = FeasibleSide(arm)
+        self._at_border = False  # whether it acts on the newest tool
         self._mean: MeanHand | None = None  # in the newest frame
         self._measured: np.ndarray | None = None  # T_leap_hand of the newest frame
         self._unmet: frozenset[str] = OF_A_HAND  # conditions of a start
@@ -113,9 +119,10 @@ class ArmTeleop:
         self._ended: Reason | None = None  # why an engagement has ended, which is not said yet
         self._reason = Reason("no tracking frames come in", (ReasonCode.TRACKER_SILENT,))
         self._start_tool = np.eye(4)  # T_base_tool of the relative stream that starts
-        self._mode, self._scaling, self._status_at = "", Scaling(arm.ws_center), -math.inf  # of the controller
+        self._mode = ""  # of the controller
+        self._scaling = Scaling(arm.ws_center)
+        self._status_at = -math.inf
         self._control_on: bool | None = None
-        self._seen_at, self._begins = 0.0, 0  # stamp of the newest sample; frames left in which the mean knows a gap
         self.switches = OperatorSwitches(leap)
         self._heading = 0.0
         self._origin = self._absolute(0.0)
@@ -124,22 +131,30 @@ class ArmTeleop:
     def hold(self, T_base_tool: np.ndarray, duration: float, now: float) -> HoldAnswer:
         """Holds the tool at a pose, shape (4, 4) [m], for at most `duration` [s], until a hand takes it over there."""
         fault = hold_fault(T_base_tool, duration, self._mounting.up, self._R_home[2])
-        if fault is None and np.any(self._border.back(T_base_tool[:3, 3], self._scaling)):
-            fault = "it is too near to the base, behind it or below its foot"
-        if fault is None:
-            fault = "a hand is followed" if self._state.owned else self._watch.silence(now)
-        if fault is None and self._state.held:
-            fault = "it is held already" + ("" if self._state.kept else "; end that hold first with a duration of 0")
-        if fault is None and not self._control_on:
-            fault = "control of the arm is off"
-        elif fault is None and self._mode not in FOLLOWS_TOOL:
-            fault = f"the arm does not follow, its controller is in the mode {self._mode}"
+        fault = fault or self._hold_inhibited(T_base_tool, now)
         if fault:
             return HoldAnswer(False, f"The tool is not held: {fault}.")
         self._fire(EngagementTrigger.HOLD, now)
-        self._held, self._hold_ended = Held(read_only(T_base_tool), now + duration), None
+        self._held = Held(read_only(T_base_tool), now + duration)
+        self._hold_ended = None
         self.counts.holds += 1
         return HoldAnswer(True, f"The tool is held for a hand, for {duration:g} s at most.")
+
+    def _hold_inhibited(self, T_base_tool: np.ndarray, now: float) -> str:
+        """Returns why no tool is held at a valid pose now, or an empty text."""
+        too_near = bool(np.any(self._border.back(T_base_tool[:3, 3], self._scaling)))
+        silence = self._watch.silence(now) or ""
+        state = self._state
+        rows = (
+            (too_near, "it is too near to the base, behind it or below its foot"),
+            (state.owned, "a hand is followed"),
+            (silence, silence),
+            (state.kept, "it is held already"),
+            (state.held, "it is held already; end that hold first with a duration of 0"),
+            (not self._control_on, CONTROL_IS_OFF),
+            (self._mode not in FOLLOWS_TOOL, EngagementTrigger.ARM_LEFT.reason(detail=self._mode).text),
+        )
+        return _first(rows)
 
     def end_hold(self) -> HoldAnswer:
         """Ends a hold on request; a hand that took the tool over continues, and so does a tool that is kept."""
@@ -157,8 +172,11 @@ class ArmTeleop:
     ) -> None:
         """Sets whether control of the arm is on, the controller's mode, and its scaling, as it says `now` [s]. The
         arm follows only a hand that comes in while control is on."""
-        before, self._control_on = self._control_on, on
-        self._mode, self._scaling, self._status_at = mode, Scaling(self._ws_center, scale, offset), now
+        before = self._control_on
+        self._control_on = on
+        self._mode = mode
+        self._scaling = Scaling(self._ws_center, scale, offset)
+        self._status_at = now
         if not on:
             self._fire(EngagementTrigger.CONTROL_OFF, now)
         elif not before:
@@ -170,7 +188,8 @@ class ArmTeleop:
     def choose(self, elsewhere: str | None, any_hand: bool) -> None:
         """Sets why another arm is steered, a part of a sentence, or None; `any_hand`: whether any hand steers this
         one, not only that of leap/hand."""
-        self.switches.elsewhere, self._side = elsewhere, ANY if any_hand else self._own_side
+        self.switches.elsewhere = elsewhere
+        self._side = ANY if any_hand else self._own_side
 
     @property
     def frame_rate(self) -> float | None:
@@ -209,7 +228,8 @@ class ArmTeleop:
         else:
             self._reason = Reason(NO_HAND[self._side], (ReasonCode.NO_HAND,))
         if self._ended is not None:
-            self._reason, self._ended = self._ended, None
+            self._reason = self._ended
+            self._ended = None
         if self._state.running:
             if self._keeps and self._newest is not None:
                 self._behind.look(self._measured_tool, self._T_base_scaled(self._newest), now)
@@ -237,7 +257,7 @@ class ArmTeleop:
         self._reason = Reason(why, (ReasonCode.TRACKER_SILENT,))
 
     def _fire(self, trigger: EngagementTrigger, now: float, detail: str = "", code: ReasonCode | None = None) -> Reason:
-        reason = Reason(trigger.sentence.format(hand=self._name, detail=detail), (code or trigger.code,))
+        reason = trigger.reason(self._name, detail, code)
         before = self._state
         after = self._state = next_state(before, trigger, self._relative, self._keeps and bool(self._control_on))
         if after is before:
@@ -260,15 +280,17 @@ class ArmTeleop:
         self._mean = self._measured = None
 
     def _update_switches(self, frame: TrackingFrame, hand: TrackedHand | None, stamp: float, now: float) -> None:
-        owner, switches = self._lock.owner, self.switches
+        owner = self._lock.owner
+        switches = self.switches
         number, side = owner or ((hand.id, hand.is_left) if hand is not None else (None, None))
         others = [other for other in frame.hands if side is (not other.is_left) and other.id != number]
         switches.update(others, stamp, now, owner is not None or self._state.kept)
         if switches.lost:
             self._fire(EngagementTrigger.CLUTCH_LOST, now)
-        if switches.stop:
+        stop = switches.stop
+        if stop is not None:
             self.counts.clutched += self._state.running and switches.clutched
-            self._fire(EngagementTrigger.STOPPED, now, switches.stop, switches.stop_code)
+            self._fire(EngagementTrigger.STOPPED, now, stop.text, *stop.codes)
             if self._state.kept and self._held is not None:
                 self._held = replace(self._held, until=now + self._hold_time)
 
@@ -298,8 +320,6 @@ class ArmTeleop:
         left_out = self._average.add(hand, stamp)
         if not left_out:
             self._measured = hand_frame(hand)
-            self._begins = 2 if stamp - self._seen_at > LONG_GAP_S else max(self._begins - 1, 0)
-            self._seen_at = stamp
         self._mean = mean = self._average.mean()
         if left_out:
             self.counts.samples_left_out += 1
@@ -335,13 +355,12 @@ class ArmTeleop:
             self._fire(EngagementTrigger.UNSURE, now, unsure[CONFIDENCE].text)
             return
         self._reason = Reason(FOLLOWED.format(hand=self._name), (ReasonCode.FOLLOWED,))
-        waits = self._relative and self._mode != Mode.SERVO
-        if waits or (self._relative and self._begins > 0 and not self._slow and self._stays is None):
-            assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
-            self._stays, T_base_tool = None, self._origin.T_base_virtual @ self._newest
-            self._begin(relative(T_base_tool, self._origin.T_base_virtual[:3, :3], mean.T_leap_hand), mean)
-            if waits:
-                self._keep_tool(self._fire(EngagementTrigger.ARM_BUSY, now, self._mode))
+        if self._relative and self._mode != Mode.SERVO:
+            self._begin_at_tool(mean)
+            self._keep_tool(self._fire(EngagementTrigger.ARM_BUSY, now, self._mode))
+            return
+        if self._relative and self._average.spans_gap and not self._slow and self._stays is None:
+            self._begin_at_tool(mean)
             return
         self._fire(EngagementTrigger.ARM_READY, now)
         self._attitude.follow(self._origin.turn(mean.T_leap_hand[:3, :3]))
@@ -351,28 +370,36 @@ class ArmTeleop:
             slow = f"{self._slowness}; the tool stays until {ENOUGH_RATE_HZ:g} come"
             self._keep_tool(self._fire(EngagementTrigger.SLOW, now, slow))
             return
-        if self._stays is not None:
-            step, self._stays = inverse(self._stays) @ self._tool(mean, now), None
-            if np.linalg.norm(step[:3, 3]) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN:
-                self._fire(EngagementTrigger.MOVED, now)
-                return
-        self._fire(EngagementTrigger.SEEN, now)
+        stayed = self._stays
+        self._stays = None
+        moved = stayed is not None and _is_far(inverse(stayed) @ self._tool(mean, now))
+        self._fire(EngagementTrigger.MOVED if moved else EngagementTrigger.SEEN, now)
+
+    def _begin_at_tool(self, mean: MeanHand) -> None:
+        """Lets a relative stream begin anew with the hand as it is now; the tool stays where it is."""
+        assert self._newest is not None, "a stream runs from the frame on in which it brought the tool somewhere"
+        self._stays = None
+        T_base_tool = self._origin.T_base_virtual @ self._newest
+        self._begin(relative(T_base_tool, self._origin.T_base_virtual[:3, :3], mean.T_leap_hand), mean)
 
     def _keep_tool(self, reason: Reason) -> None:
-        self._reason, self._obstacle = reason, reason.text
+        self._reason = reason
+        self._obstacle = reason.text
 
     def _obstacles(self, resumes: bool, now: float) -> dict[str, Reason]:
-        switches, not_ready = self.switches, self._not_ready(now)
-        came_in = "it was in the box already, or was found there; take it out of the box and back in"
-        rows = (  # condition, whether it is not met, sentence and code
-            (CAME_IN, not self._lock.came_in and not resumes, came_in, ReasonCode.IN_BOX_ALREADY),
-            (RELEASED, switches.clutched or switches.lost, switches.lost or switches.stop or "", ReasonCode.CLUTCHED),
-            (CHOSEN, switches.elsewhere, switches.elsewhere or "", ReasonCode.ELSEWHERE),
-            (ENABLED, not switches.enabled, "the enabling device is not pressed", ReasonCode.NOT_ENABLED),
-            (READY, not_ready, not_ready, ReasonCode.ARM_NOT_READY),
-            (RATE, self._slow, f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed", ReasonCode.TRACKER_SLOW),
-        )
-        return {condition: Reason(sentence, (code,)) for condition, unmet, sentence, code in rows if unmet}
+        """Returns the conditions of a start that are not met and not the hand's own, the first one to say first."""
+        obstacles = {}
+        if not self._lock.came_in and not resumes:
+            came_in = "it was in the box already, or was found there; take it out of the box and back in"
+            obstacles[CAME_IN] = Reason(came_in, (ReasonCode.IN_BOX_ALREADY,))
+        obstacles.update(self.switches.stops)
+        not_ready = self._not_ready(now)
+        if not_ready:
+            obstacles[READY] = Reason(not_ready, (ReasonCode.ARM_NOT_READY,))
+        if self._slow:
+            slow = f"{self._slowness}, and {ENOUGH_RATE_HZ:g} are needed"
+            obstacles[RATE] = Reason(slow, (ReasonCode.TRACKER_SLOW,))
+        return obstacles
 
     def _not_ready(self, now: float) -> str:
         """Returns why no hand may steer the arm yet, or an empty text; a held tool is there already."""
@@ -386,10 +413,10 @@ class ArmTeleop:
                 not held and self._relative and self._mode != Mode.HOME,
                 f"the arm is not at home, its controller is in the mode {self._mode or 'unknown'}",
             ),
-            (self._relative and not self._control_on, "control of the arm is off"),
+            (self._relative and not self._control_on, CONTROL_IS_OFF),
             (self._relative and not now - self._status_at <= MAX_STATUS_AGE_S, "the arm's controller is silent"),
         )
-        return next((sentence for unmet, sentence in rows if unmet), "")
+        return _first(rows)
 
     @property
     def _slowness(self) -> str:
@@ -418,7 +445,8 @@ class ArmTeleop:
     def _start(self, mean: MeanHand, now: float) -> Reason:
         """Starts the stream of the hand, where the tool is held or is, if it is held or the engagement relative, and
         returns the reason. A hand that continues keeps its directions."""
-        R_leap_hand, held = mean.T_leap_hand[:3, :3], self._held
+        R_leap_hand = mean.T_leap_hand[:3, :3]
+        held = self._held
         if self._state is not EngagementState.PAUSED:
             self._heading = heading(R_leap_hand[:, 0])
         self._taken = self._state is EngagementState.HELD
@@ -431,7 +459,9 @@ class ArmTeleop:
             angles = SteadyAttitude(origin.turn(R_leap_hand), 0.0, self._limits).clipped
             origin = taken_over(origin, held.T_base_tool, angles, mean.palm, now)
         self._begin(origin, mean)
-        self._stays, self._asked, self._out_of_reach = None, now, ""
+        self._stays = None
+        self._asked = now
+        self._out_of_reach = ""
         self.counts.streams += 1
         return reason
 
@@ -445,19 +475,25 @@ class ArmTeleop:
 
     def _tool(self, mean: MeanHand, now: float) -> np.ndarray:
         T_base_virtual = self._origin.T_base_virtual
-        R_base_virtual, p_base_virtual = T_base_virtual[:3, :3], T_base_virtual[:3, 3]
-        out = self._border.back(R_base_virtual @ mean.palm + p_base_virtual, self._scaling)
-        self._stopped_by = bool(np.any(out))
-        position = mean.palm + R_base_virtual.T @ out if self._stopped_by else mean.palm
+        R_base_virtual = T_base_virtual[:3, :3]
+        out = self._border.back(R_base_virtual @ mean.palm + T_base_virtual[:3, 3], self._scaling)
+        self._at_border = bool(np.any(out))
+        position = mean.palm + R_base_virtual.T @ out if self._at_border else mean.palm
         return pose(self._origin.rotation(self._attitude.clipped, now), position)
 
     def _result(self, usable: bool, now: float) -> TeleopResult:
-        mean, state, switches, T_base_virtual = self._mean, self._state, self.switches, self._origin.T_base_virtual
+        mean = self._mean
+        state = self._state
+        switches = self.switches
+        T_base_virtual = self._origin.T_base_virtual
         T_virtual_filtered = None if mean is None else mean.T_leap_hand
-        hold_ended, self._hold_ended = self._hold_ended, None
+        hold_ended = self._hold_ended
+        self._hold_ended = None
         more: dict[str, Any] = {"enabled": switches.enabled, "clutched": switches.clutched, "source": switches.source}
         if not state.running:
-            T_virtual_tool, reason, left = None, self._reason, 0.0
+            T_virtual_tool = None
+            reason = self._reason
+            left = 0.0
             if self._held is not None:
                 T_virtual_tool = read_only(inverse(T_base_virtual) @ self._held.T_base_tool)
                 left = max(self._held.until - now, 0.0)
@@ -484,11 +520,16 @@ class ArmTeleop:
         if self._out_of_reach and self._obstacle is None:
             text = f"{FOLLOWED.format(hand=self._name)}, but {self._out_of_reach}"
             self._keep_tool(Reason(text, (ReasonCode.OUT_OF_REACH,)))
-        reason, T_virtual_tool, measured, clipped = self._reason, None, None, None
+        reason = self._reason
+        T_virtual_tool = None
+        measured = None
+        clipped = None
         if mean is not None:
             T_virtual_tool = read_only(self._tool(mean, now)) if self._stays is None else self._stays
-            self._newest, measured, clipped = T_virtual_tool, self._attitude.measured, self._attitude.clipped
-            limited = self._attitude.limited + ["position"] * self._stopped_by
+            self._newest = T_virtual_tool
+            measured = self._attitude.measured
+            clipped = self._attitude.clipped
+            limited = self._attitude.limited + ["position"] * self._at_border
             more["limits"] = tuple(limited)
             if limited:
                 reason = replace(reason, text=f"{reason.text}; {' and '.join(limited)} at the limit")
@@ -511,3 +552,13 @@ class ArmTeleop:
             keep_grip=self._keeps,
             **more,
         )
+
+
+def _first(rows: Iterable[tuple[object, str]]) -> str:
+    """Returns the sentence of the first row whose condition holds, or an empty text."""
+    return next((sentence for holds, sentence in rows if holds), "")
+
+
+def _is_far(step: np.ndarray) -> bool:
+    """Returns whether a motion of the tool, shape (4, 4) [m], is too large to be made at once."""
+    return float(np.linalg.norm(step[:3, 3])) > MAX_STEP_M or rotation_angle(step[:3, :3]) > MAX_HELD_TURN
