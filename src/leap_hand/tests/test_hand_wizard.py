@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from common.config import parse
 from leap_hand.config import FINGERS, HandConfig
 from leap_hand.flexion import flexion, map_angles
-from leap_hand.hand_wizard import HOLD_S, INSTRUCTIONS, MIN_RANGE_DEG, OPEN, HandWizard, as_yaml
+from leap_hand.hand_wizard import INSTRUCTIONS, MIN_RANGE_DEG, OPEN, HandWizard, as_yaml
+from leap_hand.numbers import HOLD_S
 from leap_motion.frames import FingerPoints, TrackedHand, TrackingFrame
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
 

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from relative_rig import Rig
 
 from common import clock
 from common.config import parse
+from common.hand_tracking import LONG_GAP_S
 from common.poses import pose
+from leap_kuka import numbers
 from leap_kuka.operator_devices import OperatorInput, OperatorInputConfig
 from leap_kuka.operator_switches import DeviceSwitches, SecondHandSwitch
 from leap_kuka.start_gate import READY
@@ -149,3 +154,29 @@ def test_a_measured_tool_is_half_a_second_old_at_most(virtual_graph):
     clock.sleep(0.03)
     with pytest.raises(ValueError, match="0.5 s old"):
         measured()
+
+
+PAGE = (Path(__file__).parents[3] / "docs" / "handbook" / "engagement.md").read_text()
+SAID = {
+    "on average over this time. | {:.2f} s": numbers.STILL_WINDOW_S,
+    "ended this long ago. | {:.1f} s": numbers.PAUSE_S,
+    "answer within {:.1f} s": numbers.REACH_TIMEOUT_S,
+    "after {:.1f} s the other has its turn": numbers.TURN_S + 10.0 / numbers.NOMINAL_RATE_HZ,  # leap/buffer_size
+    "no frame for {:.1f} s": numbers.MAX_SILENCE_S,
+    "after a gap above {:.1f} s": LONG_GAP_S,
+    "asked every {:.1f} s": numbers.REACH_RUNNING_S,
+    "younger than {:.1f} s": numbers.MAX_STATUS_AGE_S,
+    "older than {:.1f} s starts nothing": numbers.MEASURED_AGE_S,
+    "its stamps off by {:.2f} s": numbers.DEVICE_SILENCE_S,
+    "clutch device silent for {:.2f} s": numbers.DEVICE_SILENCE_S,
+    "as released; after {:.1f} s": numbers.GAP_S,
+    "until seen open for {:.1f} s": numbers.DEBOUNCE_S,
+    "must last ({:.2f} s)": parse(OperatorInputConfig, {}, "").debounce,
+}
+"""What the handbook says of times, and the time that it means."""
+
+
+def test_the_handbook_says_the_times_of_the_code():
+    said = [text.format(seconds) for text, seconds in SAID.items()]
+    assert [text for text in said if text not in PAGE] == []
+    assert len(re.findall(r"\d s\b", PAGE)) == len(SAID), "another time: say here which one it is"

@@ -8,9 +8,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from leap_hand.numbers import MIN_LENGTH_M
 from leap_motion.frames import FingerPoints
-
-MIN_LENGTH_M = 1e-3  # a vector shorter than this has no direction
 
 
 def flexion(palm: np.ndarray, normal: np.ndarray, fingers: FingerPoints) -> np.ndarray:

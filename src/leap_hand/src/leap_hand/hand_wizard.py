@@ -16,6 +16,7 @@ from common.hand_tracking import FrameWatch
 from common.simulated import SIMULATED
 from leap_hand.config import FINGERS, HandConfig
 from leap_hand.flexion import flexion
+from leap_hand.numbers import HOLD_S, LEAST_REACH_M, MAX_GAP_S, MAX_SILENCE_S, MOST_REACH_M
 from leap_motion.frames import TrackedHand, TrackingFrame
 
 OPEN, CLOSED = "open", "closed"
@@ -23,20 +24,8 @@ INSTRUCTIONS = {
     OPEN: "Hold your hand flat and open above the Leap, fingers together.",
     CLOSED: "Close your hand as far as is comfortable, as around a thin handle.",
 }
-REPETITIONS, MAX_REPETITIONS = 2, 4
-HOLD_S = 0.7  # time for which the hand must be still
-MAX_GAP_S = 0.15  # longest gap in the tracking meanwhile
-MAX_SILENCE_S = 0.5
-MAX_STILL_DEG = 6.0  # between the 10 % and 90 % quantiles of each angle: single outliers do not matter
-MIN_OPEN_DEG = 45.0  # mean flexion of an open hand
-MIN_CLOSING_DEG = 15.0  # by which one finger must close
-MAX_DIFFERENCE_DEG = 15.0  # between the repetitions
+REPETITIONS = 2
 MIN_RANGE_DEG = 15.0  # of a finger: a narrower one would show the tracker's noise
-MARGIN = 0.05  # of the range
-SPREAD_MARGIN_DEG = 2.0
-MAX_SPREAD_DEG = 40.0  # of a hand whose fingers are together
-MIN_CONFIDENCE = 0.2
-REACH_M = (0.045, 0.17)  # from the palm centre to the tip of the middle finger of an open hand
 
 
 @dataclass(frozen=True)
@@ -76,7 +65,7 @@ class HandWizard:
 
     @property
     def failed(self) -> str:
-        if len(self._levels[CLOSED]) < MAX_REPETITIONS or self.done:
+        if len(self._levels[CLOSED]) < 2 * REPETITIONS or self.done:
             return ""
         return f"{self._difference()} Start again and hold the hand alike each time."
 
@@ -122,8 +111,9 @@ class HandWizard:
         if stamp - self._window[0][0] < HOLD_S:
             return self._hint
         seen = np.sort([angles for _, angles in self._window], axis=0)
-        tenth = len(seen) // 10
-        if (seen[-1 - tenth] - seen[tenth]).max() > MAX_STILL_DEG:
+        tenth = len(seen) // 10  # single outliers do not matter
+        max_still_deg = 6.0
+        if (seen[-1 - tenth] - seen[tenth]).max() > max_still_deg:
             return "Hold still for a moment."
         assert hand is not None
         return self._level(seen[len(seen) // 2], hand)
@@ -138,23 +128,25 @@ class HandWizard:
             return None, f"This is the other hand: continue with the {_side(self._is_left)} one."
         if hand.fingers is None:
             return None, "The Leap does not see all five fingers: turn the palm down."
-        if not hand.confidence >= MIN_CONFIDENCE:
+        min_confidence = 0.2
+        if not hand.confidence >= min_confidence:
             return None, f"The Leap is unsure of the hand (confidence {hand.confidence:.2f}): bare it, palm down."
         return hand, ""
 
     def _level(self, level: np.ndarray, hand: TrackedHand) -> str:
         """Ends the phase with the angles of a still hand, unless the hand is in the other one."""
+        min_closing_deg = 15.0  # by which one finger must close
         if self._phase == OPEN:
             if not level[:3].mean() >= self._least_open:
                 return "Open your hand further."
             assert hand.fingers is not None
             reach = float(np.linalg.norm(hand.fingers.middle_tip - hand.palm))
-            if not REACH_M[0] <= reach <= REACH_M[1]:
-                low, high = (1e3 * bound for bound in REACH_M)
+            if not LEAST_REACH_M <= reach <= MOST_REACH_M:
                 size = f"{1e3 * reach:.0f} mm from the palm's centre to the tip of the middle finger"
-                return f"The Leap sees {size}, not {low:.0f} to {high:.0f} mm: bare the hand, fingers straight."
+                must = f"{1e3 * LEAST_REACH_M:.0f} to {1e3 * MOST_REACH_M:.0f} mm"
+                return f"The Leap sees {size}, not {must}: bare the hand, fingers straight."
             self._is_left = hand.is_left
-        elif (self._levels[OPEN][-1] - level)[:3].max() < MIN_CLOSING_DEG:
+        elif (self._levels[OPEN][-1] - level)[:3].max() < min_closing_deg:
             return "Close your hand further."
         self._levels[self._phase].append(level)
         self._window.clear()
@@ -166,13 +158,15 @@ class HandWizard:
     def _least_open(self) -> float:
         """Mean flexion above which a hand counts as open."""
         opened, closed = self._levels[OPEN], self._levels[CLOSED]
-        return MIN_OPEN_DEG if not closed else float((opened[-1] + closed[-1])[:3].mean() / 2.0)
+        min_open_deg = 45.0  # without a closed one
+        return min_open_deg if not closed else float((opened[-1] + closed[-1])[:3].mean() / 2.0)
 
     def _difference(self) -> str:
+        max_difference_deg = 15.0
         for phase, levels in self._levels.items():
             newest = np.array(levels[-REPETITIONS:])[:, :3]
             differences = np.ptp(newest, axis=0)
-            if differences.max() > MAX_DIFFERENCE_DEG:
+            if differences.max() > max_difference_deg:
                 worst = int(differences.argmax())
                 return f"The {phase} hands differ by {differences[worst]:.0f} deg at the {FINGERS[worst]}."
         return ""
@@ -189,7 +183,7 @@ class HandWizard:
                 width = max(abs(math.degrees(float(np.diff(self._default.human[i])[0]))), MIN_RANGE_DEG)
                 high = max(high, MIN_RANGE_DEG)
                 low = max(high - width, 0.0)
-            margin = MARGIN * (high - low)
+            margin = 0.05 * (high - low)
             high, low = math.floor(10.0 * (high - margin)) / 10.0, round(low + margin + 0.05, 1)
             values[f"{finger}_human"] = [high, low]
             if moves < MIN_RANGE_DEG:
@@ -197,10 +191,11 @@ class HandWizard:
                 will = f"the robot's opens fully, and closes by {math.ceil(100.0 * part)} % at most"
                 remarks.append(f"The {finger} moves by only {max(moves, 0.0):.0f} deg: {will}.")
         rest = float(np.max([level[3] for levels in self._levels.values() for level in levels[-REPETITIONS:]]))
-        if rest > MAX_SPREAD_DEG:
+        max_spread_deg = 40.0  # of a hand whose fingers are together
+        if rest > max_spread_deg:
             remarks.append(f"The fingers were {rest:.0f} deg apart: the spread keeps its default.")
         else:
-            rest += SPREAD_MARGIN_DEG
+            rest += 2.0  # a margin, as above
             values["spread_human"] = [round(rest, 1), round(rest + float(np.diff(self._default.spread_human)[0]), 1)]
         return HandCalibration(values, tuple(remarks))
 

@@ -25,12 +25,6 @@ from leap_kuka.numbers import MAX_HAND_DISTANCE_M, MAX_LEFT_OUT, NOMINAL_RATE_HZ
 from leap_motion.frames import TrackedHand
 
 FILTER_SIZE = 10  # samples; each one more delays a filter's result by half the time between two frames, as a mean's
-MIN_MEAN_LENGTH = 0.8
-MAX_COSINE = 0.7
-"""Shortest mean of unit vectors that counts as a direction, and largest cosine between direction and normal. The
-samples are orthogonal, so the cosine between two means of length l is at most (1 - l^2) / l^2 = 0.56."""
-
-ORTHOGONAL_TOLERANCE = 0.01  # largest cosine between direction and normal; the tracker prints them to six digits
 
 
 @dataclass(frozen=True)
@@ -186,7 +180,8 @@ def _fault(numbers: list[float]) -> str | None:
         if abs(norm - 1.0) > UNIT_TOLERANCE:
             return f"the {name} of the hand has length {norm:.4g} instead of 1"
     cosine = _dot(direction, normal)
-    if abs(cosine) > ORTHOGONAL_TOLERANCE:
+    orthogonal_tolerance = 0.01  # the tracker prints them to six digits
+    if abs(cosine) > orthogonal_tolerance:
         angle = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
         return f"direction and normal of the hand enclose {angle:.1f} deg instead of 90"
     if not 0.0 <= confidence <= 1.0:
@@ -205,9 +200,11 @@ def hand_rotation(direction: Sequence[float] | np.ndarray, normal: Sequence[floa
 
 
 def _is_frame(vectors: Sequence[float]) -> bool:
+    min_length = 0.8  # of a mean of unit vectors that counts as a direction
+    max_cosine = 0.7  # the samples are orthogonal: between means of that length it is at most (1 - l^2) / l^2 = 0.56
     direction, normal = vectors[3:6], vectors[6:9]
     lengths = math.hypot(*direction), math.hypot(*normal)
-    return min(lengths) >= MIN_MEAN_LENGTH and abs(_dot(direction, normal)) <= MAX_COSINE * lengths[0] * lengths[1]
+    return min(lengths) >= min_length and abs(_dot(direction, normal)) <= max_cosine * lengths[0] * lengths[1]
 
 
 def _unit(vector: Sequence[float] | np.ndarray) -> list[float]:

@@ -19,7 +19,6 @@ SPEED_CUTOFF_HZ = 1.0  # of these speeds
 TREMOR_HZ, TREMOR_DAMPING = 8.5, 0.15  # middle of the band of tremor, 4 to 12 Hz, and its relative width
 TREMOR_RAD_S = 2.0 * math.pi * TREMOR_HZ
 DAMPED_RAD_S = TREMOR_RAD_S * math.sqrt(1.0 - TREMOR_DAMPING**2)
-START = (1.0, 0.0, 0.0, 1e2, 0.0, 1e4)  # covariance of the motion at the start: pp, pv, pa, vv, va, aa
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,8 @@ class MotionKalman:
         """Returns the filtered numbers; `sample` was taken at `now` [s], not before the one before."""
         if self._time is None:
             self._states = [(number, 0.0, 0.0, 0.0, 0.0) for number in sample]
-            self._covariance = (*START, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+            motion = (1.0, 0.0, 0.0, 1e2, 0.0, 1e4)  # pp, pv, pa, vv, va, aa
+            self._covariance = (*motion, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0)
             self._values, self._before = list(sample), sample
         else:
             dt = now - self._time

@@ -26,6 +26,7 @@ MIN_RATE_HZ: Final = LEAST_RATE_HZ  # below this frame rate the tool stays
 ENOUGH_RATE_HZ: Final = 24.0  # a tool that stayed moves again from here on: the controller then follows (at 22), too
 MAX_HELD_TURN: Final = math.radians(10.0)  # farther, or by more than MAX_STEP_M, no tool moves when the rate is back
 FADE_S: Final = 1.0  # in which the tilt of a hand that takes a held tool over takes full effect
+STATE_PERIOD_S: Final = 0.2  # longest time between two messages on leap_kuka/state
 HEARTBEAT_S: Final = 0.5  # longest time without a report: leap_hand follows nobody when leap_kuka falls silent
 
 # The controller.
@@ -57,7 +58,10 @@ AHEAD_M: Final = 0.1  # least distance in front of the base, nearer than the wor
 ABOVE_M: Final = 1e-3  # least height over the foot; the workspace may end at the foot
 
 # Hold-to-enable and clutch.
-DEVICE_SILENCE_S: Final = 0.25  # a device has fallen silent; it reports every 0.1 s
+DEVICE_SILENCE_S: Final = 0.25  # a device has fallen silent
+DEVICE_PERIOD_S: Final = 0.1  # longest time between two of its messages
+DEVICE_POLL_S: Final = 0.01  # longest time until a debounced change is published
+DEVICE_RETRY_S: Final = 1.0  # between two attempts to open it
 LEFT_S: Final = 2.0  # one of several programs that has been silent for so long has left
 JOY_SILENCE_S: Final = 0.5  # a gamepad that does not report for this long is lost
 CLOSED: Final = 0.8  # grab or pinch strength from which the second hand is closed,
@@ -65,3 +69,7 @@ OPENED: Final = 0.5  # and up to which it is open
 DEBOUNCE_S: Final = 0.1  # time for which it must be so before the tool may move
 GAP_S: Final = 0.1  # a second hand out of view for longer has left
 CLEARLY_M: Final = 0.03  # a hand that chooses an arm must be so far beyond the border between two regions
+
+# The delay from the hand to the arm is measured with what comes on tf.
+REST_S: Final = 0.5  # between two looks
+READ_S: Final = 0.01  # for each

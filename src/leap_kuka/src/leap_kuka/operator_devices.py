@@ -16,8 +16,7 @@ from common.config import integer, number, path, text
 from leap_kuka.numbers import JOY_SILENCE_S
 
 EVENT = struct.Struct("@llHHi")  # input_event of a 64-bit machine: seconds, microseconds, type, code, value
-EV_SYN, EV_KEY, SYN_DROPPED = 0, 1, 3
-RELEASED, PRESSED = 0, 1  # values of a key event; 2 is an automatic repetition
+EV_KEY = 1
 ENABLE, CLUTCH = "enable", "clutch"
 
 KEYS = {
@@ -115,20 +114,23 @@ class InputDevice(ButtonSource):
 
     def read(self, data: bytes, now: float) -> None:
         """Takes bytes of the device, which may end within an event."""
+        dropped = (0, 3)  # EV_SYN, SYN_DROPPED: the kernel's queue was full, and what is pressed is unknown
+        released = 0
+        pressed = 1  # 2 is an automatic repetition
         data = self._rest + data
         end = len(data) - len(data) % EVENT.size
         self._rest = data[end:]
         for _, _, kind, code, value in EVENT.iter_unpack(data[:end]):
-            if (kind, code) == (EV_SYN, SYN_DROPPED):  # the kernel's queue was full: what is pressed is unknown
+            if (kind, code) == dropped:
                 self.lost(now)
             for name, key in self._keys.items():
                 if (kind, code) != (EV_KEY, key):
                     continue
                 if name == CLUTCH:
                     self.unsure = False
-                    self.buttons[name].set(value != RELEASED, now)
-                elif value in (RELEASED, PRESSED):
-                    self.buttons[name].set(value == PRESSED, now)
+                    self.buttons[name].set(value != released, now)
+                elif value in (released, pressed):
+                    self.buttons[name].set(value == pressed, now)
 
     def lost(self, now: float) -> None:
         """Forgets a half event, too."""

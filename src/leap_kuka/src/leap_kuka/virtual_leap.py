@@ -28,11 +28,6 @@ FULL_TURN = 2.0 * math.pi
 UPRIGHT = tuple(
     map(math.radians, (90.0, 60.0, 90.0))
 )  # largest yaw, pitch and roll of a hand whose angles are beyond doubt [rad]
-MAX_GAIN = 3.0  # turn of the tool per turn of the hand; up to 45 deg of pitch the angles alone need less than that
-STANDS, SURE = 0.2, 0.5
-"""Below the one cosine of the pitch the clipped yaw and roll stay; from the other one on they follow fully. In between
-they follow by a share, so that they are continuous."""
-
 TURNED = rotation_about(2, math.pi)
 R_LEAP_REFERENCE = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
@@ -77,16 +72,19 @@ class SteadyAttitude:
 
     def follow(self, R_leap_hand: np.ndarray) -> None:
         """Updates both attitudes to the orientation of the hand in the newest frame, shape (3, 3)."""
+        stays = 0.2  # cosine of the pitch below which clipped yaw and roll stay
+        follows = 0.5  # and from which they follow fully; in between by a share, so that they are continuous
+        max_gain = 3.0  # turn of the tool per turn of the hand; up to 45 deg of pitch the angles alone need less
         turn = rotation_angle(self._R_leap_hand.T @ R_leap_hand)
         self._R_leap_hand = R_leap_hand
         self.measured = attitude(R_leap_hand, self._heading, self.measured)
         now, goal = self.clipped.angles, self.measured.clipped(self._limits).angles
-        sure = (abs(math.cos(self.measured.pitch)) - STANDS) / (SURE - STANDS)
+        sure = (abs(math.cos(self.measured.pitch)) - stays) / (follows - stays)
         share = min(max(sure, 0.0), 1.0) ** 2
         steps = [f * (g - n) for f, g, n in zip((share, 1.0, share), goal, now)]
         way = sum(map(abs, steps))  # no less than the turn of the tool
-        if way > MAX_GAIN * turn:
-            steps = [MAX_GAIN * turn / way * step for step in steps]
+        if way > max_gain * turn:
+            steps = [max_gain * turn / way * step for step in steps]
         self.clipped = Attitude(*(n + step for n, step in zip(now, steps)))
 
 

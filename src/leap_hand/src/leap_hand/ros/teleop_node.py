@@ -32,7 +32,6 @@ from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import TeleopState
 
-WATCH_PERIOD_S = 0.1
 FILES, OPERATOR = "files", "operator"  # under leap_hand/: the values of each file by itself, that of operator:= too
 
 
@@ -64,7 +63,7 @@ class HandTeleopNode:
         while not rospy.is_shutdown():
             with self._lock:
                 self._carry_out(self._teleop.silence(clock.monotonic()))
-            clock.sleep(WATCH_PERIOD_S)
+            clock.sleep(0.1)
 
     def _on_gripper(self, message: Bool) -> None:
         with while_running(), self._lock:

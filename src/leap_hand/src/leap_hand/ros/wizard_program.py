@@ -19,13 +19,13 @@ from common.ros.node import join, run_program
 from common.simulated import SIMULATED
 from leap_hand.config import HandConfig
 from leap_hand.hand_wizard import HandWizard, WizardStep, as_yaml
+from leap_hand.numbers import HINT_S
 from leap_hand.ros.operators import known_file, operator_file
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import subscribe
 from rig_msgs.msg import KukaStatus
 
 NODE = "hand_wizard"
-HINT_S = 3.0  # a hint is said again after this long
 
 
 class WizardRefused(RigError):

@@ -20,7 +20,6 @@ from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe
 from rig_msgs.srv import ChooseArm, ChooseArmRequest
 
 CHOSEN_ARM = "leap_kuka/chosen_arm"
-WATCH_PERIOD_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def arm_choice(arms: Sequence[str]) -> ArmChoice | None:
 def start(choice: ArmChoice, subscribe: Subscribe = subscribe) -> None:
     ArmChoiceNode(choice, subscribe)
     while not rospy.is_shutdown():
-        clock.sleep(WATCH_PERIOD_S)
+        clock.sleep(0.5)
 
 
 def _run() -> None:

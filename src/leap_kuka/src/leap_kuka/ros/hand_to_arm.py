@@ -11,9 +11,7 @@ from common import clock
 from common.frames import BASE, FLANGE_MEASURED, ONE_ARM, ArmFrames
 from common.hand_delay import DelayMeter
 from common.ros.raw_tf import RawTransform, TransformSearch, callbacks_of, publisher_of
-
-REST_S, READ_S = 0.5, 0.01  # time between two looks at what came on tf, and time to read it
-BUFFER_BYTES = 2**20
+from leap_kuka.numbers import READ_S, REST_S
 
 
 class DelayMonitor:
@@ -30,7 +28,7 @@ class DelayMonitor:
         self._tool_in_flange = (-T_tool_flange[:3, :3].T @ T_tool_flange[:3, 3]).tolist()
         self.palm = self._meter.palm
         self._subscriber: rospy.Subscriber | None = None
-        self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=BUFFER_BYTES, tcp_nodelay=True)
+        self._subscriber = rospy.Subscriber("/tf", rospy.AnyMsg, self._take, buff_size=2**20, tcp_nodelay=True)
 
     def values(self) -> dict[str, str]:
         """Returns the delay and its 10th and 90th percentile [ms]; empty while too little moves to tell."""

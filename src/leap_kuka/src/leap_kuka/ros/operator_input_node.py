@@ -15,13 +15,9 @@ from common import clock
 from common.config import parse
 from common.ros.node import run, while_running
 from leap_kuka.config import OPERATOR_INPUT
+from leap_kuka.numbers import DEVICE_PERIOD_S, DEVICE_POLL_S, DEVICE_RETRY_S
 from leap_kuka.operator_devices import CLUTCH, ENABLE, EVENT, OperatorInput, OperatorInputConfig
 from rig_msgs.msg import OperatorInput as OperatorInputMessage
-
-PERIOD_S = 0.1  # longest time between two messages
-POLL_S = 0.01  # longest time until a debounced change is published
-RETRY_S = 1.0  # between two attempts to open the device
-READ_BYTES = 64 * EVENT.size
 
 
 class OperatorInputNode:
@@ -52,12 +48,12 @@ class OperatorInputNode:
         if self._file is None and self._path and clock.monotonic() >= self._retry_at:
             self._open()
         if self._file is None:
-            clock.sleep(POLL_S)
+            clock.sleep(DEVICE_POLL_S)
             return
-        if not select.select([self._file], [], [], POLL_S)[0]:
+        if not select.select([self._file], [], [], DEVICE_POLL_S)[0]:
             return
         try:
-            data = os.read(self._file, READ_BYTES)
+            data = os.read(self._file, 64 * EVENT.size)
         except BlockingIOError:
             return
         except OSError as error:
@@ -83,7 +79,7 @@ class OperatorInputNode:
             self._close()
             with self._lock:
                 self._input.device.lost(clock.monotonic())
-        self._retry_at = clock.monotonic() + RETRY_S
+        self._retry_at = clock.monotonic() + DEVICE_RETRY_S
         if why != self._failure:
             rospy.logwarn(
                 "Input device %s cannot be read: %s; enabling by it is released, and its clutch is pressed until it is "
@@ -118,7 +114,7 @@ class OperatorInputNode:
         with self._lock:
             now = clock.monotonic()
             state = self._input.state(now)
-            if state == self._sent and now - self._sent_at < PERIOD_S:
+            if state == self._sent and now - self._sent_at < DEVICE_PERIOD_S:
                 return
             self._sent, self._sent_at = state, now
             enabled, clutch, source = state

@@ -14,17 +14,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.hand_tracking import LEFT, RIGHT
-from leap_kuka.numbers import HEARTBEAT_S
+from leap_kuka.numbers import HEARTBEAT_S, STATE_PERIOD_S
 from leap_kuka.start_gate import CONDITIONS, InteractionBox
 from leap_kuka.teleop_result import StreamState, TeleopResult
 from leap_kuka.tool_hold import HoldState
 from rig_msgs.msg import TeleopState
-
-GREEN = (0.2, 0.8, 0.3)
-AMBER = (1.0, 0.7, 0.1)
-EDGE_WIDTH_M = 0.004
-TEXT_HEIGHT_M = 0.025
-STATE_PERIOD_S = 0.2
 
 
 class Repetition:
@@ -103,13 +97,15 @@ class TeleopReport:
         if stream:
             self._of_stream.done(result)
             self._stream.publish(stream_message(message))
-            colour = GREEN if message.follows else AMBER
+            green = (0.2, 0.8, 0.3)
+            amber = (1.0, 0.7, 0.1)
+            colour = green if message.follows else amber
             self._markers.publish(MarkerArray([self._box_marker(colour), self._text_marker(colour, result.reason)]))
 
     def _box_marker(self, colour: tuple[float, float, float]) -> Marker:
         """The edges of the box: faces would hide the robot hand that works in it."""
         marker = self._marker(Marker.LINE_LIST, 0, self._box.center, colour)
-        marker.scale.x = EDGE_WIDTH_M
+        marker.scale.x = 0.004  # width of the edges [m]
         corners = [self._box.size / 2.0 * signs for signs in itertools.product((-1.0, 1.0), repeat=3)]
         marker.points = [
             Point(*corner)
@@ -120,9 +116,10 @@ class TeleopReport:
         return marker
 
     def _text_marker(self, colour: tuple[float, float, float], text: str) -> Marker:
-        above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + 2.0 * TEXT_HEIGHT_M, 0.0])
+        height = 0.025  # [m]
+        above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + 2.0 * height, 0.0])
         marker = self._marker(Marker.TEXT_VIEW_FACING, 1, above, colour)
-        marker.scale.z = TEXT_HEIGHT_M
+        marker.scale.z = height
         marker.text = text
         return marker
 

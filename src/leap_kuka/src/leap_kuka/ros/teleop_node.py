@@ -38,8 +38,6 @@ from leap_motion.ros.tracking import ReceivedPalms, Subscribe, subscribe
 from rig_msgs.msg import KukaStatus, OperatorInput
 from rig_msgs.srv import HoldTool, HoldToolRequest
 
-WATCH_PERIOD_S = 0.1
-
 
 class ArmTeleopNode:
     """Runs the chain on each frame, and watches for the stream falling silent. `of`: namespace of the arm with a
@@ -83,7 +81,7 @@ class ArmTeleopNode:
                 if silent is not None:
                     self._report.update(silent)
             self._report.flush()
-            clock.sleep(WATCH_PERIOD_S)
+            clock.sleep(0.1)
 
     def _on_frame(self, frame: TrackingFrame, stamp: rospy.Time) -> None:
         with self._lock:
