@@ -55,8 +55,13 @@ def states() -> str:
         if row.target is State.BRAKING:
             after.setdefault(row.at_rest.value, []).append(row.trigger.value)
     braked = "".join(f"* {rest}: after {'; '.join(triggers)}\n" for rest, triggers in after.items())
+    blocked: dict[str, list[str]] = {}
+    for row in TRANSITIONS:
+        if row.action is Action.PTP or row.target is State.LINE:
+            blocked.setdefault(row.if_blocked.text, []).append(f"{row.trigger.value} (to `{_name(row.target)}`)")
+    ways = "".join(f"* {what}: after {'; '.join(dict.fromkeys(triggers))}\n" for what, triggers in blocked.items())
     head = ["state", *(trait.value for trait in Trait)]
-    return f"{markdown.table(head, rows)}\nWhat ends `braking`:\n\n{braked}"
+    return f"{markdown.table(head, rows)}\nWhat ends `braking`:\n\n{braked}\nIf a body is in the way:\n\n{ways}"
 
 
 def diagram(states: frozenset[State]) -> str:

@@ -22,7 +22,8 @@ AGAIN_TIMEOUT_S: Final = 2.0  # of a try to connect again, likewise
 BRAKING_S: Final = 1.0  # an arm that follows a hand when ROS shuts down has this long to brake
 
 # Whether the arm follows its goals. A safety stop shows within half a second.
-FAR_S: Final = 0.1  # how long goal and joint may be more than FAR_RAD apart
+FAR_RAD: Final = math.radians(20.0)  # goal and joint are too far apart; full speed lags about half of it behind
+FAR_S: Final = 0.1  # how long they may be
 STILL_S: Final = 0.3  # how long the arm may stand still away from its goal
 UNKNOWN_S: Final = 0.5  # so long at most are goals sent that lie away from the last known joints
 HELD_S: Final = 0.4  # an arm in a PTP motion that came no nearer for this time is held (reduced override is slow)
@@ -66,6 +67,10 @@ PROGRESS_S: Final = 0.02  # how far the plan of a line must come in NO_PROGRESS_
 NO_PROGRESS_S: Final = 2.0
 LINE_START_RAD: Final = 2e-3  # a line begins where the arm stands; no joint is further off than this
 TEST_MOTIONS: Final = 3  # of joint 7 at most, to show the servo law, where a busy machine did not see it well
+
+# How slowly a program may ask for a motion: nothing can stop a PTP motion, and a slower one looks stopped.
+LEAST_PTP: Final = 0.01  # of the full joint speed
+LEAST_LINE_M_PER_S: Final = 0.005
 
 # The stream of goals.
 SPEED_MARGIN: Final = 0.97  # the arm's speed is checked at some times only; between them it is up to 2.5 % faster

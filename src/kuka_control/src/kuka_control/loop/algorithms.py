@@ -27,7 +27,7 @@ from kuka_control.loop.goal_stream import (
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MovePlanner, ProgramMotion
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
-from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trait, Trigger
+from kuka_control.loop.transitions import PTP_STATES, REAL_TIME_STATES, State, Trigger
 from kuka_control.model.config import ControllerConfig, PtpConfig, RealTimeConfig
 from kuka_control.model.ptp_contact import torque_ranges
 from kuka_control.model.rig import Rig
@@ -83,10 +83,6 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if opening != self._opening:
             self._limits.carry(self._settings.carried(opening))
         super().open_hand(opening)
-
-    def _followed(self, command: Servo) -> np.ndarray:
-        """As for all loops; goals that are made for the servo law bring the arm to the stream's."""
-        return self.goal if self._active.has(Trait.STREAMS) else command.q
 
     def _arrived(self, cycle: Cycle) -> Fired:
         if self._active.state is State.HOMING and self._law is None and not self._exits(cycle):
@@ -194,7 +190,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             self.counts["goal_gaps"] += goal.limited_by == Limit.LATE_GOAL
             self._limited_by = (goal.limited_by,)
         self.counts["goals_sent"] += 1
-        return Servo(goal.q, stamp)
+        return Servo(goal.q, stamp, self.goal)
 
     def _braking(self, cycle: Cycle) -> Outcome:
         goals: ServoStream | None = self._active.data
@@ -206,7 +202,7 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         if goal is None:
             return Fired(self._active.at_rest)
         self.counts["goals_sent"] += 1
-        return Servo(goal.q)
+        return Servo(goal.q, reached=self.goal)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,6 @@ class ArmState:
 
 
 WAIT_S = 0.02  # a cycle waits this long for a missing answer, so that the state is published meanwhile [s]
-QUICK_S = 1e-3  # a cycle waits this long for the answer to its goal; one that comes later is read in the next one [s]
 
 FIELD = {
     Feedback.JOINTS: "joints",
@@ -234,10 +233,11 @@ class KstArm(Arm):
         self._sent(q, 0.0)
         if asked is not feedback:
             self._turn -= 1
-        self._take_answers(QUICK_S)
+        quick = 1e-3  # a goal is waited for this long; an answer that comes later is read in the next cycle [s]
+        self._take_answers(quick)
         if feedback is not Feedback.JOINTS and not self._client.open_goals:
             self._client.stream_joints()
-            self._take_answers(QUICK_S)
+            self._take_answers(quick)
         error, self._unusable = self._unusable, None
         if error is not None:
             raise error

@@ -58,10 +58,11 @@ class StartServo:
 
 @dataclass(frozen=True)
 class Servo:
-    """Send the servo goal `q`; `stamp` is that of the desired tool frame that came in with it, or None."""
+    """Send the servo goal `q`."""
 
     q: np.ndarray
-    stamp: float | None = None
+    stamp: float | None = None  # of the desired tool frame that came in with it
+    reached: np.ndarray | None = None  # joints to which goals made for the servo law bring the arm; None: q
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from kuka_control.loop.admission import StreamAdmission
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
-from kuka_control.loop.transitions import Action, State, Trait, Transition, Trigger, transitions_among
+from kuka_control.loop.transitions import Action, IfBlocked, State, Trait, Transition, Trigger, transitions_among
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
@@ -52,7 +52,6 @@ FINGER_IN_THE_WAY = (
 )
 
 CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
-STANDS_RAD = 5e-4  # an arm whose joints are no further off still is where the check of a path began
 
 
 @dataclass(frozen=True)
@@ -180,7 +179,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self.counts["refused_frames"] += 1
         command = self._command(Cycle(observation, update.fresh, now))
         if isinstance(command, Servo):
-            self._joints.follow(self._followed(command), now)
+            self._joints.follow(command.q if command.reached is None else command.reached, now)
         if self._active.has(Trait.PROGRAM):
             self._admission.program_moves(now)
         guard = self._settings.guard
@@ -224,7 +223,8 @@ class ControlLoop(ABC, Generic[Settings]):
     def _command(self, cycle: Cycle) -> Command:
         if self._active.has(Trait.MOVES):
             cycle = replace(cycle, fresh=None)
-        observation, refused = cycle.observation, cycle.observation.refused
+        observation = cycle.observation
+        refused = observation.refused
         wrong = self._joints.step(observation.joints, cycle.now, observation.age)
         contact = observation.contact
         if contact is not None and (self._active.state, Trigger.CONTACT) in self._table:
@@ -247,38 +247,44 @@ class ControlLoop(ABC, Generic[Settings]):
         decided, blocked = self._checked(row, cycle)
         if not decided:
             return Wait()
-        if blocked is not None:
-            if row.target is State.PICK_UP:
-                return self._refuse_pick_up(blocked, cycle.now)
-            if Trait.PROGRAM in row.target.traits and self._progress is not None:
-                self._progress = replace(self._progress, state=MoveState.REFUSED, sentence=blocked)
-                return Wait()
-            fired = Fired(Trigger.EXIT_BLOCKED if row.target is State.ZERO else Trigger.BLOCKED, blocked)
+        if blocked is not None and row.if_blocked is IfBlocked.WAITS:
+            return self._refuse_pick_up(blocked, cycle.now)
+        if blocked is not None and row.if_blocked is IfBlocked.REFUSES:
+            assert self._progress is not None, "a motion was asked for"
+            self._progress = replace(self._progress, state=MoveState.REFUSED, sentence=blocked)
+            return Wait()
+        if blocked is not None and row.if_blocked.trigger is not None:
+            fired = Fired(row.if_blocked.trigger, blocked)
             row = self._table[before.state, fired.trigger]
         self._taken.append((before.state, fired.trigger))
         moved_to = before.data.name if isinstance(before.data, PtpSupervision) else ""
         because = row.because.format(because=before.because, detail=fired.detail, name=moved_to)
         command = COMMANDS.get(row.action)
-        name, velocity, data, enable_count = "", 0.0, None, before.enable_count
+        name = ""
+        velocity = 0.0
+        data = before.data if Trait.BRAKES in row.target.traits else None
         if row.action is Action.PTP:
             name, q, velocity = self._motion(row.target)
             velocity = self._settings.ptp_velocity(cycle.observation.joints, q, velocity)
             torques = self._settings.torque_ranges
             ranges = torques and torques(cycle.observation.joints, q, velocity, cycle.switches.payload)
-            data, command = PtpSupervision(name, q), StartPtp(read_only(q), velocity, ranges)
+            data = PtpSupervision(name, q)
+            command = StartPtp(read_only(q), velocity, ranges)
             self.counts["ptp_motions"] += 1
             self._admission.own.note(before.state, row.target, (before.trigger, fired.trigger), cycle.now)
         elif row.action is Action.END:
             command = End(None if fired.trigger is Trigger.ARRIVED else because)
         if row.counted and row.counted not in self.NOT_COUNTED:
             self.counts[row.counted] += 1
-        traits, cause = row.target.traits, before.trigger if before.has(Trait.BRAKES) else fired.trigger
+        traits = row.target.traits
+        cause = before.trigger if before.has(Trait.BRAKES) else fired.trigger
         if before.has(Trait.PROGRAM) and Trait.PROGRAM not in traits:
             self._end_move(row.target, cause if fired.trigger is Trigger.AT_REST else fired.trigger, because)
         elif Trait.PROGRAM in traits and not before.has(Trait.PROGRAM):
             self._admission.own.forget()
-        if row.target is State.STOPPED:
-            enable_count, self.stopped_because = cycle.switches.enable_count, because
+        latches = Trait.LATCHES in traits
+        if latches:
+            self.stopped_because = because
             self._infeasible = None
             self.counts["faults"] += 1
         elif fired.trigger is Trigger.ENABLED_AGAIN:
@@ -287,13 +293,13 @@ class ControlLoop(ABC, Generic[Settings]):
             self._target = None
         if Trait.FOLLOWS in traits:
             self._admission.followed(cycle.now)
-        if Trait.MOVES in traits or row.target is State.STOPPED:
+        if Trait.MOVES in traits or latches:
             self._joints.stand(None)
         reason = row.target.text.format(because=because, name=name, velocity=velocity).strip()
         if reason:
             self._unreachable = None
-            self._report("error" if row.target is State.STOPPED else "info", reason)
-        data = before.data if Trait.BRAKES in traits else data
+            self._report("error" if latches else "info", reason)
+        enable_count = cycle.switches.enable_count if latches else before.enable_count
         self._active = Active(row.target, cause, because, reason or before.reason, enable_count, data, row.at_rest)
         return command
 
@@ -315,17 +321,18 @@ class ControlLoop(ABC, Generic[Settings]):
     def _checked(self, row: Transition, cycle: Cycle) -> tuple[bool, str | None]:
         if row.action is Action.PTP:
             name, q, _ = self._motion(row.target)
-            return self._guard_refusal(f"motion to {name}", (cycle.observation.joints, q), False)
+            return self._check_path(f"motion to {name}", (cycle.observation.joints, q), False)
         if row.target is State.LINE:
             assert self._move is not None and self._move.line is not None, "a line was asked for"
-            return self._guard_refusal("line", self._move.line.path, True)
+            return self._check_path("line", self._move.line.path, True)
         return True, None
 
-    def _guard_refusal(self, what: str, path: Sequence[np.ndarray], softly: bool) -> tuple[bool, str | None]:
+    def _check_path(self, what: str, path: Sequence[np.ndarray], softly: bool) -> tuple[bool, str | None]:
         """Returns whether the collision guard decided on a path in a cycle before, and why it refuses it, a
         sentence. Each cycle brings a part of the check; a cycle that does not ask for it drops it. `softly`: as for
         the guard."""
-        guard, before = self._settings.guard, self._check
+        guard = self._settings.guard
+        before = self._check
         if guard is None:
             return True, None
         self._checks = True
@@ -398,15 +405,15 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _home(self, cycle: Cycle) -> Outcome:
         self._active = replace(self._active, enable_count=cycle.switches.enable_count)
-        return self._ends(cycle) or self._new_move(cycle) or self._new_target(cycle)
+        return self._ends(cycle) or self._new_move(cycle) or self._toward_stream(cycle)
 
     def _at_goal(self, cycle: Cycle) -> Outcome:
         """The arm stays where a motion for a program ended; no frame is awaited, so none is late."""
-        return self._switched(cycle) or self._new_move(cycle) or self._new_target(cycle)
+        return self._switched(cycle) or self._new_move(cycle) or self._toward_stream(cycle)
 
     def _at_rest(self, cycle: Cycle) -> Outcome:
         """No motion and no servo mode, where a motion or servo mode ended."""
-        return self._leaves(cycle) or self._new_target(cycle)
+        return self._leaves(cycle) or self._toward_stream(cycle)
 
     def _stopped(self, cycle: Cycle) -> Outcome:
         """A fault holds the loop until control is switched off and on again; no motion begins at joints in doubt."""
@@ -423,7 +430,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._report("error", f"Nothing moves: {IN_DOUBT}")
         return Fired(Trigger.ENABLED_AGAIN) if again and self._doubt is None else Wait()
 
-    def _new_target(self, cycle: Cycle) -> Outcome:
+    def _toward_stream(self, cycle: Cycle) -> Outcome:
         if not cycle.switches.control_on or not self._admission.counts:
             return Wait()
         if self._check is not None and self._target is not None and self._check[0][-1] is self._target.q:
@@ -441,7 +448,8 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _asked(self, observation: Observation) -> ProgramMotion | None:
         """Returns the motion that a program asks for, if it was neither started nor refused before."""
-        move, known = observation.inputs.move, self._progress
+        move = observation.inputs.move
+        known = self._progress
         if move is None or known is None or move.number > known.number:
             return move
         checked = move.number == known.number and known.state is MoveState.RUNNING
@@ -455,7 +463,8 @@ class ControlLoop(ABC, Generic[Settings]):
         if refused is not None:
             self._progress = MoveProgress(move.number, MoveState.REFUSED, refused)
             return None
-        self._move, self._progress = move, MoveProgress(move.number, MoveState.RUNNING)
+        self._move = move
+        self._progress = MoveProgress(move.number, MoveState.RUNNING)
         self._q_before = cycle.observation.joints
         return Fired(Trigger.MOVE if move.line is None else Trigger.LINE)
 
@@ -475,7 +484,8 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _note_move(self, observation: Observation) -> None:
         """Refuses a motion that came at the wrong time, and notes how far the running one is."""
-        move, progress = self._move, self._progress
+        move = self._move
+        progress = self._progress
         if self._active.has(Trait.PROGRAM) and move is not None and progress is not None:
             fraction, left = self._progress_at(move, observation.joints)
             self._progress = replace(progress, fraction=fraction, left=left)
@@ -492,20 +502,18 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _end_move(self, target: State, cause: Trigger | None, because: str) -> None:
         assert self._move is not None and self._progress is not None, "a motion runs"
-        state, sentence = MoveState.ABORTED, because
+        state = MoveState.ABORTED
+        sentence = because
         if target is State.AT_GOAL and cause is Trigger.ARRIVED:
             cancelled = " It was cancelled on the way, but a point-to-point motion ends at its goal."
             late = self._move.line is None and self._cancelled
-            state, sentence = MoveState.DONE, f"The arm is at {self._move.name}.{cancelled if late else ''}"
+            state = MoveState.DONE
+            sentence = f"The arm is at {self._move.name}.{cancelled if late else ''}"
         elif cause is Trigger.CANCELLED:
             state = MoveState.CANCELLED
         self._progress = replace(self._progress, state=state, sentence=sentence)
         if state is MoveState.DONE:
             self._progress = replace(self._progress, fraction=1.0, left=0.0)
-
-    def _followed(self, command: Servo) -> np.ndarray:
-        """Returns the joints where a servo goal is to bring the arm, shape (7,) [rad]."""
-        return command.q
 
     @abstractmethod
     def _follow(self, distance: float) -> Outcome:
@@ -564,7 +572,8 @@ class ControlLoop(ABC, Generic[Settings]):
             return None
         if target.bounds and not (self._target and self._target.bounds):
             self.counts["workspace_clips"] += 1
-        self._target, self._target_stamp = target, fresh.stamp
+        self._target = target
+        self._target_stamp = fresh.stamp
         return target.q
 
     def _limited(self, observation: Observation) -> str | None:
@@ -591,5 +600,6 @@ class ControlLoop(ABC, Generic[Settings]):
 
 def _same(before: Sequence[np.ndarray], path: Sequence[np.ndarray]) -> bool:
     """Returns whether a path, joints of shape (7,) each [rad], is one before, from where the arm still stands."""
-    starts = float(np.max(np.abs(before[0] - path[0]))) <= STANDS_RAD
+    stands = 5e-4  # an arm whose joints are no further off still is where the check began [rad]
+    starts = float(np.max(np.abs(before[0] - path[0]))) <= stands
     return starts and len(before) == len(path) and all(map(np.array_equal, before[1:], path[1:]))

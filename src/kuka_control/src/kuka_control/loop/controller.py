@@ -33,8 +33,6 @@ from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Stays
 from kuka_control.numbers import FIRST_PAUSE_S, LONGEST_PAUSE_S, MAX_MISSED, MISSING_S, NAMED_S, OFF_S
 
-REMIND_S = 30.0  # period of the warnings that the robot is still out of reach [s]
-
 BACK = (
     "The robot is connected again. The arm stays where it is until control is switched on; then it goes home first "
     "and follows the desired tool frame."
@@ -111,7 +109,8 @@ class ReconnectSupervisor:
         self.reason = f"{self._lost} {failure}"
         if now < self._remind_at:
             return ()
-        self._remind_at = now + REMIND_S
+        period = 30.0  # of the warnings that the robot is still out of reach [s]
+        self._remind_at = now + period
         return (Event("warn", f"The robot is still gone. {failure}"),)
 
     def connected(self) -> tuple[Event, ...]:

@@ -32,14 +32,8 @@ from kuka_control.numbers import (
 )
 
 TOLERANCE_RAD = float(np.radians(2.0))  # largest joint step servoed to from rest, and tolerance on the speed limits
-CYCLE_S = 0.01  # time in which the arm has to cross such a gap: one cycle of the stream [s]
 SHORT_S = 0.006  # frames nearer in time than this give no speed [s]
-LONG_S = 0.024  # time of the second, longer average of the speed [s]
-COMPARED = 64  # number of recent frames among which the least delayed one is sought
-ROUNDING_HZ = 1e-3  # of a rate by stamps in seconds since 1970 [Hz]
 SETTLED_RAD = 1e-3  # an arm this close to its goal has come to rest with it [rad]
-SETTLING_S = 0.3  # it is waited for this long [s]
-CATCH_UP_RAD = float(np.radians(60.0))  # joints that differ by more are caught up with by a pick-up motion
 
 
 def is_jump(q_before: np.ndarray, q_now: np.ndarray, dt: float, joint_speeds: np.ndarray, stall: float = 0.0) -> bool:
@@ -81,7 +75,8 @@ class FrameSteps:
 def _cycle(dt: float, stall: float) -> float:
     """Returns the time in which the arm has to make a step that took the stream `dt` [s]. Frames that came while the
     control loop did not look, for `stall` [s], were not lost."""
-    return max(dt, 0.0) if dt <= LOST_S + min(stall, LONGEST_STALL_S) else CYCLE_S
+    cycle = 0.01  # of the stream; the arm has to cross a longer gap in this time [s]
+    return max(dt, 0.0) if dt <= LOST_S + min(stall, LONGEST_STALL_S) else cycle
 
 
 @dataclass(frozen=True)
@@ -110,8 +105,9 @@ class TargetMotion:
         self._v = [0.0] * 7
         self._since = 0.0
         self._horizon = CONTINUED_S
-        self._frames: deque[tuple[float, list[float]]] = deque(maxlen=COMPARED)
-        self._delays: deque[float] = deque(maxlen=COMPARED)
+        compared = 64  # so many recent frames, of which the least delayed one is sought
+        self._frames: deque[tuple[float, list[float]]] = deque(maxlen=compared)
+        self._delays: deque[float] = deque(maxlen=compared)
 
     def take(self, q: np.ndarray, stamp: float, now: float) -> None:
         """Takes the joints of a new frame, shape (7,) [rad], with its stamp by any clock; `now` is monotonic [s]."""
@@ -146,7 +142,8 @@ class TargetMotion:
         return MovingTarget(read_only(joints), read_only(speeds))
 
     def _speed(self, stamp: float) -> list[float]:
-        short, long = self._mean_speed(stamp, SHORT_S), self._mean_speed(stamp, LONG_S)
+        short = self._mean_speed(stamp, SHORT_S)
+        long = self._mean_speed(stamp, 0.024)
         return [(a if abs(a) < abs(b) else b) if a * b > 0.0 else 0.0 for a, b in zip(short, long)]
 
     def _mean_speed(self, stamp: float, least: float) -> list[float]:
@@ -183,7 +180,8 @@ class RateLimit:
         self._rate.take(stamp)
         if self._rate.span >= RATE_WINDOW_S:
             self.rate = self._rate.value or 1.0 / self._rate.span
-            self.holds = self.rate < (RESUME_HZ if self.holds else HOLD_HZ) - ROUNDING_HZ
+            rounding = 1e-3  # of a rate by stamps in seconds since 1970 [Hz]
+            self.holds = self.rate < (RESUME_HZ if self.holds else HOLD_HZ) - rounding
 
     @property
     def cap(self) -> float:
@@ -244,7 +242,8 @@ class ServoStream:
         if self._settled:
             return None
         near = max(abs(stopped.q - measured).tolist()) < SETTLED_RAD
-        self._settled = near or now - self._stands_at > SETTLING_S
+        longest = 0.3  # of the wait for the arm [s]
+        self._settled = near or now - self._stands_at > longest
         return stopped if self._settled else self._for_robot(stopped, measured, dt)
 
     def _for_robot(self, limited: LimitedGoal, measured: np.ndarray, dt: float) -> LimitedGoal:
@@ -339,7 +338,8 @@ class GoalStream(ServoStream):
             return None
         if self._frames.jumped:
             return Trigger.JUMPED
-        if shaped and np.max(np.abs(q - before)) <= CATCH_UP_RAD:
+        catch_up = math.radians(60.0)  # joints that differ by more are caught up with by a pick-up motion [rad]
+        if shaped and np.max(np.abs(q - before)) <= catch_up:
             self._motion.hold()
             self._catching_up = True
             return None

@@ -10,9 +10,6 @@ from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimit
 from kuka_control.loop.goal_stream import GoalStreamSettings, ServoStream
 from kuka_control.numbers import GAP_S, NO_PROGRESS_S, PROGRESS_S
 
-BEHIND_RAD = (0.001, 0.004)  # how far a goal is behind the plan when the plan begins to slow down, and waits [rad]
-RESUMES_S = 0.25  # the plan reaches its pace again in this time [s]
-
 
 class LineStream(ServoStream):
     """Makes the goals of one line; other arguments as `ServoStream`. Within the limits, the goals catch up from the
@@ -55,9 +52,11 @@ class LineStream(ServoStream):
     def goal(self, measured: np.ndarray, now: float) -> LimitedGoal:
         """Returns the goal of this cycle for the robot; `measured` are the joints of the arm, shape (7,) [rad]."""
         dt, self._time = now - self._time, now
-        begin, end = BEHIND_RAD
+        begin = 0.001  # a goal that is so far behind the plan slows it down [rad]
+        end = 0.004  # so far behind, the plan waits [rad]
+        resumes = 0.25  # the plan reaches its pace again in this time [s]
         behind = float(np.max(np.abs(self._plan.at(self._elapsed)[0] - self._limits.goal)))
-        rate = 0.0 if dt > GAP_S else min(max((end - behind) / (end - begin), 0.0), self._rate + dt / RESUMES_S, 1.0)
+        rate = 0.0 if dt > GAP_S else min(max((end - behind) / (end - begin), 0.0), self._rate + dt / resumes, 1.0)
         self._rate = rate
         self._elapsed = min(self._elapsed + rate * dt, self._plan.duration)
         q, v, self.fraction = self._plan.at(self._elapsed)

@@ -18,14 +18,10 @@ from kuka_control.model.desired_frame import rejection_reason
 from kuka_control.model.joint_configurations import range_faults
 from kuka_control.model.rig import Rig
 from kuka_control.model.target import MotionScaling, check_tool_pose
+from kuka_control.numbers import LEAST_LINE_M_PER_S, LEAST_PTP
 
-LEAST_PTP, LEAST_LINE_M_PER_S = 0.01, 0.005
-"""The least velocities that a program may ask for: nothing can stop a PTP motion, and a slower one looks stopped."""
-LINE_M_PER_S = 0.1  # speed of a line for which the program names none [m/s]
-CHECKED_RAD = 0.05  # the height of the tool point is checked every so often on the way of a PTP motion [rad]
 READY = frozenset(state.mode for row in TRANSITIONS if row.trigger is Trigger.MOVE for state in row.sources)
 """The modes in which a motion may start."""
-LOW_M = 1e-3  # by which the tool point may come below the workspace there [m]
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,8 @@ class MovePlanner:
         if self._line is None:
             raise MoveRefused("Straight lines need the real-time controller with shaping: ruckig.")
         fastest = self._line.speed
-        speed = _velocity(velocity, min(LINE_M_PER_S, fastest), LEAST_LINE_M_PER_S, fastest, "m/s")
+        usual = 0.1  # where the program names no speed [m/s]
+        speed = _velocity(velocity, min(usual, fastest), LEAST_LINE_M_PER_S, fastest, "m/s")
         _check_pose(T_goal)
         line = plan_line(self._line, q, T_goal, speed)
         return ProgramMotion(number, "the pose", line.q_goal, speed, line)
@@ -122,14 +119,17 @@ class MovePlanner:
 
     def _check_heights(self, q: np.ndarray, q_goal: np.ndarray) -> None:
         """Refuses a way on which the tool point, or the elbow or the wrist, comes below the workspace."""
-        kinematics, least = self._rig.kinematics, self._rig.workspace.z_lower - LOW_M
-        steps = int(np.max(np.abs(q_goal - q)) / CHECKED_RAD) + 2
+        kinematics = self._rig.kinematics
+        step = 0.05  # of the joints from one check to the next [rad]
+        low = 1e-3  # by which the tool point may come below the workspace [m]
+        least = self._rig.workspace.z_lower - low
+        steps = int(np.max(np.abs(q_goal - q)) / step) + 2
         for s in np.linspace(0.0, 1.0, steps):
             height, what = _lowest(kinematics, q + s * (q_goal - q))
             if height < least:
                 raise MoveRefused(
                     f"At {100.0 * s:.0f} % of the motion the {what} would be at a height of {height:.3f} m, below "
-                    f"z_lower_limit ({least + LOW_M:g} m)."
+                    f"z_lower_limit ({least + low:g} m)."
                 )
 
 

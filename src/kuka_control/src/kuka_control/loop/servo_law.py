@@ -20,17 +20,8 @@ WIDTH_RAD = 0.0525  # b: a distance of this size gives a step of 63 % of the rea
 STEP_RAD = 0.9 * REACH_RAD  # the greatest step that is requested: a goal is at most 1.5 b away from the arm [rad]
 NOISE_RAD = 2e-5  # below this step the inverse is linear: noise would make its infinite slope at zero oscillate [rad]
 EXTRAPOLATED_S = 0.02  # joints are extrapolated by at most this [s]
-ARM_S = 0.03  # mean delay between the speeds of goal and arm [s]; for drives with a time constant of 40 ms
 TURN_RAD = float(np.radians(0.5))  # how far joint 7 turns; the tool point stands on its axis and does not move
-RAMP_S = 0.06  # the goal goes out, and back, in this time [s]
-STRAIGHT_S = 0.12  # an arm that needs no longer than this from a half to an eighth goes straight for its goal [s]
-LTS_S = 0.25  # an arm that follows the LTS law needs longer than this [s]
-LTS_RATIO = (1.4, 3.0)
-"""Under the LTS law the time from a quarter to an eighth is twice that from a half to a quarter, whatever the drives.
-An arm that goes straight for its goal, however slowly, needs the same time for both, one at constant speed half."""
-STEP = 0.06  # largest step between two looks in that time, as a part of the turn: a larger one was not seen well
 PATIENCE_S = 2.0  # the motion out, and the one back, are given up after this time [s]
-ELSEWHERE_RAD = 0.25 * TURN_RAD  # if another joint moves further than this, something else moves the arm [rad]
 
 
 def lts(error: np.ndarray) -> np.ndarray:
@@ -68,7 +59,8 @@ class LtsGoals:
         if measured is not self._measured:
             self._measured, self._age = measured, 0.0
         self._age = min(self._age + max(dt, 0.0), EXTRAPOLATED_S)
-        part = min(max(dt, 0.0) / ARM_S, 1.0)
+        delay = 0.03  # mean one between the speeds of goal and arm, for drives with a time constant of 40 ms [s]
+        part = min(max(dt, 0.0) / delay, 1.0)
         self._speed = [before + (v - before) * part for before, v in zip(self._speed, speed.tolist())]
         goals = []
         for q, v, goal, (lower, upper) in zip(measured.tolist(), self._speed, wanted.tolist(), self._ranges):
@@ -148,11 +140,18 @@ class Approach:
     @property
     def law(self) -> str | None:
         """The law that it shows: "lts", "none", or None if it is unclear."""
-        if self.needed <= STRAIGHT_S:
+        straight = 0.12  # an arm that needs no longer than this from a half to an eighth goes straight for its goal [s]
+        slow = 0.25  # an arm that follows the LTS law needs longer than this [s]
+        well_seen = 0.06  # the largest step between two looks in that time, as a part of the turn
+        if self.needed <= straight:
             return "none"
-        first, second = self._times[1] - self._times[0], self._times[2] - self._times[1]
-        like_lts = LTS_RATIO[0] * first <= second <= LTS_RATIO[1] * first and self._step <= STEP
-        return "lts" if self.needed > LTS_S and like_lts else None
+        # Under the LTS law the time from a quarter to an eighth is twice that from a half to a quarter, whatever the
+        # drives. An arm that goes straight for its goal, however slowly, needs the same time for both, one at constant
+        # speed half.
+        first = self._times[1] - self._times[0]
+        second = self._times[2] - self._times[1]
+        like_lts = 1.4 * first <= second <= 3.0 * first and self._step <= well_seen
+        return "lts" if self.needed > slow and like_lts else None
 
 
 class ServoLawIdentification:
@@ -179,18 +178,20 @@ class ServoLawIdentification:
             self._stalled = True
         self._looked = now
         left = float(1.0 - (measured[6] - self.rest[6]) / self._turn)
-        self._disturbed |= bool(np.max(np.abs(measured - self.rest)[:6]) > ELSEWHERE_RAD)
+        elsewhere = 0.25 * TURN_RAD  # if another joint moves further than this, something else moves the arm [rad]
+        ramp = 0.06  # the goal goes out, and back, in this time [s]
+        self._disturbed |= bool(np.max(np.abs(measured - self.rest)[:6]) > elsewhere)
         if self._back_at is None:
             self._out.look(left, now)
             if self._out.done or now - self._began > PATIENCE_S:
                 self._back_at = now
                 self._way_back = max(1.0 - left, 1e-3)
-            return self._goal(min((now - self._began) / RAMP_S, 1.0)), None
+            return self._goal(min((now - self._began) / ramp, 1.0)), None
         back = now - self._back_at
         self._back.look((1.0 - left) / self._way_back, now)
-        if (back > 2.0 * RAMP_S and self._back.done) or back > PATIENCE_S:
+        if (back > 2.0 * ramp and self._back.done) or back > PATIENCE_S:
             return self.rest, self._result()
-        return self._goal(1.0 - min(back / RAMP_S, 1.0)), None
+        return self._goal(1.0 - min(back / ramp, 1.0)), None
 
     def _goal(self, part: float) -> np.ndarray:
         """Returns the goal after a part of the turn; it starts and stops smoothly."""

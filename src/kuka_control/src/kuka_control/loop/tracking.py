@@ -9,17 +9,22 @@ import numpy as np
 
 from kst import PtpApproach
 from kuka_control.loop.commands import Event
-from kuka_control.numbers import FAR_S, FASTER, HELD_AT_ENDS_S, HELD_AT_GOAL_S, HELD_S, LAST_GOALS_S, STILL_S, UNKNOWN_S
+from kuka_control.numbers import (
+    FAR_RAD,
+    FAR_S,
+    FASTER,
+    HELD_AT_ENDS_S,
+    HELD_AT_GOAL_S,
+    HELD_S,
+    LAST_GOALS_S,
+    STILL_S,
+    UNKNOWN_S,
+)
 
-FAR_RAD = float(np.radians(20.0))  # goal and joint are too far apart (full speed lags about half of it behind)
 AWAY_RAD = float(np.radians(0.5))  # distance between goal and measured joint that an arm in servo mode always works off
 STILL_RAD = float(np.radians(0.02))  # joints that moved less than this stand still
 SAMPLES = 10  # a verdict needs more measurements than this, so that a stall of the loop is not blamed on the arm
-CYCLE_S = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
-
-
 BELIEVED_RAD = float(np.radians(0.6))  # measured joints this near to where they can be are believed [rad]
-MOST_GOALS = 1000  # so many are remembered where no joints come
 
 
 class JointCheck:
@@ -32,7 +37,7 @@ class JointCheck:
 
     def __init__(self, joint_speeds: np.ndarray) -> None:
         self._speeds = FASTER * joint_speeds
-        self._goals: deque[tuple[float, np.ndarray]] = deque(maxlen=MOST_GOALS)
+        self._goals: deque[tuple[float, np.ndarray]] = deque(maxlen=1000)  # full where no joints come
         self._last: np.ndarray | None = None
 
     def stand(self, q: np.ndarray | None) -> None:
@@ -101,7 +106,8 @@ class TrackingMonitor:
         """Returns None while the arm follows, else what is wrong, as a part of a sentence. `measured` are the newest
         joints, the same object until newer ones come."""
         fresh, self._measured = measured is not self._measured, measured
-        passed, self._looked = min(now - self._looked, CYCLE_S), now
+        cycle = 0.03  # of a longer time between two looks this much counts: no goals were sent meanwhile [s]
+        passed, self._looked = min(now - self._looked, cycle), now
         joints = measured.tolist()
         errors = [abs(a - b) for a, b in zip(goal.tolist(), joints)]
         worst = max(errors)
@@ -124,11 +130,6 @@ class TrackingMonitor:
         if now - self._far_since > FAR_S and self._far_samples > SAMPLES:
             return f"joint {1 + errors.index(worst)} is {np.degrees(worst):.1f} deg behind its goal"
         return None
-
-
-AT_GOAL_RAD = float(np.radians(0.1))  # joints this near to the goal are there
-END_S = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
-SAMPLES_AT_END = 3  # a verdict needs more readings than this
 
 
 class PtpSupervision:
@@ -159,7 +160,9 @@ class PtpSupervision:
         self._ended = now if self._ended is None else self._ended
         self._readings += measured is not self._read
         self._read = measured
-        if now - self._ended < END_S or self._readings <= SAMPLES_AT_END:
+        longest = 0.3  # so long after the end of a motion newer joints may show that they are at the goal [s]
+        samples = 3  # a verdict needs more readings than this
+        if now - self._ended < longest or self._readings <= samples:
             return None
         k = int(np.argmax(np.abs(measured - self.q)))
         deg = np.degrees((measured[k], self.q[k]))
@@ -172,7 +175,8 @@ class PtpSupervision:
         approach = self._approach
         approach.observe(measured, now)
         allowed = HELD_S if approach.begun and approach.remaining > AWAY_RAD else HELD_AT_ENDS_S
-        if approach.remaining <= AT_GOAL_RAD:
+        there = math.radians(0.1)  # joints this near to the goal are there
+        if approach.remaining <= there:
             allowed = HELD_AT_GOAL_S
         before, self.held = self.held, approach.still > allowed and approach.samples > SAMPLES
         self.was_held |= self.held

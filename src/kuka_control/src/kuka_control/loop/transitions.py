@@ -28,6 +28,7 @@ class Trait(Enum):
     RESTS = "rests, and can begin to follow from here"
     FORGETS = "forgets the target"
     SCALES_HERE = "a new scaling factor counts from the present pose on"
+    LATCHES = "waits after a fault until control is switched off and on again"
 
 
 _IS = Trait
@@ -52,7 +53,7 @@ class State(Enum):
     LINE = Mode.MOVING, "{because} The tool moves along a straight line.", _IS.STREAMS, _IS.PROGRAM, _IS.FORGETS
     LINE_BRAKING = Mode.MOVING, "{because} The arm brakes.", _IS.STREAMS, _IS.BRAKES, _IS.PROGRAM
     AT_GOAL = Mode.HOLDING, "{because} The arm stays until the next motion, a hand, or control off.", _IS.RESTS
-    STOPPED = Mode.STOPPED, _STOPPED, _IS.FORGETS
+    STOPPED = Mode.STOPPED, _STOPPED, _IS.FORGETS, _IS.LATCHES
     ZERO = Mode.ZERO, _MOVES, _IS.MOVES, _IS.FORGETS
     ENDED = Mode.STOPPED, "{because}"
 
@@ -108,6 +109,19 @@ class Action(Enum):
     DECIDE = "what the next state decides, in the same cycle"
 
 
+class IfBlocked(Enum):
+    """What follows instead of a motion that a body is in the way of, and the trigger of that."""
+
+    STOPS = "the arm stops", Trigger.BLOCKED
+    EXITS = "the controller exits, and the arm stays", Trigger.EXIT_BLOCKED
+    WAITS = "the arm waits, and looks again", None
+    REFUSES = "the program's motion is refused", None
+
+    def __init__(self, text: str, trigger: Trigger | None) -> None:
+        self.text = text
+        self.trigger = trigger
+
+
 @dataclass(frozen=True)
 class Transition:
     """One row."""
@@ -117,11 +131,15 @@ class Transition:
     target: State
     action: Action
     because: str = ""  # goes into the reason of the target; {because} in it is that of the transition before
-    counted: str = ""  # the counter that counts it; besides, entering `stopped` is a fault
+    counted: str = ""  # the counter that counts it; besides, entering a state that latches is a fault
     at_rest: Trigger = Trigger.AT_REST  # of a transition to BRAKING: the trigger once the goals are at rest
+    if_blocked: IfBlocked = IfBlocked.STOPS  # of one that begins a motion
 
 
-_S, _T, _A = State, Trigger, Action
+_S = State
+_T = Trigger
+_A = Action
+_B = IfBlocked
 _TO_HOME = (_S.HOMING, _S.RETURNING)
 _TO_REST = (*_TO_HOME, _S.PICK_UP, _S.TO_GOAL)
 _AWAY = (_S.PICK_UP, _S.AT_POSE, _S.SERVO_LEFT)
@@ -142,7 +160,7 @@ _REFUSED = "The robot's controller refused the motion to {name}: {detail}."
 
 TRANSITIONS = (
     Transition((_S.STARTING,), _T.START, _S.HOMING, _A.PTP),
-    Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED), _T.EXIT, _S.ZERO, _A.PTP),
+    Transition((_S.STARTING, _S.HOME, _S.PICK_UP, _S.STOPPED), _T.EXIT, _S.ZERO, _A.PTP, if_blocked=_B.EXITS),
     # The servo law is identified once, at the first home position.
     Transition((_S.HOMING,), _T.ARRIVED_UNIDENTIFIED, _S.IDENTIFYING, _A.START_SERVO),
     Transition((_S.IDENTIFYING,), _T.LAW_IDENTIFIED, _S.IDENTIFIED, _A.STOP_SERVO),
@@ -151,7 +169,7 @@ TRANSITIONS = (
     Transition((_S.HOMING,), _T.ARRIVED, _S.HOME, _A.DECIDE),
     Transition((_S.RETURNING,), _T.ARRIVED, _S.HOME, _A.DECIDE, counted="returns"),
     # Following the desired tool frame.
-    Transition(_RESTS, _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}", "pickups"),
+    Transition(_RESTS, _T.FAR_TARGET, _S.PICK_UP, _A.PTP, "{because}", "pickups", if_blocked=_B.WAITS),
     Transition((_S.HOME, _S.SERVO_LEFT, _S.AT_GOAL), _T.NEAR_TARGET, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.SERVO, _A.START_SERVO),
     Transition((_S.PICK_UP,), _T.ARRIVED, _S.AT_POSE, _A.NONE),
@@ -168,8 +186,8 @@ TRANSITIONS = (
     Transition((_S.BRAKING,), _T.AT_REST, _S.SERVO_LEFT, _A.STOP_SERVO, "{because}"),
     Transition((_S.BRAKING,), _T.AT_REST_TO_RETURN, _S.RETURN_PENDING, _A.STOP_SERVO, "{because}"),
     # Motions for programs. A PTP motion ends at its goal; a straight line is a stream, which can stop.
-    Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM, "moves"),
-    Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM, "moves"),
+    Transition((_S.HOME, _S.AT_GOAL), _T.MOVE, _S.TO_GOAL, _A.PTP, _PROGRAM, "moves", if_blocked=_B.REFUSES),
+    Transition((_S.HOME, _S.AT_GOAL), _T.LINE, _S.LINE, _A.START_SERVO, _PROGRAM, "moves", if_blocked=_B.REFUSES),
     Transition((_S.TO_GOAL,), _T.ARRIVED, _S.AT_GOAL, _A.NONE, "The motion has ended."),
     Transition((_S.LINE,), _T.ARRIVED, _S.LINE_BRAKING, _A.DECIDE, "The line has ended."),
     Transition((_S.LINE,), _T.CANCELLED, _S.LINE_BRAKING, _A.DECIDE, "The program cancelled the line."),
@@ -183,7 +201,7 @@ TRANSITIONS = (
     Transition((*_AWAY, _S.AT_GOAL), _T.CONTROL_OFF, _S.RETURNING, _A.PTP, "Control is off."),
     Transition((*_AWAY, _S.AT_GOAL), _T.CONTROL_WAS_OFF, _S.RETURNING, _A.PTP, "Control was off."),
     Transition(_AWAY, _T.TIME_OUT, _S.RETURNING, _A.PTP, _SILENCE),
-    Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}"),
+    Transition(_LEFT, _T.EXIT, _S.ZERO, _A.PTP, "{because}", if_blocked=_B.EXITS),
     Transition((_S.ZERO,), _T.ARRIVED, _S.ENDED, _A.END, "The controller has ended as it was asked to."),
     # Faults. None of them starts a motion.
     Transition((_S.SERVO,), _T.INFEASIBLE, _S.BRAKING, _A.DECIDE, "{detail}"),

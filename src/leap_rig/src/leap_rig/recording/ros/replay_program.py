@@ -25,8 +25,8 @@ from common.robot_hand import HAND
 from common.ros.conversions import stamped_pose
 from common.ros.files import file_hash, read_yaml
 from common.ros.node import join, run_program
-from kuka_control.loop.moves import LEAST_PTP
 from kuka_control.model.rig import Rig
+from kuka_control.numbers import LEAST_PTP
 from kuka_control.ros.move_program import carry_out
 from kuka_control.ros.parameter_server import dh_deviations, guard_obstacles, master_of_this_graph, parameters
 from kuka_msgs.msg import MoveGoal
