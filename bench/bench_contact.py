@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.measure import Row, number
 from bench.simulated import SimulatedRig
-from kuka_control.loop.algorithms import ptp_torque_ranges
+from kuka_control.loop.assembly import ptp_torque_ranges
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.motions import leaves_torque_ranges
 from rig_simulation.devices.sunrise.paths import JointMove

@@ -11,7 +11,7 @@ from bench.measure import SRC, Goal, Row, row, timed
 from common.config import parse
 from common.poses import pose, read_only
 from kuka_control.limits.motion_limits import MotionLimits
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs, Servo
 from kuka_control.loop.controller import Controller
@@ -88,7 +88,7 @@ def rows(quick: bool) -> list[Row]:
     times, targets = timed(resolve, [(T,) for T in circle])
     table = [row("control: target chain", times, "us", f"scaling, workspace, IK; {settings}")]
 
-    times = _steps(algorithms.motion_limits(config, rig), rig, targets)
+    times = _steps(assembly.motion_limits(config, rig), rig, targets)
     table.append(row("control: motion limits", times, "us", settings))
     return table + _guard(config, rig, targets, settings) + _cycles(config, rig, circle, settings)
 
@@ -101,8 +101,8 @@ def _guard(config: RealTimeConfig, rig: Rig, targets: list, settings: str) -> li
     table = []
     for name, around in (("free", ()), ("at a wall", (wall,))):
         taken = []
-        for guard in (None, algorithms.collision_guard(config, replace(rig, obstacles=around))):
-            taken.append(_steps(algorithms.motion_limits(config, rig, guard), rig, targets))
+        for guard in (None, assembly.collision_guard(config, replace(rig, obstacles=around))):
+            taken.append(_steps(assembly.motion_limits(config, rig, guard), rig, targets))
         table.append(row(f"control: collision guard, {name}", taken[1] - taken[0], "us", settings, GUARD_US))
     return table
 
@@ -114,7 +114,7 @@ def _steps(limits: MotionLimits, rig: Rig, targets: list) -> np.ndarray:
 
 
 def _cycles(config: RealTimeConfig, rig: Rig, circle: list[np.ndarray], settings: str) -> list[Row]:
-    controller = Controller(IdealArm(rig.home.q), algorithms.real_time_loop(config, rig))
+    controller = Controller(IdealArm(rig.home.q), assembly.real_time_loop(config, rig))
     inputs = []
     for i in range(GOALS_PER_FRAME * len(circle)):
         now = 100.0 + i * GOAL_S

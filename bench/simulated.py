@@ -11,7 +11,7 @@ import yaml
 from bench.measure import SRC
 from common.config import parse
 from common.poses import read_only
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs, Servo
 from kuka_control.loop.controller import Controller
@@ -95,7 +95,7 @@ class SimulatedRig:
         self.joints = Joints(robot, ArmSettings(servo_law=server_law))
         self.joints.attach(self.rig.T_flange_tool)
         self.arm = SimulatedArm(self.joints)
-        self.loop = algorithms.real_time_loop(self.config, self.rig)
+        self.loop = assembly.real_time_loop(self.config, self.rig)
         self.controller = Controller(self.arm, self.loop)
         self.now = 100.0
         self.newest: DesiredFrame | None = None

@@ -17,7 +17,7 @@ import yaml
 
 from common.config import parse
 from common.poses import pose, read_only
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs
 from kuka_control.loop.controller import Controller
@@ -168,7 +168,7 @@ class World:
         self.mode = Mode.STARTING
         self.now = BEGIN_S
         self.fingers = np.zeros(4)
-        self._guard = algorithms.collision_guard(self.config, self.rig)
+        self._guard = assembly.collision_guard(self.config, self.rig)
         self._opening: Opening | None = None
         self._frames, self._switched = list(reversed(run.frames)), list(reversed(run.switched))
         self._cycles = 0
@@ -261,7 +261,7 @@ class PureChain:
         self._world = world
         self._arm = ArmTeleop(world.leap, world.placement, world.can_reach, world.measured_tool)
         self._hand, self._force_limit = HandTeleop(world.hand, False, world.leap.hand), ForceLimit(world.hand)
-        self._loop = algorithms.real_time_loop(world.config, world.rig)
+        self._loop = assembly.real_time_loop(world.config, world.rig)
         self._controller = Controller(world.arm, self._loop)
         self._newest: DesiredFrame | None = None
         self._engagements, self._without_hand = 0, False  # as DesiredTool counts them

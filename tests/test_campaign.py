@@ -14,7 +14,7 @@ from campaign.judge import FULL_SPEED, Evidence, Expected, Limits, judge
 from common import clock
 from common.poses import translation
 from golden.chain import parsed
-from kuka_control.loop.algorithms import motion_limits
+from kuka_control.loop.assembly import motion_limits
 from kuka_control.loop.goal_stream import GoalStream, GoalStreamSettings
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.rig import Rig

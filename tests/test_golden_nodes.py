@@ -24,7 +24,7 @@ import rospy
 from tf2_msgs.msg import TFMessage
 
 from common.ros.conversions import pose_from_transform
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.ros import controller_node
 from kuka_control.ros.controller_node import _Node
 from kuka_control.ros.state_publisher import GoalPublisher
@@ -112,7 +112,7 @@ class NodeChain:
         self.begin("kuka_real_time_node")
         world = self.world
         link = SimpleNamespace(arm=world.arm, goals=GoalPublisher(), close=lambda: None)
-        loop = algorithms.real_time_loop(world.config, world.rig)
+        loop = assembly.real_time_loop(world.config, world.rig)
         self.node = _Node(world.config, world.rig, link, lambda: loop, ONE_ARM)
         self.node.spin(None)
 

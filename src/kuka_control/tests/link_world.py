@@ -10,7 +10,7 @@ from loop_world import CLOCK, rig, shifted
 
 from common import clock
 from kst import KstClient, ReplyTimeout, ToolTransform
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import Inputs
 from kuka_control.loop.controller import Controller, ReconnectSupervisor
@@ -51,7 +51,7 @@ class Bench:
         self.sent, self.goals = [], []
         self.up.sent = self._note
         arm = KstArm(self.client, partial(wrench_at_tool, self.rig.kinematics), guarded=True)
-        self.make = partial(algorithms.real_time_loop, settings, self.rig)
+        self.make = partial(assembly.real_time_loop, settings, self.rig)
         self.loop = self.make()
         self.controller = Controller(arm, self.loop)
         self.mode = "starting"

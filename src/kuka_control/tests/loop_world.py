@@ -14,7 +14,7 @@ from common.poses import read_only
 from common.rotations import rotation_about
 from kst import MotionInterrupted, MotionRefused
 from kuka_control.limits.collision import NearestPair, PathCheck
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import End, Inputs
 from kuka_control.loop.controller import Controller
@@ -45,7 +45,7 @@ def rig(schema, lifted=False, **changes):
 @functools.lru_cache(maxsize=None)
 def planner(schema, **changes):
     settings, arm = rig(schema, **changes)
-    line = algorithms.line_limits(settings, arm) if schema is RealTimeConfig else None
+    line = assembly.line_limits(settings, arm) if schema is RealTimeConfig else None
     return MovePlanner(arm, {"aside": Q_ASIDE}, SLOW, FAST, line)
 
 
@@ -148,7 +148,7 @@ class World:
 
     def __init__(self, schema=RealTimeConfig, arm=None, **changes):
         settings, self.rig = rig(schema, **changes)
-        make = algorithms.real_time_loop if schema is RealTimeConfig else algorithms.ptp_loop
+        make = assembly.real_time_loop if schema is RealTimeConfig else assembly.ptp_loop
         self.arm = FakeArm() if arm is None else arm
         self.loop = make(settings, self.rig)
         self.loop.open_hand(FOLDED)

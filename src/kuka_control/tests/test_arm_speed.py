@@ -15,7 +15,7 @@ from common.poses import pose, translation
 from common.rotations import rotation_from_zyx
 from iiwa_kinematics import full_speed_time
 from kuka_control.limits.line_plan import MoveRefused, plan_line
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from kuka_control.model.robot_shape import Opening
@@ -53,7 +53,7 @@ def test_the_flange_carries_the_tool_the_finger_tips_and_what_is_held():
 def test_no_point_is_faster_in_the_stream_whatever_the_fingers_do(changes, seed):
     rng = np.random.default_rng(seed)
     config, found = arm(held=rng.random() < 0.3, **changes)
-    limits, lower, upper = algorithms.motion_limits(config, found), 0.9 * found.model.lower, 0.9 * found.model.upper
+    limits, lower, upper = assembly.motion_limits(config, found), 0.9 * found.model.lower, 0.9 * found.model.upper
     limits.reset(np.clip(found.home.q, lower, upper))
     for _ in range(3):
         carried = found.carried([None, FLAT, UP, FOLDED][rng.integers(4)])
@@ -86,7 +86,7 @@ def test_the_present_opening_of_the_hand_counts():
 def test_no_point_is_faster_on_a_line(seed):
     rng = np.random.default_rng(seed)
     config, found = arm(tcp_speed=float(rng.choice([0.2, 0.65])), held=rng.random() < 0.3)
-    limits = algorithms.line_limits(config, found)
+    limits = assembly.line_limits(config, found)
     T = shifted(*rng.uniform(-0.05, 0.05, 3))
     T = pose(T[:3, :3] @ rotation_from_zyx(*rng.uniform(-0.6, 0.6, 3)), T[:3, 3])
     try:

@@ -20,7 +20,7 @@ from common.errors import ConfigError
 from common.poses import inverse, pose
 from common.rotations import rotation_from_zyx
 from kuka_control.limits.collision import NOISE_M, CollisionGuard, _geometry, _transform
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.model.arms import WALL_M, filled, nearest_points, placement_faults, walls
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import workspace_of
@@ -189,7 +189,7 @@ def test_two_arms_whose_hands_reach_for_each_other_never_come_nearer(sides, left
     made, limits = guards(arms, opening), {}
     for name, guard in made.items():
         assume(guard.fault_at(HOME.q) is None)
-        limits[name] = algorithms.motion_limits(LIFTED, FREE, guard)
+        limits[name] = assembly.motion_limits(LIFTED, FREE, guard)
         limits[name].reset(HOME.q)
     ways = {"left": reaching(left, -1.0), "right": reaching(right, 1.0)}
     cycles = max(map(len, ways.values()))

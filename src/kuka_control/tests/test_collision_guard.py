@@ -20,7 +20,7 @@ from common.rotations import rotation_about, rotation_from_zyx
 from iiwa_kinematics import Kinematics
 from kuka_control.limits.collision import NOISE_M, CollisionGuard, _Posture
 from kuka_control.limits.moving_arm import GuardError
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.control_loop import CHECKED_AT_ONCE
 from kuka_control.loop.moves import MoveState
 from kuka_control.loop.transitions import State
@@ -86,7 +86,7 @@ def measured(q, *around, **options):
 def stream(around, q):
     """Motion limits with a guard, at rest at the joints q."""
     made = guard(*around)
-    limits = algorithms.motion_limits(CONFIG, RIG, made)
+    limits = assembly.motion_limits(CONFIG, RIG, made)
     limits.reset(q)
     return limits, made
 
@@ -629,7 +629,7 @@ def test_a_line_that_is_accepted_ends_where_a_stream_gets_to():
         check = made.check((joints(-0.02), HOME.q), True)
         check.go_on(10000)
         assert check.done and (check.fault is None) == free
-    limits = algorithms.motion_limits(CONFIG, RIG, made)
+    limits = assembly.motion_limits(CONFIG, RIG, made)
     limits.reset(joints(-0.02))
     for _ in range(200):
         limits.step(HOME.q, limits.goal, DT)

@@ -14,7 +14,7 @@ from common.config import parse
 from kuka_control.limits.motion_limits import ARM_S, LEAD_RAD, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import ShapeLimits
 from kuka_control.limits.speed_change import GuardedRoom
-from kuka_control.loop.algorithms import motion_limits
+from kuka_control.loop.assembly import motion_limits
 from kuka_control.loop.goal_stream import TOLERANCE_RAD, is_jump
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.rig import Rig

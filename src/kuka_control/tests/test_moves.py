@@ -15,7 +15,7 @@ from common.poses import pose
 from common.rotations import rotation_about, rotation_angle
 from kuka_control.limits import line_plan
 from kuka_control.limits.line_plan import MoveRefused, plan_line
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.commands import Servo
 from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MoveGoal, MoveState
@@ -71,8 +71,8 @@ def run(world, cancel_at=None):
 def drive(plan, stop_at=None, start=None):
     """Returns the goals along a line for an arm without lag, and how many came before `stop_at` [s]."""
     start = plan.q_start if start is None else start
-    limits = algorithms.motion_limits(CONFIGURATION, RIG)
-    loop = algorithms.real_time_loop(CONFIGURATION, RIG)
+    limits = assembly.motion_limits(CONFIGURATION, RIG)
+    loop = assembly.real_time_loop(CONFIGURATION, RIG)
     stream, now = LineStream(loop._settings.goals, limits, False, start, 0.0, plan), 0.0
     goals, on_line = [start] * 4, 4
     while not stream.arrived and (stop_at is None or now < stop_at):
@@ -160,8 +160,8 @@ def test_a_motion_that_is_too_low_only_on_its_way_is_refused():
 
 def test_in_a_gap_the_way_waits():
     plan = planned(shifted(0.0, 0.05, 0.05), straight=True).line
-    limits = algorithms.motion_limits(CONFIGURATION, RIG)
-    goals = algorithms.real_time_loop(CONFIGURATION, RIG)._settings.goals
+    limits = assembly.motion_limits(CONFIGURATION, RIG)
+    goals = assembly.real_time_loop(CONFIGURATION, RIG)._settings.goals
     stream, now = LineStream(goals, limits, False, plan.q_start, 0.0, plan), 0.0
     while stream.fraction < 0.3:
         now += DT
@@ -176,7 +176,7 @@ def test_in_a_gap_the_way_waits():
 def test_a_short_line_beside_a_singular_pose_is_refused_with_the_speed_that_a_joint_allows():
     """No joint jumps from pose to pose, but joint 5 at full speed moves the tool by 1.3 mm/s."""
     q = np.array([-1.77644, 1.02725, 1.19345, -1.86983, 1.73120, -0.00454, -2.12928])
-    limits = algorithms.line_limits(CONFIGURATION, RIG)
+    limits = assembly.line_limits(CONFIGURATION, RIG)
     T = RIG.kinematics.forward(q)
     with pytest.raises(MoveRefused, match="joint 5 allows the tool only 1.3 mm/s"):
         plan_line(limits, q, pose(T[:3, :3], T[:3, 3] + [-0.000895, 0.001009, 0.000633]), 0.1)
@@ -189,7 +189,7 @@ def test_joints_that_turn_so_abruptly_that_their_curve_leaves_the_line_are_refus
     T = RIG.kinematics.forward(q)
     with pytest.raises(MoveRefused, match="too abruptly"):
         plan_line(
-            algorithms.line_limits(CONFIGURATION, RIG),
+            assembly.line_limits(CONFIGURATION, RIG),
             q,
             pose(T[:3, :3], T[:3, 3] + [0.0017, -0.0052, 0.0007]),
             0.1,

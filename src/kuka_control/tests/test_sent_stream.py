@@ -14,7 +14,7 @@ from point_speeds import point_speeds
 
 from kuka_control.limits.motion_limits import MotionLimits
 from kuka_control.limits.moving_arm import ShapeLimits
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.robot_shape import Opening
 from kuka_control.numbers import GAP_S
@@ -23,13 +23,13 @@ CONFIG, RIG = rig(RealTimeConfig)
 PACE = RIG.model.max_speed / np.min(RIG.model.max_speed)
 SPEED = CONFIG.joint_speed * RIG.model.max_speed
 ACCELERATION, JERK = CONFIG.joint_acceleration * PACE, CONFIG.joint_jerk * PACE
-LOWER = RIG.model.lower + algorithms.RANGE_MARGIN_RAD
-UPPER = RIG.model.upper - algorithms.RANGE_MARGIN_RAD
+LOWER = RIG.model.lower + assembly.RANGE_MARGIN_RAD
+UPPER = RIG.model.upper - assembly.RANGE_MARGIN_RAD
 OUTSIDE_M = 2e-3  # how far the tool of a goal may be outside the workspace [m]
 
 
 def stream_limits(in_workspace):
-    limits = algorithms.motion_limits(CONFIG, RIG)
+    limits = assembly.motion_limits(CONFIG, RIG)
     if in_workspace:
         return limits
     room = replace(limits._room, workspace=None)

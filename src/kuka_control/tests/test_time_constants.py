@@ -14,7 +14,7 @@ from common import clock
 from common.errors import DeviceError
 from common.frames import ONE_ARM
 from kst import ConnectionLost, NoServer, ReplyTimeout
-from kuka_control.loop.algorithms import real_time_loop
+from kuka_control.loop.assembly import real_time_loop
 from kuka_control.loop.commands import End, Step, Wait
 from kuka_control.loop.controller import ReconnectSupervisor
 from kuka_control.loop.goal_stream import ServoStream, _cycle

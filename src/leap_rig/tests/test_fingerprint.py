@@ -10,7 +10,7 @@ import yaml
 from common.config import parse
 from common.poses import translation
 from kuka_control.limits.line_plan import plan_line
-from kuka_control.loop.algorithms import line_limits
+from kuka_control.loop.assembly import line_limits
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.rig import Rig
 from leap_rig.recording.fingerprint import (

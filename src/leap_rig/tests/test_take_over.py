@@ -15,7 +15,7 @@ import yaml
 from common.config import parse
 from common.poses import read_only
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import Arm, ArmState
 from kuka_control.loop.commands import Inputs
 from kuka_control.loop.controller import Controller
@@ -87,7 +87,7 @@ class Rig:
         self.teleop = ArmTeleop(leap, parse(ArmPlacement, known, "kuka/"))
         self.teleop.control(False)
         self.arm = StillArm()
-        self.controller = Controller(self.arm, algorithms.real_time_loop(config, self.rig))
+        self.controller = Controller(self.arm, assembly.real_time_loop(config, self.rig))
         self.scale = 1.0
         self.control_on = False
         self.now = 100.0

@@ -1,4 +1,4 @@
-"""The part that both control loops share: a state machine from the first motion home to the last motion to zero.
+"""The two control loops, real time and PTP: a state machine from the first motion home to the last motion to zero.
 
 A cycle looks at everything that came since the last one and answers with one command; it waits for nothing. A state's
 handler answers a command, or the trigger for the table in transitions.py. While a motion runs, desired tool frames are
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 
@@ -21,18 +21,33 @@ import numpy as np
 
 from common.limits import Limit
 from common.poses import read_only
+from iiwa_kinematics import Ball
+from kuka_control.limits.motion_limits import LimitedGoal, MotionLimits, Unlimited
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop.admission import StreamAdmission
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
+from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
+from kuka_control.loop.line_stream import LineStream
 from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
+from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
-from kuka_control.loop.transitions import Action, IfBlocked, State, Trait, Transition, Trigger, transitions_among
+from kuka_control.loop.transitions import (
+    PTP_STATES,
+    REAL_TIME_STATES,
+    Action,
+    IfBlocked,
+    State,
+    Trait,
+    Transition,
+    Trigger,
+    transitions_among,
+)
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
-from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, LINE_START_RAD
+from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, HOLD_HZ, LINE_START_RAD, TEST_MOTIONS
 
 if TYPE_CHECKING:
     from kuka_control.limits.collision import CollisionGuard, PathCheck
@@ -596,6 +611,190 @@ class ControlLoop(ABC, Generic[Settings]):
 
     def _report(self, level: str, sentence: str) -> None:
         self._events.append(Event(level, sentence))
+
+
+@dataclass(frozen=True)
+class RealTimeSettings(LoopSettings):
+    servo_law: str  # law of the robot's servo loop that the goals are to be made for, "auto", "lts" or "none"
+    goals: GoalStreamSettings  # the settings of the stream of goals
+    carried: Callable[[Opening | None], Iterable[Ball]]  # what the flange carries at an opening of the hand
+
+
+class RealTimeLoop(ControlLoop[RealTimeSettings]):
+    """Picks the desired tool frame up by a PTP motion, then follows it by servo goals. Before the first stream a
+    small motion at home identifies the servo law of the robot's controller. Goals that are meant for another law
+    would be wrong by far, so then the controller exits without having followed anything."""
+
+    STATES = REAL_TIME_STATES
+    PICK_UP = "the pick-up pose"
+    LEAST_RATE_HZ = HOLD_HZ
+
+    def __init__(self, settings: RealTimeSettings, chain: TargetChain, limits: MotionLimits | Unlimited) -> None:
+        super().__init__(settings, chain)
+        self._limits = limits
+        self._law: ServoLawVerdict | None = None
+        self._test_motions = 0
+        self._handlers.update(
+            {
+                State.IDENTIFYING: self._identifying,
+                State.IDENTIFIED: self._identified,
+                State.SERVO: self._servo,
+                State.BRAKING: self._braking,
+                State.SERVO_LEFT: self._at_rest,
+                State.RETURN_PENDING: self._return_pending,
+                State.LINE: self._line,
+                State.LINE_BRAKING: self._braking,
+            }
+        )
+
+    @property
+    def goal(self) -> np.ndarray:
+        """The joints where the stream is, shape (7,) [rad]; what is sent may differ for the servo law."""
+        return self._limits.goal
+
+    def open_hand(self, opening: Opening | None) -> None:
+        """As for all loops; the speed limits of the stream hold for the finger tips, too."""
+        if opening != self._opening:
+            self._limits.carry(self._settings.carried(opening))
+        super().open_hand(opening)
+
+    def _arrived(self, cycle: Cycle) -> Fired:
+        if self._active.state is State.HOMING and self._law is None and not self._exits(cycle):
+            return Fired(Trigger.ARRIVED_UNIDENTIFIED)
+        return super()._arrived(cycle)
+
+    def _identifying(self, cycle: Cycle) -> Outcome:
+        joints = cycle.observation.joints
+        if self._active.data is None:
+            self._active = replace(self._active, data=ServoLawIdentification(joints))
+        identification: ServoLawIdentification = self._active.data
+        goal, result = identification.step(joints, cycle.now)
+        if result is None:
+            return Servo(goal)
+        self._test_motions += 1
+        again = self._test_motions < TEST_MOTIONS and not self._exits(cycle)
+        if again and result.badly_seen and self._settings.servo_law == "auto":
+            self._active = replace(self._active, data=ServoLawIdentification(identification.rest))
+            return Servo(goal)
+        self._law = verdict(result, self._settings.servo_law)
+        if not self._law.refused:
+            self._report(self._law.level, self._law.sentence)
+        return Fired(Trigger.LAW_IDENTIFIED)
+
+    def _identified(self, cycle: Cycle) -> Outcome:
+        if self._law is not None and self._law.refused:
+            return Fired(Trigger.WRONG_LAW, self._law.sentence)
+        return Fired(Trigger.SERVO_ENDED)
+
+    def _return_pending(self, cycle: Cycle) -> Outcome:
+        return Fired(Trigger.EXIT if self._exits(cycle) else Trigger.SERVO_ENDED)
+
+    def _follow(self, distance: float) -> Outcome:
+        if distance <= TOLERANCE_RAD:
+            return Fired(Trigger.NEAR_TARGET)
+        return Fired(Trigger.FAR_TARGET)
+
+    def _servo(self, cycle: Cycle) -> Outcome:
+        leaves = self._leaves(cycle)
+        if leaves is not None:
+            return leaves
+        if self._admission.barred is not None:
+            return Fired(Trigger.CONFLICT, self._admission.barred)
+        joints = cycle.observation.joints
+        if self._active.data is None:
+            lts = self._law is not None and self._law.lts
+            stream = GoalStream(self._settings.goals, self._limits, lts, joints, cycle.now)
+            self._active = replace(self._active, data=stream)
+        goals: GoalStream = self._active.data
+        lag = goals.lag(joints, cycle.now)
+        if lag is not None:
+            return Fired(Trigger.LAG, lag)
+        stamp = None
+        if cycle.fresh is not None:
+            stall = goals.hear(cycle.fresh, cycle.now)
+            self._admission.hear_rate(goals.too_rare)
+            q = self._resolve(cycle.fresh, goals.q_target)
+            if self._infeasible is not None:
+                return Fired(Trigger.INFEASIBLE, self._infeasible)
+            too_far = goals.take(cycle.fresh, q, joints, cycle.now, stall)
+            if too_far is not None:
+                return Fired(too_far)
+            stamp = None if q is None else cycle.fresh.stamp
+        try:
+            return self._sent(goals.goal(joints, cycle.now), stamp)
+        except GuardError as error:
+            return Fired(Trigger.GUARD_FAILED, str(error))
+
+    def _line(self, cycle: Cycle) -> Outcome:
+        switched = self._switched(cycle)
+        if switched is not None:
+            return switched
+        if self._cancelled:
+            return Fired(Trigger.CANCELLED)
+        joints = cycle.observation.joints
+        if self._active.data is None:
+            assert self._move is not None and self._move.line is not None, "a line was asked for"
+            lts = self._law is not None and self._law.lts
+            stream = LineStream(self._settings.goals, self._limits, lts, joints, cycle.now, self._move.line)
+            self._active = replace(self._active, data=stream)
+        goals: LineStream = self._active.data
+        lag = goals.lag(joints, cycle.now)
+        if lag is not None:
+            return Fired(Trigger.LAG, lag)
+        if goals.arrived and float(np.max(np.abs(joints - goals.q_goal))) <= SETTLED_RAD:
+            return Fired(Trigger.ARRIVED)
+        blocked = goals.blocked(cycle.now)
+        if blocked is not None:
+            return Fired(Trigger.NO_PROGRESS, blocked)
+        try:
+            return self._sent(goals.goal(joints, cycle.now))
+        except GuardError as error:
+            return Fired(Trigger.GUARD_FAILED, str(error))
+
+    def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
+        """As for all motions; that of a line counts in the way of the tool."""
+        if move.line is None:
+            return super()._progress_at(move, joints)
+        fraction = self._active.data.fraction if isinstance(self._active.data, LineStream) else 0.0
+        return fraction, (1.0 - fraction) * move.line.length
+
+    def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
+        if goal.limited_by is not None:
+            self.counts["limited_goals"] += 1
+            self.counts["goal_gaps"] += goal.limited_by == Limit.LATE_GOAL
+            self._limited_by = (goal.limited_by,)
+        self.counts["goals_sent"] += 1
+        return Servo(goal.q, stamp, self.goal)
+
+    def _braking(self, cycle: Cycle) -> Outcome:
+        goals: ServoStream | None = self._active.data
+        if goals is not None and self._active.state is State.LINE_BRAKING:
+            lag = goals.lag(cycle.observation.joints, cycle.now)
+            if lag is not None:
+                return Fired(Trigger.LAG, lag)
+        goal = None if goals is None else goals.brake(cycle.observation.joints, cycle.now)
+        if goal is None:
+            return Fired(self._active.at_rest)
+        self.counts["goals_sent"] += 1
+        return Servo(goal.q, reached=self.goal)
+
+
+@dataclass(frozen=True)
+class PtpSettings(LoopSettings):
+    """Settings of the PTP loop besides; `joints_thresh`: smaller joint steps are not executed [rad]."""
+
+    joints_thresh: float
+
+
+class PtpLoop(ControlLoop[PtpSettings]):
+    """Every desired tool frame that is far enough away is one PTP motion."""
+
+    STATES = PTP_STATES
+    PICK_UP = "the desired pose"
+    NOT_COUNTED = frozenset({"pickups"})  # each motion goes to a desired pose
+
+    def _follow(self, distance: float) -> Outcome:
+        return Wait() if distance <= self._settings.joints_thresh else Fired(Trigger.FAR_TARGET)
 
 
 def _same(before: Sequence[np.ndarray], path: Sequence[np.ndarray]) -> bool:

@@ -224,7 +224,7 @@ TRANSITIONS = (
     Transition((_S.ZERO,), _T.CONTACT, _S.ENDED, _A.END, _CONTACT),
     Transition((*_TO_REST, _S.ZERO), _T.EXIT_WHILE_HELD, _S.ENDED, _A.END, _HELD),
 )
-"""All transitions of both algorithms."""
+"""All transitions of both control loops."""
 
 PTP_STATES = frozenset(_S) - {*_STREAMS, _S.IDENTIFYING, _S.IDENTIFIED, _S.SERVO_LEFT, _S.RETURN_PENDING}
 REAL_TIME_STATES = frozenset(_S) - {_S.AT_POSE}

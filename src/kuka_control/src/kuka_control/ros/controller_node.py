@@ -28,7 +28,7 @@ from common.ros.simulated_devices import SimulatedDevices
 from common.rotations import quaternion_from_rotation
 from common.simulated import WITHOUT_HARDWARE
 from kst import KstClient, KstError, NoServer, ReplyTimeout
-from kuka_control.loop import algorithms
+from kuka_control.loop import assembly
 from kuka_control.loop.arm import KstArm
 from kuka_control.loop.commands import End, Event, Inputs, Servo, Step
 from kuka_control.loop.control_loop import ControlLoop
@@ -131,11 +131,11 @@ def ends_soon() -> bool:
 
 
 def real_time_main() -> None:
-    _main("kuka_real_time_node", RealTimeConfig, algorithms.real_time_loop)
+    _main("kuka_real_time_node", RealTimeConfig, assembly.real_time_loop)
 
 
 def ptp_main() -> None:
-    _main("kuka_ptp_node", PtpConfig, algorithms.ptp_loop)
+    _main("kuka_ptp_node", PtpConfig, assembly.ptp_loop)
 
 
 def _main(name: str, schema: type[ControllerConfig], make_loop: Callable[[ControllerConfig, Rig], ControlLoop]) -> None:
@@ -218,7 +218,7 @@ class _Node:
         self._guard_view = GuardView(config, rig, self._for_guard_view, frames)
         self._step: Step | None = None
         named = read_yaml(Path(config.named_positions) if config.named_positions else shipped(NAMED_POSITIONS))
-        planner = algorithms.move_planner(config, rig, named_configurations(named, rig.model))
+        planner = assembly.move_planner(config, rig, named_configurations(named, rig.model))
         self._moves = MoveServer(planner, lambda: (self._step, self._link.arm.measured_joints), frames)
         self._services = Services(self._switches)
         master.watch.lost.append(lambda _: self._services.disengage())

@@ -19,7 +19,7 @@ from common.robot_hand import HAND
 from common.ros.conversions import message_from_pose
 from common.ros.node import repeat, while_running
 from kuka_control.limits.moving_arm import GuardError
-from kuka_control.loop.algorithms import collision_guard
+from kuka_control.loop.assembly import collision_guard
 from kuka_control.model.arms import SIDE
 from kuka_control.model.config import ControllerConfig
 from kuka_control.model.obstacles import ConvexBody
