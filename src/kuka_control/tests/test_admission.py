@@ -104,6 +104,7 @@ ROWS = {
     "a hand from before": ("hand 0.5, on, hand 3", BARRED, False),
     "it comes anew": ("hand 0.5, on, hand 0.5, pause 0.3, hand 1", GOES, True),
     "it comes anew too soon": ("hand 0.5, on, hand 0.5, pause 0.2, hand 1", BARRED, False),
+    "it pauses": ("hand 0.5, on, hand 0.5, pause 0.4", GOES, False),
     "a hand that went just before": ("hand 0.5, pause 0.25, on, hand 1", BARRED, False),
     "a hand that went before": ("hand 0.5, pause 0.4, on, hand 1", GOES, True),
     "a near node from before": ("node 0.5, on, node 0.9", TAKEN_OVER, False),
@@ -115,8 +116,8 @@ ROWS = {
     "a far node from before": ("far, node 0.5, on, node 3", TOO_FAR, False),
     "it comes nearer by itself": ("far, node 0.5, on, node 0.5, near, node 3", TOO_FAR, False),
     "it goes far after the announcement": ("node 0.5, on, node 0.5, far, node 3", TOO_FAR, False),
-    "it pauses shortly": ("far, node 0.5, on, node 0.5, pause 1.9, near, node 3", TOO_FAR, False),
-    "it pauses long": ("far, node 0.5, on, node 0.5, pause 2.1, near, node 0.5", GOES, True),
+    "a far one pauses shortly": ("far, node 0.5, on, node 0.5, pause 1.9, near, node 3", TOO_FAR, False),
+    "a far one pauses long": ("far, node 0.5, on, node 0.5, pause 2.1, near, node 0.5", GOES, True),
     "control goes on again": ("far, node 0.5, on, node 0.5, near, again, node 0.9", TAKEN_OVER, False),
     "a hand in an announced stream": ("node 0.5, on, node 0.5, hand 3", BARRED, False),
     # A conflict, and a program's motion.
@@ -139,6 +140,11 @@ ROWS = {
     "a hand during a program's motion": ("on, program, pause 0.1, hand 3", f"{BY_MOVE} {HAND_ANEW}", False),
     "it comes anew afterwards": ("on, program, pause 0.1, hand 1, pause 2, hand 1", GOES, True),
     "a node during a program's motion": ("on, program, pause 0.1, node 3", f"{BY_MOVE} {PAUSE_ANEW}", False),
+    "a lagging node during a program's motion": (
+        "node 0.5, pause 0.4, on, program, pause 0.1, node 4",
+        f"{BY_MOVE} {PAUSE_ANEW}",
+        False,
+    ),
     "a hand for a lagging node during the motion": (
         "node 0.5, pause 0.4, on, program, pause 0.1, node 1, hand 2",
         BARRED,
@@ -225,7 +231,7 @@ def test_what_keeps_an_arm_that_follows(row):
 @pytest.mark.parametrize("row", OUTLOOKS)
 def test_what_happens_once_control_is_switched_on(schema, row):
     story, sentence = OUTLOOKS[row]
-    outlook = Story(schema).at_home().play(story).loop.outlook
+    outlook = Story(schema).at_home().play(story).loop.when_enabled
     assert outlook is None if sentence is None else sentence in outlook
     if row == "rare frames":
         assert (RARE in outlook) == (schema is RealTimeConfig)

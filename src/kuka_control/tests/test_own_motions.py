@@ -275,7 +275,7 @@ def test_what_is_said_when_control_goes_on_is_what_happens(schema, foreign, tool
     world = World(schema).at_home()
     world.foreign, world.skew = foreign, skew
     stream(world, 1.0, tool, period)
-    outlook = world.loop.outlook
+    outlook = world.loop.when_enabled
     assert (outlook is None) == (tool is None)
     world.control_on = True
     stream(world, 2.0, tool, period)

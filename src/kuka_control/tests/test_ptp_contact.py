@@ -17,7 +17,7 @@ from kuka_control.loop.commands import End, StartPtp, Wait
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 from kuka_control.model.ptp_contact import torque_ranges, touched
-from kuka_control.model.switches import Stays
+from kuka_control.model.switches import ExitInPlace
 from rig_simulation.devices.sunrise.arm import ArmSettings, SimulatedArm
 from rig_simulation.devices.sunrise.paths import JointMove
 from rig_simulation.devices.sunrise.robot import Robot
@@ -141,10 +141,10 @@ def test_a_contact_is_latched_with_joint_and_torque_and_no_motion_follows(schema
     world.run(12.0, shifted(0.0, 0.05, 0.0))
     assert all(isinstance(step.command, Wait) for step in world.steps[before:])
     np.testing.assert_array_equal(world.arm.q, at)
-    assert world.loop.stays is Stays.TOUCHED
+    assert world.loop.exit_in_place is ExitInPlace.TOUCHED
     world.control_on = True
     world.until("home", 9.0)
-    assert world.loop.stopped_because is None and world.loop.stays is None
+    assert world.loop.stopped_because is None and world.loop.exit_in_place is None
 
 
 @both

@@ -24,6 +24,7 @@ from kuka_control.loop.transitions import (
     REAL_TIME_STATES,
     TRANSITIONS,
     Action,
+    IfBlocked,
     State,
     Trait,
     Trigger,
@@ -82,6 +83,7 @@ TRAITS = {
     Trait.RESTS: "HOME AT_POSE SERVO_LEFT AT_GOAL",
     Trait.FORGETS: "HOMING RETURNING TO_GOAL LINE STOPPED ZERO",
     Trait.SCALES_HERE: "PICK_UP AT_POSE SERVO BRAKING SERVO_LEFT",
+    Trait.LATCHES: "STOPPED",
 }
 
 
@@ -99,6 +101,22 @@ def test_after_the_arm_has_braked_it_goes_home_or_stays_only_for_what_asks_for_t
     assert {t for t, rest in after.items() if rest is Trigger.AT_REST_TO_STOP} == {
         *(Trigger.CONFLICT, Trigger.GUARD_FAILED)
     }
+
+
+def test_a_body_in_the_way_ends_the_controller_on_exit_stops_the_arm_and_keeps_it_from_what_it_need_not_do():
+    found = {}
+    for row in TRANSITIONS:
+        if row.action is Action.PTP or row.trigger is Trigger.LINE:
+            found.setdefault(row.if_blocked, set()).add(row.target.name)
+    assert found == {
+        IfBlocked.STOPS: {"HOMING", "RETURNING"},
+        IfBlocked.EXITS: {"ZERO"},
+        IfBlocked.WAITS: {"PICK_UP"},
+        IfBlocked.REFUSES: {"TO_GOAL", "LINE"},
+    }
+    for (source, _), row in transitions_among(frozenset(State)).items():
+        if row.action is Action.PTP and row.if_blocked.trigger is not None:
+            assert (source, row.if_blocked.trigger) in transitions_among(frozenset(State))
 
 
 def enable(world):

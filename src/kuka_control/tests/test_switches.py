@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kuka_control.model.switches import Stays, Switches
+from kuka_control.model.switches import ExitInPlace, Switches
 
 
 def switches(mode="home", stopped=None):
@@ -107,7 +107,7 @@ def test_a_controller_whose_control_is_held_says_that_it_leaves_the_arm():
 def test_while_the_joints_are_not_believed_control_stays_as_it_is_and_the_answers_say_so():
     s = switches()
     s.set_control(True)
-    s.report("stopped", "The measured joints are not believed.", None, Stays.IN_DOUBT)
+    s.report("stopped", "The measured joints are not believed.", None, ExitInPlace.IN_DOUBT)
     answer = s.set_control(True)
     assert not answer.success and answer.message.startswith("Control stays on: the arm does not move while")
     answer = s.set_control(False)
@@ -119,7 +119,7 @@ def test_while_the_joints_are_not_believed_control_stays_as_it_is_and_the_answer
     assert s.set_control(True).success and s.now.enable_count == 2
 
 
-@pytest.mark.parametrize("stays", list(Stays))
+@pytest.mark.parametrize("stays", list(ExitInPlace))
 def test_an_exit_that_leaves_the_arm_says_so_and_is_held_to_it(stays):
     s = switches()
     s.report("stopped", "It is stopped.", None, stays)
@@ -130,5 +130,5 @@ def test_an_exit_that_leaves_the_arm_says_so_and_is_held_to_it(stays):
 
 def test_after_a_contact_control_leads_home():
     s = switches("stopped")
-    s.report("stopped", "The arm touched something.", None, Stays.TOUCHED)
+    s.report("stopped", "The arm touched something.", None, ExitInPlace.TOUCHED)
     assert "home first" in s.set_control(True).message

@@ -132,7 +132,7 @@ def test_what_the_services_answer_in_doubt_holds_though_the_joints_become_right_
     world, switches = at_home(), Switches()
     world.arm.shift = 0.1
     world.run(2.0 * DT)
-    switches.report(world.mode, world.loop.stopped_because, world.loop.outlook, world.loop.stays)
+    switches.report(world.mode, world.loop.stopped_because, world.loop.when_enabled, world.loop.exit_in_place)
     answer = switches.set_control(True)
     assert not answer.success and "not believed" in answer.message and switches.now.enable_count == 0
     assert "leaves the arm where it is" in switches.request_exit().message

@@ -1,6 +1,9 @@
 """Whether the arm may go to the desired tool frame: the states of the stream that comes, and what keeps the arm from it
 otherwise. The control loop, the published reason and the answer of the switch ask the same object.
-docs/reference/control-loop.md is made from both tables. Times `now` are monotonic [s]."""
+docs/reference/control-loop.md is made from both tables. Times `now` are monotonic [s].
+
+A hand is followed only if its stream begins while control is on, so that the conditions under which a stream starts
+hold when the arm starts. A stream that no hand brings is taken over if it is near."""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from kuka_control.loop.transitions import State, Trait, Trigger
 from kuka_control.model.desired_frame import HAND_IN_AGAIN, DesiredFrame, DesiredStream, StreamUpdate, until_anew
 from kuka_control.numbers import ANNOUNCED_S, BLOCKED_S, FOREIGN_PAUSE_S, NEAR_M, NEAR_RAD
 
-BARRED = f"The desired tool frame moved before control was switched on and does not count: {HAND_IN_AGAIN}"
+_MOVED_BEFORE = f"The desired tool frame moved before control was switched on and does not count: {HAND_IN_AGAIN}"
 TAKEN_OVER = (
     f"The desired tool frame came before control was switched on; {ANNOUNCED_S:g} s after it is announced the arm "
     "goes there slowly and follows it."
@@ -31,11 +34,11 @@ OFF = "Control is off, so the desired tool frame is not followed."
 class Admission(Enum):
     """A state of the present stream of desired tool frames."""
 
-    COUNTS = "counts"
+    ADMITTED = "counts"
     RAN_BEFORE = "ran before control was switched on"
     ANNOUNCED = "ran before, and it is announced that the arm takes it over"
-    BARRED = "does not count"
-    BARRED_BEFORE = "ran before, and does not count for another reason"
+    REJECTED = "does not count"
+    REJECTED_BEFORE = "ran before, and does not count for another reason"
 
 
 class StreamEvent(Enum):
@@ -62,24 +65,23 @@ class AdmissionRow:
 
 
 _A, _E = Admission, StreamEvent
-_FRESH = (_A.COUNTS, _A.BARRED)
-_BEFORE = (_A.RAN_BEFORE, _A.ANNOUNCED, _A.BARRED_BEFORE)
-_MOVED = "The desired tool frame began to move while a program moved the arm. {anew}"
+_FRESH = (_A.ADMITTED, _A.REJECTED)
+_BEFORE = (_A.RAN_BEFORE, _A.ANNOUNCED, _A.REJECTED_BEFORE)
+_MOVED_MEANWHILE = "The desired tool frame began to move while a program moved the arm. {anew}"
 
 ADMISSIONS = (
-    AdmissionRow(tuple(_A), _E.BEGINS, _A.COUNTS),
-    # A hand is followed only if it comes in while control is on; what a node publishes, also before, if it is near.
+    AdmissionRow(tuple(_A), _E.BEGINS, _A.ADMITTED),
     AdmissionRow(tuple(_A), _E.SWITCHED_ON, _A.RAN_BEFORE),
-    AdmissionRow(_BEFORE, _E.HAND, _A.BARRED, BARRED),
-    AdmissionRow((_A.RAN_BEFORE, _A.ANNOUNCED), _E.FAR, _A.BARRED, "{detail}", "warn"),
+    AdmissionRow(_BEFORE, _E.HAND, _A.REJECTED, _MOVED_BEFORE),
+    AdmissionRow((_A.RAN_BEFORE, _A.ANNOUNCED), _E.FAR, _A.REJECTED, "{detail}", "warn"),
     AdmissionRow((_A.RAN_BEFORE,), _E.NEAR, _A.ANNOUNCED, TAKEN_OVER, "info"),
     AdmissionRow((_A.ANNOUNCED,), _E.PAUSES, _A.RAN_BEFORE),
-    AdmissionRow((_A.RAN_BEFORE, _A.ANNOUNCED), _E.FOLLOWED, _A.COUNTS),
+    AdmissionRow((_A.RAN_BEFORE, _A.ANNOUNCED), _E.FOLLOWED, _A.ADMITTED),
     # A stream that was in conflict, or ran during a program's motion, waits for another one.
-    AdmissionRow(_FRESH, _E.CONFLICT, _A.BARRED, "{detail} {anew}"),
-    AdmissionRow(_BEFORE, _E.CONFLICT, _A.BARRED_BEFORE, "{detail} {anew}"),
-    AdmissionRow(_FRESH, _E.PROGRAM, _A.BARRED, _MOVED),
-    AdmissionRow(_BEFORE, _E.PROGRAM, _A.BARRED_BEFORE, _MOVED),
+    AdmissionRow(_FRESH, _E.CONFLICT, _A.REJECTED, "{detail} {anew}"),
+    AdmissionRow(_BEFORE, _E.CONFLICT, _A.REJECTED_BEFORE, "{detail} {anew}"),
+    AdmissionRow(_FRESH, _E.PROGRAM, _A.REJECTED, _MOVED_MEANWHILE),
+    AdmissionRow(_BEFORE, _E.PROGRAM, _A.REJECTED_BEFORE, _MOVED_MEANWHILE),
 )
 """All transitions; a pair of state and event without a row changes nothing."""
 
@@ -106,7 +108,7 @@ class RefusalRow(NamedTuple):
 
 REFUSALS: tuple[RefusalRow, ...] = (
     RefusalRow("its frames are refused", Where.ANYWHERE, lambda a, now: a.stream.refusal(now)),
-    RefusalRow("it does not count", Where.ANYWHERE, lambda a, _: a.barred if a.stream.runs else None),
+    RefusalRow("it does not count", Where.ANYWHERE, lambda a, _: a.rejection if a.stream.runs else None),
     RefusalRow("it pauses", Where.IN_SERVO_MODE, lambda a, _: None if a.stream.runs else SILENT),
     RefusalRow("its frames come too rarely", Where.IN_SERVO_MODE, lambda a, _: a.rare),
     RefusalRow("its frames are farther apart than time_out", Where.AT_REST, lambda a, _: a.too_slow),
@@ -134,7 +136,7 @@ class StreamAdmission:
     Attributes:
         stream: the frames that come.
         state: of the stream.
-        outlook: what happens to the present frame once control is switched on, a sentence; None if none comes.
+        when_enabled: what happens to the present frame once control is switched on, a sentence; None if none comes.
         rare: that the frames in servo mode come too rarely, a sentence.
         blocked: that a body is in the way to the frame.
         waits: that the arm would repeat a motion.
@@ -150,8 +152,8 @@ class StreamAdmission:
         """Frames farther apart than `time_out` [s] or rarer than `least_rate` [Hz] are not followed. `away` returns
         how far a tool frame, shape (4, 4) [m], is from the tool at home: [m], [rad]; `report` logs a sentence."""
         self.stream: DesiredStream = DesiredStream()
-        self.state = Admission.COUNTS
-        self.outlook: str | None = None
+        self.state = Admission.ADMITTED
+        self.when_enabled: str | None = None
         self.rare: str | None = None
         self.blocked: Postponed = Postponed()
         self.waits: Postponed = Postponed()
@@ -188,7 +190,7 @@ class StreamAdmission:
         if fresh is not None and fresh.engagement not in (None, self._engagement):
             self._engagement = fresh.engagement
             self.own.forget()
-        self.outlook = self._outlook(fresh, now) if self.stream.runs and not switches.control_on else None
+        self.when_enabled = self._once_enabled(fresh, now) if self.stream.runs and not switches.control_on else None
         return update
 
     def program_moves(self, now: float) -> None:
@@ -222,9 +224,9 @@ class StreamAdmission:
         return waits is not None
 
     @property
-    def counts(self) -> bool:
+    def admitted(self) -> bool:
         """Whether frames come that the arm may go to, now or later."""
-        return self.stream.runs and self.barred is None
+        return self.stream.runs and self.rejection is None
 
     @property
     def ran_before(self) -> bool:
@@ -236,9 +238,9 @@ class StreamAdmission:
         if now < self.blocked.until or not self.stream.steady(self._time_out):
             return False
         if self.ran_before:
-            self._happens(*self._of_early(fresh, now))
+            self._happens(*self._judged(fresh, now))
         announced = self.state is Admission.ANNOUNCED and now - self._since >= ANNOUNCED_S
-        return announced or self.state is Admission.COUNTS
+        return announced or self.state is Admission.ADMITTED
 
     def refusal(self, control_on: bool, state: State, now: float) -> str | None:
         """Returns the first reason why incoming frames are not followed in a state of the loop, a sentence, or None."""
@@ -248,9 +250,9 @@ class StreamAdmission:
         return next(filter(None, sentences), None)
 
     @property
-    def barred(self) -> str | None:
+    def rejection(self) -> str | None:
         """Why the stream does not count, a sentence, or None."""
-        return self._sentence if self.state in (Admission.BARRED, Admission.BARRED_BEFORE) else None
+        return self._sentence if self.state in (Admission.REJECTED, Admission.REJECTED_BEFORE) else None
 
     @property
     def announced(self) -> str | None:
@@ -275,19 +277,19 @@ class StreamAdmission:
     def _said(self, row: AdmissionRow, detail: str) -> str:
         return row.sentence.format(detail=detail, anew=until_anew(self.stream.foreign))
 
-    def _of_early(self, fresh: DesiredFrame, now: float) -> tuple[StreamEvent, float, str]:
+    def _judged(self, fresh: DesiredFrame, now: float) -> tuple[StreamEvent, float, str]:
         """Returns what a frame of a stream is that ran before control was switched on."""
         if not fresh.foreign:
             return StreamEvent.HAND, now, ""
         far = too_far(*self._away(fresh.T_base_tool))
         return (StreamEvent.NEAR, now, "") if far is None else (StreamEvent.FAR, now, far)
 
-    def _outlook(self, fresh: DesiredFrame | None, now: float) -> str | None:
+    def _once_enabled(self, fresh: DesiredFrame | None, now: float) -> str | None:
         if fresh is None:
-            return self.stream.refusal(now) or self.outlook
+            return self.stream.refusal(now) or self.when_enabled
         if fresh.foreign and self.too_slow is not None:
             return self.too_slow
-        event, _, detail = self._of_early(fresh, now)
+        event, _, detail = self._judged(fresh, now)
         said = self._said(_TABLE[Admission.RAN_BEFORE, event], detail)
         rate = self.stream.rate
         if event is StreamEvent.NEAR and rate is not None and rate < self._least_rate:

@@ -5,9 +5,7 @@ handler answers a command, or the trigger for the table in transitions.py. While
 disregarded; afterwards only new ones count.
 
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
-was switched off and on again, with a motion home. A hand is followed only if its stream begins while control is on, so
-that the conditions under which a stream starts hold when the arm starts. A stream that no hand brings is taken over if
-it is near. No motion that nobody asked for is repeated at once (own_motions.py)."""
+was switched off and on again, with a motion home. Which desired tool frames count: admission.py."""
 
 from __future__ import annotations
 
@@ -44,7 +42,7 @@ from kuka_control.loop.transitions import (
 )
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import IN_DOUBT, Stays, SwitchState
+from kuka_control.model.switches import IN_DOUBT, ExitInPlace, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
 from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, HOLD_HZ, LINE_START_RAD, TEST_MOTIONS
@@ -57,8 +55,19 @@ Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [r
 HELD_BACK = "The arm is in servo mode."  # instead of that it follows
 
 COUNTED = (
-    *("goals_sent", "limited_goals", "goal_gaps", "workspace_clips", "ik_failures", "refused_frames"),
-    *("pickups", "returns", "ptp_motions", "moves", "jumps", "flips", "faults"),
+    "goals_sent",
+    "limited_goals",
+    "goal_gaps",
+    "workspace_clips",
+    "ik_failures",
+    "refused_frames",
+    "pickups",
+    "returns",
+    "ptp_motions",
+    "moves",
+    "jumps",
+    "flips",
+    "faults",
 )
 """The names of the counters; all are there from the start."""
 
@@ -126,7 +135,7 @@ Settings = TypeVar("Settings", bound=LoopSettings)
 
 
 class ControlLoop(ABC, Generic[Settings]):
-    """The shared part; a subclass says how a new target is followed.
+    """What both loops share; a subclass says how a new target is followed.
 
     Attributes:
         guard_scale: fraction of the desired velocity that the collision guard leaves, 0 to 1.
@@ -221,15 +230,15 @@ class ControlLoop(ABC, Generic[Settings]):
         )
 
     @property
-    def outlook(self) -> str | None:
+    def when_enabled(self) -> str | None:
         """What happens to the present desired tool frame once control is switched on; None if none comes."""
-        return self._admission.outlook
+        return self._admission.when_enabled
 
     @property
-    def stays(self) -> Stays | None:
+    def exit_in_place(self) -> ExitInPlace | None:
         """Why an exit leaves the arm where it is, None if it would go to zero first."""
         touched = self._active.state is State.STOPPED and self._active.trigger is Trigger.CONTACT
-        return Stays.IN_DOUBT if self._doubt is not None else Stays.TOUCHED if touched else None
+        return ExitInPlace.IN_DOUBT if self._doubt is not None else ExitInPlace.TOUCHED if touched else None
 
     def open_hand(self, opening: Opening | None) -> None:
         """Takes over the joints of the hand; None: not known. The collision guard reckons with any."""
@@ -436,7 +445,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._doubt = None
             self._report("info", "The measured joints are believed again.")
         if self._exits(cycle):
-            stays = self.stays or cycle.switches.exit_in_place
+            stays = self.exit_in_place or cycle.switches.exit_in_place
             where = None if stays is None else f"The arm stays where it is: {stays.value}."
             return Fired(Trigger.EXIT) if where is None else Fired(Trigger.EXIT_BLOCKED, where)
         again = cycle.switches.control_on and cycle.switches.enable_count != self._active.enable_count
@@ -446,7 +455,7 @@ class ControlLoop(ABC, Generic[Settings]):
         return Fired(Trigger.ENABLED_AGAIN) if again and self._doubt is None else Wait()
 
     def _toward_stream(self, cycle: Cycle) -> Outcome:
-        if not cycle.switches.control_on or not self._admission.counts:
+        if not cycle.switches.control_on or not self._admission.admitted:
             return Wait()
         if self._check is not None and self._target is not None and self._check[0][-1] is self._target.q:
             return Fired(Trigger.FAR_TARGET)  # the way to this one is being checked
@@ -698,8 +707,8 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         leaves = self._leaves(cycle)
         if leaves is not None:
             return leaves
-        if self._admission.barred is not None:
-            return Fired(Trigger.CONFLICT, self._admission.barred)
+        if self._admission.rejection is not None:
+            return Fired(Trigger.CONFLICT, self._admission.rejection)
         joints = cycle.observation.joints
         if self._active.data is None:
             lts = self._law is not None and self._law.lts

@@ -30,7 +30,7 @@ from kuka_control.loop.control_loop import ControlLoop
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.ptp_contact import touched
 from kuka_control.model.robot_shape import Opening
-from kuka_control.model.switches import Stays
+from kuka_control.model.switches import ExitInPlace
 from kuka_control.numbers import FIRST_PAUSE_S, LONGEST_PAUSE_S, MAX_MISSED, MISSING_S, NAMED_S, OFF_S
 
 BACK = (
@@ -86,14 +86,14 @@ class ReconnectSupervisor:
         return 1.0 if self._loop is None else self._loop.guard_scale
 
     @property
-    def outlook(self) -> str | None:
-        """As `ControlLoop.outlook`."""
-        return None if self._loop is None else self._loop.outlook
+    def when_enabled(self) -> str | None:
+        """As `ControlLoop.when_enabled`."""
+        return None if self._loop is None else self._loop.when_enabled
 
     @property
-    def stays(self) -> Stays | None:
-        """As `ControlLoop.stays`."""
-        return None if self._loop is None else self._loop.stays
+    def exit_in_place(self) -> ExitInPlace | None:
+        """As `ControlLoop.exit_in_place`."""
+        return None if self._loop is None else self._loop.exit_in_place
 
     @property
     def stopped_because(self) -> str | None:

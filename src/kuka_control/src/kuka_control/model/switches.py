@@ -22,7 +22,7 @@ def check_scaling_factor(factor: float) -> float:
     return float(factor)
 
 
-class Stays(Enum):
+class ExitInPlace(Enum):
     """Why an arm that a fault has stopped stays where it is when the controller exits, a part of a sentence."""
 
     IN_DOUBT = "its measured joints are not believed"
@@ -38,7 +38,7 @@ class SwitchState:
     gripper_on: bool = False
     scale: float = SCALING_DEFAULT
     exit_requested: bool = False
-    exit_in_place: Stays | None = None  # why the exit was said to leave the arm where it is
+    exit_in_place: ExitInPlace | None = None  # why the exit was said to leave the arm where it is
     payload: float = 0.0  # of what the hand holds [kg]
 
 
@@ -56,8 +56,8 @@ class Switches:
         self._now = SwitchState()
         self._mode = Mode.STARTING
         self._stopped_because: str | None = None
-        self._outlook: str | None = None
-        self._stays: Stays | None = None
+        self._when_enabled: str | None = None
+        self._exit_in_place: ExitInPlace | None = None
         self._held_by: str | None = None
 
     @property
@@ -66,11 +66,18 @@ class Switches:
         return self._now
 
     def report(
-        self, mode: Mode, stopped_because: str | None, outlook: str | None = None, stays: Stays | None = None
+        self,
+        mode: Mode,
+        stopped_because: str | None,
+        when_enabled: str | None = None,
+        exit_in_place: ExitInPlace | None = None,
     ) -> None:
-        """Takes the state of the controller, which the replies quote; `outlook`: what happens to the present
-        desired tool frame once control is switched on; `stays`: why an exit leaves the arm where it is."""
-        self._mode, self._stopped_because, self._outlook, self._stays = mode, stopped_because, outlook, stays
+        """Takes the state of the controller, which the replies quote; `when_enabled`: what happens to the present
+        desired tool frame once control is switched on; `exit_in_place`: why an exit leaves the arm where it is."""
+        self._mode = mode
+        self._stopped_because = stopped_because
+        self._when_enabled = when_enabled
+        self._exit_in_place = exit_in_place
 
     def hold(self, why: str) -> None:
         """Switches control off, and keeps it off until `release`; `why` is part of a sentence."""
@@ -86,10 +93,11 @@ class Switches:
             return SwitchReply(False, "Control stays off: the controller is shutting down.")
         if on and self._held_by is not None:
             return SwitchReply(False, f"Control stays off: {self._held_by}.")
-        doubted = self._stays is Stays.IN_DOUBT
+        doubted = self._exit_in_place is ExitInPlace.IN_DOUBT
         if on and doubted:
             return SwitchReply(False, f"Control stays {'on' if self.now.control_on else 'off'}: {IN_DOUBT}")
-        stopped, before = self._stopped_because, self.now.control_on
+        stopped = self._stopped_because
+        before = self.now.control_on
         enable_count = self.now.enable_count + (on and not before)
         self._now = replace(self.now, control_on=on, enable_count=enable_count)
         if on and before and stopped:
@@ -102,7 +110,7 @@ class Switches:
             return SwitchReply(True, f"Control is off, the arm {where}.")
         first = "" if self._mode == Mode.HOME else " The arm goes home first."
         follows = "The arm follows the desired tool frame once it comes."
-        return SwitchReply(True, f"Control is on.{first} {self._outlook or follows}")
+        return SwitchReply(True, f"Control is on.{first} {self._when_enabled or follows}")
 
     def set_gripper(self, on: bool) -> SwitchReply:
         if on and self.now.exit_requested:
@@ -132,9 +140,11 @@ class Switches:
         if self.now.exit_requested:
             return SwitchReply(True, "The controller is shutting down already.")
         off = replace(self.now, control_on=False, gripper_on=False)
-        self._now = replace(off, exit_requested=True, exit_in_place=self._stays)
+        self._now = replace(off, exit_requested=True, exit_in_place=self._exit_in_place)
         if self._held_by is not None:
             return SwitchReply(True, f"The controller exits and leaves the arm as it is: {self._held_by}.")
-        if self._stays is not None:
-            return SwitchReply(True, f"The controller exits and leaves the arm where it is: {self._stays.value}.")
+        if self._exit_in_place is not None:
+            return SwitchReply(
+                True, f"The controller exits and leaves the arm where it is: {self._exit_in_place.value}."
+            )
         return SwitchReply(True, "The arm goes to the zero position, then the controller exits.")

@@ -340,7 +340,7 @@ class _Node:
     def _show(self, step: Step) -> None:
         self._step = step
         self._moves.show(step, self._link.arm.measured_joints)
-        self._switches.report(step.mode, self._loop.stopped_because, self._loop.outlook, self._loop.stays)
+        self._switches.report(step.mode, self._loop.stopped_because, self._loop.when_enabled, self._loop.exit_in_place)
         arm, controller = self._link.arm, self._controller
         self._state.show(
             Snapshot(arm.state, step, self._switches.now, controller.moving, controller.in_servo, arm.round_trip)
