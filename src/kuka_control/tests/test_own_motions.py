@@ -149,6 +149,19 @@ def test_a_repetition_waits_and_says_how_long_and_control_off_and_on_ends_that(s
     assert reached(world, NEAR)
 
 
+@pytest.mark.parametrize("foreign", [False, True])
+def test_with_ptp_motions_each_pose_of_a_stream_is_asked_for_and_counts_as_no_repetition(foreign):
+    world = World(PtpConfig).at_home()
+    world.control_on = True
+    world.foreign = foreign
+    for tool in (NEAR, shifted(0.0, 0.1, 0.0), NEAR):
+        stream(world, 1.5, tool)
+        assert reached(world, tool)
+    world.run(2.5)
+    stream(world, 1.5, NEAR)
+    assert reached(world, NEAR) == (not foreign), "the return home is the first one, a hand has one repetition free"
+
+
 @both
 def test_each_hand_that_comes_in_is_followed_at_once_and_one_whose_link_is_interrupted_is_not(schema):
     world = World(schema).at_home()
