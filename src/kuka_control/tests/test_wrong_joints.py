@@ -86,6 +86,22 @@ def test_an_arm_that_stands_in_servo_mode_stays(law, offset):
     assert re.search(r"joint \d is at -?\d+\.\d\d deg", world.loop.stopped_because)
 
 
+def test_joints_are_compared_with_where_the_arm_is_to_come_not_with_goals_beyond_it(monkeypatch):
+    world = following("lts")
+    monkeypatch.setattr(world.loop._joints, "follow", lambda q, _: compared.append(q))
+    for braking in (False, True):
+        compared: list = []
+        world.arm.goals.clear()
+        world.control_on = not braking
+        beyond = 0.0
+        for i in range(20 if braking else 250):
+            world.run(DT, None if braking else circle(i * DT))
+            if compared and world.arm.mode == "servo":
+                np.testing.assert_array_equal(compared[-1], world.loop.goal)
+                beyond = max(beyond, float(np.max(np.abs(world.arm.goals[-1] - compared[-1]))))
+        assert beyond > 0.005
+
+
 @offsets
 @laws
 def test_an_arm_that_moves_stops_without_a_jump(law, offset):
