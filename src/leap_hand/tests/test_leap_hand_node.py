@@ -231,6 +231,17 @@ SOURCES = ("limits", "overrides", "operator")
 """The files of leap_hand.launch; each stands above those before it."""
 
 
+def test_a_hand_whose_state_never_comes_is_complained_of(ros, driver, tracker):
+    rospy.set_param("leap_hand", LIMITS)
+    driver.fall_silent()
+    tracker.show(make_hand(20.0))
+    process = ros.run("leap_hand", "leap_hand_node.py")
+    words = "Force limit: no state of the robot hand came yet: no finger closes."
+    ros.wait_until(lambda: words in process.log_path.read_text(), 40.0, "the complaint")
+    ros.wait_until(lambda: len(driver.commands) > 20, 10.0, "commands")
+    assert is_near(driver, np.zeros(4))
+
+
 @pytest.mark.parametrize("simulated", SOURCES)
 def test_a_real_robot_hand_refuses_a_simulated_mapping_whichever_file_says_so(ros, driver, tmp_path, simulated):
     files = {name: tmp_path / f"{name}.yaml" for name in SOURCES}
