@@ -6,6 +6,7 @@ from __future__ import annotations
 import pytest
 from loop_world import DT, World, at_rate, block, shifted
 
+from kuka_control.limits.collision import PathCheck
 from kuka_control.model.config import PtpConfig, RealTimeConfig
 
 NEAR = shifted(0.05, 0.0, 0.05)
@@ -55,7 +56,7 @@ class Story(World):
         self.control_on = False
 
     def do_again(self):
-        """Control goes off and on."""
+        """Control is switched off and on."""
         self.control_on = False
         self.run(DT)
         self.control_on = True
@@ -109,8 +110,8 @@ ROWS = {
     "a hand that went before": ("hand 0.5, pause 0.4, on, hand 1", GOES, True),
     "a near node from before": ("node 0.5, on, node 0.9", TAKEN_OVER, False),
     "it is taken over": ("node 0.5, on, node 2", GOES, True),
-    "it lags when control goes on": ("node 0.5, pause 1.9, on, node 0.9", TAKEN_OVER, False),
-    "it was away when control went on": ("node 0.5, pause 2.1, on, node 0.5", GOES, True),
+    "it lags when control is switched on": ("node 0.5, pause 1.9, on, node 0.9", TAKEN_OVER, False),
+    "it was away when control was switched on": ("node 0.5, pause 2.1, on, node 0.5", GOES, True),
     "it pauses after the announcement": ("node 0.5, on, node 0.9, pause 0.4, node 0.9", TAKEN_OVER, False),
     "nothing is announced in a pause": ("node 0.5, on, node 0.5, pause 0.4", GOES, False),
     "a far node from before": ("far, node 0.5, on, node 3", TOO_FAR, False),
@@ -118,14 +119,14 @@ ROWS = {
     "it goes far after the announcement": ("node 0.5, on, node 0.5, far, node 3", TOO_FAR, False),
     "a far one pauses shortly": ("far, node 0.5, on, node 0.5, pause 1.9, near, node 3", TOO_FAR, False),
     "a far one pauses long": ("far, node 0.5, on, node 0.5, pause 2.1, near, node 0.5", GOES, True),
-    "control goes on again": ("far, node 0.5, on, node 0.5, near, again, node 0.9", TAKEN_OVER, False),
+    "control is switched on again": ("far, node 0.5, on, node 0.5, near, again, node 0.9", TAKEN_OVER, False),
     "a hand in an announced stream": ("node 0.5, on, node 0.5, hand 3", BARRED, False),
     # A conflict, and a program's motion.
     "two publishers": ("on, conflict, hand 1, peace, hand 1", f"{BOTH_PUBLISH} {HAND_ANEW}", False),
     "two foreign publishers": ("on, conflict, node 1, peace, node 1", f"{BOTH_PUBLISH} {PAUSE_ANEW}", False),
     "two publishers are shown as such": ("on, conflict, hand 0.3", BOTH_PUBLISH, False),
     "two publishers, then a new hand": ("on, conflict, hand 1, peace, pause 0.4, hand 1", GOES, True),
-    "two publishers before control goes on": ("conflict, hand 0.5, on, hand 0.5, peace, hand 1", BARRED, False),
+    "two publishers before control is switched on": ("conflict, hand 0.5, on, hand 0.5, peace, hand 1", BARRED, False),
     "two publishers of an announced stream": (
         "node 0.5, on, node 0.5, conflict, node 0.5, peace, node 3",
         f"{BOTH_PUBLISH} {PAUSE_ANEW}",
@@ -136,7 +137,11 @@ ROWS = {
         f"{BOTH_PUBLISH} {HAND_ANEW}",
         False,
     ),
-    "control goes on after two publishers": ("on, conflict, hand 0.5, peace, hand 0.5, again, hand 1", BARRED, False),
+    "control is switched on after two publishers": (
+        "on, conflict, hand 0.5, peace, hand 0.5, again, hand 1",
+        BARRED,
+        False,
+    ),
     "a hand during a program's motion": ("on, program, pause 0.1, hand 3", f"{BY_MOVE} {HAND_ANEW}", False),
     "it comes anew afterwards": ("on, program, pause 0.1, hand 1, pause 2, hand 1", GOES, True),
     "a node during a program's motion": ("on, program, pause 0.1, node 3", f"{BY_MOVE} {PAUSE_ANEW}", False),
@@ -235,3 +240,21 @@ def test_what_happens_once_control_is_switched_on(schema, row):
     assert outlook is None if sentence is None else sentence in outlook
     if row == "rare frames":
         assert (RARE in outlook) == (schema is RealTimeConfig)
+
+
+@pytest.mark.parametrize("schema", [RealTimeConfig, PtpConfig])
+@pytest.mark.parametrize("begins", ["hand", "node", "announced"])
+def test_a_way_that_is_checked_meanwhile_starts_no_motion_once_control_was_off(schema, begins):
+    world = Story(schema, collision_guard=True).at_home()
+    checks = []
+    guard = world.loop._settings.guard
+    guard.check = lambda *_: checks.append(PathCheck(iter([None] * 1000))) or checks[-1]
+    world.play("node 0.5, on" if begins == "announced" else "on")
+    world.foreign = begins != "hand"
+    while not checks:
+        world.run(DT, NEAR)
+    assert not checks[0].done
+    world.control_on = False
+    world.control_on = True  # between two cycles; no frame comes before the check would be over
+    world.run(0.1)
+    assert world.mode == "home" and not world.arm.commands

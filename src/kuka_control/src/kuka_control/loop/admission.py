@@ -229,6 +229,11 @@ class StreamAdmission:
         return self.stream.runs and self.rejection is None
 
     @property
+    def decided(self) -> bool:
+        """Whether a motion to the stream that was to begin still may. It may not once control was off meanwhile."""
+        return self.state in (Admission.ADMITTED, Admission.ANNOUNCED)
+
+    @property
     def ran_before(self) -> bool:
         """Whether the arm goes to a stream that counts slowly."""
         return self.state in (Admission.RAN_BEFORE, Admission.ANNOUNCED)

@@ -457,7 +457,8 @@ class ControlLoop(ABC, Generic[Settings]):
     def _toward_stream(self, cycle: Cycle) -> Outcome:
         if not cycle.switches.control_on or not self._admission.admitted:
             return Wait()
-        if self._check is not None and self._target is not None and self._check[0][-1] is self._target.q:
+        checks = self._check is not None and self._target is not None and self._check[0][-1] is self._target.q
+        if checks and self._admission.decided:
             return Fired(Trigger.FAR_TARGET)  # the way to this one is being checked
         if cycle.fresh is None or not self._admission.admits(cycle.fresh, cycle.now):
             return Wait()
