@@ -73,8 +73,8 @@ class DelayMeter:
 
 def hand_delay(palm: Track, tool: Track) -> HandDelay | None:
     """Returns the delay of the tool behind the palm, or None where too little moved to tell."""
-    window_s = 4.0  # length of a window, and time between the beginnings of two
-    step_s = 1.0
+    window_s = 4.0  # length of a window
+    step_s = 1.0  # between the beginnings of two windows
     fewest_windows = 3
     palms, tools = np.array(list(palm.samples)), np.array(list(tool.samples))
     if min(len(palms), len(tools)) < 2:

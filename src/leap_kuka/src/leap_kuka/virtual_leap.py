@@ -11,7 +11,7 @@ start.
 
 During a stream the angles are continuous, the nearest to those of the frame before, so a palm that turns past 180 deg
 stays at its limit; within UPRIGHT the one triple of the orientation counts. Near a pitch of 90 deg, where yaw and roll
-are noise, they stay (STANDS, SURE). The tool never turns by more than MAX_GAIN times the turn of the hand."""
+are noise, they stay. The tool never turns by more than 3 times the turn of the hand."""
 
 from __future__ import annotations
 

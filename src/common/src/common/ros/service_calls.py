@@ -182,7 +182,7 @@ class _Transport(TCPROSTransport):
 
 def ask_master(method: str, *arguments):
     """Returns the value of a method of the ROS master's interface, None if the master has none; raises MasterLost if it
-    does not answer within `MASTER_TIMEOUT_S`."""
+    does not answer within 2 s."""
     uri = rosgraph.get_master_uri()
     try:
         master = xmlrpc.client.ServerProxy(uri, transport=_HttpWithTimeout())

@@ -57,7 +57,7 @@ def heat_map(result: PipelineResult, refused: set[int], reason: str) -> np.ndarr
 
 def grey(depth: np.ndarray) -> np.ndarray:
     """Returns a depth image, shape (h, w) [m], with a reading, in grey, uint8: nearest white, not finite black."""
-    dark = 60  # grey of what is farthest away, and of all that is farther than FAR times the image's median depth
+    dark = 60  # grey of what is farthest away, and of all that is farther than `far` times the image's median depth
     far = 1.3
     known = np.isfinite(depth)
     low, high = float(depth[known].min()), min(float(depth[known].max()), far * float(np.median(depth[known])))

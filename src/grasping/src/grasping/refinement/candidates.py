@@ -104,17 +104,17 @@ def candidates(maps: Maps, certainty: np.ndarray, image: NetworkImage, camera: C
 
 
 def _turned(peak: Peak, turn: float) -> Peak:
-    other_quality = 0.8  # of these candidates, by that of GGCNN's line
+    other_quality = 0.8  # of the candidates on other lines, as a fraction of that on GGCNN's line
     angle = (peak.angle + turn + 0.5 * np.pi) % np.pi - 0.5 * np.pi
     return peak._replace(angle=angle, quality=other_quality * peak.quality)
 
 
 def covering(maps: Maps) -> list[Peak]:
-    """Returns the best peak and pixels of no better quality, best first, `SPACING` rows or columns apart."""
+    """Returns the best peak and pixels of no better quality, best first, 4 rows or columns apart."""
     spacing = 4  # between two candidates, rows or columns [px of the network's image]
     most = 96  # candidates in an image
-    least_quality = 0.1  # of a candidate, smoothed, and as a fraction of the best one's
-    least_of_best = 0.3
+    least_quality = 0.1  # of a candidate, smoothed
+    least_of_best = 0.3  # the same as a fraction of the best one's
     border = 20  # rows and columns at the image's border without candidates, as those without peaks
     best = peaks(maps, 1, border, least_quality)
     if not best:

@@ -96,7 +96,7 @@ def softmax(values: np.ndarray) -> np.ndarray:
 
 def learned(choices: Sequence[Choice]) -> Taste:
     """Returns the taste that explains an operator's grasps best; none: that of nobody."""
-    rounds = 6  # of expectation and maximisation; Newton's of a maximisation, at most
+    rounds = 6  # of expectation and maximisation
     taste = nobody()
     choices = [c for c in choices if len(c.candidates.peaks)]
     if not choices:
@@ -176,7 +176,7 @@ def maximised(
     weights: np.ndarray, seen: Sequence[np.ndarray], offsets: Sequence[np.ndarray], meant: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Returns the weights of the highest posterior: Newton's method, which the concave function lets converge."""
-    steps = 25  # of expectation and maximisation; Newton's of a maximisation, at most
+    steps = 25  # Newton's of a maximisation, at most
     close = 1e-6
     value, gradient, hessian = log_posterior(weights, seen, offsets, meant)
     for _ in range(steps):

@@ -158,8 +158,8 @@ class ExecutionDisplay:
 
 def _ghost(grasp: Grasp, goal: ToolGoal, text: str) -> list[Marker]:
     """Returns fingers and palm around the grasp, an arrow down to it, and what happens."""
-    finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z; the palm along y and z
-    palm_m = (0.08, 0.02)
+    finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z
+    palm_m = (0.08, 0.02)  # the palm along y and z
     arrow_m = 0.008
     text_m = 0.025
     half, up = 0.5 * (grasp.width + finger_m[0]), 0.5 * finger_m[2]

@@ -249,8 +249,8 @@ def _keep_memory() -> None:
     """Keeps freed memory: else it goes back to the system after each layer of a network, and each page that comes anew
     is a fault.
     """
-    kept_bytes = 2**26  # that stay with the process when they are free; of an array among them
-    largest_bytes = 2**25
+    kept_bytes = 2**26  # that stay with the process when they are free
+    largest_bytes = 2**25  # of an array among them
     libc = ctypes.CDLL(None)
     libc.mallopt(M_TRIM_THRESHOLD, kept_bytes)
     libc.mallopt(M_MMAP_THRESHOLD, largest_bytes)

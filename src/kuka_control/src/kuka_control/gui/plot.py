@@ -45,7 +45,7 @@ ACTED = {
 
 TRIAD_M = 0.13  # length of the axes of a frame [m]
 SIDE_RAD = np.radians(62.0)  # from center_line to where the scene is looked at from, seen from above
-FRONT = 10  # what lies in front: matplotlib cannot tell for objects that pass through each other
+FRONT = 10  # order of the arm: matplotlib cannot tell for objects that pass through each other
 SIZE_INCH = (18.0, 10.0)
 TEXT_PT = 10.5
 HEADING = {"fontsize": 13, "fontweight": "bold", "va": "center"}
@@ -85,7 +85,7 @@ def draw_scene(axes: Axes3D, picture: WorkspacePicture) -> None:
 
 
 def _draw_workspace(axes: Axes3D, workspace: Workspace) -> None:
-    back = 1  # what lies in front: matplotlib cannot tell for objects that pass through each other
+    back = 1  # behind samples and arm; see FRONT
     half = workspace.opening_angle / 2.0
     turns = workspace.heading + np.linspace(-half, half, 25)
     heights = np.linspace(workspace.z_lower, workspace.z_upper, 17)
@@ -108,7 +108,7 @@ def _surface(r: ArrayLike, turn: ArrayLike, z: ArrayLike) -> tuple[np.ndarray, n
 
 
 def _draw_samples(axes: Axes3D, picture: WorkspacePicture) -> None:
-    middle = 5  # what lies in front: matplotlib cannot tell for objects that pass through each other
+    middle = 5  # between workspace and arm; see FRONT
     samples = picture.samples
     for acted, colour in ACTED.items():
         points = samples.position[samples.group(acted)]

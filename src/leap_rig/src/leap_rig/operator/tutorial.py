@@ -145,13 +145,13 @@ class Tutorial:
         return teleop is not None and arm is not None and teleop.follows and arm.mode == Mode.SERVO
 
     def _flat(self, now: float) -> float:
-        flat_s = 0.3  # how long it must last
+        flat_s = 0.3  # how long the hand must be flat
         teleop = self._fresh(TeleopRecord, now)  # a hand that continues where the tool is held need not be level
         flat = teleop is not None and teleop.state in (WAITING, RUNNING) and teleop.met >= FLAT
         return self._lasts(flat, flat_s, now)
 
     def _green(self, now: float) -> float:
-        follows_s = 0.5  # how long it must last
+        follows_s = 0.5  # how long the arm must follow
         return self._lasts(self._follows(now), follows_s, now)
 
     def _motion(self, now: float) -> tuple[float, float]:
@@ -191,7 +191,7 @@ class Tutorial:
         return 0.0 if not self._before else 0.5 if teleop.clutched or not self._follows(now) else 1.0
 
     def _away(self, now: float) -> float:
-        away_s = 0.5  # how long it must last
+        away_s = 0.5  # how long the hand must be away
         teleop, arm = self._fresh(TeleopRecord, now), self._fresh(ArmRecord, now)
         home = teleop is not None and teleop.state == WAITING and arm is not None and arm.mode != Mode.SERVO
         return self._lasts(home and _gone(teleop), away_s, now)

@@ -79,7 +79,7 @@ class OperatorView:
     """The newest record of each kind; `full_pressure` is what fills a tactile bar [counts]."""
 
     def __init__(self, full_pressure: float) -> None:
-        round_trips = 50  # that the jitter is of
+        round_trips = 50  # over which the jitter is taken
         self._full_pressure = full_pressure
         self._newest: dict[type, tuple[object, float]] = {}
         self._round_trips: deque[float] = deque(maxlen=round_trips)
@@ -184,7 +184,7 @@ def _limits(arm: ArmView, hand: TeleopRecord | None) -> tuple[str, RowTone]:
 
 
 def _guard(guard: GuardedPair) -> tuple[str, RowTone]:
-    far_m = 100.0  # a pair at this distance is none
+    far_m = 100.0  # pairs farther apart are not shown
     if not guard.on:
         return "off", RowTone.NORMAL
     if not abs(guard.distance) < far_m:

@@ -8,14 +8,14 @@ from pathlib import Path
 
 def cpu_times(stat: str) -> tuple[int, int]:
     """Returns from the text of /proc/stat the time in use and the whole time, summed over all processors [ticks]."""
-    idle = 3  # columns of a line of /proc/stat: time without work, and time in which only a disk is waited for
-    waiting = 4
+    idle = 3  # column of a line of /proc/stat: time without work
+    waiting = 4  # time in which only a disk is waited for
     ticks = [int(word) for word in stat.split("\n", 1)[0].split()[1:9]]
     return sum(ticks) - ticks[idle] - ticks[waiting], sum(ticks)
 
 
 class ProcessorLoad:
-    """Samples the load once a SAMPLE_S; `read` returns the text of /proc/stat."""
+    """Samples the load once a second; `read` returns the text of /proc/stat."""
 
     def __init__(self, read: Callable[[], str] = Path("/proc/stat").read_text) -> None:
         self._read = read

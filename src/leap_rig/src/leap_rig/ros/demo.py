@@ -346,7 +346,7 @@ def wait_for_end(
     listeners: Mapping[str, RigListener], deaths: Deaths, status: LiveStatus, duration: float | None, visitor: bool
 ) -> str:
     """Shows the state until the run ends; returns "duration", "scenario", "death" (of a node) or "interrupt". A
-    `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after READY_TIMEOUT_S."""
+    `visitor` may stay when the tutorial is over. Raises RigError if an arm is not at home after 90 s."""
     ready_timeout_s = 90.0
     from leap_rig.report.report import TUTORIAL  # as late as in `run`
 

@@ -137,7 +137,7 @@ def tilt_deg(T: np.ndarray) -> float:
 def still_tip(frames: Sequence[LeapFrame]) -> np.ndarray:
     """Returns the mean tip of the index finger, shape (3,) [m], over frames of HOLD_S. Raises RegistrationRefused
     unless one hand is seen well, with its index finger stretched, and holds still."""
-    min_fraction = 0.9  # of them that show the hand
+    min_fraction = 0.9  # of the frames, that show the hand
     min_confidence = 0.3
     still_m = 0.004  # of 90 % of the tips from their median: a hand moves by less than 9 mm/s
     if len(frames) < MIN_FRAMES:

@@ -45,7 +45,7 @@ class ForeignAnswer(Exception):
 
 class LeapSocket(contextlib.AbstractContextManager):
     """An open connection. Raises OSError, EOFError, ValueError or WebSocketException if nobody opens one within
-    OPEN_TIMEOUT_S, of them InvalidStatus for an answer of REFUSALS; ForeignAnswer if something else answers. With
+    OPEN_TIMEOUT_S, of them InvalidStatus if the service refuses; ForeignAnswer if something else answers. With
     the `fingerprint` of the service, 64 hexadecimal digits, by TLS; raises UnknownService, before anything is sent,
     if it has another one. `code`: what the service asks clients of other machines for."""
 

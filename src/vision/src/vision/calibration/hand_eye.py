@@ -50,7 +50,7 @@ class HandEyeSolution:
 
 def solve(views: list[CalibrationView], seed: int = 0) -> HandEyeSolution:
     """Returns the calibration; views may be wrong as long as more than half are right. The seed is that of the choice
-    of triples, if there are more than MAX_TRIPLES. Raises DegenerateViews if there are fewer than three views, or the
+    of triples, if there are more than 60. Raises DegenerateViews if there are fewer than three views, or the
     flange turns about one axis only."""
     check_motion(views)
     X, Z = _robust_start(views, np.random.default_rng(seed))
@@ -220,8 +220,8 @@ def _square(view: CalibrationView, X: np.ndarray, Z: np.ndarray) -> float:
 
 def _fitting(views: list[CalibrationView], X: np.ndarray, Z: np.ndarray) -> np.ndarray:
     """Returns which views agree with the poses, by a bound that widens if all covariances are too small."""
-    chi2_median = 5.348  # median and 99.9 % quantile, chi-squared with six degrees of freedom
-    chi2_bound = 22.458
+    chi2_median = 5.348  # of chi-squared with six degrees of freedom
+    chi2_bound = 22.458  # its 99.9 % quantile
     squares = np.array([_square(view, X, Z) for view in views])
     return squares <= chi2_bound * max(1.0, np.median(squares) / chi2_median)
 

@@ -103,7 +103,7 @@ class ViewPlanner:
 
     def choose(self, candidates: list[np.ndarray], T_base_camera: np.ndarray) -> list[np.ndarray]:
         """Returns the most informative views, at most `count` of the configuration."""
-        # information before the first view, for a determinant: standard deviations of 1/sqrt(PRIOR) m and rad
+        # information before the first view, for a determinant: standard deviations of 1/sqrt(prior) m and rad
         prior = 1e-3
         gains = [self.information(q, T_base_camera) for q in candidates]
         chosen: list[np.ndarray] = []
@@ -199,7 +199,7 @@ class ViewPlanner:
         return all(self.path_clear(a, b, T_base_camera) for a, b in zip(path, path[1:]))
 
     def _bodies(self, q: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns points of the arm, shape (5, 3), the marker board, shape (GRID^2, 3), and the hand, shape (4, 3)."""
+        """Returns points of the arm, shape (5, 3), the marker board, shape (25, 3), and the hand, shape (4, 3)."""
         hand_length_m = 0.25
         spine, T_base_flange = self._arm.spine(q), self._arm.flange(q)
         T_base_board = T_base_flange @ self._T_flange_board

@@ -74,7 +74,7 @@ class StreamWatch:
         self._filled = 1.0
 
     def rate(self, now: float) -> float:
-        """Returns new images per second over the last RATE_WINDOW_S [Hz]; 0 with fewer than two."""
+        """Returns new images per second over the last 2 s [Hz]; 0 with fewer than two."""
         rate_window_s = 2.0
         while self._times and self._times[0] < now - rate_window_s:
             self._times.popleft()

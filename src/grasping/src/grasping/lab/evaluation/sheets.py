@@ -29,8 +29,8 @@ class FailedGrasp(NamedTuple):
 def failure_sheet(path: Path, method: str, tried: int, reasons: Sequence[str], shown: Sequence[FailedGrasp]) -> None:
     """Draws the failed grasps of a method; `tried`: number of all its grasps; `reasons`: of all failures."""
     side = 260  # middle part of the network's image that is shown [px]
-    low_m = -0.01  # heights that are shown black and white
-    high_m = 0.11
+    low_m = -0.01  # height that is shown black
+    high_m = 0.11  # and white
     inch = 1.9  # side of a picture in the sheet
     import matplotlib.figure
 

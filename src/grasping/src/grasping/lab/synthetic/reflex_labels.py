@@ -74,8 +74,8 @@ def _at_level(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns score and opening [m] of the grasps at cells (y, x), each shape (m,), whose pads press at depth `cut`."""
     one_blocked = 0.5  # of one where a finger comes down on something
-    centring_loss = 0.2  # greatest losses beside the middle, and at the edge of the friction cone
-    lean_loss = 0.5
+    centring_loss = 0.2  # greatest loss beside the middle
+    lean_loss = 0.5  # and at the edge of the friction cone
     reach, aside, half = (round(v / cell) for v in (hand.preshape, hand.spread, 0.5 * hand.breadth))
     width = round(hand.finger / cell)
     foot = np.ones((2 * half + 3, 2 * (width // 2) + 1), np.uint8)

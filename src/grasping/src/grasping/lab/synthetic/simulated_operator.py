@@ -102,7 +102,7 @@ class CellFeatures(NamedTuple):
     axis: np.ndarray  # long axis of the thing, anticlockwise in the image [rad]
     long: np.ndarray  # how long it is: 0 is round, 1 a line
     handle: np.ndarray  # 1 on slender parts outside of the bulk, else 0
-    inside: np.ndarray  # 0 at the outline of the thing, 1 from `RIM_M` on
+    inside: np.ndarray  # 0 at the outline of the thing, 1 from its rim's breadth on
 
 
 class EpisodeScene(NamedTuple):
@@ -294,8 +294,8 @@ def episodes(
     `frames` images, each of which draws the camera's faults again.
     """
     map_side = 150
-    frame_s = 0.5  # between two frames; from the last one to the closing of the fingers [s]
-    reach_s = 2.0
+    frame_s = 0.5  # between two frames
+    reach_s = 2.0  # from the last one to the closing of the fingers
     of, rng = situation(split, number), np.random.default_rng([96, number])
     stored: dict[str, list] = {"depth": [], "maps": [], "mean": [], "peak": []}
     for _ in range(frames):

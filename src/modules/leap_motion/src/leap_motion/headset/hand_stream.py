@@ -1,7 +1,7 @@
 """Frames of the Leap service from a page's messages, one for each frame of the headset. A message has the page's
 clock `t` [ms], the number `place` of its request for a new placement, `head`, and `left` and `right`: 75 numbers, or
 null for a hand that is not seen. A hand that is missing or implausible is no hand; one that jumps is another hand,
-with a new number. Late messages, and more than MAX_RATE_HZ, are ignored."""
+with a new number. Late messages, and more than 200 a second, are ignored."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from leap_motion.webcam.setups import CameraPlacement, NeutralPose
 LEAST_FRAMES = 3  # with a hand before it is reported: MediaPipe sometimes finds one where nobody holds one
 AWAY_S = 3.0  # a hand that was away for longer gets a new neutral pose
 SAME_SIZES = 1.0  # a hand moves by less than its size in the image from one frame to the next
-FARTHEST_MM = 1000.0  # beyond the second one the confidence falls
+FARTHEST_MM = 1000.0
 WORST_RESIDUAL = 0.2  # the filmed hand has 0.08 in the median, 0.16 in the worst hundredth
 JUMP_MM_S = 2000.0  # a hand moves no farther between two frames
 JUMP_RAD = math.radians(30.0)
@@ -153,7 +153,7 @@ class HandTracks:
         return nearest / size if nearest < SAME_SIZES * size else math.inf
 
     def _judge(self, seen: SeenHand, centre: np.ndarray, size: float, light: float, now: float) -> str:
-        far_mm = 700.0  # beyond the second one the confidence falls
+        far_mm = 700.0  # beyond it the confidence falls
         track = self._track(seen, centre, size, now)
         hand = camera_hand(track.side, seen.rays, seen.world, self._palm_width)
         fault = _fault(seen, hand)
@@ -231,7 +231,7 @@ def _inside(landmarks: np.ndarray) -> bool:
 
 
 def _fault(seen: SeenHand, hand: CameraHand | None) -> str:
-    nearest_mm = 200.0  # beyond the second one the confidence falls
+    nearest_mm = 200.0
     if not _inside(seen.landmarks[PALM]):
         return CUT
     if hand is None or hand.residual > WORST_RESIDUAL:

@@ -78,8 +78,8 @@ class HandOverScenario:
 
     def _show(self, arm: str, curl: float = 0.0) -> None:
         """Brings a hand into its interaction box; `curl`: of its fingers, 0 to 1."""
-        entry_m = 0.25  # a hand enters so far in front of its workspace's centre, and needs so long to it
-        entry_s = 1.0
+        entry_m = 0.25  # a hand enters so far in front of its workspace's centre
+        entry_s = 1.0  # and needs so long to it
         self._leapd.ask("show", back=entry_m, curl=curl, side=arm)
         self._leapd.ask("reach", seconds=entry_s, curl=curl, side=arm)
         self._visits[arm].enter(clock.monotonic())

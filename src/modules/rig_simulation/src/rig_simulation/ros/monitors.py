@@ -54,7 +54,7 @@ TIMEOUT_S = 2.0
 
 def poll(publish: Callable[[], None], period: float) -> None:
     """Calls `publish`, which asks the device and publishes its answer, until ROS shuts down: every `period` [s], or
-    RETRY_PERIOD_S while it raises DeviceError because the device does not answer."""
+    0.5 s while it raises DeviceError because the device does not answer."""
     retry_period_s = 0.5
     remind_s = 10.0
     start_s = 5.0  # time in which a device may start or restart without a warning

@@ -66,8 +66,8 @@ class Scenario(abc.ABC):
 
     def _show_hand(self) -> None:
         """Brings the hand into the interaction box, from the operator's side of it."""
-        entry_m = 0.25  # the hand enters so far in front of the workspace's centre, and needs so long to it
-        entry_s = 1.0
+        entry_m = 0.25  # the hand enters so far in front of the workspace's centre
+        entry_s = 1.0  # and needs so long to it
         self._leapd.ask(assisted.SHOW, back=entry_m, **self._side)
         self._leapd.ask("reach", seconds=entry_s, **self._side)
         self._visits.enter(clock.monotonic())

@@ -241,7 +241,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 def reliability(rows: list[dict[str, Any]]) -> str:
     """Returns Markdown tables of how many objects were lifted by the quality of the grasps, and of how well a quality
-    of `LABELLED` or more foretells it; empty if no grasp has a quality."""
+    of 0.3 or more foretells it; empty if no grasp has a quality."""
     labelled = 0.3  # from this quality on a label teaches angle and opening
     qualities = (0.001, 0.3, 0.6, 0.8)  # bounds of the table of reliability; below the first there is no label
     ranges = list(zip((-np.inf, *qualities), (*qualities, np.inf)))

@@ -32,7 +32,7 @@ from vision.calibration.record import CalibrationRecord, mapping_from_record, re
 from vision.marker_board.board import MarkerBoardConfig, board_target
 
 NAMESPACE = "camera_calibration"
-SERIAL = "camera/driver/serial"  # written by our driver; longest wait for it
+SERIAL = "camera/driver/serial"  # written by our driver
 UNKNOWN = "unknown"
 PREFIX = "camera_place_"
 HEADER = "# Place of the camera: lengths in m, errors in mm and deg, quaternions x y z w.\n"
@@ -146,7 +146,7 @@ class CalibrationSetup:
 
 def read_setup(detector: str) -> CalibrationSetup:
     """Returns the setup; waits for its parameters and for those of the node `detector`. Raises ConfigError."""
-    serial_wait_s = 10.0  # written by our driver; longest wait for it
+    serial_wait_s = 10.0  # longest wait for the serial number
     poll_s = 0.1
     board = wait_for_config(MarkerBoardConfig, f"{NAMESPACE}/panel")
     limits = wait_for_config(CalibrationConfig, f"{NAMESPACE}/limits")

@@ -81,8 +81,8 @@ class SimulatedArm:
         self._checked_goal: np.ndarray | None = None  # the last goal within the joint range
 
     def advance(self, now: float) -> None:
-        """Moves the arm up to the time `now` [s]; after a longer delay it skips all but `MAX_CATCH_UP_S`, or
-        `MAX_CATCH_UP_IN_ENVIRONMENT_S`."""
+        """Moves the arm up to the time `now` [s]; after a longer delay it skips all but 1 s, in an
+        environment all but 0.05 s."""
         max_catch_up_s = 1.0
         max_catch_up_in_environment_s = 0.05  # the arm rather loses time: steps take longer there, and requests wait
         longest = max_catch_up_s if self._environment is None else max_catch_up_in_environment_s
@@ -190,7 +190,7 @@ class SimulatedArm:
 
     def back_off(self) -> None:
         """Moves an arm in a safety stop slowly back along its path, as with the smartPad's jog keys, until no external
-        torque exceeds FREE_FRACTION of the limit; raises ValueError if no stop is active."""
+        torque exceeds half of the limit; raises ValueError if no stop is active."""
         if self.safety_stop is None:
             raise ValueError("No safety stop is active, so there is nothing to back off from.")
         self._backing_off = True
