@@ -1,4 +1,4 @@
-"""Depth images as image_transport compresses them: topics NAME/compressed (PNG) and NAME/compressedDepth."""
+"""Images as image_transport compresses them: topics NAME/compressed (PNG of depth, JPEG of color) and NAME/compressedDepth."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
-from common.ros.images import image_message
+from common.ros.images import colour_from_image, image_message
 
 COMPRESSED = ("compressedDepth", "compressed")  # last part of a topic's name, best first
 HEADER = struct.Struct("<i2f")  # of compressedDepth: kind, and A and B of inverse depths
@@ -38,3 +38,9 @@ def depth_from_compressed(message: CompressedImage) -> Image:
             metres = np.float32(inverse[0]) / (pixels - np.float32(inverse[1]))
         pixels = np.where(pixels == 0, np.float32(np.nan), metres).astype(np.float32)
     return image_message(pixels, ENCODINGS[pixels.dtype.name], message.header.frame_id, message.header.stamp)
+
+
+def jpeg_from_image(message: Image, quality: int) -> CompressedImage:
+    """Returns a colour image as JPEG of this quality [%]; raises ValueError for another encoding or incomplete data."""
+    _, jpeg = cv2.imencode(".jpg", colour_from_image(message)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return CompressedImage(message.header, f"{message.encoding}; jpeg compressed bgr8", jpeg.tobytes())

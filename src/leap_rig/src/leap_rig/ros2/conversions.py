@@ -1,0 +1,46 @@
+"""Bytes of messages between ROS 1 and ROS 2, by rosbags; in the environment of requirements-ros2.txt."""
+
+from __future__ import annotations
+
+from rosbags.convert.converter import is_same_wireformat, migrate_bytes
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+
+def ros2_name(kind: str) -> str:
+    """Returns the name of a type of ROS 1, such as std_msgs/Bool, in ROS 2."""
+    package, _, name = kind.partition("/")
+    return f"{package}/msg/{name}"
+
+
+class Ros2Conversions:
+    """Converts messages by their types' names in ROS 1. A type that ROS 2 has, too, gets its fields there."""
+
+    def __init__(self) -> None:
+        self.store = get_typestore(Stores.ROS2_KILTED)
+        self._ros1 = get_typestore(Stores.ROS1_NOETIC)
+        self._same: dict[str, bool] = {}
+        self._defaults: dict[str, object] = {}
+
+    def learn(self, kind: str, definition: str) -> None:
+        """Takes note of a type, with the full definition of ROS 1. Raises rosbags' errors for one that is none."""
+        for store in (self._ros1, self.store):
+            found = get_types_from_msg(definition, ros2_name(kind))
+            store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})
+
+    def to_ros2(self, kind: str, data: bytes) -> bytes:
+        """Returns a message in CDR. Raises whatever rosbags does with bytes that are not of this type."""
+        name = ros2_name(kind)
+        if name not in self._same:
+            self._same[name] = is_same_wireformat(self._ros1, self.store, name, name)
+        if self._same[name]:
+            return bytes(self.store.ros1_to_cdr(data, name))
+        stores = self._ros1, self.store
+        return bytes(migrate_bytes(*stores, name, name, self._defaults, data, src_is2=False, dst_is2=True))
+
+    def to_ros1(self, kind: str, data: bytes) -> bytes:
+        """Returns a message that came in CDR. Raises whatever rosbags does with other bytes."""
+        return bytes(self.store.cdr_to_ros1(data, ros2_name(kind)))
+
+    def definition(self, kind: str) -> str:
+        """Returns the full definition of a type in ROS 2."""
+        return self.store.generate_msgdef(ros2_name(kind), ros_version=2)[0]
