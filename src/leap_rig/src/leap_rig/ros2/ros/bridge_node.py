@@ -135,7 +135,7 @@ class Ros2Bridge:
             "channels": [[c.number, c.topic, c.kind, c.depth, c.is_latched] for c in self._channels.values()],
             "desired": desired,
             "moves": moves,
-            "definitions": {m._type: m._full_text for m in (MoveGoal, MoveResult, MoveFeedback)},
+            "definitions": {m._type: m._full_text for m in (TFMessage, MoveGoal, MoveResult, MoveFeedback)},
             "rescue": [sys.executable, "-c", RESCUE, *(rospy.resolve_name(move) for move in moves)],
         }
         self._side = Ros2Side(config, request)

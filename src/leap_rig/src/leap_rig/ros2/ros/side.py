@@ -9,6 +9,7 @@ import os
 import socket
 import subprocess
 import sys
+import traceback
 from functools import partial
 from typing import Any
 
@@ -67,7 +68,13 @@ class Topics:
 
     def publish(self, number: int, data: bytes) -> None:
         topic = self._topics[number]
-        self._publishers[number].publish(self._conversions.to_ros2(topic.kind, data))
+        try:
+            message = self._conversions.to_ros2(topic.kind, data)
+        except Exception as error:  # whatever bytes do to the library
+            fault = f"A message on {topic.topic} cannot be read ({type(error).__name__}); ROS 2 does not get it."
+            self._other.send(channels.FAULT, fault.encode())
+            return
+        self._publishers[number].publish(message)
 
     def report(self) -> None:
         """Says which topics have subscribers; also that this process is alive."""
@@ -231,7 +238,7 @@ def main() -> None:
 
 def _hear(other: OtherSide, topics: Topics, relays: list[MoveRelay], rescue: list[str]) -> None:
     """Takes what comes from ROS 1, and ends this process with it."""
-    code = 0
+    code = 1
     try:
         for channel, body in frames(other.receive):
             if channel >= channels.FIRST_TOPIC:
@@ -239,9 +246,11 @@ def _hear(other: OtherSide, topics: Topics, relays: list[MoveRelay], rescue: lis
             else:
                 arm, number = MOVE.unpack_from(body)
                 relays[arm].take(channel, number, body[MOVE.size :])
+        code = 0
     except (OSError, WireFault) as error:
         print(f"ros2_bridge: {error}", file=sys.stderr)
-        code = 1
+    except Exception:  # a defect, which must not leave a process that hears nothing
+        traceback.print_exc()
     finally:
         if any(relay.moves for relay in relays):
             environment = {**os.environ, "PYTHONPATH": os.environ.get("LEAP_RIG_PYTHONPATH", "")}
