@@ -31,7 +31,7 @@ JSON ?=
 ifneq ($(filter-out $(CURDIR),$(BUILT_IN)),)
 .PHONY: $(READY)  # the folder was moved
 endif
-.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad wheels lerobot clean distclean
+.PHONY: help setup environment demo test test-fast test-noetic test-long bench golden campaign networks soak fuzz lint docs docs-pictures cad wheels lerobot ros2 clean distclean
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 20
@@ -114,8 +114,11 @@ lerobot: ## installs LeRobot into .venv-lerobot, for export_recording.py --lerob
 	@.venv-lerobot/bin/python -m pip --version > /dev/null 2>&1 || /usr/bin/python3 -m venv .venv-lerobot
 	@.venv-lerobot/bin/pip install -q -r requirements-lerobot.txt
 
+ros2: ## installs ROS 2 into .venv-ros2, for ros2_bridge.py and export_recording.py --ros2 (400 MB)
+	@tools/ros2.sh
+
 clean: ## removes the build
 	rm -rf build devel install logs site src/CMakeLists.txt .catkin_workspace .pytest_cache .hypothesis .mypy_cache .ruff_cache
 
 distclean: clean ## removes the build and all Python environments
-	rm -rf .venv .venv-noetic .venv-lerobot cad/.venv
+	rm -rf .venv .venv-noetic .venv-lerobot .venv-ros2 cad/.venv

@@ -42,7 +42,7 @@ KEYS = {
     "zstandard": "leap-rig-mcap",
 }
 # rosdep installs none of these: a program says that it lacks them.
-OPTIONAL = {"lerobot", "mediapipe", "openni2_launch", "qt_gui"}
+OPTIONAL = {"lerobot", "mediapipe", "openni2_launch", "qt_gui", "rclpy", "rosbags"}
 # Programs that a package starts, libraries and messages that its modules load by name.
 LOADED = {
     "leap_rig": {"sensor_msgs"},  # replay.py publishes recorded messages of it

@@ -1,4 +1,5 @@
-"""Images as image_transport compresses them: topics NAME/compressed (PNG of depth, JPEG of color) and NAME/compressedDepth."""
+"""Images as image_transport compresses them: topics NAME/compressed (PNG of depth, JPEG of
+color) and NAME/compressedDepth."""
 
 from __future__ import annotations
 

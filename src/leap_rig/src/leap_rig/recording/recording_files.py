@@ -380,6 +380,25 @@ def messages(path: Path) -> Iterator[StoredMessage]:
                 yield StoredMessage(*channels[record.channel_id], record.log_time, record.data)
 
 
+def between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
+    """Returns the messages of the `wanted` topics, of all for None, that were received between `start` and `end` [s]
+    after the start of the recording; of latched topics also those before. RecordingFault: there is no time between."""
+    if not start < end:  # nor NaN
+        raise RecordingFault(f"There is nothing from {start:g} to {end:g} s.")
+    return _between(folder, wanted, start, end)
+
+
+def _between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
+    names, first = None if wanted is None else set(wanted), None
+    for message in messages(folder / MESSAGES):
+        first = message.received if first is None else first
+        after = 1e-9 * (message.received - first)
+        if after > end:
+            return
+        if (names is None or message.topic in names) and (after >= start or message.kind.is_latched):
+            yield message
+
+
 class _Capped:
     """A file whose `read` asks for no more than there is, whatever length a damaged record claims."""
 

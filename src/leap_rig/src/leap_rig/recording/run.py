@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,10 @@ from common.poses import pose
 from common.rotations import rotation_from_quaternion
 from leap_rig.recording import topics
 from leap_rig.recording.recording_files import (
-    MESSAGES,
     MessageKind,
     RecordingFault,
     StoredMessage,
-    messages,
+    between,
     verify,
 )
 from leap_rig.recording.ros1 import decoder
@@ -61,25 +60,6 @@ class MessageDecoders:
         if message.kind not in self._decoders:
             self._decoders[message.kind] = decoder(message.kind.name, message.kind.definition)
         return self._decoders[message.kind](message.data)
-
-
-def between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
-    """Returns the messages of the `wanted` topics, of all for None, that were received between `start` and `end` [s]
-    after the start of the recording; of latched topics also those before. RecordingFault: there is no time between."""
-    if not start < end:  # nor NaN
-        raise RecordingFault(f"There is nothing from {start:g} to {end:g} s.")
-    return _between(folder, wanted, start, end)
-
-
-def _between(folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> Iterator[StoredMessage]:
-    names, first = None if wanted is None else set(wanted), None
-    for message in messages(folder / MESSAGES):
-        first = message.received if first is None else first
-        after = 1e-9 * (message.received - first)
-        if after > end:
-            return
-        if (names is None or message.topic in names) and (after >= start or message.kind.is_latched):
-            yield message
 
 
 def read(folder: Path, start: float = 0.0, end: float = float("inf")) -> RecordedRun:

@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import rospy
 
@@ -30,7 +31,7 @@ from leap_rig.recording.recording_files import (
 from leap_rig.recording.run import RecordedRun, between, read
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
-PROGRAM = "from leap_rig.recording.lerobot_export import main; main()"
+PROGRAM = "from leap_rig.recording.{}_export import main; main()"
 ERRORS = (common.errors.RigError, OSError)
 WORKSPACE = Path(__file__).resolve().parents[6]
 
@@ -61,6 +62,8 @@ def export(options: argparse.Namespace) -> int:
             packed.writelines(frames)
         print(f"Wrote {len(frames)} frames to {options.frames}.")
         return 0
+    if options.ros2 is not None:
+        return _to_ros2(folder, options)
     if options.csv is not None:
         return _to_csv(read(folder, options.start, options.end), options.csv)
     names = [MANIFEST, *sorted(name for name in manifest["files"] if name != MESSAGES)]
@@ -93,7 +96,7 @@ def _to_csv(run: RecordedRun, folder: Path) -> int:
 
 def _refuse_unheeded(options: argparse.Namespace) -> None:
     """Raises RecordingFault for an option that this export would not heed."""
-    if options.mcap is not None:
+    if options.mcap is not None or options.ros2 is not None:
         return
     to = next(f"--{name}" for name in ("frames", "csv", "lerobot") if getattr(options, name) is not None)
     given = {"--topic": options.topic is not None}
@@ -115,23 +118,37 @@ def _to_lerobot(folders: list[Path], options: argparse.Namespace) -> int:
     if importlib.util.find_spec("lerobot") is not None:
         lerobot_export.export(folders, options.lerobot, options.fps, options.task)
     else:
-        if not options.python.is_file():
-            raise RecordingFault(
-                f"LeRobot is not installed: {options.python} is missing. `make lerobot` installs it in the clone; "
-                "from an install space, name the clone's .venv-lerobot/bin/python with --python."
-            )
         request = {
             "recordings": [str(folder.resolve()) for folder in folders],
             "folder": str(options.lerobot.resolve()),
         }
-        request = {**request, "fps": options.fps, "task": options.task}
-        command = [str(options.python), "-c", PROGRAM, json.dumps(request)]
-        environment = {"PYTHONPATH": ":".join(map(str, SOURCES)), "HF_HUB_OFFLINE": "1", "HOME": str(Path.home())}
-        code = subprocess.run(command, env=environment, check=False).returncode
+        code = _elsewhere("LeRobot", "lerobot", options.python, {**request, "fps": options.fps, "task": options.task})
         if code:
             return code
     print(f"Wrote the dataset {options.lerobot}.")
     return 0
+
+
+def _to_ros2(folder: Path, options: argparse.Namespace) -> int:
+    request = {"recording": str(folder.resolve()), "folder": str(options.ros2.resolve()), "topics": options.topic}
+    code = _elsewhere("ROS 2", "ros2", options.python, {**request, "start": options.start, "end": options.end})
+    if not code:
+        print(f"Wrote the bag {options.ros2}.")
+    return code
+
+
+def _elsewhere(name: str, target: str, given: Path | None, request: dict[str, Any]) -> int:
+    """Runs an export in the environment of a library of this name, which a target of make installs; returns the exit
+    code. Raises RecordingFault without it."""
+    python = given or WORKSPACE / f".venv-{target}" / "bin" / "python"
+    if not python.is_file():
+        raise RecordingFault(
+            f"{name} is not installed: {python} is missing. `make {target}` installs it in the clone; from an install "
+            f"space, name the clone's .venv-{target}/bin/python with --python."
+        )
+    command = [str(python), "-c", PROGRAM.format(target), json.dumps(request)]
+    environment = {"PYTHONPATH": ":".join(map(str, SOURCES)), "HF_HUB_OFFLINE": "1", "HOME": str(Path.home())}
+    return subprocess.run(command, env=environment, check=False).returncode
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -140,14 +157,15 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="+", metavar="NAME", help="recordings; several are episodes of one dataset")
     to = parser.add_mutually_exclusive_group(required=True)
     to.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file with messages of ROS 1, for Foxglove")
+    to.add_argument("--ros2", type=Path, metavar="DIR", help="a bag with messages of ROS 2, for its tools")
     to.add_argument("--frames", type=Path, metavar="FILE", help="the tracker's frames, one a line, .jsonl.gz")
     to.add_argument("--csv", type=Path, metavar="DIR", help="a folder of CSV files: poses, joints, goals, hand")
     to.add_argument("--lerobot", type=Path, metavar="DIR", help="a LeRobot dataset, v3")
     parser.add_argument("--fps", type=whole(1, most_fps), default=30, help="rows a second of the dataset (default: 30)")
     parser.add_argument("--task", default="", help="what is done, in a sentence, if the recording does not say it")
-    python = "Python with LeRobot, where the rig's own has none (default: .venv-lerobot)"
-    parser.add_argument("--python", type=Path, default=WORKSPACE / ".venv-lerobot" / "bin" / "python", help=python)
-    parser.add_argument("--topic", nargs="*", help="topics of the MCAP file (default: all)")
+    python = "Python with LeRobot, or with ROS 2 (default: that of `make lerobot` or `make ros2`)"
+    parser.add_argument("--python", type=Path, help=python)
+    parser.add_argument("--topic", nargs="*", help="topics of the MCAP file or the bag (default: all)")
     begin = "of one file: begin so long after the start"
     parser.add_argument("--from", dest="start", type=float, default=0.0, metavar="S", help=begin)
     end = "end there, seconds after the start"

@@ -1,1 +1,1 @@
-"""The node ros2_bridge, which speaks ROS 1, and its other half `side`, which speaks ROS 2 in an environment without ROS 1."""
+"""The node ros2_bridge, which speaks ROS 1, and its other half `side`, which speaks ROS 2."""

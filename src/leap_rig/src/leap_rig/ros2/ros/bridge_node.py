@@ -3,6 +3,7 @@ the process that speaks ROS 2 (`side`) and ends with it. ROS 1 is listened to on
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -45,8 +46,8 @@ SOURCES = [str(Path(channels.__file__).parents[2]), str(Path(common.errors.__fil
 # Behind its own packages, whose names are those of ROS 1, too.
 PROGRAM = f"import sys; sys.path.extend({SOURCES!r}); from leap_rig.ros2.ros.side import main; main()"
 RESCUE = "from leap_rig.ros2.ros.cancel_program import main; main()"
-FOREIGN = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "RMW_IMPLEMENTATION",
-           "ROS_LOCALHOST_ONLY")  # fmt: skip
+FOREIGN = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH",
+           "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY")  # fmt: skip
 """Variables of ROS 1, or of another ROS 2."""
 SILENT_S = 15.0  # a ROS 2 side that has not reported for so long hangs, and at its start
 LOOK_S = 0.5
@@ -104,10 +105,8 @@ class Ros2Side:
         self._outbox.close()
         if self._writer is not clock.current_thread():
             self._writer.join(1.0)  # what still waits
-        try:
+        with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
-        except OSError:
-            pass
 
     def wait(self) -> int:
         """Returns the exit code of the process, which is killed if it does not end."""

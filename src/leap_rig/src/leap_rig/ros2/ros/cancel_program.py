@@ -1,4 +1,4 @@
-"""Cancels kuka/move for a bridge that was killed while a client in ROS 2 moved the arm."""
+"""Cancels kuka/move for a bridge that ended while a client in ROS 2 moved the arm."""
 
 from __future__ import annotations
 
@@ -26,4 +26,4 @@ def _cancel(actions: list[str]) -> None:
     while not all(p.get_num_connections() for p in publishers) and clock.monotonic() < deadline:
         clock.sleep(0.05)
     clock.sleep(sent_s)
-    print("ros2_bridge: it was killed while a client in ROS 2 moved the arm, so the motion is cancelled.")
+    print("ros2_bridge has ended while a client in ROS 2 moved the arm, so the motion is cancelled.")

@@ -71,7 +71,6 @@ class MoveDoor:
             self._send(channels.FEEDBACK, number, bytes_of(feedback))
 
     def _done(self, number: int, state: int, result: MoveResult | None) -> None:
-        self._ended.set()
         if number != self._number:
             return
         self._number = None
@@ -79,6 +78,7 @@ class MoveDoor:
             self._result(number, channels.ABORTED, "The controller has lost the goal.")
         else:
             self._send(channels.RESULT, number, bytes([STATES.get(state, channels.ABORTED)]) + bytes_of(result))
+        self._ended.set()
 
     def _result(self, number: int, state: int, sentence: str) -> None:
         self._send(channels.RESULT, number, bytes([state]) + bytes_of(MoveResult(message=sentence)))

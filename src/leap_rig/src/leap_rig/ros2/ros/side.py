@@ -1,5 +1,5 @@
-"""The half of the bridge that speaks ROS 2: a program in the environment of requirements-ros2.txt. Its argument is JSON,
-see `bridge_node`; its other end is a socket, whose end is its own."""
+"""The half of the bridge that speaks ROS 2: a program in the environment of requirements-ros2.txt. Its argument is the
+request of `bridge_node` in JSON; it ends with the socket to there."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ import socket
 import subprocess
 import sys
 import traceback
+import zlib
 from functools import partial
 from typing import Any
 
 import rclpy
-from kuka_msgs.action import Move
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
 from common import clock
+from kuka_msgs.action import Move
 from leap_rig.ros2 import channels
 from leap_rig.ros2.channels import MOVE, Channel
 from leap_rig.ros2.conversions import Ros2Conversions, ros2_name
 from leap_rig.ros2.wire import WireFault, frames, packed
 
 NAME = "leap_rig"  # of the node
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of one that was not discovered yet
 LOOK_S = 0.25  # between two looks at who is there
+END_S = 0.3  # for a result to reach its client
 MAX_TF_BYTES = 2**16
 TF = "tf2_msgs/TFMessage"
 GOAL, RESULT, FEEDBACK = "kuka_msgs/MoveGoal", "kuka_msgs/MoveResult", "kuka_msgs/MoveFeedback"
@@ -126,11 +129,11 @@ class DesiredTools:
         if gid not in self._nodes:
             found = {bytes(i.endpoint_gid): i for i in self._node.get_publishers_info_by_topic(f"/{topic}")}
             info = found.get(gid)
-            if info is None:
+            if info is None or info.node_name == UNKNOWN:
                 return ""
             name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             own = info.node_name == NAME and info.node_namespace == "/"
-            self._nodes[gid] = "" if own else f"{name} ({gid[-8:].hex()})"
+            self._nodes[gid] = "" if own else f"{name} ({zlib.crc32(gid):08x})"
         return self._nodes[gid]
 
 
@@ -139,7 +142,7 @@ class MoveRelay:
 
     def __init__(self, node: Any, other: OtherSide, conversions: Ros2Conversions, arm: int, name: str) -> None:
         self._node, self._other, self._conversions = node, other, conversions
-        self._arm, self._service = arm, f"/{name}/_action/send_goal"
+        self._arm, self._name, self._service = arm, name, f"/{name}/_action/send_goal"
         self._number = 0
         self._handle: Any = None
         self._ended: Any = None
@@ -149,10 +152,10 @@ class MoveRelay:
 
     @property
     def moves(self) -> bool:
-        return self._ended is not None
+        return self._ended is not None and not self._ended.done()
 
     async def _execute(self, handle: Any) -> Any:
-        if self.moves:
+        if self._handle is not None:
             handle.abort()  # a rejection could not say why
             return Move.Result(message="The motion before has not ended; cancel it or wait.")
         self._number += 1
@@ -199,7 +202,7 @@ class MoveRelay:
         self._clients = max(self._clients, clients)
         if clients < self._clients:
             self._lost = True
-            sentence = f"A client of {self._service[1:-17]} in ROS 2 has gone, so its motion is cancelled."
+            sentence = f"A client of {self._name} in ROS 2 has gone, so its motion is cancelled."
             self._other.send(channels.FAULT, sentence.encode())
             self._send(channels.CANCEL)
 
@@ -252,6 +255,7 @@ def _hear(other: OtherSide, topics: Topics, relays: list[MoveRelay], rescue: lis
     except Exception:  # a defect, which must not leave a process that hears nothing
         traceback.print_exc()
     finally:
+        clock.sleep(END_S)
         if any(relay.moves for relay in relays):
             environment = {**os.environ, "PYTHONPATH": os.environ.get("LEAP_RIG_PYTHONPATH", "")}
             subprocess.run(rescue, env=environment, check=False, timeout=30.0)

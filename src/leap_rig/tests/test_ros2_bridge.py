@@ -1,0 +1,94 @@
+"""The pure half of the bridge to ROS 2: frames on its socket, what waits for a slow process, and keys and values."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from common.frames import PREFIX
+from leap_rig.ros2.channels import FIRST_TOPIC, RESULT, channels
+from leap_rig.ros2.key_values import key_values
+from leap_rig.ros2.outbox import NewestFrames
+from leap_rig.ros2.wire import HEADER, MAX_BODY, WireFault, frames, packed
+
+FRAMES = st.lists(st.tuples(st.integers(0, 2**16 - 1), st.binary(max_size=300)), max_size=8)
+
+
+def pieces(data, sizes):
+    """Returns a function that gives the data in pieces of at most these sizes, then nothing."""
+    rest, sizes = [data], iter(sizes)
+
+    def receive(most):
+        size = min(next(sizes, most), most)
+        piece, rest[0] = rest[0][:size], rest[0][size:]
+        return piece
+
+    return receive
+
+
+@given(FRAMES, st.lists(st.integers(1, 50), max_size=50))
+def test_frames_come_as_they_were_sent_however_the_socket_cuts_them(sent, sizes):
+    data = b"".join(packed(*frame) for frame in sent)
+    assert list(frames(pieces(data, sizes))) == sent
+
+
+@given(FRAMES.filter(bool), st.data())
+def test_a_torn_frame_is_said_after_those_before_it(sent, drawn):
+    data = b"".join(packed(*frame) for frame in sent)
+    last = len(packed(*sent[-1]))
+    came = []
+    with pytest.raises(WireFault):
+        for frame in frames(pieces(data[: len(data) - drawn.draw(st.integers(1, last - 1))], [])):
+            came.append(frame)
+    assert came == sent[:-1]
+
+
+def test_no_frame_makes_the_other_side_wait_for_more_than_a_message_has():
+    with pytest.raises(WireFault):
+        list(frames(pieces(HEADER.pack(MAX_BODY + 1, 1), [])))
+    with pytest.raises(WireFault):
+        packed(1, bytes(MAX_BODY + 1))
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(1, 3))))
+def test_of_each_source_the_newest_wait_in_their_order(sent):
+    depth = {"a": 1, "b": 2, "c": 5}
+    box = NewestFrames()
+    for i, (source, _) in enumerate(sent):
+        box.put(source, bytes([i]), depth[source])
+    box.close()
+    kept = [i for name, most in depth.items() for i in [i for i, (n, _) in enumerate(sent) if n == name][-most:]]
+    assert list(box.take()) == sorted(kept)
+    assert box.dropped == len(sent) - len(kept)
+    assert box.take() == b""
+
+
+FIELDS = ("header", "mode", "limits", "on", "shift", "flags")
+
+
+class Vector:
+    __slots__ = ("x", "y")
+
+    def __init__(self, x, y):
+        self.x, self.y = x, y
+
+
+class Status:
+    __slots__ = FIELDS
+
+
+def test_a_message_becomes_keys_and_values():
+    message = Status()
+    for name, value in zip(FIELDS, (None, "servo", ["yaw", "roll"], True, Vector(0.1, -2.0), [False, True])):
+        setattr(message, name, value)
+    assert key_values(message) == [
+        ("mode", "servo"), ("limits", "yaw, roll"), ("on", "true"), ("shift.x", "0.1"), ("shift.y", "-2"),
+        ("flags", "false, true"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("arms", [("",), ("left/", "right/")])
+def test_topics_have_numbers_and_names_of_their_own(arms):
+    topics = channels(arms)
+    assert len({topic.number for topic in topics}) == len({topic.topic for topic in topics}) == len(topics)
+    assert all(topic.number >= FIRST_TOPIC > RESULT and PREFIX.fullmatch(topic.topic) for topic in topics)
+    assert {f"{arm}joint_states" for arm in arms} <= {topic.topic for topic in topics}

@@ -1,0 +1,247 @@
+"""The bridge to ROS 2 with real nodes on both sides. `make ros2` installs what they need."""
+
+import json
+import math
+import os
+import random
+import signal
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rig_msgs.srv")
+import actionlib
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped, Vector3, Vector3Stamped
+from sensor_msgs.msg import CameraInfo, Image, JointState
+from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
+
+from common.ros.images import image_message
+from kuka_msgs.msg import MoveAction, MoveFeedback, MoveResult
+from rig_msgs.msg import KukaStatus, TeleopState
+
+ROOT = Path(__file__).parents[3]
+PYTHON = ROOT / ".venv-ros2" / "bin" / "python"
+PEER = Path(__file__).with_name("ros2_peer.py")
+
+pytestmark = [pytest.mark.ros, pytest.mark.long]
+needs_ros2 = pytest.mark.skipif(not PYTHON.is_file(), reason="ROS 2 is not installed: make ros2")
+DESIRED = "kuka/tool_frame/desired"
+
+
+def test_without_ros2_the_node_says_how_to_get_it(ros):
+    bridge = ros.run("leap_rig", "ros2_bridge.py", "_python:=/nowhere/python", "__name:=no_bridge")
+    assert bridge.wait(30.0) == 1
+    assert "make ros2" in bridge.log_path.read_text()
+
+
+@pytest.fixture
+def peer(processes, monkeypatch):
+    """Starts nodes of ROS 2 in a domain of the test's own."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(random.SystemRandom().randrange(1, 100)))
+
+    def start(*words):
+        own = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "PYTHONPATH": ""}
+        process = processes.start(str(PYTHON), str(PEER), *words, env=own)
+        process.lines = lambda: [json.loads(x) for x in process.log_path.read_text().splitlines() if x.endswith("}")]
+        return process
+
+    return start
+
+
+@pytest.fixture
+def bridge(ros, peer, wait_until):
+    """The bridge, once ROS 2 is there."""
+    node = ros.run("leap_rig", "ros2_bridge.py")
+    states = ros.record("/diagnostics", DiagnosticArray)
+    wait_until(lambda: states or node.poll() is not None, 30.0, "the bridge")
+    assert node.poll() is None, node.log_path.read_text()
+    yield node
+
+
+class Rig:
+    """Publishes ten times a second what the rig does, until it is closed."""
+
+    def __init__(self):
+        kinds = {
+            "joint_states": JointState(Header(), ["kuka/joint_1"], [0.5], [], []),
+            "/tf": TFMessage([self.transform("kuka/link_1")]),
+            "kuka/flange_force": Vector3Stamped(Header(), Vector3(1.5, 0.0, 0.0)),
+            "kuka/flange_torque": Vector3Stamped(Header(), Vector3(0.0, 0.0, 2.5)),
+            "camera/rgb/image_raw": image_message(np.zeros((48, 64, 3), np.uint8), "rgb8", "camera", rospy.Time(1)),
+            "camera/rgb/camera_info": CameraInfo(height=48, width=64, K=[50.0, *[0.0] * 8]),
+            "leap_kuka/stream": DiagnosticStatus(message="a hand is followed"),
+            "leap_kuka/state": TeleopState(state="running", follows=True, limits=["yaw"]),
+            "kuka/status": KukaStatus(mode="stopped", reason="It stands."),
+        }
+        self.publishers = {rospy.Publisher(topic, type(m), queue_size=1): m for topic, m in kinds.items()}
+        self.static = [rospy.Publisher("/tf_static", TFMessage, queue_size=1, latch=True)]
+        self.static[0].publish(TFMessage([self.transform("kuka/flange")]))
+        rospy.set_param("robot_description", "<robot/>")
+        self.stop = threading.Event()
+        threading.Thread(target=self.run, daemon=True).start()
+
+    @staticmethod
+    def transform(child):
+        message = TransformStamped(child_frame_id=child)
+        message.header.frame_id = "kuka/base_frame"
+        message.transform.rotation.w = 1.0
+        return message
+
+    def run(self):
+        while not self.stop.wait(0.1):
+            for publisher, message in self.publishers.items():
+                for stamped in (*getattr(message, "transforms", ()), message):
+                    if hasattr(stamped, "header"):
+                        stamped.header.stamp = rospy.Time.now()
+                publisher.publish(message)
+
+
+@pytest.fixture
+def rig(ros):
+    made = Rig()
+    yield made
+    made.stop.set()
+
+
+@needs_ros2
+def test_ros2_hears_the_rig(bridge, rig, peer, wait_until, ros):
+    unheard = ros.record("/diagnostics", DiagnosticArray)
+    listener = peer("listen")
+    wanted = {
+        "joint_states": ["kuka/joint_1", 0.5],
+        "tf": ["kuka/link_1"],
+        "tf_static": ["kuka/flange"],
+        "robot_description": "<robot/>",
+        "kuka/flange_wrench": [1.5, 2.5],
+        "camera/rgb/image_raw/compressed": ["rgb8; jpeg compressed bgr8", True],
+        "camera/rgb/camera_info": [48, 64, 50.0],
+        "leap_kuka/stream": "a hand is followed",
+    }
+
+    def heard():
+        return {line["topic"]: line["value"] for line in listener.lines()}
+
+    wait_until(lambda: wanted.items() <= heard().items() and len(heard()) == 11, 30.0, f"all of {heard()}")
+    assert heard()["leap_kuka/state"]["limits"] == "yaw" and heard()["leap_kuka/state"]["follows"] == "true"
+    level, values = heard()["kuka/status"]
+    assert level == DiagnosticStatus.ERROR[0] if isinstance(DiagnosticStatus.ERROR, bytes) else level == 2
+    assert values["mode"] == "stopped"
+    late = peer("listen")
+    wait_until(lambda: any(line["topic"] == "tf_static" for line in late.lines()), 30.0, "the latched transforms")
+    image = rospy.Publisher("camera/rgb/image_raw", Image, queue_size=1)
+    assert image.get_num_connections() > 0
+    os.killpg(listener.pid, signal.SIGINT)
+    os.killpg(late.pid, signal.SIGINT)
+    wait_until(lambda: image.get_num_connections() == 0, 30.0, "nobody who needs images")
+    assert unheard
+
+
+@needs_ros2
+def test_the_desired_tool_of_ros2_reaches_tf_and_nothing_else(bridge, peer, wait_until, ros):
+    heard = ros.record("/tf", TFMessage)
+    rig = rospy.Publisher("/tf", TFMessage, queue_size=1)
+    peer("publish", "nan", "kuka/link_3")
+    publisher = peer("publish", "good")
+    listener = peer("listen")  # the bridge passes tf to ROS 2, and must not take it back
+    heard.wait(20)
+    assert {t.child_frame_id for message in heard for t in message.transforms} == {DESIRED}
+    assert {message.transforms[0].transform.translation.x for message in heard} == {0.125}
+    os.killpg(publisher.pid, signal.SIGINT)
+    publisher.wait(30.0)
+    own = Rig.transform(DESIRED)
+    own.header.frame_id = "a frame of ROS 1"
+    wait_until(rig.get_num_connections, 30.0, "listeners of tf")
+
+    def in_ros2():
+        own.header.stamp = rospy.Time.now()
+        rig.publish(TFMessage([own]))
+        return sum(line["value"] == [DESIRED] for line in listener.lines() if line["topic"] == "tf") > 30
+
+    wait_until(in_ros2, 30.0, "the frame in ROS 2")
+    nodes = {m._connection_header["callerid"] for m in heard if m.transforms[0].header.frame_id == own.header.frame_id}
+    assert nodes == {rospy.get_name()}
+
+
+@needs_ros2
+@pytest.mark.parametrize("kind", ["nan", "static", "two"])
+def test_a_desired_tool_that_is_not_right(bridge, peer, wait_until, ros, kind):
+    heard = ros.record("/tf", TFMessage)
+    first = peer("publish", "good" if kind == "two" else kind)
+    if kind == "nan":  # is the controller's to refuse
+        heard.wait(3)
+        assert math.isnan(heard[0].transforms[0].transform.translation.x)
+        return
+    if kind == "two":
+        heard.wait(3)
+        peer("publish", "good")
+    wait_until(lambda: "is refused" in bridge.log_path.read_text(), 30.0, "the refusal")
+    assert first.poll() is None and (heard or kind == "static")
+    assert kind == "two" or not heard
+
+
+class Server:
+    """A controller's kuka/move: `home` succeeds, what is called `cancelled` or `lost` runs until it is cancelled."""
+
+    def __init__(self):
+        self.cancelled = threading.Event()
+        self.started = threading.Event()
+        self._server = actionlib.SimpleActionServer("kuka/move", MoveAction, self._run, auto_start=False)
+        self._server.start()
+
+    def _run(self, goal):
+        self._server.publish_feedback(MoveFeedback(0.5, 0.1, [0.0] * 7))
+        self.started.set()
+        while goal.name != "home" and not self._server.is_preempt_requested():
+            rospy.sleep(0.02)
+        if goal.name == "home":
+            self._server.set_succeeded(MoveResult(True, "At home.", [0.0] * 7))
+        else:
+            self.cancelled.set()
+            self._server.set_preempted(MoveResult(False, "Cancelled.", [0.0] * 7))
+
+
+SUCCEEDED, CANCELLED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
+
+
+@needs_ros2
+@pytest.mark.parametrize("name, status", [("home", SUCCEEDED), ("cancelled", CANCELLED)])
+def test_ros2_moves_the_arm(bridge, peer, name, status):
+    server = Server()
+    client = peer("move", name)
+    assert client.wait(60.0) == 0
+    accepted, *feedback, result = client.lines()
+    assert accepted == {"accepted": True} and result["status"] == status
+    assert result["message"] == ("At home." if name == "home" else "Cancelled.")
+    assert all(line == {"feedback": 0.5} for line in feedback)
+    assert server.cancelled.is_set() is (name != "home")
+
+
+@needs_ros2
+def test_a_goal_without_a_controller_ends(bridge, peer):
+    client = peer("move", "home")
+    assert client.wait(60.0) == 0
+    assert client.lines()[-1]["status"] == ABORTED and "Nobody offers" in client.lines()[-1]["message"]
+
+
+@needs_ros2
+@pytest.mark.parametrize("who", ["client", "side", "node", "interrupt"])
+def test_who_ends_in_a_motion_cancels_it(bridge, peer, wait_until, who):
+    server = Server()
+    client = peer("move", "lost")
+    wait_until(server.started.is_set, 30.0, "the motion")
+    (side,) = subprocess.run(
+        ["pgrep", "-P", str(bridge.pid)], capture_output=True, check=True, text=True
+    ).stdout.split()
+    ends = {"client": (client.pid, signal.SIGINT), "side": (int(side), signal.SIGKILL)}
+    ends.update(node=(bridge.pid, signal.SIGKILL), interrupt=(bridge.pid, signal.SIGINT))
+    os.kill(*ends[who])
+    wait_until(server.cancelled.is_set, 30.0, "the cancellation")
+    if who in ("side", "interrupt"):
+        assert bridge.wait(30.0) == (1 if who == "side" else 0)
+    if who != "client":
+        wait_until(lambda: not Path("/proc", side).exists(), 30.0, "the end of the ROS 2 side")
