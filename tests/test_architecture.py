@@ -134,7 +134,7 @@ def test_pure_files_are_pure():
         if package(path) == "rig_simulation" or in_ros(path):
             continue
         wrong += [f"{path}: {name} belongs into ros/" for name in tops(path) & ROS]
-        wrong += [f"{path}: {name}" for name in imports(path) if name.startswith(f"{package(path)}.ros")]
+        wrong += [f"{path}: {name}" for name in imports(path) if f"{name}.".startswith(f"{package(path)}.ros.")]
         if path.stem in EDGES:
             continue
         wrong += [f"{path}: {name} belongs into ros/ or into an edge file" for name in tops(path) & IMPURE]

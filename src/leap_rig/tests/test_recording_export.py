@@ -27,6 +27,7 @@ from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "handbook" / "recordings-elsewhere.md"
 LEROBOT = ROOT / ".venv-lerobot" / "bin" / "python"
+ROS2 = ROOT / ".venv-ros2" / "bin" / "python"
 BEGIN = 1e-9 * START
 
 
@@ -279,6 +280,62 @@ def test_lerobot_loads_the_dataset(tmp_path):
     assert found["state"][:7] == pytest.approx([0.5] * 7, abs=0.011)
     assert found["action"][:7] == pytest.approx([0.55] * 7, abs=0.011) and found["action"][7:] == [0.5] * 4
     assert found["image"] == [3, 64, 96] and found["grey"] == pytest.approx(100 / 255, abs=0.03)
+    again = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert again.returncode == 1 and "exists already" in again.stderr
+
+
+READ_BAG = """
+import json, sys
+from pathlib import Path
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
+folder = Path(sys.argv[1])
+with AnyReader([folder]) as reader:
+    for connection, time, data in reader.messages():
+        message = reader.deserialize(data, connection.msgtype)
+        print(json.dumps(["rosbags", connection.topic, connection.msgtype, time, repr(message)]))
+for found in read_ros2_messages(str(folder / f"{folder.name}.mcap")):
+    print(json.dumps(["mcap", found.channel.topic, found.schema.name, found.log_time_ns, str(found.ros_msg)]))
+"""
+
+
+@pytest.mark.ros
+@pytest.mark.long
+def test_other_tools_read_the_bag_of_ros2(tmp_path):
+    """Also types that ROS 2 lacks or has with other fields."""
+    if not ROS2.is_file():
+        pytest.skip("ROS 2 is not installed: make ros2")
+    from sensor_msgs.msg import CameraInfo
+    from std_msgs.msg import Header
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from kuka_msgs.msg import jointPositions
+    from rig_msgs.msg import KukaStatus
+
+    sent = {
+        "/kuka/joint_positions": jointPositions(Header(7, None, "base"), *np.arange(7.0)),
+        "/kuka/status": KukaStatus(mode="servo", limited_by=["yaw", "roll"]),
+        "/camera/rgb/camera_info": CameraInfo(height=480, K=[525.0, *[0.0] * 8], D=[0.25] * 5),
+        "/kuka/workspace": MarkerArray([Marker(ns="workspace", text="a", mesh_resource="package://x")]),
+    }
+    folder = write_recording(tmp_path / "run", [stored(topic, message, 1.0) for topic, message in sent.items()])
+    command = ["rosrun", "leap_rig", "export_recording.py", str(folder), "--ros2", str(tmp_path / "bag")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    loaded = subprocess.run(
+        [str(ROS2), "-c", READ_BAG, str(tmp_path / "bag")], capture_output=True, text=True, check=False
+    )
+    assert loaded.returncode == 0, loaded.stderr
+    rows = [json.loads(line) for line in loaded.stdout.splitlines()]
+    for reader in ("rosbags", "mcap"):
+        found = {topic: (kind, time, text) for name, topic, kind, time, text in rows if name == reader}
+        assert found.keys() == sent.keys()
+        assert {time for _, time, _ in found.values()} == {START + 10**9}
+        kind, _, text = found["/kuka/joint_positions"]
+        assert kind == "kuka_msgs/msg/JointPositions" and "joint_7=6.0" in text and "seq" not in text
+        assert "limited_by=['yaw', 'roll']" in found["/kuka/status"][2]
+        assert "525." in found["/camera/rgb/camera_info"][2]
+        assert "package://x" in found["/kuka/workspace"][2] and "texture" in found["/kuka/workspace"][2]
     again = subprocess.run(command, capture_output=True, text=True, check=False)
     assert again.returncode == 1 and "exists already" in again.stderr
 

@@ -8,7 +8,7 @@ from common.frames import PREFIX
 from leap_rig.ros2.channels import FIRST_TOPIC, RESULT, channels
 from leap_rig.ros2.key_values import key_values
 from leap_rig.ros2.outbox import NewestFrames
-from leap_rig.ros2.wire import HEADER, MAX_BODY, WireFault, frames, packed
+from leap_rig.ros2.wire import HEADER, MAX_BODY, BridgeFault, frames, packed
 
 FRAMES = st.lists(st.tuples(st.integers(0, 2**16 - 1), st.binary(max_size=300)), max_size=8)
 
@@ -36,16 +36,16 @@ def test_a_torn_frame_is_said_after_those_before_it(sent, drawn):
     data = b"".join(packed(*frame) for frame in sent)
     last = len(packed(*sent[-1]))
     came = []
-    with pytest.raises(WireFault):
+    with pytest.raises(BridgeFault):
         for frame in frames(pieces(data[: len(data) - drawn.draw(st.integers(1, last - 1))], [])):
             came.append(frame)
     assert came == sent[:-1]
 
 
 def test_no_frame_makes_the_other_side_wait_for_more_than_a_message_has():
-    with pytest.raises(WireFault):
+    with pytest.raises(BridgeFault):
         list(frames(pieces(HEADER.pack(MAX_BODY + 1, 1), [])))
-    with pytest.raises(WireFault):
+    with pytest.raises(BridgeFault):
         packed(1, bytes(MAX_BODY + 1))
 
 

@@ -193,6 +193,11 @@ class Server:
         self._server = actionlib.SimpleActionServer("kuka/move", MoveAction, self._run, auto_start=False)
         self._server.start()
 
+    def close(self):
+        self._server.action_server.status_timer.shutdown()
+        self._server.action_server.status_timer.join()
+        self._server.need_to_terminate = True
+
     def _run(self, goal):
         self._server.publish_feedback(MoveFeedback(0.5, 0.1, [0.0] * 7))
         self.started.set()
@@ -205,13 +210,19 @@ class Server:
             self._server.set_preempted(MoveResult(False, "Cancelled.", [0.0] * 7))
 
 
+@pytest.fixture
+def server(ros):
+    made = Server()
+    yield made
+    made.close()
+
+
 SUCCEEDED, CANCELLED, ABORTED = 4, 5, 6  # action_msgs/GoalStatus
 
 
 @needs_ros2
 @pytest.mark.parametrize("name, status", [("home", SUCCEEDED), ("cancelled", CANCELLED)])
-def test_ros2_moves_the_arm(bridge, peer, name, status):
-    server = Server()
+def test_ros2_moves_the_arm(bridge, peer, server, name, status):
     client = peer("move", name)
     assert client.wait(60.0) == 0
     accepted, *feedback, result = client.lines()
@@ -230,13 +241,10 @@ def test_a_goal_without_a_controller_ends(bridge, peer):
 
 @needs_ros2
 @pytest.mark.parametrize("who", ["client", "side", "node", "interrupt"])
-def test_who_ends_in_a_motion_cancels_it(bridge, peer, wait_until, who):
-    server = Server()
+def test_who_ends_in_a_motion_cancels_it(bridge, peer, server, wait_until, who):
     client = peer("move", "lost")
     wait_until(server.started.is_set, 30.0, "the motion")
-    (side,) = subprocess.run(
-        ["pgrep", "-P", str(bridge.pid)], capture_output=True, check=True, text=True
-    ).stdout.split()
+    (side,) = Path(f"/proc/{bridge.pid}/task/{bridge.pid}/children").read_text().split()
     ends = {"client": (client.pid, signal.SIGINT), "side": (int(side), signal.SIGKILL)}
     ends.update(node=(bridge.pid, signal.SIGKILL), interrupt=(bridge.pid, signal.SIGINT))
     os.kill(*ends[who])

@@ -7,9 +7,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 
 def ros2_name(kind: str) -> str:
-    """Returns the name of a type of ROS 1, such as std_msgs/Bool, in ROS 2."""
+    """Returns the name of a type of ROS 1, such as std_msgs/Bool, in ROS 2, where each begins with a capital letter."""
     package, _, name = kind.partition("/")
-    return f"{package}/msg/{name}"
+    return f"{package}/msg/{name[:1].upper()}{name[1:]}"
 
 
 class Ros2Conversions:

@@ -38,7 +38,7 @@ from leap_rig.ros2.outbox import NewestFrames
 from leap_rig.ros2.ros.bytes_of import bytes_of
 from leap_rig.ros2.ros.desired_door import DesiredDoor
 from leap_rig.ros2.ros.move_door import MoveDoor
-from leap_rig.ros2.wire import WireFault, frames, packed
+from leap_rig.ros2.wire import BridgeFault, frames, packed
 from rig_msgs.msg import KukaStatus, TeleopState
 
 WORKSPACE = Path(__file__).resolve().parents[6]
@@ -276,7 +276,7 @@ class Ros2Bridge:
         try:
             self._side.put((channel.number, node), packed(channel.number, data), channel.depth)
             self._passed += 1
-        except WireFault as error:
+        except BridgeFault as error:
             rospy.logwarn_throttle(REMIND_S, f"{channel.topic}: {error}")
 
 

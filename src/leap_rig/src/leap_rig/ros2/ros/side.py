@@ -25,7 +25,7 @@ from kuka_msgs.action import Move
 from leap_rig.ros2 import channels
 from leap_rig.ros2.channels import MOVE, Channel
 from leap_rig.ros2.conversions import Ros2Conversions, ros2_name
-from leap_rig.ros2.wire import WireFault, frames, packed
+from leap_rig.ros2.wire import BridgeFault, frames, packed
 
 NAME = "leap_rig"  # of the node
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of one that was not discovered yet
@@ -250,7 +250,7 @@ def _hear(other: OtherSide, topics: Topics, relays: list[MoveRelay], rescue: lis
                 arm, number = MOVE.unpack_from(body)
                 relays[arm].take(channel, number, body[MOVE.size :])
         code = 0
-    except (OSError, WireFault) as error:
+    except (OSError, BridgeFault) as error:
         print(f"ros2_bridge: {error}", file=sys.stderr)
     except Exception:  # a defect, which must not leave a process that hears nothing
         traceback.print_exc()
