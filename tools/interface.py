@@ -58,6 +58,7 @@ from {FULL_SPEED_HZ:g} on; what comes less often than {HOLD_HZ:g} times a second
 | `kuka/scaling_factor` | 0.1 to 1.5 |
 | `kuka/exit_app`; `kuka/exit_app_emergency` | arm to zero, then exit; exit at once, nothing is sent |
 | `kuka/set_payload` | mass in the hand, 0 to 5 kg |
+| `rosrun leap_rig ros2_bridge.py` | publishes `tf` and calls `kuka/move` [for ROS 2](../handbook/ros2.md) |
 | `leap_kuka/stream` | OK while the tool follows a hand, with the reason |
 | `leap_kuka/hold_tool` | holds the desired tool until a hand comes, 120 s at most; it must point down within 10 deg |
 | `leap_kuka/interaction_box` | green while the tool follows a hand and the arm can come, else amber with the reason |

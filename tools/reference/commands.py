@@ -85,4 +85,4 @@ def _as_typed() -> str:
 
 def targets() -> dict[str, str]:
     """Returns the commands of the Makefile and what they do."""
-    return dict(re.findall(r"^([a-z-]+):.*?## (.*)$", (sources.ROOT / "Makefile").read_text(), re.MULTILINE))
+    return dict(re.findall(r"^([a-z0-9-]+):.*?## (.*)$", (sources.ROOT / "Makefile").read_text(), re.MULTILINE))

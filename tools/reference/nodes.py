@@ -66,6 +66,7 @@ NODES: dict[str, Node] = {
     "reflex/reflex_takktile_driver.py": Node(
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),
+    "leap_rig/ros2_bridge.py": Node({"": "leap_rig.ros2.config:Ros2BridgeConfig"}, {}),
     "leap_rig/operator_view_node.py": Node({"": "leap_rig.operator.view:OperatorViewConfig"}, {}),
     "leap_rig/tutorial.py": Node({"": "leap_rig.operator.ros.tutorial_node:TutorialConfig"}, {}),
     "rig_simulation/camera_node.py": Node(

@@ -19,9 +19,16 @@ from common.poses import pose
 from common.rotations import rotation_about, rotation_from_quaternion
 from leap_rig.recording import csv_export, read
 from leap_rig.recording.episode import ARM, HAND, color_image, training_episode
-from leap_rig.recording.recording_files import MessageKind, RecordingFault, StoredMessage, messages, write_mcap
+from leap_rig.recording.recording_files import (
+    MessageKind,
+    RecordingFault,
+    StoredMessage,
+    between,
+    messages,
+    write_mcap,
+)
 from leap_rig.recording.ros1 import MessageFault, decoder
-from leap_rig.recording.run import RecordedRun, between
+from leap_rig.recording.run import RecordedRun
 from leap_rig.recording.topics import JOINTS, RAW_FRAMES, SENT_GOALS
 
 ROOT = Path(__file__).parents[3]

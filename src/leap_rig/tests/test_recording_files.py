@@ -22,11 +22,12 @@ from leap_rig.recording.recording_files import (
     RecordingFault,
     RecordingWriter,
     StoredMessage,
+    between,
     messages,
     verify,
     write_mcap,
 )
-from leap_rig.recording.run import between, pose_in_base
+from leap_rig.recording.run import pose_in_base
 
 KINDS = (MessageKind("std_msgs/String", "string data\n", "992c", False), MessageKind("std_msgs/Bool", "bool data\n"))
 RESERVE = 4096

@@ -15,8 +15,8 @@ import numpy as np
 from common.errors import RigError
 from leap_rig.recording import topics
 from leap_rig.recording.episode import TrainingEpisode, color_image, training_episode
-from leap_rig.recording.recording_files import RecordingFault
-from leap_rig.recording.run import MessageDecoders, between, read
+from leap_rig.recording.recording_files import RecordingFault, between
+from leap_rig.recording.run import MessageDecoders, read
 
 STATE, ACTION, COLOR = "observation.state", "action", "observation.images.color"
 

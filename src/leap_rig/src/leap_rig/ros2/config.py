@@ -23,7 +23,7 @@ class Ros2BridgeConfig:
     )
     camera_rate: float = number("Hz", low=0.1, high=60.0, doc="most compressed images a second", absent=10.0)
     jpeg_quality: int = integer("%", low=10, high=100, doc="quality of the compressed images", absent=80)
-    python: str = path(doc="Python with ROS 2; empty: that of `make ros2`", absent="")
+    python: str = path(doc="Python with ROS 2; empty: that of make ros2", absent="")
 
     @property
     def moves(self) -> bool:

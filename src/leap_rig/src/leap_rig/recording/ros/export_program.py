@@ -23,12 +23,13 @@ from leap_rig.recording.recording_files import (
     MANIFEST,
     MESSAGES,
     RecordingFault,
+    between,
     folder_of,
     new_file,
     verify,
     write_mcap,
 )
-from leap_rig.recording.run import RecordedRun, between, read
+from leap_rig.recording.run import RecordedRun, read
 
 SOURCES = (Path(lerobot_export.__file__).parents[2], Path(common.errors.__file__).parents[1])
 PROGRAM = "from leap_rig.recording.{}_export import main; main()"

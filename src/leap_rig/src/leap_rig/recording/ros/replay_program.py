@@ -33,8 +33,8 @@ from kuka_msgs.msg import MoveGoal
 from leap_motion.codec import DeviceEvent, LeapProtocolError, read_message
 from leap_motion.service.server import LeapService, LeapServiceError
 from leap_rig.recording.fingerprint import controller_config, differences, fingerprint, moved_away, started_with
-from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, folder_of, verify
-from leap_rig.recording.run import MessageDecoders, RecordedRun, between, read
+from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, between, folder_of, verify
+from leap_rig.recording.run import MessageDecoders, RecordedRun, read
 from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
 
