@@ -1,0 +1,1 @@
+"""The cockpit: the rig in a browser."""
