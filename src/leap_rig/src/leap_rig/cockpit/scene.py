@@ -2,17 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import math
+import re
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import rich
+import trimesh
 import viser
 
+from leap_rig.cockpit.frame_poses import IDENTITY, FramePoses, Pose7, angle_between, differ
+from leap_rig.cockpit.markers import Drawing, Form
+from leap_rig.cockpit.robot_tree import DrawnLink, glb_of, links_of
+
 LOOPBACK = "127.0.0.1"
+STYLE = b"""<style>
+.mantine-Notifications-root, .mantine-Paper-root, [title="About Viser"], [data-dock-root] > :not(:first-child)
+{ display: none !important; }
+</style></head>"""
+"""Hides what is viser's own: its panel, its mark and its notes."""
+BACKGROUND = (92, 99, 109)
+AXES_LAST_S = 3.0  # axes of a frame that comes no more are hidden
 
 
 class SceneServer:
     """The scene and its server, on a free port of this machine alone: who lets a page from elsewhere see it passes
-    `page` and the WebSocket on. Nothing that a page sends there has an effect but on its own view."""
+    `page` and the WebSocket on. Nothing that a page sends there has an effect but on its own view. One thread calls
+    what shows something."""
 
     def __init__(self) -> None:
         rich.get_console().quiet = True  # viser prints its address, which is of no use to anybody
@@ -20,6 +40,18 @@ class SceneServer:
         # Of what a page may send, its camera alone is taken: viser would else build a tunnel to a server on the
         # internet for whoever asks, or keep a file of any size.
         self._server._websock_server._incoming_handlers.clear()
+        self._poses = FramePoses()
+        self._root = ""
+        self._robots: dict[str, _Robot] = {}
+        self._frames: dict[str, _Placed] = {}
+        self._axes: dict[str, _Placed] = {}
+        self._groups: dict[str, dict[Hashable, tuple[Drawing, str, Any]]] = {}
+        self._numbers = itertools.count()
+        self._cloud: tuple[str, Any] | None = None
+        scene = self._server.scene
+        scene.set_background_image(np.full((4, 4, 3), BACKGROUND, dtype=np.uint8), format="png")
+        scene.configure_default_lights(cast_shadow=False)
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
 
     @property
     def port(self) -> int:
@@ -27,13 +59,14 @@ class SceneServer:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port, where both the page and, at the path /, its WebSocket are."""
+        """Host and port of the WebSocket, whose path is /."""
         return LOOPBACK, self.port
 
     @property
-    def page(self) -> Path:
-        """The one file of the page; it needs no other."""
-        return Path(viser.__file__).parent / "client" / "build" / "index.html"
+    def page(self) -> bytes:
+        """The page, HTML in one piece: it needs no other file, and shows the scene alone."""
+        html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
+        return html.replace(b"</head>", STYLE, 1)
 
     @property
     def viewers(self) -> int:
@@ -42,3 +75,253 @@ class SceneServer:
 
     def close(self) -> None:
         self._server.stop()
+
+    def set_robot(self, arm: str, urdf: str, read_mesh: Callable[[str], str]) -> None:
+        """Shows the robot of a description, whose frames have the prefix `arm`, empty for an only arm. `read_mesh`
+        returns the text of a mesh by its address. Raises DescriptionFault or OSError; what was shown then stays."""
+        links = links_of(urdf)
+        shapes = {link.name: (glb_of(link, read_mesh), glb_of(link, read_mesh, ghost=True)) for link in links}
+        old = self._robots.pop(arm, None)
+        if old is not None:
+            old.remove()
+            for shown in self._groups.values():
+                for key in [key for key, (_, node, _) in shown.items() if node.startswith(old.top)]:
+                    del shown[key]
+        self._robots[arm] = _Robot(self._server.scene, arm, links, shapes)
+
+    def show_axes(self, frame: str, length_m: float, name: str = "") -> None:
+        """Shows the axes of a frame while it comes, with a name unless that is empty."""
+        if frame not in self._axes:
+            node, scene = f"{self._frame_node(frame)}/axes", self._server.scene
+            axes = scene.add_frame(node, axes_length=length_m, axes_radius=0.05 * length_m, origin_radius=0.0)
+            self._axes[frame] = _Placed(axes)
+            if name:
+                scene.add_label(f"{node}/name", name, anchor="bottom-left")
+
+    def put_transform(self, parent: str, child: str, numbers: Pose7, now: float) -> None:
+        """Takes a transform of tf that was received at `now` [s, monotonic; infinite for a static one]; one that is not
+        finite, or not of a rotation, is left out."""
+        norm = math.hypot(*numbers[3:])
+        if math.isfinite(sum(numbers)) and 0.9 < norm < 1.1:
+            self._poses.put(parent, child, numbers, now)
+
+    def set_commanded(self, arm: str, joints: Sequence[float] | None) -> None:
+        """Takes the joints [rad] that an arm is commanded to, in the order of the description, or None: unknown."""
+        if arm in self._robots:
+            self._robots[arm].commanded = joints
+
+    def set_drawings(self, group: str, drawings: Mapping[Hashable, Drawing]) -> None:
+        """Shows these drawings in place of those that the group had."""
+        shown = self._groups.setdefault(group, {})
+        for key in [key for key in shown if key not in drawings]:
+            shown.pop(key)[2].remove()
+        for key, drawing in drawings.items():
+            old, node, handle = shown.get(key, (None, "", None))
+            if old is drawing:
+                continue
+            parent = self._frame_node(drawing.frame)
+            if old is None or not node.startswith(parent + "/drawing"):
+                if handle is not None:
+                    handle.remove()
+                node = f"{parent}/drawing{next(self._numbers)}"
+            if old is None or not _updated(handle, old, drawing):
+                handle = _drawn(self._server.scene, node, drawing)
+            shown[key] = drawing, node, handle
+
+    def set_cloud(self, frame: str, points: np.ndarray, colours: np.ndarray) -> None:
+        """Shows a point cloud: points in the frame, shape (n, 3) [m], and their colours, shape (n, 3), bytes."""
+        node = f"{self._frame_node(frame)}/cloud"
+        if self._cloud is not None and self._cloud[0] != node:
+            self._cloud[1].remove()
+        cloud = self._server.scene.add_point_cloud(node, points, colours, point_size=0.005, point_shading="flat")
+        self._cloud = node, cloud
+
+    def update(self, now: float) -> None:
+        """Moves what has moved visibly; `now` as in `put_transform`."""
+        bases = [found for robot in self._robots.values() if (found := self._poses.chain(robot.base))]
+        self._root = bases[0][0] if bases else self._root
+        for robot in self._robots.values():
+            robot.update(self._in_root(robot.base), self._poses)
+        for frame, placed in self._frames.items():
+            placed.move_or_hide(self._in_root(frame))
+        for frame, axes in self._axes.items():
+            axes.show(now - self._poses.received(frame) < AXES_LAST_S)
+
+    def together(self) -> contextlib.AbstractContextManager[None]:
+        """A context whose changes reach a page in one piece."""
+        return self._server.atomic()
+
+    def _in_root(self, frame: str) -> Pose7 | None:
+        found = self._poses.chain(frame)
+        return found[1] if found is not None and found[0] == self._root else None
+
+    def _frame_node(self, frame: str) -> str:
+        """Returns the name of the node that stands for a frame."""
+        for robot in self._robots.values():
+            if frame in robot.nodes:
+                return robot.nodes[frame]
+        name = f"/frames/{_plain(frame)}"
+        if frame not in self._frames:
+            self._frames[frame] = _Placed.frame(self._server.scene, name)
+        return name
+
+
+class _Placed:
+    """A node that is sent only what an eye sees of its motion."""
+
+    def __init__(self, handle: Any, visible: bool = True) -> None:
+        self.handle = handle
+        self._pose: Pose7 = IDENTITY
+        self._visible = visible
+
+    @classmethod
+    def frame(cls, scene: viser.SceneApi, name: str) -> _Placed:
+        return cls(scene.add_frame(name, show_axes=False, visible=False), visible=False)
+
+    def move_or_hide(self, pose: Pose7 | None) -> None:
+        self.show(pose is not None)
+        if pose is not None:
+            self.move(pose)
+
+    def move(self, pose: Pose7) -> None:
+        moved, turned = differ(pose[:3], self._pose[:3]), differ(pose[3:], self._pose[3:])
+        if moved:
+            self.handle.position = pose[:3]
+        if turned:
+            x, y, z, w = pose[3:]
+            self.handle.wxyz = (w, x, y, z)
+        self._pose = (*(pose if moved else self._pose)[:3], *(pose if turned else self._pose)[3:])
+
+    def show(self, visible: bool) -> None:
+        if visible != self._visible:
+            self._visible = self.handle.visible = visible
+
+
+class _Robot:
+    """The links of a robot, each below the one that it hangs on, and once more as a ghost at the commanded joints."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        arm: str,
+        links: Sequence[DrawnLink],
+        shapes: Mapping[str, tuple[bytes | None, bytes | None]],
+    ) -> None:
+        self.commanded: Sequence[float] | None = None
+        self._frames = {link.name: f"{arm}/{link.name}" if arm else link.name for link in links}
+        self.base = self._frames[links[0].name]
+        self.top = f"/robot:{_plain(arm)}/"
+        self._top, self._ghost = (_Placed.frame(scene, self.top + part) for part in ("measured", "commanded"))
+        self._links = {link.name: link for link in links[1:]}
+        self._measured, nodes = self._chain(scene, f"{self.top}measured", links, shapes, 0)
+        self._commanded, _ = self._chain(scene, f"{self.top}commanded", links, shapes, 1)
+        self.nodes = {self._frames[name]: node for name, node in nodes.items()}
+        self._differs = False
+
+    @staticmethod
+    def _chain(
+        scene: viser.SceneApi, top: str, links: Sequence[DrawnLink], shapes: Mapping, look: int
+    ) -> tuple[dict[str, _Placed], dict[str, str]]:
+        placed, nodes = {}, {links[0].name: top}
+        for link in links:
+            if link is not links[0]:
+                nodes[link.name] = f"{nodes[link.parent]}/{_plain(link.name)}"
+                placed[link.name] = _Placed(scene.add_frame(nodes[link.name], show_axes=False))
+                placed[link.name].move(link.at(0.0))
+            glb = shapes[link.name][look]
+            if glb is not None and not (look and link is links[0]):
+                scene.add_glb(f"{nodes[link.name]}/shape", glb, cast_shadow=False, receive_shadow=False)
+        return placed, nodes
+
+    def remove(self) -> None:
+        self._top.handle.remove()
+        self._ghost.handle.remove()
+
+    def update(self, T_root_base: Pose7 | None, poses: FramePoses) -> None:
+        """Moves the links to where tf has them; hides the robot while a moving one is unknown."""
+        measured = {}
+        for name, link in self._links.items():
+            found = poses.relative(self._frames[link.parent], self._frames[name])
+            if found is None and link.moves:
+                T_root_base = None
+                break
+            measured[name] = link.at(0.0) if found is None else found
+        self._top.move_or_hide(T_root_base)
+        if T_root_base is not None:
+            for name, pose in measured.items():
+                self._measured[name].move(pose)
+        self._update_ghost(T_root_base, measured)
+
+    def _update_ghost(self, T_root_base: Pose7 | None, measured: Mapping[str, Pose7]) -> None:
+        appears, vanishes = 0.04, 0.02  # difference of a joint [rad]; 0.02 rad are 2 cm at the end of the arm
+        joints = self.commanded
+        if T_root_base is None or joints is None or not all(map(math.isfinite, joints)):
+            self._ghost.show(False)
+            return
+        moving = [link for link in self._links.values() if link.moves]
+        commanded = {**measured, **{link.name: link.at(angle) for link, angle in zip(moving, joints)}}
+        apart = max((angle_between(commanded[name], measured[name]) for name in measured), default=0.0)
+        self._differs = apart > (vanishes if self._differs else appears)
+        self._ghost.move_or_hide(T_root_base if self._differs else None)
+        if self._differs:
+            for name, pose in commanded.items():
+                self._commanded[name].move(pose)
+
+
+def _drawn(scene: viser.SceneApi, node: str, drawing: Drawing) -> Any:
+    """Draws anew, in place of what was drawn at this node."""
+    x, y, z, w = drawing.orientation
+    at: dict[str, Any] = {"position": drawing.position, "wxyz": (w, x, y, z)}
+    points, colours, size = drawing.points, drawing.colours, drawing.size
+    if drawing.form is Form.LINES:
+        return scene.add_line_segments(node, points, colours, thickness=max(size[0], 0.003), **at)
+    if drawing.form is Form.ARROWS:
+        shaft, head, length = size
+        radii = {"shaft_radius": 0.5 * shaft, "head_radius": 0.5 * head}
+        return scene.add_arrows(node, points, colours, head_length=length, **radii, **at)
+    if drawing.form is Form.POINTS:
+        return scene.add_point_cloud(node, points, colours, point_size=size[0], point_shading="flat", **at)
+    if drawing.form is Form.TEXT:
+        return scene.add_label(node, drawing.text, anchor="bottom-center", **at)
+    opacity = drawing.opacity if drawing.opacity < 1.0 else None
+    if drawing.form is Form.TRIANGLES:
+        colour = tuple(np.mean(colours.reshape(-1, 3), axis=0).astype(int).tolist())
+        faces = np.arange(3 * len(points)).reshape(-1, 3)
+        look: dict[str, Any] = {"color": colour, "opacity": opacity, "side": "double", "cast_shadow": False}
+        return scene.add_mesh_simple(node, points.reshape(-1, 3), faces, **look, **at)
+    if drawing.form is Form.BOXES:
+        body = trimesh.creation.box((1.0, 1.0, 1.0))
+    elif drawing.form is Form.BALLS:
+        body = trimesh.creation.icosphere(subdivisions=2 if len(points) == 1 else 1, radius=0.5)
+    else:
+        body = trimesh.creation.cylinder(radius=0.5, height=1.0, sections=24)
+    return scene.add_batched_meshes_simple(
+        node, body.vertices, body.faces, np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1)), points,
+        batched_scales=np.tile(size, (len(points), 1)), batched_colors=colours, opacity=opacity, lod="off",
+        flat_shading=drawing.form is not Form.BALLS, cast_shadow=False, receive_shadow=False, **at,
+    )  # fmt: skip
+
+
+def _updated(handle: Any, old: Drawing, new: Drawing) -> bool:
+    """Changes what is drawn; returns False where it has to be drawn anew."""
+    same = old.form is new.form and (old.size, old.opacity) == (new.size, new.opacity)
+    same &= old.points.shape == new.points.shape and old.colours.shape == new.colours.shape
+    if not same or (new.form is Form.TRIANGLES and not np.array_equal(old.points, new.points)):
+        return False
+    if new.position != old.position:
+        handle.position = new.position
+    if new.orientation != old.orientation:
+        x, y, z, w = new.orientation
+        handle.wxyz = (w, x, y, z)
+    if new.form is Form.TEXT:
+        handle.text = new.text
+    elif new.form in (Form.BOXES, Form.BALLS, Form.CYLINDERS):
+        handle.batched_positions, handle.batched_colors = new.points, new.colours
+    elif new.form is not Form.TRIANGLES:
+        handle.points, handle.colors = new.points, new.colours
+    return True
+
+
+def _plain(name: str) -> str:
+    """Returns a name of a node: a slash would make another level of it."""
+    return re.sub(r"[^\w.-]", ":", name)[:100]

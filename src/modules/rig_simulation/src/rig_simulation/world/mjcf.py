@@ -13,6 +13,7 @@ import numpy as np
 from common.frames import BASE
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_zyx
+from rig_description.meshes import surface_from_collada
 from rig_simulation.devices.sunrise.robot import JOINTS
 from rig_simulation.files import read_mesh
 
@@ -94,23 +95,6 @@ def add_mesh(asset: ET.Element, name: str, vertices: np.ndarray, triangles: np.n
     ET.SubElement(
         asset, "mesh", name=name, vertex=numbers(vertices.ravel()), face=" ".join(map(str, triangles.ravel()))
     )
-
-
-_COLLADA = {"c": "http://www.collada.org/2005/11/COLLADASchema"}
-
-
-def surface_from_collada(text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns the surface of one colour in a COLLADA file of rig_description, whose vertices have one normal each:
-    vertices, shape (n, 3), in the file's unit; triangles, shape (m, 3); red, green, blue from 0 to 1, shape (3,).
-    Raises ValueError if the text lacks positions, triangles or the colour. Twenty lines read what rig_description
-    writes; trimesh with pycollada would add two packages and their start time."""
-    root = ET.fromstring(text)
-    paths = ".//c:source[@id='positions']/c:float_array", ".//c:triangles/c:p", ".//c:diffuse/c:color"
-    positions, indices, colour = (root.findtext(path, namespaces=_COLLADA) for path in paths)
-    if not positions or not indices or not colour:
-        raise ValueError("The COLLADA text lacks positions, triangles or the colour; generate the meshes again.")
-    vertices = np.array(positions.split(), dtype=float).reshape(-1, 3)
-    return vertices, np.array(indices.split(), dtype=int).reshape(-1, 3), np.array(colour.split(), dtype=float)[:3]
 
 
 ARM_STIFFNESS = (10000.0, 10000.0, 10000.0, 10000.0, 6000.0, 6000.0, 6000.0)
