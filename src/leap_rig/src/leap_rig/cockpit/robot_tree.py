@@ -1,5 +1,4 @@
-"""The robot of a URDF as it is drawn: its links as one tree, and their shapes as files of the kind GLB. Lengths in m,
-angles in rad."""
+"""The robot of a URDF as it is drawn: its links as one tree, and the surfaces of each. Lengths in m, angles in rad."""
 
 from __future__ import annotations
 
@@ -10,7 +9,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import trimesh
-from trimesh.visual.material import PBRMaterial
 
 from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_zyx
@@ -18,7 +16,6 @@ from rig_description.meshes import surface_from_collada
 
 Transform = tuple  # of seven numbers: position x, y, z, quaternion x, y, z, w
 MOST_LINKS = 200
-GHOST = (90, 170, 255, 70)  # colour of the commanded arm, and how much of it is seen through
 
 
 class DescriptionFault(ValueError):
@@ -82,45 +79,43 @@ def links_of(urdf: str) -> list[DrawnLink]:
     return list(links.values())
 
 
-def glb_of(link: DrawnLink, read_mesh: Callable[[str], str], ghost: bool = False) -> bytes | None:
-    """Returns the shapes of a link, None if it has none; as a `ghost` all of one colour, half seen through. `read_mesh`
-    returns the text of a file. Raises DescriptionFault or OSError."""
-    by_colour: dict[tuple[int, ...], list[trimesh.Trimesh]] = {}
+@dataclass(frozen=True)
+class Surface:
+    """Part of a link of one colour: vertices in the link, shape (n, 3); triangles, shape (m, 3); colour in bytes."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    colour: tuple[int, ...]
+    smooth: bool
+
+
+def surfaces_of(link: DrawnLink, read_mesh: Callable[[str], str]) -> list[Surface]:
+    """Returns the shapes of a link, those of one colour together. `read_mesh` returns the text of a file. Raises
+    DescriptionFault or OSError."""
+    parts: dict[tuple, list[tuple[np.ndarray, np.ndarray]]] = {}
     for shape in link.shapes:
-        mesh, colour = _mesh(shape, read_mesh)
-        mesh.apply_transform(shape.T_link_shape)
-        rgba = GHOST if ghost else tuple(int(255 * part) for part in (*colour, 1.0))
-        by_colour.setdefault(rgba, []).append(mesh)
-    if not by_colour:
-        return None
-    scene = trimesh.Scene()
-    for rgba, meshes in by_colour.items():
-        whole = trimesh.util.concatenate(meshes)
-        seen_through = "BLEND" if ghost else "OPAQUE"
-        material = PBRMaterial(baseColorFactor=rgba, metallicFactor=0.1, roughnessFactor=0.7, alphaMode=seen_through)
-        whole.visual = trimesh.visual.TextureVisuals(material=material)
-        scene.add_geometry(whole)
-    return bytes(scene.export(file_type="glb", include_normals=True))
+        vertices, triangles, colour, smooth = _surface(shape, read_mesh)
+        placed = vertices @ shape.T_link_shape[:3, :3].T + shape.T_link_shape[:3, 3]
+        parts.setdefault((tuple(int(255 * part) for part in colour), smooth), []).append((placed, triangles))
+    return [Surface(*trimesh.util.append_faces(*zip(*found)), *look) for look, found in parts.items()]
 
 
-def _mesh(shape: LinkShape, read_mesh: Callable[[str], str]) -> tuple[trimesh.Trimesh, Sequence[float]]:
+def _surface(shape: LinkShape, read_mesh: Callable[[str], str]) -> tuple[np.ndarray, np.ndarray, Sequence[float], bool]:
+    """Returns vertices, triangles, colour, and whether it is smooth."""
     grey = (0.7, 0.7, 0.7)
     if shape.mesh:
         try:
             vertices, triangles, colour = surface_from_collada(read_mesh(shape.mesh))
-            mesh = trimesh.Trimesh(vertices * shape.scale, triangles, process=False)
         except (ValueError, ET.ParseError) as error:
             raise DescriptionFault(f"{shape.mesh} cannot be drawn: {error}") from error
-        return mesh, (shape.colour or colour.tolist())[:3]
+        return vertices * shape.scale, triangles, (shape.colour or colour.tolist())[:3], True
     if shape.kind == "box":
         mesh = trimesh.creation.box(shape.size)
     elif shape.kind == "cylinder":
-        mesh = trimesh.creation.cylinder(*shape.size, sections=32)
+        mesh = trimesh.creation.cylinder(*shape.size, sections=48)
     else:
-        mesh = trimesh.creation.icosphere(subdivisions=2, radius=shape.size[0])
-    if shape.kind != "sphere":
-        mesh.unmerge_vertices()  # edges stay sharp
-    return mesh, (shape.colour or grey)[:3]
+        mesh = trimesh.creation.icosphere(subdivisions=3, radius=shape.size[0])
+    return mesh.vertices, mesh.faces, (shape.colour or grey)[:3], shape.kind == "sphere"
 
 
 def _link(name: str, joint: ET.Element | None, shapes: list[LinkShape]) -> DrawnLink:

@@ -17,7 +17,7 @@ import viser
 
 from leap_rig.cockpit.frame_poses import IDENTITY, FramePoses, Pose7, angle_between, differ
 from leap_rig.cockpit.markers import Drawing, Form
-from leap_rig.cockpit.robot_tree import DrawnLink, glb_of, links_of
+from leap_rig.cockpit.robot_tree import DrawnLink, Surface, links_of, surfaces_of
 
 LOOPBACK = "127.0.0.1"
 STYLE = b"""<style>
@@ -26,6 +26,9 @@ STYLE = b"""<style>
 </style></head>"""
 """Hides what is viser's own: its panel, its mark and its notes."""
 BACKGROUND = (92, 99, 109)
+NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}  # of software that draws, it would take most of the time
+MEASURED: Mapping[str, Any] = {}
+GHOST: Mapping[str, Any] = {"color": (90, 170, 255), "opacity": 0.3}  # of the commanded arm
 AXES_LAST_S = 3.0  # axes of a frame that comes no more are hidden
 
 
@@ -80,14 +83,14 @@ class SceneServer:
         """Shows the robot of a description, whose frames have the prefix `arm`, empty for an only arm. `read_mesh`
         returns the text of a mesh by its address. Raises DescriptionFault or OSError; what was shown then stays."""
         links = links_of(urdf)
-        shapes = {link.name: (glb_of(link, read_mesh), glb_of(link, read_mesh, ghost=True)) for link in links}
+        surfaces = {link.name: surfaces_of(link, read_mesh) for link in links}
         old = self._robots.pop(arm, None)
         if old is not None:
             old.remove()
             for shown in self._groups.values():
                 for key in [key for key, (_, node, _) in shown.items() if node.startswith(old.top)]:
                     del shown[key]
-        self._robots[arm] = _Robot(self._server.scene, arm, links, shapes)
+        self._robots[arm] = _Robot(self._server.scene, arm, links, surfaces)
 
     def show_axes(self, frame: str, length_m: float, name: str = "") -> None:
         """Shows the axes of a frame while it comes, with a name unless that is empty."""
@@ -205,7 +208,7 @@ class _Robot:
         scene: viser.SceneApi,
         arm: str,
         links: Sequence[DrawnLink],
-        shapes: Mapping[str, tuple[bytes | None, bytes | None]],
+        surfaces: Mapping[str, Sequence[Surface]],
     ) -> None:
         self.commanded: Sequence[float] | None = None
         self._frames = {link.name: f"{arm}/{link.name}" if arm else link.name for link in links}
@@ -213,14 +216,19 @@ class _Robot:
         self.top = f"/robot:{_plain(arm)}/"
         self._top, self._ghost = (_Placed.frame(scene, self.top + part) for part in ("measured", "commanded"))
         self._links = {link.name: link for link in links[1:]}
-        self._measured, nodes = self._chain(scene, f"{self.top}measured", links, shapes, 0)
-        self._commanded, _ = self._chain(scene, f"{self.top}commanded", links, shapes, 1)
+        self._measured, nodes = self._chain(scene, f"{self.top}measured", links, surfaces)
+        of_ghost = {link.name: surfaces[link.name] for link in links[1:]}
+        self._commanded, _ = self._chain(scene, f"{self.top}commanded", links, of_ghost, GHOST)
         self.nodes = {self._frames[name]: node for name, node in nodes.items()}
         self._differs = False
 
     @staticmethod
     def _chain(
-        scene: viser.SceneApi, top: str, links: Sequence[DrawnLink], shapes: Mapping, look: int
+        scene: viser.SceneApi,
+        top: str,
+        links: Sequence[DrawnLink],
+        surfaces: Mapping[str, Sequence[Surface]],
+        look: Mapping[str, Any] = MEASURED,
     ) -> tuple[dict[str, _Placed], dict[str, str]]:
         placed, nodes = {}, {links[0].name: top}
         for link in links:
@@ -228,9 +236,11 @@ class _Robot:
                 nodes[link.name] = f"{nodes[link.parent]}/{_plain(link.name)}"
                 placed[link.name] = _Placed(scene.add_frame(nodes[link.name], show_axes=False))
                 placed[link.name].move(link.at(0.0))
-            glb = shapes[link.name][look]
-            if glb is not None and not (look and link is links[0]):
-                scene.add_glb(f"{nodes[link.name]}/shape", glb, cast_shadow=False, receive_shadow=False)
+            for number, surface in enumerate(surfaces.get(link.name, ())):
+                scene.add_mesh_simple(
+                    f"{nodes[link.name]}/surface{number}", surface.vertices, surface.triangles,
+                    **{"color": surface.colour, "flat_shading": not surface.smooth, **NO_SHADOW, **look},
+                )  # fmt: skip
         return placed, nodes
 
     def remove(self) -> None:
@@ -287,7 +297,7 @@ def _drawn(scene: viser.SceneApi, node: str, drawing: Drawing) -> Any:
     if drawing.form is Form.TRIANGLES:
         colour = tuple(np.mean(colours.reshape(-1, 3), axis=0).astype(int).tolist())
         faces = np.arange(3 * len(points)).reshape(-1, 3)
-        look: dict[str, Any] = {"color": colour, "opacity": opacity, "side": "double", "cast_shadow": False}
+        look: dict[str, Any] = {"color": colour, "opacity": opacity, "side": "double", **NO_SHADOW}
         return scene.add_mesh_simple(node, points.reshape(-1, 3), faces, **look, **at)
     if drawing.form is Form.BOXES:
         body = trimesh.creation.box((1.0, 1.0, 1.0))
@@ -298,7 +308,7 @@ def _drawn(scene: viser.SceneApi, node: str, drawing: Drawing) -> Any:
     return scene.add_batched_meshes_simple(
         node, body.vertices, body.faces, np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1)), points,
         batched_scales=np.tile(size, (len(points), 1)), batched_colors=colours, opacity=opacity, lod="off",
-        flat_shading=drawing.form is not Form.BALLS, cast_shadow=False, receive_shadow=False, **at,
+        flat_shading=drawing.form is not Form.BALLS, **NO_SHADOW, **at,
     )  # fmt: skip
 
 

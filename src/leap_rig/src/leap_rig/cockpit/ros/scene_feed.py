@@ -28,7 +28,7 @@ from common.frames import (
     ArmFrames,
     frame_name,
 )
-from common.ros.node import repeat, while_running
+from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.raw_tf import RawTfMessage
 from leap_rig.cockpit.cloud import CloudFault, thinned
