@@ -21,8 +21,8 @@ def thinned(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
     pixels in each cloud of a size, so that a still scene keeps still. Raises CloudFault."""
     fields = {field.name: field for field in cloud.fields}
     colour = next((fields[name] for name in ("rgb", "rgba") if name in fields), None)
-    used = [fields.get(name) for name in NUMBERS]
-    if any(field is None or field.datatype != FLOAT32 for field in used):
+    used = [fields[name] for name in NUMBERS if name in fields]
+    if len(used) < len(NUMBERS) or any(field.datatype != FLOAT32 for field in used):
         raise CloudFault("its points have no x, y, z of the type float32")
     if colour is not None and colour.datatype not in (FLOAT32, UINT32):
         raise CloudFault("its colours are neither float32 nor uint32")
@@ -39,7 +39,7 @@ def thinned(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
     pixels = np.ascontiguousarray(rows.reshape(len(rows), cloud.width, step)[:, ::every]).reshape(-1, step)
     number = np.dtype(np.float32).newbyteorder(">" if cloud.is_bigendian else "<")
     columns = [np.ascontiguousarray(pixels[:, f.offset : f.offset + 4]).view(number)[:, 0] for f in used]
-    points = NEARER * np.stack(columns, axis=1).astype(np.float32)
+    points: np.ndarray = NEARER * np.stack(columns, axis=1).astype(np.float32)
     seen = np.isfinite(points).all(axis=1) & (np.abs(points) < 50.0).all(axis=1)
     if colour is None:
         colours = np.full((len(points), 3), 200, dtype=np.uint8)

@@ -154,7 +154,7 @@ def _drawing(marker: Any) -> Drawing | None:
     if opacity <= 0.0 or (form is Form.TEXT and not marker.text.strip()):
         return None
     colours = _bytes(rgba[:, :3]) if len(rgba) else _bytes(np.array([colour.r, colour.g, colour.b]))
-    size: tuple[float, ...] = _rounded(np.abs(given[:3]))
+    size = _rounded(np.abs(given[:3]))
     if kind is Kind.ARROW:
         if len(points) != 2:
             points = np.array([(0.0, 0.0, 0.0), (scale.x, 0.0, 0.0)])

@@ -97,7 +97,13 @@ def surfaces_of(link: DrawnLink, read_mesh: Callable[[str], str]) -> list[Surfac
         vertices, triangles, colour, smooth = _surface(shape, read_mesh)
         placed = vertices @ shape.T_link_shape[:3, :3].T + shape.T_link_shape[:3, 3]
         parts.setdefault((tuple(int(255 * part) for part in colour), smooth), []).append((placed, triangles))
-    return [Surface(*trimesh.util.append_faces(*zip(*found)), *look) for look, found in parts.items()]
+    return [_whole(found, *look) for look, found in parts.items()]
+
+
+def _whole(parts: list[tuple[np.ndarray, np.ndarray]], colour: tuple[int, ...], smooth: bool) -> Surface:
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    triangles = np.vstack([faces + start for (_, faces), start in zip(parts, starts)])
+    return Surface(np.vstack([vertices for vertices, _ in parts]), triangles, colour, smooth)
 
 
 def _surface(shape: LinkShape, read_mesh: Callable[[str], str]) -> tuple[np.ndarray, np.ndarray, Sequence[float], bool]:
@@ -112,7 +118,7 @@ def _surface(shape: LinkShape, read_mesh: Callable[[str], str]) -> tuple[np.ndar
     if shape.kind == "box":
         mesh = trimesh.creation.box(shape.size)
     elif shape.kind == "cylinder":
-        mesh = trimesh.creation.cylinder(*shape.size, sections=48)
+        mesh = trimesh.creation.cylinder(radius=shape.size[0], height=shape.size[1], sections=48)
     else:
         mesh = trimesh.creation.icosphere(subdivisions=3, radius=shape.size[0])
     return mesh.vertices, mesh.faces, (shape.colour or grey)[:3], shape.kind == "sphere"
@@ -138,7 +144,8 @@ def _shapes(link: ET.Element) -> list[LinkShape]:
             continue
         colour = visual.find("material/color")
         rgba = None if colour is None else _numbers(_text(colour, "rgba"), 4)
-        mesh, size, scale = "", (), np.ones(3)
+        mesh, scale = "", np.ones(3)
+        size: tuple[float, ...] = ()
         if geometry.tag == "mesh":
             mesh, scale = _text(geometry, "filename"), np.array(_numbers(geometry.get("scale", "1 1 1"), 3))
         elif geometry.tag == "box":

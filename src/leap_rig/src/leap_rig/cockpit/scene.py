@@ -8,14 +8,15 @@ import math
 import re
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rich
 import trimesh
 import viser
 
-from leap_rig.cockpit.frame_poses import IDENTITY, FramePoses, Pose7, angle_between, differ
+from leap_rig.cockpit.frame_poses import IDENTITY, FramePoses, Pose7, angle_between, compose, differ
+from leap_rig.cockpit.labels import Eye, Label, anchors
 from leap_rig.cockpit.markers import Drawing, Form
 from leap_rig.cockpit.robot_tree import DrawnLink, Surface, links_of, surfaces_of
 
@@ -26,10 +27,28 @@ STYLE = b"""<style>
 </style></head>"""
 """Hides what is viser's own: its panel, its mark and its notes."""
 BACKGROUND = (92, 99, 109)
-NO_SHADOW = {"cast_shadow": False, "receive_shadow": False}  # of software that draws, it would take most of the time
+NO_SHADOW: Mapping[str, Any] = {
+    "cast_shadow": False,
+    "receive_shadow": False,
+}  # of software that draws, it would take most of the time
 MEASURED: Mapping[str, Any] = {}
 GHOST: Mapping[str, Any] = {"color": (90, 170, 255), "opacity": 0.3}  # of the commanded arm
+LABELS_PERIOD_S = 0.3
 AXES_LAST_S = 3.0  # axes of a frame that comes no more are hidden
+
+
+class StartView(NamedTuple):
+    """What a page looks at first: a ball, from a side and from above."""
+
+    middle: tuple[float, float, float]  # [m]
+    radius: float  # [m]
+    yaw: float  # of the eye about the middle [rad]
+    pitch: float
+
+
+ONE_ARM = StartView((0.22, -0.02, 0.36), 0.62, -0.5, 0.38)
+TWO_ARMS = StartView((0.25, 0.0, 0.35), 1.0, math.pi, 0.65)
+FOV = math.radians(45.0)  # upright
 
 
 class SceneServer:
@@ -49,12 +68,15 @@ class SceneServer:
         self._frames: dict[str, _Placed] = {}
         self._axes: dict[str, _Placed] = {}
         self._groups: dict[str, dict[Hashable, tuple[Drawing, str, Any]]] = {}
+        self._labels = _Labels()
         self._numbers = itertools.count()
+        self._next_labels = 0.0
         self._cloud: tuple[str, Any] | None = None
         scene = self._server.scene
         scene.set_background_image(np.full((4, 4, 3), BACKGROUND, dtype=np.uint8), format="png")
         scene.configure_default_lights(cast_shadow=False)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
+        self._server.on_client_connect(self._look)
 
     @property
     def port(self) -> int:
@@ -79,6 +101,18 @@ class SceneServer:
     def close(self) -> None:
         self._server.stop()
 
+    def _look(self, client: viser.ClientHandle) -> None:
+        """Lets a page that has just come look at the whole rig, whatever the shape of its window."""
+        view = ONE_ARM if len(self._robots) < 2 else TWO_ARMS
+        half = 0.5 * FOV
+        narrow = min(half, math.atan(math.tan(half) * max(client.camera.aspect, 0.2)))
+        away = view.radius / math.sin(narrow)
+        level = math.cos(view.pitch) * away
+        offset = level * math.cos(view.yaw), level * math.sin(view.yaw), math.sin(view.pitch) * away
+        client.camera.fov = FOV
+        client.camera.position = np.add(view.middle, offset)
+        client.camera.look_at = np.array(view.middle)
+
     def set_robot(self, arm: str, urdf: str, read_mesh: Callable[[str], str]) -> None:
         """Shows the robot of a description, whose frames have the prefix `arm`, empty for an only arm. `read_mesh`
         returns the text of a mesh by its address. Raises DescriptionFault or OSError; what was shown then stays."""
@@ -99,7 +133,7 @@ class SceneServer:
             axes = scene.add_frame(node, axes_length=length_m, axes_radius=0.05 * length_m, origin_radius=0.0)
             self._axes[frame] = _Placed(axes)
             if name:
-                scene.add_label(f"{node}/name", name, anchor="bottom-left")
+                self._labels.put(frame, frame, (0.0, 0.0, 0.0), name, scene.add_label(f"{node}/name", name))
 
     def put_transform(self, parent: str, child: str, numbers: Pose7, now: float) -> None:
         """Takes a transform of tf that was received at `now` [s, monotonic; infinite for a static one]; one that is not
@@ -118,6 +152,7 @@ class SceneServer:
         shown = self._groups.setdefault(group, {})
         for key in [key for key in shown if key not in drawings]:
             shown.pop(key)[2].remove()
+            self._labels.drop((group, key))
         for key, drawing in drawings.items():
             old, node, handle = shown.get(key, (None, "", None))
             if old is drawing:
@@ -130,6 +165,8 @@ class SceneServer:
             if old is None or not _updated(handle, old, drawing):
                 handle = _drawn(self._server.scene, node, drawing)
             shown[key] = drawing, node, handle
+            if drawing.form is Form.TEXT:
+                self._labels.put((group, key), drawing.frame, drawing.position, drawing.text, handle)
 
     def set_cloud(self, frame: str, points: np.ndarray, colours: np.ndarray) -> None:
         """Shows a point cloud: points in the frame, shape (n, 3) [m], and their colours, shape (n, 3), bytes."""
@@ -149,10 +186,25 @@ class SceneServer:
             placed.move_or_hide(self._in_root(frame))
         for frame, axes in self._axes.items():
             axes.show(now - self._poses.received(frame) < AXES_LAST_S)
+        if now >= self._next_labels:
+            self._next_labels = now + LABELS_PERIOD_S
+            self._labels.arrange(self._eye(), self._in_root)
 
     def together(self) -> contextlib.AbstractContextManager[None]:
         """A context whose changes reach a page in one piece."""
         return self._server.atomic()
+
+    def _eye(self) -> Eye | None:
+        """Returns how the page looks whose view was moved last."""
+        high, wide = 420.0, 1600.0  # a view of more pixels across is of a screen with finer ones [px]
+        cameras = [client.camera for client in self._server.get_clients().values()]
+        if not cameras:
+            return None
+        camera = max(cameras, key=lambda camera: camera.update_timestamp)
+        width, height = camera.image_width, camera.image_height
+        w, x, y, z = camera.wxyz.tolist()
+        fine = max(1.0, width / (high if width < height else wide))
+        return Eye(tuple(camera.position.tolist()), (x, y, z, w), camera.fov, width / fine, height / fine)
 
     def _in_root(self, frame: str) -> Pose7 | None:
         found = self._poses.chain(frame)
@@ -278,6 +330,42 @@ class _Robot:
                 self._commanded[name].move(pose)
 
 
+class _Labels:
+    """The labels of the scene, arranged for the page that moved last: none covers another."""
+
+    def __init__(self) -> None:
+        self._labels: dict[Hashable, tuple[str, tuple[float, float, float], str, Any]] = {}
+        self._seen: tuple = ()
+
+    def put(self, key: Hashable, frame: str, point: tuple[float, float, float], text: str, handle: Any) -> None:
+        self._labels[key] = frame, point, text, handle
+
+    def drop(self, key: Hashable) -> None:
+        self._labels.pop(key, None)
+
+    def arrange(self, eye: Eye | None, in_root: Callable[[str], Pose7 | None]) -> None:
+        """Gives each label its place, if they or the eye have moved."""
+        if eye is None:
+            return
+        labels = []
+        for key, (frame, point, text, _) in self._labels.items():
+            T_root_frame = in_root(frame)
+            if T_root_frame is not None:
+                x, y, z, *_ = compose(T_root_frame, (*point, *IDENTITY[3:]))
+                labels.append(Label(key, text, (x, y, z)))
+        coarse_m = 0.01
+        seen = eye, [(key, text, *(round(x / coarse_m) for x in point)) for key, text, point in labels]
+        if seen == self._seen:
+            return
+        self._seen = seen
+        # What markers say comes before the names of axes, whose keys are texts.
+        found = anchors(sorted(labels, key=lambda label: isinstance(label.key, str)), eye)
+        for key, (_, _, _, handle) in self._labels.items():
+            handle.visible = key in found
+            if key in found:
+                handle.anchor = found[key]
+
+
 def _drawn(scene: viser.SceneApi, node: str, drawing: Drawing) -> Any:
     """Draws anew, in place of what was drawn at this node."""
     x, y, z, w = drawing.orientation
@@ -286,9 +374,8 @@ def _drawn(scene: viser.SceneApi, node: str, drawing: Drawing) -> Any:
     if drawing.form is Form.LINES:
         return scene.add_line_segments(node, points, colours, thickness=max(size[0], 0.003), **at)
     if drawing.form is Form.ARROWS:
-        shaft, head, length = size
-        radii = {"shaft_radius": 0.5 * shaft, "head_radius": 0.5 * head}
-        return scene.add_arrows(node, points, colours, head_length=length, **radii, **at)
+        shaft, head, length = 0.5 * size[0], 0.5 * size[1], size[2]
+        return scene.add_arrows(node, points, colours, shaft_radius=shaft, head_radius=head, head_length=length, **at)
     if drawing.form is Form.POINTS:
         return scene.add_point_cloud(node, points, colours, point_size=size[0], point_shading="flat", **at)
     if drawing.form is Form.TEXT:

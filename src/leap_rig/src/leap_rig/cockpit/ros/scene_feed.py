@@ -74,10 +74,10 @@ class SceneFeed:
         for arm in arms:
             frames = ArmFrames(arm)
             for frame, name in NAMED_AXES.items():
-                scene.show_axes(frames(frame), 0.1, f"{arm} {name}".strip())
+                scene.show_axes(frames(frame), 0.08, f"{arm} {name}".strip())
             for frame in PLAIN_AXES:
-                scene.show_axes(frames(frame), 0.05)
-        scene.show_axes(RGB_OPTICAL, 0.1, "camera")
+                scene.show_axes(frames(frame), 0.04)
+        scene.show_axes(RGB_OPTICAL, 0.06, "camera")
         repeat(self._show, PERIOD_S, "scene")
 
     def start(self) -> None:
