@@ -53,7 +53,9 @@ class FramePoses:
 
     def put(self, parent: str, child: str, numbers: Pose7, now: float) -> None:
         """Takes a transform that was received at `now` [s, monotonic; infinite for a static one]."""
-        self._transforms[child] = parent, numbers, now
+        most = 2_000  # frames
+        if child in self._transforms or len(self._transforms) < most:
+            self._transforms[child] = parent, numbers, now
 
     def relative(self, parent: str, child: str) -> Pose7 | None:
         """Returns the pose of a frame in its parent, None if that is unknown."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 ADD, DELETE, DELETE_ALL = 0, 2, 3  # actions of a marker
-MOST_POINTS = 20_000  # of one marker
+MOST_POINTS = 20_000  # of one message
 MOST_MARKERS = 1_000  # of one topic
 MOST_LETTERS = 300
 STEP_M = 5e-4  # to which lengths are rounded
@@ -95,6 +95,7 @@ class MarkerStore:
         """Takes a message; returns sentences on what cannot be drawn, each of them once."""
         before = dict(self._shown)
         faults = []
+        room = MOST_POINTS
         for marker in markers:
             key = (marker.ns, marker.id)
             if marker.action == DELETE_ALL:
@@ -104,11 +105,14 @@ class MarkerStore:
             if marker.action == DELETE or marker.ns in self._hidden:
                 continue
             try:
+                if len(marker.points) > room:
+                    raise MarkerFault(f"there are more than {MOST_POINTS} points")
+                room -= len(marker.points)
                 drawing = _drawing(marker)
                 if len(self._shown) >= MOST_MARKERS:
                     raise MarkerFault(f"there are more than {MOST_MARKERS} markers")
             except MarkerFault as fault:
-                faults.append(f"A marker of the namespace {marker.ns!r} is not drawn: {fault}.")
+                faults.append(f"A marker of the namespace {marker.ns[:60]!r} is not drawn: {fault}.")
                 continue
             if drawing is None:
                 continue
@@ -136,8 +140,6 @@ def _drawing(marker: Any) -> Drawing | None:
         form = FORMS[kind]
     except (ValueError, KeyError):
         raise MarkerFault(f"its type is {marker.type}, a mesh or unknown") from None
-    if len(marker.points) > MOST_POINTS:
-        raise MarkerFault(f"it has {len(marker.points)} points; {MOST_POINTS} are the most")
     scale, pose, colour = marker.scale, marker.pose, marker.color
     points = np.array([(p.x, p.y, p.z) for p in marker.points], dtype=float).reshape(-1, 3)
     given = (scale.x, scale.y, scale.z, pose.position.x, pose.position.y, pose.position.z)

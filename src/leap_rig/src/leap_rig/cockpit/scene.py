@@ -47,7 +47,7 @@ class StartView(NamedTuple):
 
 
 ONE_ARM = StartView((0.22, -0.02, 0.36), 0.62, -0.5, 0.38)
-TWO_ARMS = StartView((0.25, 0.0, 0.35), 1.0, math.pi, 0.65)
+TWO_ARMS = StartView((0.25, 0.0, 0.3), 0.9, math.pi, 0.65)
 FOV = math.radians(45.0)  # upright
 
 
@@ -59,9 +59,8 @@ class SceneServer:
     def __init__(self) -> None:
         rich.get_console().quiet = True  # viser prints its address, which is of no use to anybody
         self._server = viser.ViserServer(host=LOOPBACK, port=0, verbose=False)
-        # Of what a page may send, its camera alone is taken: viser would else build a tunnel to a server on the
-        # internet for whoever asks, or keep a file of any size.
         self._server._websock_server._incoming_handlers.clear()
+        self._server._websock_server.on_client_connect(_deafen)
         self._poses = FramePoses()
         self._root = ""
         self._robots: dict[str, _Robot] = {}
@@ -104,8 +103,9 @@ class SceneServer:
     def _look(self, client: viser.ClientHandle) -> None:
         """Lets a page that has just come look at the whole rig, whatever the shape of its window."""
         view = ONE_ARM if len(self._robots) < 2 else TWO_ARMS
-        half = 0.5 * FOV
-        narrow = min(half, math.atan(math.tan(half) * max(client.camera.aspect, 0.2)))
+        half, eye = 0.5 * FOV, _eye_of(client.camera)
+        aspect = eye.width / eye.height if eye is not None else 1.0
+        narrow = min(half, math.atan(math.tan(half) * max(aspect, 0.2)))
         away = view.radius / math.sin(narrow)
         level = math.cos(view.pitch) * away
         offset = level * math.cos(view.yaw), level * math.sin(view.yaw), math.sin(view.pitch) * away
@@ -148,14 +148,14 @@ class SceneServer:
             self._robots[arm].commanded = joints
 
     def set_drawings(self, group: str, drawings: Mapping[Hashable, Drawing]) -> None:
-        """Shows these drawings in place of those that the group had."""
+        """Shows these drawings in place of those that the group had; none whose frame tf does not know."""
         shown = self._groups.setdefault(group, {})
         for key in [key for key in shown if key not in drawings]:
             shown.pop(key)[2].remove()
             self._labels.drop((group, key))
         for key, drawing in drawings.items():
             old, node, handle = shown.get(key, (None, "", None))
-            if old is drawing:
+            if old is drawing or (old is None and self._in_root(drawing.frame) is None):
                 continue
             parent = self._frame_node(drawing.frame)
             if old is None or not node.startswith(parent + "/drawing"):
@@ -196,15 +196,8 @@ class SceneServer:
 
     def _eye(self) -> Eye | None:
         """Returns how the page looks whose view was moved last."""
-        high, wide = 420.0, 1600.0  # a view of more pixels across is of a screen with finer ones [px]
         cameras = [client.camera for client in self._server.get_clients().values()]
-        if not cameras:
-            return None
-        camera = max(cameras, key=lambda camera: camera.update_timestamp)
-        width, height = camera.image_width, camera.image_height
-        w, x, y, z = camera.wxyz.tolist()
-        fine = max(1.0, width / (high if width < height else wide))
-        return Eye(tuple(camera.position.tolist()), (x, y, z, w), camera.fov, width / fine, height / fine)
+        return _eye_of(max(cameras, key=lambda camera: camera.update_timestamp)) if cameras else None
 
     def _in_root(self, frame: str) -> Pose7 | None:
         found = self._poses.chain(frame)
@@ -219,6 +212,30 @@ class SceneServer:
         if frame not in self._frames:
             self._frames[frame] = _Placed.frame(self._server.scene, name)
         return name
+
+
+def _deafen(connection: Any) -> None:
+    """Of what a page may send, its camera alone is taken: viser would else build a tunnel to a server on the internet
+    for whoever asks, or keep files."""
+    handlers = connection._incoming_handlers
+    for kind in [kind for kind in handlers if kind.__name__ != "ViewerCameraMessage"]:
+        del handlers[kind]
+
+
+def _eye_of(camera: viser.CameraHandle) -> Eye | None:
+    """Returns a page's camera, None where the numbers that the page sent are none."""
+    high, wide = 420.0, 1600.0  # a view of more pixels across is of a screen with finer ones [px]
+    try:
+        size = float(camera.image_width), float(camera.image_height)
+        (x, y, z), (w, i, j, k), fov = camera.position.astype(float), camera.wxyz.astype(float), float(camera.fov)
+    except (TypeError, ValueError):
+        return None
+    if not (math.isfinite(x + y + z) and abs(math.hypot(w, i, j, k) - 1.0) < 0.1):
+        return None
+    if not (0.01 < fov < 3.0 and all(1.0 <= length <= 1e5 for length in size)):
+        return None
+    fine = max(1.0, size[0] / (high if size[0] < size[1] else wide))
+    return Eye((x, y, z), (i, j, k, w), fov, size[0] / fine, size[1] / fine)
 
 
 class _Placed:

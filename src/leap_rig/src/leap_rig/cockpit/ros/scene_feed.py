@@ -8,6 +8,7 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 
+import rosgraph
 import rospkg
 import rospy
 from sensor_msgs.msg import PointCloud2
@@ -165,7 +166,10 @@ class SceneFeed:
     def _describe(self) -> None:
         """Shows the robots of the parameter server, which may come or change while the scene is shown."""
         for arm in self._arms:
-            text = rospy.get_param(f"{arm}/{DESCRIPTION}".lstrip("/"), None)
+            try:
+                text = rospy.get_param(f"{arm}/{DESCRIPTION}".lstrip("/"), None)
+            except (OSError, rosgraph.MasterException):
+                return  # without a master nothing new can be shown
             if isinstance(text, str) and text != self._described.get(arm):
                 self._described[arm] = text
                 try:
