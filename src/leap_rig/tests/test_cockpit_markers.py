@@ -93,6 +93,14 @@ class TestLife:
         store.take([marker(pose=moved)], 2.0)
         assert store.drawings(2.0)["thing", 0] is not before
 
+    def test_several_messages_at_once_are_as_one_after_the_other(self):
+        many = [marker(number=n % 3, action=a) for n, a in enumerate((0, 0, 0, 2, 0, 3, 0, 0, 2, 0, 0))]
+        at_once, one_by_one = MarkerStore(), MarkerStore()
+        at_once.take(many, 0.0)
+        for one in many:
+            one_by_one.take([one], 0.0)
+        assert set(at_once.drawings(0.0)) == set(one_by_one.drawings(0.0)) != set()
+
     def test_hidden_namespaces_are_left_out(self):
         store = MarkerStore(hidden=("thing",))
         assert store.take([marker()], 0.0) == [] and not store.drawings(0.0)

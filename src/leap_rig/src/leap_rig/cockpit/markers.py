@@ -92,11 +92,11 @@ class MarkerStore:
         self._said: set[str] = set()
 
     def take(self, markers: Iterable[Any], now: float) -> list[str]:
-        """Takes a message; returns sentences on what cannot be drawn, each of them once."""
+        """Takes one message or several; returns sentences on what cannot be drawn, each of them once."""
         before = dict(self._shown)
         faults = []
         room = MOST_POINTS
-        for marker in markers:
+        for marker in _newest(markers):
             key = (marker.ns, marker.id)
             if marker.action == DELETE_ALL:
                 self._shown.clear()
@@ -131,6 +131,19 @@ class MarkerStore:
         new = [fault for fault in dict.fromkeys(faults) if fault not in self._said][: most - len(self._said)]
         self._said.update(new)
         return new
+
+
+def _newest(markers: Iterable[Any]) -> list[Any]:
+    """Returns the last of the markers of each number, and none from before all were deleted."""
+    kept: dict[Any, Any] = {}
+    for marker in markers:
+        if marker.action == DELETE_ALL:
+            kept = {None: marker}
+        else:
+            key = marker.ns, marker.id
+            kept.pop(key, None)
+            kept[key] = marker
+    return list(kept.values())
 
 
 def _drawing(marker: Any) -> Drawing | None:

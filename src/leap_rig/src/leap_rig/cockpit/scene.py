@@ -102,6 +102,8 @@ class SceneServer:
 
     def _look(self, client: viser.ClientHandle) -> None:
         """Lets a page that has just come look at the whole rig, whatever the shape of its window."""
+        if not np.isfinite(client.camera.position).all():
+            return  # not a page of viser's
         view = ONE_ARM if len(self._robots) < 2 else TWO_ARMS
         half, eye = 0.5 * FOV, _eye_of(client.camera)
         aspect = eye.width / eye.height if eye is not None else 1.0
@@ -161,6 +163,7 @@ class SceneServer:
             if old is None or not node.startswith(parent + "/drawing"):
                 if handle is not None:
                     handle.remove()
+                old = None
                 node = f"{parent}/drawing{next(self._numbers)}"
             if old is None or not _updated(handle, old, drawing):
                 handle = _drawn(self._server.scene, node, drawing)

@@ -39,6 +39,7 @@ from leap_rig.cockpit.scene import SceneServer
 from rig_msgs.msg import SentGoals
 
 PERIOD_S = 1.0 / 15.0
+SLOW = 3  # markers but those of hands are read in each third period
 CLOUD_PERIOD_S = 1.0
 DESCRIPTION_PERIOD_S = 3.0
 JOINTS = 7
@@ -66,6 +67,7 @@ class SceneFeed:
         self._listen_cloud = OnDemand(lambda: [rospy.Subscriber(CLOUD, PointCloud2, self._take_cloud, queue_size=1)])
         self._transforms: dict[str, tuple] = {}  # what came since the scene was shown last
         self._arrays: dict[str, list] = {}
+        self._tick = 0
         self._commanded: dict[str, Sequence[float]] = {}
         self._cloud: tuple | None = None
         self._markers: dict[str, MarkerStore] = {}
@@ -136,7 +138,9 @@ class SceneFeed:
             self._describe()
         with self._lock:
             transforms, self._transforms = self._transforms, {}
-            arrays, self._arrays = self._arrays, {}
+            self._tick = (self._tick + 1) % SLOW
+            due = [topic for topic in self._arrays if not self._tick or topic.endswith("hands")]
+            arrays = {topic: self._arrays.pop(topic) for topic in due}
             commanded, self._commanded = self._commanded, {}
             cloud, self._cloud = self._cloud, None
         scene = self._scene
