@@ -14,7 +14,6 @@ from common.poses import pose
 from common.rotations import quaternion_from_rotation, rotation_from_zyx
 from rig_description.meshes import surface_from_collada
 
-Transform = tuple  # of seven numbers: position x, y, z, quaternion x, y, z, w
 MOST_LINKS = 200
 
 

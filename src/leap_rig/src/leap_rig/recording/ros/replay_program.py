@@ -75,7 +75,8 @@ def view(folder: Path, options: argparse.Namespace) -> int:
     join("leap_rig_replay", anonymous=True)
     _describe(folder)
     player = _Player(options.rate)
-    print(f"Plays {folder}; open RViz with: rviz -d $(rospack find leap_rig)/rviz/rig.rviz")
+    rviz, browser = "rviz -d $(rospack find leap_rig)/rviz/rig.rviz", "rosrun leap_rig cockpit_node.py"
+    print(f"Plays {folder}; look with: {rviz}, or in a browser with: {browser}")
     checked, shown = clock.monotonic(), False
     images = [topic for topics in CAMERA.values() for topic in topics]
     for message, due in _paced(between(folder, (*VIEW, *images), options.start, options.end), options.rate):
