@@ -18,6 +18,7 @@ RECORD ?=
 SCENARIO ?=
 TUTORIAL ?= 0
 TRACKER ?=
+VIEW ?=
 REPORT ?=
 ARGS ?=
 ROS ?= 0
@@ -35,7 +36,7 @@ endif
 
 help: ## this list
 	@grep -hE '^[a-z0-9-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z0-9-]+):.*## /  make \1\t/' | expand -t 20
-	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated operator picks a cup up), assisted_grasp (the operator corrects a grasp that the network proposes), wall (the hand steers against a wall of objects),\n  clutch or two_hands (relative engagement: the clutch is a service, or the fist of the second hand),\n  two_cups with ARGS="robots:=2" (two arms, and each hand picks up a cup),\n  TRACKER=webcam (your own hand before the camera moves the arm; ARGS="camera_device:=1" is another camera) headset (by the browser of a headset), or none (no teleoperation: your own node moves the arm),\n  TUTORIAL=1 (leads a visitor step by step; with HEADLESS=1 the simulated operator plays it),\n  ARGS="name:=value ..." for the launch file.\n\n  make bench takes ONLY="part ..." (see bench/README.md) and JSON=file; `python -m bench.compare OLD NEW` compares two such files.\n\n  make campaign takes ONLY=1,8 (or 1-8, or dangerous) and JSON=file,\n  make networks ONLY=arm:loss_5 (or arm, or loss_5) and JSON=file.\n'
+	@printf '\n  make demo takes HEADLESS=1 (no screen), DURATION=seconds, RECORDING=file of Leap frames, OFFSET="x y z" [mm],\n  REPORT=file for the summary as JSON, RECORD=file.mp4 (a film of the simulated world) or file.png (a sheet of pictures),\n  SCENARIO=pick_cup (the simulated operator picks a cup up), assisted_grasp (the operator corrects a grasp that the network proposes), wall (the hand steers against a wall of objects),\n  clutch or two_hands (relative engagement: the clutch is a service, or the fist of the second hand),\n  two_cups with ARGS="robots:=2" (two arms, and each hand picks up a cup),\n  TRACKER=webcam (your own hand before the camera moves the arm; ARGS="camera_device:=1" is another camera) headset (by the browser of a headset), or none (no teleoperation: your own node moves the arm),\n  VIEW=rviz, browser (a page, which has the controls, too), both or none,\n  TUTORIAL=1 (leads a visitor step by step; with HEADLESS=1 the simulated operator plays it),\n  ARGS="name:=value ..." for the launch file.\n\n  make bench takes ONLY="part ..." (see bench/README.md) and JSON=file; `python -m bench.compare OLD NEW` compares two such files.\n\n  make campaign takes ONLY=1,8 (or 1-8, or dangerous) and JSON=file,\n  make networks ONLY=arm:loss_5 (or arm, or loss_5) and JSON=file.\n'
 
 setup: $(READY) ## installs what is missing and builds the workspace
 	@echo "The workspace is set up; in any terminal: source $(CURDIR)/devel/setup.bash"
@@ -50,7 +51,7 @@ $(READY): $(MANIFESTS)
 demo: $(READY) ## the whole rig: a recorded or scripted hand moves the simulated arm and hand
 	@$(IN_WORKSPACE) devel/lib/leap_rig/demo.py $(if $(filter 1 true yes,$(HEADLESS)),--headless) $(if $(DURATION),--duration $(DURATION)) \
 	  $(if $(RECORDING),--recording "$(RECORDING)") $(if $(OFFSET),--offset $(OFFSET)) $(if $(REPORT),--report "$(REPORT)") \
-	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) $(if $(TRACKER),--tracker $(TRACKER)) $(if $(filter 1 true yes,$(TUTORIAL)),--tutorial) -- $(ARGS)
+	  $(if $(RECORD),--record "$(RECORD)") $(if $(SCENARIO),--scenario $(SCENARIO)) $(if $(TRACKER),--tracker $(TRACKER)) $(if $(VIEW),--view $(VIEW)) $(if $(filter 1 true yes,$(TUTORIAL)),--tutorial) -- $(ARGS)
 
 test: $(READY) ## all tests
 	@tools/test.sh

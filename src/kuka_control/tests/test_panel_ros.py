@@ -166,7 +166,7 @@ def test_double_clicks_and_quick_changes_are_harmless(panel, controller, see):
     see(panel.control.isChecked, "control in green")
     for on in (False, True, False, True, False):
         panel.control_requested.emit(on)
-    see(lambda: not panel.control.isChecked() and not panel.link._running, "the last request")
+    see(lambda: not panel.control.isChecked() and not panel.link.controller._running, "the last request")
     for _ in range(5):
         assert call("exit_app", "exitApp").success and not panel.control.isChecked()
 
@@ -222,7 +222,7 @@ def test_without_a_master_it_says_so_until_one_answers(ros, application, timers,
     said = see(lambda: panel.status.full == f"Waiting for the ROS master at {rosgraph.get_master_uri()}.", "it")
     assert said <= PERIOD_S
     clock.sleep(5.0)
-    assert not link._subscribers
+    assert not link.controller._subscribers
     ros.master_answers = True
     assert see(panel.control.isEnabled, "the controller") <= 2 * PERIOD_S + LATE_S
     ros.master_answers = False
@@ -233,12 +233,12 @@ def test_without_a_master_it_says_so_until_one_answers(ros, application, timers,
 
 
 def test_at_a_master_that_was_started_anew_it_subscribes_again_once_no_controller_is_heard(ros, panel, controller, see):
-    before = list(panel.link._subscribers)
+    before = list(panel.link.controller._subscribers)
     ros.here.is_known = False
     see(lambda: clock.sleep(3.0) or True, "three looks at the master")
-    assert panel.link._subscribers == before
+    assert panel.link.controller._subscribers == before
     controller.send_signal(signal.SIGUSR1)
-    see(lambda: panel.link._subscribers not in ([], before), "new subscriptions")
+    see(lambda: panel.link.controller._subscribers not in ([], before), "new subscriptions")
     ros.here.is_known = True
     controller.send_signal(signal.SIGUSR1)
     see(panel.control.isEnabled, "the controller again")
@@ -274,7 +274,7 @@ def test_emergency_stop_again_and_again(panel, controller, see):
     see(lambda: controller.poll() is not None, "the end of the process")
     see(lambda: panel.answer.full != "", "the sentence")
     click(panel.emergency)
-    see(lambda: not panel.link._running, "the second sentence")
+    see(lambda: not panel.link.controller._running, "the second sentence")
     assert "Emergency Stop" in panel.answer.full
 
 
@@ -302,9 +302,9 @@ def test_qt_never_waits_for_a_service(panel, start, see, application):
     start("--delay", "2")
     see(panel.scaling.isEnabled, "the controller")
     click(panel.reset)
-    before = panel.link._answers.qsize()
+    before = panel.link.controller._answers.qsize()
     application.processEvents()
-    assert panel.link._running == {"kuka/scaling_factor"} and before == 0
+    assert panel.link.controller._running == {"kuka/scaling_factor"} and before == 0
     see(lambda: "scaling factor is 1" in panel.answer.full, "the answer")
 
 

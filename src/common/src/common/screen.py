@@ -6,6 +6,7 @@ import ctypes
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 from common import clock
 from common.errors import DeviceError
@@ -49,6 +50,11 @@ def no_screen() -> str:
         return f"the screen does not answer ({given})"
     said = trial.stderr.decode(errors="replace").strip().partition("\n")[0]
     return f"Qt finds no screen with {given} ({said.rpartition('qt.qpa.')[2]})" if trial.returncode else ""
+
+
+def has_graphics_card() -> bool:
+    """Returns whether this machine has a card that draws; without one a processor does, slowly."""
+    return any(Path("/dev/dri").glob("renderD*")) or Path("/dev/nvidiactl").exists()
 
 
 def _platform() -> str:

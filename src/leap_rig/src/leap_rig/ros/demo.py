@@ -28,7 +28,7 @@ from common.modes import FOLLOWS_TOOL
 from common.ros import master
 from common.ros.node import check_folder, end_closed_servers, join
 from common.ros.service_calls import ServiceFailed, call
-from common.screen import no_screen
+from common.screen import has_graphics_card, no_screen
 from kuka_msgs.srv import exitApp
 from leap_hand.ros.operators import known_file
 from leap_rig.report.processor import ProcessorLoad
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from leap_rig.report.ros.listener import RigListener
 
 CONTROLLER, RECORDER, CAMERA = "kuka_real_time_node", "recorder", "camera/"
-WINDOWS = ("rviz", "kuka_panel")  # no motion depends on one, and whoever looks on may close it
+WINDOWS = ("rviz", "kuka_panel", "cockpit")  # no motion depends on one, and whoever looks on may close it
 NO_TRACKER = "none"  # a node of the user's own moves the arm
 SCENARIOS = ("pick_cup", "assisted_grasp", "wall", "clutch", "two_hands", "two_cups", "hand_over")
 OF_ONE_ARM = {
@@ -51,6 +51,8 @@ OF_ONE_ARM = {
     ),
 }  # fmt: skip
 """What demo.launch takes for one arm only, and the only value that it may have with robots:=2."""
+RVIZ, BROWSER, NO_VIEW = "rviz", "browser", "none"
+VIEWS = (RVIZ, BROWSER, "both", NO_VIEW)
 TRACKERS = ("leap", "webcam", "headset", NO_TRACKER)
 SCENE, YAML, VIDEO = "scene", ".yaml", "video"
 ONE_ARM, TWO_ARMS = ("",), ("left", "right")
@@ -73,6 +75,9 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
         "--tracker",
         choices=TRACKERS,
         help="what sees the hand: the simulated Leap, your webcam, a headset, or none: your own node moves the arm",
+    )
+    parser.add_argument(
+        "--view", choices=VIEWS, help="of the whole rig; by default RViz where a graphics card draws, else the browser"
     )
     parser.add_argument("--tutorial", action="store_true", help="lead a visitor through the first minutes")
     parser.add_argument("--language", choices=("de", "en"), help="of the tutorial; by default as LANG says")
@@ -129,7 +134,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
 
 def _given(arguments: argparse.Namespace) -> dict[str, str]:
     """Returns the arguments of the launch file by their names; a later one wins, as in roslaunch."""
-    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
+    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False, view=NO_VIEW))
 
 
 def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
@@ -147,9 +152,9 @@ def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
     ]
 
 
-def launch_arguments(arguments: argparse.Namespace, screen: bool) -> list[str]:
+def launch_arguments(arguments: argparse.Namespace, screen: bool, view: str) -> list[str]:
     """Returns the arguments of demo.launch; a scene's file has its absolute path, as nodes run in another folder."""
-    launch = [f"rviz:={str(screen).lower()}", f"gui:={str(screen).lower()}", "one_process:=true"]
+    launch = [f"view:={view}", f"gui:={str(screen).lower()}", "one_process:=true"]
     if arguments.recording is not None:
         launch.append(f"recording:={arguments.recording.resolve()}")
     if arguments.offset is not None:
@@ -225,6 +230,15 @@ def has_screen(arguments: argparse.Namespace) -> bool:
     return not fault
 
 
+def view_of(arguments: argparse.Namespace, screen: bool) -> str:
+    """Returns where the rig is shown: as was asked, else RViz if a graphics card draws it, else a page."""
+    if arguments.view is not None:
+        return arguments.view
+    if arguments.headless:
+        return NO_VIEW
+    return RVIZ if screen and has_graphics_card() else BROWSER
+
+
 def refuse_without_logs() -> None:
     """Raises RigError if the logs find no place: ROS' own programs print tracebacks then, and some of them end."""
     least_free = 20_000_000  # for the logs of a short run [bytes]
@@ -295,7 +309,7 @@ def run(arguments: argparse.Namespace) -> int:
     deaths = Deaths()
     os.environ["ROSCONSOLE_FORMAT"] = (CLEAR_LINE if sys.stdout.isatty() else "") + COMPLAINT
     uuid = roslaunch.rlutil.get_or_generate_uuid(None, False)
-    files = [(str(launch_file), launch_arguments(arguments, screen))]
+    files = [(str(launch_file), launch_arguments(arguments, screen, view_of(arguments, screen)))]
     options = {"process_listeners": [deaths], "show_summary": False, "force_log": True, "sigint_timeout": 5.0}
     parent = roslaunch.parent.ROSLaunchParent(uuid, files, **options)
     interrupts, status = Interrupts(), LiveStatus()

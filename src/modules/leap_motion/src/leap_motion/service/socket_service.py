@@ -10,14 +10,16 @@ import logging
 import socket
 import ssl
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Collection, Sequence
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from leap_motion.service.access import ConnectionLimits
+from leap_motion.service.access import ConnectionLimits, is_loopback, is_own_host
+from leap_motion.service.certificate import Certificate
 
 LONGEST_SLEEP_S = 0.2
 OPEN_TIMEOUT_S = 5.0  # for the handshake of TLS, and then for that of the WebSocket
@@ -98,6 +100,7 @@ class SocketService(ABC):
                     sock=listener,
                     ssl=tls,
                     process_request=self._hear_request,
+                    select_subprotocol=self._subprotocol,
                     compression=None,
                     open_timeout=OPEN_TIMEOUT_S,
                     close_timeout=CLOSE_TIMEOUT_S,
@@ -130,6 +133,10 @@ class SocketService(ABC):
             self._sockets.remove(its_socket)
             self._loop.call_later(GONE_S, cut, its_socket)
 
+    def _subprotocol(self, connection: ServerConnection, offered: Sequence[Any]) -> Any:
+        """Returns which of the subprotocols that a client offers is spoken; None: no such."""
+        return None
+
     @abstractmethod
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         """Returns the answer to a request; None for the WebSocket that it asks for."""
@@ -137,6 +144,54 @@ class SocketService(ABC):
     @abstractmethod
     async def _converse(self, connection: ServerConnection) -> None:
         """Serves a WebSocket to its end."""
+
+
+class PageService(SocketService):
+    """Serves pages at `address`, and WebSockets to its own pages alone; with a certificate by https. `name`: a further
+    name of this computer. Raises CertificateError, OSError or OverflowError if it cannot."""
+
+    def __init__(self, host: str, port: int, name: str = "", certificate: Certificate | None = None) -> None:
+        super().__init__()
+        self.fingerprint = certificate.fingerprint() if certificate else ""
+        tls = certificate.server() if certificate else None
+        listener = listen(host, port)
+        self._open(listener, tls)
+        self._names = () if is_loopback(host) else (*own_names(), name)
+        self._scheme = "https" if tls else "http"
+        self.address = f"{self._scheme}://{_reachable(host)}:{listener.getsockname()[1]}/"
+
+    def _answer(
+        self, connection: ServerConnection, request: Request, pages: dict[str, Callable[[], Response]],
+        sockets: Collection[str],
+    ) -> Response | None:  # fmt: skip
+        """Returns the answer to a request, by the paths of the pages and of the WebSockets; None for one of these."""
+        host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
+        if not is_own_host(host, connection.local_address[0], self._names):
+            return connection.respond(403, "Ask for this page by the address that the rig shows.\n")
+        if path in pages and "Upgrade" not in request.headers:
+            return pages[path]()
+        if path not in sockets:
+            return connection.respond(404, "Not found.\n")
+        if request.headers.get("Origin", f"{self._scheme}://{host}") != f"{self._scheme}://{host}":
+            return connection.respond(403, "This is for its own page only.\n")
+        return None
+
+
+def page_response(body: bytes, *more: tuple[str, str]) -> Response:
+    """Returns the answer with a page; `more`: further headers."""
+    headers = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body))), *more])
+    headers["Connection"] = "close"
+    headers["Cache-Control"] = "no-store"
+    return Response(200, "OK", headers, body)
+
+
+def _reachable(host: str) -> str:
+    """Returns the address at which other machines find this one, for a host that stands for all addresses."""
+    if host == "0.0.0.0":
+        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("192.0.2.1", 9))  # sends nothing, but chooses the interface
+            return probe.getsockname()[0]
+    return host
 
 
 def cut(its_socket: Any) -> None:

@@ -1,0 +1,141 @@
+"""Which page of the cockpit may do what, and what it holds. Times are seconds of a monotonic clock.
+
+A page watches until it has sent the code (or its key, where its connection was lost); then it may stop the arms, and
+take control if no other page has it. What it holds, it says in each heartbeat:
+
+event                                    control            enabling                      clutch
+---------------------------------------  -----------------  ----------------------------  --------------------------
+a heartbeat with focus holds it          stays              pressed, if it was seen       pressed
+                                                            released since the last loss
+a heartbeat with focus does not hold it  stays              released                      released, if it was seen
+                                                                                          pressed since the last loss
+a heartbeat without focus                stays              released: a loss              as it is: a loss
+no heartbeat for HEARTBEAT_S             stays              released: a loss              as it is: a loss
+the page gives control, or is gone       free               released: a loss              as it is: a loss
+
+So each loss goes to the side on which the tool stays: who lets go by accident moves nothing, and a clutch that was held
+then stays pressed until somebody presses and releases it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from leap_motion.service.access import HeadsetAccess
+
+HEARTBEAT_S = 0.5
+ENABLE, CLUTCH = "enable", "clutch"
+
+
+@dataclass
+class CockpitPage:
+    """A page that is open. `key` is empty until it has sent the code."""
+
+    name: str
+    key: str = ""
+
+
+@dataclass
+class HeldSwitches:
+    """What is held of one arm, and what was seen since the last loss."""
+
+    enable: bool = False
+    clutch: bool = False
+    may_enable: bool = False
+    may_release: bool = False
+
+    def lose(self) -> None:
+        self.enable = self.may_enable = self.may_release = False
+
+    def take(self, held: frozenset[str]) -> None:
+        pressed = CLUTCH in held
+        self.may_enable |= ENABLE not in held
+        self.enable = ENABLE in held and self.may_enable
+        self.may_release |= pressed
+        self.clutch = pressed or (self.clutch and not self.may_release)
+
+
+@dataclass
+class Controller:
+    """The page that has control, since when, and its last heartbeat."""
+
+    page: CockpitPage
+    since: float
+    heard: float = -math.inf
+    focused: bool = False
+
+
+@dataclass
+class CockpitControl:
+    """The states of the table above, for the arms by their namespaces."""
+
+    arms: tuple[str, ...]
+    access: HeadsetAccess = field(default_factory=HeadsetAccess)
+    controller: Controller | None = None
+    switches: dict[str, HeldSwitches] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.switches = {arm: HeldSwitches() for arm in self.arms}
+
+    def admit(self, page: CockpitPage, secret: object, address: str, now: float) -> str:
+        """Lets a page in by the code or its key; returns why not, a sentence, or nothing."""
+        wait = self.access.wait(address, now)
+        key = self.access.admit(secret, address, now)
+        if key is not None:
+            page.key = key
+            return ""
+        if wait > 0.0:
+            return f"A wrong code came from this address: try again in {math.ceil(wait)} s."
+        return "That is not the code that stands on the rig's terminal."
+
+    def take(self, page: CockpitPage, now: float) -> str:
+        """Gives a page control; returns why not, a sentence, or nothing."""
+        if not page.key:
+            return "Only a page that has sent the code can take control."
+        other = self.controller
+        if other is not None and other.page is not page and other.page.key != page.key:
+            return f"{other.page.name} has had control for {now - other.since:.0f} s. Ask there to give it back."
+        if other is None or other.page is not page:
+            self.give(other.page if other else page)
+            self.controller = Controller(page, now)
+        return ""
+
+    def give(self, page: CockpitPage) -> None:
+        """Takes control from a page that has it, also because it is gone."""
+        if self.controller is not None and self.controller.page is page:
+            self.controller = None
+            self._lose()
+
+    def beat(self, page: CockpitPage, focused: bool, held: Mapping[str, Iterable[str]], now: float) -> None:
+        """Takes a heartbeat: whether the page has focus, and what it holds of each arm."""
+        controller = self.controller
+        if controller is None or controller.page is not page:
+            return
+        self.watch(now)
+        controller.heard, controller.focused = now, focused
+        if not focused:
+            self._lose()
+            return
+        for arm, switches in self.switches.items():
+            switches.take(frozenset(held.get(arm, ())))
+
+    def watch(self, now: float) -> None:
+        """Lets go what is held if the heartbeat stays away."""
+        if self.controller is not None and now - self.controller.heard > HEARTBEAT_S:
+            self._lose()
+
+    def refusal(self, page: CockpitPage, now: float) -> str:
+        """Returns why a page may not command now, a sentence; empty if it may."""
+        if not page.key:
+            return "Only a page that has sent the code can do that."
+        controller = self.controller
+        if controller is None or controller.page is not page:
+            return "Take control first."
+        if not controller.focused or now - controller.heard > HEARTBEAT_S:
+            return "The page has no focus, or its connection is slow: nothing was sent."
+        return ""
+
+    def _lose(self) -> None:
+        for switches in self.switches.values():
+            switches.lose()

@@ -1,0 +1,256 @@
+"""The cockpit's server: the page at /, the 3-D scene in it at /scene/, whose WebSocket is passed on to viser, the state
+as JSON on /state, images on /pictures, and commands on /control, which need the code. What a page sends anywhere but on
+/control moves nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gzip
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import websockets.asyncio.client as client
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed, InvalidHandshake
+from websockets.http11 import Request, Response
+from websockets.typing import Subprotocol
+
+from common import clock
+from leap_motion.service.access import ConnectionLimits
+from leap_motion.service.certificate import Certificate
+from leap_motion.service.socket_service import SEND_S, PageService, page_response
+from leap_rig.cockpit.control import CockpitControl, CockpitPage
+from leap_rig.cockpit.messages import (
+    BEAT,
+    GIVE,
+    SECRET,
+    STOP,
+    TAKE,
+    MessageFault,
+    PageCommand,
+    read_command,
+    state_text,
+)
+from vision.stereo.transport import Picture, PictureStream
+
+SCENE_SOCKETS = ("/scene", "/scene/")
+SECRET_S = 600.0  # a page that watches may keep its connection for the code so long
+GONE_S = 5.0  # a page with the code that was silent for so long is gone
+BUSY, REFUSED = 1013, 1008  # codes of closing
+MAX_PAGES, PAGES_OF_ADDRESS = 8, 4
+
+
+class ScenePage(NamedTuple):
+    """The scene's page, and host and port of its WebSocket on this machine."""
+
+    html: bytes
+    address: tuple[str, int]
+
+
+class CockpitServer(PageService):
+    """Serves in a thread of its own. `obey` gets what a page that may has commanded, `stop` is the Emergency Stop; both
+    are called in that thread, and return at once. `tell_code` gets the sentence with the code, which belongs into no
+    log. Raises as PageService does."""
+
+    max_message_bytes = 65536
+    write_limit = 1  # what waits would be late
+
+    def __init__(
+        self,
+        page: Path,
+        scene: ScenePage,
+        arms: Sequence[str],
+        obey: Callable[[PageCommand], None],
+        stop: Callable[[], None],
+        tell_code: Callable[[str], None],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        name: str = "",
+        certificate: Certificate | None = None,
+    ) -> None:
+        self._page, self._scene_html = page.read_bytes(), gzip.compress(scene.html)
+        super().__init__(host, port, name, certificate)
+        self._scene, self._obey, self._stop, self._tell_code = scene, obey, stop, tell_code
+        self.control, self._lock = CockpitControl(tuple(arms)), clock.Lock()
+        self._state = "{}"
+        self._news = self._loop.create_future()
+        self._limits = {
+            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", "/control", "/scene")
+        }
+        self._open_pages = self._open_scenes = self._number = 0
+        self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS)
+        self._say_code()
+        self._thread = clock.Thread(target=self.run, name="cockpit", daemon=True)
+        self._thread.start()
+
+    @property
+    def watched(self) -> bool:
+        """Whether a page is open."""
+        return self._open_pages > 0
+
+    @property
+    def scene_watched(self) -> bool:
+        """Whether a page shows the scene."""
+        return self._open_scenes > 0
+
+    @property
+    def controlled(self) -> bool:
+        """Whether a page has control."""
+        return self.control.controller is not None
+
+    def put_state(self, state: Mapping[str, Any]) -> None:
+        """Sends the state to all pages; what one has not taken yet is replaced."""
+        self._soon(self._take_state, state_text({**state, "controller": self._controller()}))
+
+    def put_picture(self, picture: Picture) -> None:
+        self._soon(self.pictures.take, picture)
+
+    def held(self) -> Mapping[str, tuple[bool, bool]]:
+        """Returns of each arm whether enabling and clutch are pressed now."""
+        with self._lock:
+            self.control.watch(clock.monotonic())
+            return {arm: (switches.enable, switches.clutch) for arm, switches in self.control.switches.items()}
+
+    def close(self) -> None:
+        """Stops the server and closes the pages' connections."""
+        close_s = 2.0
+        self.stop()
+        self._thread.join(close_s)
+
+    def _controller(self) -> dict[str, Any] | None:
+        controller = self.control.controller
+        return controller and {"name": controller.page.name, "for": clock.monotonic() - controller.since}
+
+    def _take_state(self, text: str) -> None:
+        self._state = text
+        self._news.set_result(None)
+        self._news = self._loop.create_future()
+
+    def _say_code(self) -> None:
+        self._tell_code(f"The code for the next page of the cockpit is {self.control.access.code}.")
+
+    def _subprotocol(self, connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+        return offered[0] if offered and connection.request.path.partition("?")[0] in SCENE_SOCKETS else None
+
+    async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
+        pages = {
+            "/": lambda: page_response(self._page),
+            "/scene/": lambda: page_response(self._scene_html, ("Content-Encoding", "gzip")),
+        }
+        return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *SCENE_SOCKETS))
+
+    async def _converse(self, connection: ServerConnection) -> None:
+        path, address = connection.request.path.partition("?")[0].rstrip("/"), connection.remote_address[0]
+        if path == "/pictures":
+            await self.pictures.converse(connection)
+            return
+        limits = self._limits[path]
+        if not limits.enter(address):
+            await connection.close(BUSY, "too many pages are open already")
+            return
+        serve = {"/state": self._show_state, "/control": self._take_commands, "/scene": self._pass_scene}[path]
+        try:
+            with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
+                await serve(connection)
+        finally:
+            limits.leave(address)
+
+    async def _show_state(self, connection: ServerConnection) -> None:
+        self._open_pages += 1
+        reader = asyncio.ensure_future(_drain(connection))
+        try:
+            while True:
+                news = self._news
+                await asyncio.wait_for(connection.send(self._state), SEND_S)
+                await asyncio.wait((news, reader), return_when=asyncio.FIRST_COMPLETED)
+                if reader.done():
+                    return
+        finally:
+            self._open_pages -= 1
+            reader.cancel()
+
+    async def _pass_scene(self, connection: ServerConnection) -> None:
+        host, port = self._scene.address
+        subprotocols = [connection.subprotocol] if connection.subprotocol else None
+        self._open_scenes += 1
+        try:
+            async with client.connect(
+                f"ws://{host}:{port}/", subprotocols=subprotocols, compression=None, max_size=None, write_limit=1
+            ) as scene:
+                ways = [asyncio.ensure_future(_pass(*way)) for way in ((connection, scene), (scene, connection))]
+                try:
+                    await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+                finally:
+                    for way in ways:
+                        way.cancel()
+                    await asyncio.gather(*ways, return_exceptions=True)
+        except (OSError, InvalidHandshake):
+            await connection.close(BUSY, "the scene does not answer")
+        finally:
+            self._open_scenes -= 1
+
+    async def _take_commands(self, connection: ServerConnection) -> None:
+        address = connection.remote_address[0]
+        self._number += 1
+        page = CockpitPage(f"Page {self._number} at {address}")
+        self._open_pages += 1
+        try:
+            while True:
+                text = await asyncio.wait_for(connection.recv(), GONE_S if page.key else SECRET_S)
+                with self._lock:
+                    answer = self._answer_command(page, text, address)
+                if answer:
+                    await asyncio.wait_for(connection.send(json.dumps(answer)), SEND_S)
+        finally:
+            self._open_pages -= 1
+            with self._lock:
+                self.control.give(page)
+
+    def _answer_command(self, page: CockpitPage, text: str | bytes, address: str) -> dict[str, Any] | None:
+        control, now = self.control, clock.monotonic()
+        try:
+            command = read_command(text, control.arms)
+        except MessageFault as fault:
+            return {"refused": str(fault)}
+        if command.name == SECRET:
+            code = control.access.code
+            refused = control.admit(page, command.value, address, now)
+            if control.access.code != code:
+                self._say_code()
+            return {"refused": refused, "code": False} if refused else {"key": page.key, "name": page.name}
+        if command.name == BEAT:
+            control.beat(page, *command.value, now)
+            return None
+        if command.name == STOP:
+            if not page.key:
+                return {"refused": "Only a page that has sent the code can do that."}
+            self._stop()
+            return {"done": "The Emergency Stop was sent."}
+        if command.name == TAKE:
+            refused = control.take(page, now)
+            return {"refused": refused} if refused else {"control": True}
+        if command.name == GIVE:
+            control.give(page)
+            return {"control": False}
+        refused = control.refusal(page, now)
+        if refused:
+            return {"refused": refused}
+        self._obey(command)
+        return None
+
+
+async def _drain(connection: ServerConnection) -> None:
+    """Reads what nobody wants until the connection ends."""
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            await connection.recv()
+
+
+async def _pass(source: Any, sink: Any) -> None:
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            await sink.send(await source.recv())

@@ -1,0 +1,18 @@
+"""The parameters of the cockpit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from common.config import integer, path, text
+
+
+@dataclass(frozen=True)
+class CockpitConfig:
+    """Private parameters of the node cockpit."""
+
+    page: str = path(doc="file of the page")
+    host: str = text(doc="address to serve on; 0.0.0.0: the whole network", absent="127.0.0.1")
+    port: int = integer(low=0, high=65535, doc="port; 0: any free one", absent=8470)
+    name: str = text(doc="further name of this computer that the page may be asked for by", absent="", empty=True)
+    arms: str = text(doc="namespaces of several arms, with spaces between them; empty: one arm", absent="", empty=True)
