@@ -67,6 +67,7 @@ NODES: dict[str, Node] = {
         {"": "reflex.ros.parameters:ReflexDriverConfig"}, {"": ("reflex/config/reflex_takktile.yaml",)}
     ),
     "leap_rig/ros2_bridge.py": Node({"": "leap_rig.ros2.config:Ros2BridgeConfig"}, {}),
+    "leap_rig/cockpit_node.py": Node({"": "leap_rig.cockpit.settings:CockpitConfig"}, {}),
     "leap_rig/operator_view_node.py": Node({"": "leap_rig.operator.view:OperatorViewConfig"}, {}),
     "leap_rig/tutorial.py": Node({"": "leap_rig.operator.ros.tutorial_node:TutorialConfig"}, {}),
     "rig_simulation/camera_node.py": Node(

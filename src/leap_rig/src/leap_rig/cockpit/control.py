@@ -57,7 +57,7 @@ class HeldSwitches:
 
 
 @dataclass
-class Controller:
+class ControllingPage:
     """The page that has control, since when, and its last heartbeat."""
 
     page: CockpitPage
@@ -72,7 +72,7 @@ class CockpitControl:
 
     arms: tuple[str, ...]
     access: HeadsetAccess = field(default_factory=HeadsetAccess)
-    controller: Controller | None = None
+    controller: ControllingPage | None = None
     switches: dict[str, HeldSwitches] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -98,7 +98,7 @@ class CockpitControl:
             return f"{other.page.name} has had control for {now - other.since:.0f} s. Ask there to give it back."
         if other is None or other.page is not page:
             self.give(other.page if other else page)
-            self.controller = Controller(page, now)
+            self.controller = ControllingPage(page, now)
         return ""
 
     def give(self, page: CockpitPage) -> None:

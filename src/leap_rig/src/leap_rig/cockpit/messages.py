@@ -18,7 +18,7 @@ FLAGS = (CONTROL, GRIPPER, RECORD, TUTORIAL)
 OF_AN_ARM = (CONTROL, GRIPPER, SCALING, EXIT)
 
 
-class MessageFault(ValueError):
+class PageMessageFault(ValueError):
     """No message of a page; the text is a sentence for it."""
 
 
@@ -31,16 +31,17 @@ class PageCommand(NamedTuple):
 
 
 def read_command(text: object, arms: Iterable[str]) -> PageCommand:
-    """Returns a page's command; raises MessageFault for anything else."""
+    """Returns a page's command; raises PageMessageFault for anything else."""
     try:
         message = json.loads(text) if isinstance(text, str) else None
     except (ValueError, RecursionError):
         message = None
     if not isinstance(message, dict):
-        raise MessageFault("That was no message of the page.")
-    name, arm, value = message.get("do"), message.get("arm", ""), message.get("value")
+        raise PageMessageFault("That was no message of the page.")
+    name, arm = message.get("do"), message.get("arm", "")
+    value: Any = message.get("value")
     if not isinstance(name, str) or not isinstance(arm, str):
-        raise MessageFault("A command has a name and an arm.")
+        raise PageMessageFault("A command has a name and an arm.")
     if name in (STOP, TAKE, GIVE):
         return PageCommand(name)
     if name == SECRET:
@@ -48,16 +49,17 @@ def read_command(text: object, arms: Iterable[str]) -> PageCommand:
     if name == BEAT:
         return PageCommand(name, value=(message.get("focus") is True, _held(message.get("held"), arms)))
     if name in OF_AN_ARM and arm not in arms:
-        raise MessageFault(f"There is no arm {arm[:20]!r}.")
+        raise PageMessageFault(f"There is no arm {arm[:20]!r}.")
     if name == EXIT:
         return PageCommand(name, arm)
     if name in FLAGS and isinstance(value, bool):
         return PageCommand(name, arm if name in OF_AN_ARM else "", value)
-    if name == SCALING and type(value) in (int, float) and SCALING_MIN <= value <= SCALING_MAX:  # NaN is not
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if name == SCALING and is_number and SCALING_MIN <= value <= SCALING_MAX:  # NaN is not
         return PageCommand(name, arm, float(value))
     if name == MARK and value in MARKS:
         return PageCommand(name, value=value)
-    raise MessageFault(f"The page sent {name[:20]!r} with a value that it cannot have; nothing was sent.")
+    raise PageMessageFault(f"The page sent {name[:20]!r} with a value that it cannot have; nothing was sent.")
 
 
 def _held(value: object, arms: Iterable[str]) -> Mapping[str, frozenset[str]]:

@@ -29,14 +29,16 @@ from leap_rig.cockpit.messages import (
     SECRET,
     STOP,
     TAKE,
-    MessageFault,
     PageCommand,
+    PageMessageFault,
     read_command,
     state_text,
 )
 from vision.stereo.transport import Picture, PictureStream
 
 SCENE_SOCKETS = ("/scene", "/scene/")
+SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
+MAX_RATE = 50  # messages of a page on /control in a second; a page sends 10
 SECRET_S = 600.0  # a page that watches may keep its connection for the code so long
 GONE_S = 5.0  # a page with the code that was silent for so long is gone
 BUSY, REFUSED = 1013, 1008  # codes of closing
@@ -123,7 +125,9 @@ class CockpitServer(PageService):
 
     def _controller(self) -> dict[str, Any] | None:
         controller = self.control.controller
-        return controller and {"name": controller.page.name, "for": clock.monotonic() - controller.since}
+        if controller is None:
+            return None
+        return {"name": controller.page.name, "for": clock.monotonic() - controller.since}
 
     def _take_state(self, text: str) -> None:
         self._state = text
@@ -134,17 +138,17 @@ class CockpitServer(PageService):
         self._tell_code(f"The code for the next page of the cockpit is {self.control.access.code}.")
 
     def _subprotocol(self, connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
-        return offered[0] if offered and connection.request.path.partition("?")[0] in SCENE_SOCKETS else None
+        return offered[0] if offered and _path(connection) in SCENE_SOCKETS else None
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         pages = {
-            "/": lambda: page_response(self._page),
-            "/scene/": lambda: page_response(self._scene_html, ("Content-Encoding", "gzip")),
+            "/": lambda: page_response(self._page, ("Content-Security-Policy", "frame-ancestors 'none'")),
+            "/scene/": lambda: page_response(self._scene_html, *SCENE_HEADERS),
         }
         return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *SCENE_SOCKETS))
 
     async def _converse(self, connection: ServerConnection) -> None:
-        path, address = connection.request.path.partition("?")[0].rstrip("/"), connection.remote_address[0]
+        path, address = _path(connection).rstrip("/"), connection.remote_address[0]
         if path == "/pictures":
             await self.pictures.converse(connection)
             return
@@ -198,9 +202,15 @@ class CockpitServer(PageService):
         self._number += 1
         page = CockpitPage(f"Page {self._number} at {address}")
         self._open_pages += 1
+        second, count = 0, 0
         try:
             while True:
                 text = await asyncio.wait_for(connection.recv(), GONE_S if page.key else SECRET_S)
+                before, second = second, int(clock.monotonic())
+                count = count + 1 if second == before else 1
+                if count > MAX_RATE:
+                    await connection.close(REFUSED, "too many messages")
+                    return
                 with self._lock:
                     answer = self._answer_command(page, text, address)
                 if answer:
@@ -214,7 +224,7 @@ class CockpitServer(PageService):
         control, now = self.control, clock.monotonic()
         try:
             command = read_command(text, control.arms)
-        except MessageFault as fault:
+        except PageMessageFault as fault:
             return {"refused": str(fault)}
         if command.name == SECRET:
             code = control.access.code
@@ -223,7 +233,8 @@ class CockpitServer(PageService):
                 self._say_code()
             return {"refused": refused, "code": False} if refused else {"key": page.key, "name": page.name}
         if command.name == BEAT:
-            control.beat(page, *command.value, now)
+            focused, held = command.value
+            control.beat(page, focused, held, now)
             return None
         if command.name == STOP:
             if not page.key:
@@ -241,6 +252,10 @@ class CockpitServer(PageService):
             return {"refused": refused}
         self._obey(command)
         return None
+
+
+def _path(connection: ServerConnection) -> str:
+    return connection.request.path.partition("?")[0] if connection.request else ""
 
 
 async def _drain(connection: ServerConnection) -> None:

@@ -134,7 +134,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
 
 def _given(arguments: argparse.Namespace) -> dict[str, str]:
     """Returns the arguments of the launch file by their names; a later one wins, as in roslaunch."""
-    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False, view=NO_VIEW))
+    return dict(item.split(":=", 1) for item in launch_arguments(arguments, screen=False))
 
 
 def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
@@ -152,7 +152,7 @@ def _faults_of_two_arms(given: Mapping[str, str]) -> list[str]:
     ]
 
 
-def launch_arguments(arguments: argparse.Namespace, screen: bool, view: str) -> list[str]:
+def launch_arguments(arguments: argparse.Namespace, screen: bool, view: str = NO_VIEW) -> list[str]:
     """Returns the arguments of demo.launch; a scene's file has its absolute path, as nodes run in another folder."""
     launch = [f"view:={view}", f"gui:={str(screen).lower()}", "one_process:=true"]
     if arguments.recording is not None:

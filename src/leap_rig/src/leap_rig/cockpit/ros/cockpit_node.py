@@ -55,6 +55,10 @@ class ChildProgram:
     def runs(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
+    @property
+    def started(self) -> bool:
+        return self._process is not None
+
     def start(self, *command: str) -> None:
         self._process = subprocess.Popen(("rosrun", "leap_rig", *command), stdin=subprocess.DEVNULL)
 
@@ -70,6 +74,7 @@ class ArmLink:
     def __init__(self, arm: str) -> None:
         self._arm, self._of = arm, f"{arm}/" if arm else ""
         self._link: ControllerLink | None = None
+        self._lock = clock.Lock()
         self._publisher = rospy.Publisher(
             f"{self._of}leap_kuka/operator_input", OperatorInput, queue_size=10, tcp_nodelay=True
         )
@@ -79,9 +84,10 @@ class ArmLink:
     @property
     def link(self) -> ControllerLink:
         """The link, which is made where there is none: the Emergency Stop needs one even then."""
-        if self._link is None:
-            self._link = ControllerLink(self._arm)
-        return self._link
+        with self._lock:
+            if self._link is None:
+                self._link = ControllerLink(self._arm)
+            return self._link
 
     def watch(self, watched: bool) -> None:
         if watched and self._link is None:
@@ -89,9 +95,11 @@ class ArmLink:
             self._clutch = rospy.get_param(f"{self._of}leap/clutch", NONE)
             self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
             self.link.refresh()
-        elif not watched and self._link is not None:
-            self._link.close()
-            self._link = None
+        elif not watched:
+            with self._lock:
+                link, self._link = self._link, None
+            if link is not None:
+                link.close()
 
     def hold(self, enable: bool, clutch: bool, controlled: bool) -> None:
         """Publishes what the page holds, from its first press until nobody has control and no clutch is pressed."""
@@ -242,14 +250,13 @@ class Cockpit:
         self._say(f"Marked in the recording: {mark}.")
 
     def _teach(self, on: bool) -> None:
-        if on and self._tutorial and not self._tutor.runs:
-            self._say("The tutorial has run in this rig already; it is started with the rig, or once here.", "warning")
+        if on and self._tutorial and not self._tutor.started:
+            self._say("The tutorial runs already: it was started with the rig.", "warning")
         elif on and not self._tutor.runs:
             self._tutor.start("tutorial.py", "_window:=false")
             self._say("The tutorial starts.")
         elif not on:
             self._tutor.stop()
-            self._tutorial = ""
 
     def _say(self, text: str, tone: str = "normal") -> None:
         self._number += 1

@@ -1,0 +1,180 @@
+"""The cockpit's server over its sockets."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import threading
+import time
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+from websockets.sync.server import serve
+
+from leap_rig.cockpit.control import HEARTBEAT_S
+from leap_rig.cockpit.server import CockpitServer, ScenePage
+
+pytestmark = pytest.mark.real
+
+
+@pytest.fixture()
+def scene():
+    """Another server in the place of viser's: it sends each message back."""
+
+    def echo(connection):
+        with contextlib.suppress(Exception):
+            for message in connection:
+                connection.send(message)
+
+    with serve(echo, "127.0.0.1", 0, subprotocols=["viser-v1"]) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        yield ScenePage(b"the scene", server.socket.getsockname()[:2])
+        server.shutdown()
+
+
+class Served:
+    def __init__(self, page, scene):
+        self.obeyed, self.stops, self.said = [], [], []
+        self.server = CockpitServer(
+            page, scene, ("",), self.obeyed.append, lambda: self.stops.append(1), self.said.append
+        )
+        self.host = self.server.address.split("/")[2]
+
+    @property
+    def code(self):
+        return self.said[-1].split()[-1].rstrip(".")
+
+    def socket(self, path, **options):
+        return connect(f"ws://{self.host}{path}", **options)
+
+
+@pytest.fixture()
+def served(tmp_path, scene):
+    page = tmp_path / "page.html"
+    page.write_text("the page")
+    served = Served(page, scene)
+    yield served
+    served.server.close()
+
+
+def tell(socket, **message):
+    socket.send(json.dumps(message))
+
+
+def answer(socket):
+    return json.loads(socket.recv(timeout=10.0))
+
+
+def enter(served, socket):
+    tell(socket, do="secret", value=served.code)
+    assert "key" in answer(socket)
+
+
+def until(condition):
+    deadline = time.monotonic() + 30.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def get(served, path, host=None):
+    connection = http.client.HTTPConnection(served.host, timeout=10.0)
+    connection.request("GET", path, headers={"Host": host or served.host})
+    response = connection.getresponse()
+    return response.status, response.read(), response.headers
+
+
+def test_pages_and_who_may_have_them(served):
+    assert get(served, "/")[:2] == (200, b"the page")
+    assert get(served, "/")[2]["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert get(served, "/scene/")[2]["Content-Encoding"] == "gzip"
+    assert get(served, "/else")[0] == 404
+    assert get(served, "/", "evil.example")[0] == 403
+    for path in ("/state", "/control", "/pictures", "/scene/"):
+        with pytest.raises(InvalidStatus):
+            served.socket(path, origin="http://evil.example")
+
+
+def test_the_scene_is_passed_through_with_its_subprotocol(served):
+    with served.socket("/scene", subprotocols=["viser-v1"]) as socket:
+        assert socket.subprotocol == "viser-v1"
+        socket.send(b"\x00\x01")
+        assert socket.recv(timeout=10.0) == b"\x00\x01"
+        assert served.server.scene_watched
+    until(lambda: not served.server.scene_watched)
+
+
+def test_each_page_gets_the_state_and_is_seen(served):
+    assert not served.server.watched
+    with served.socket("/state") as socket:
+        assert answer(socket) == {}
+        assert served.server.watched
+        served.server.put_state({"number": 1})
+        assert answer(socket) == {"number": 1, "controller": None}
+    until(lambda: not served.server.watched)
+
+
+@pytest.mark.parametrize(
+    "command", ["control", "gripper", "exit", "scaling", "record", "mark", "tutorial", "stop", "take"]
+)
+def test_a_page_without_the_code_commands_nothing(served, command):
+    values = {"scaling": 1.0, "mark": "begin"}
+    with served.socket("/control") as socket:
+        tell(socket, do="beat", focus=True, held={"": ["enable", "clutch"]})
+        tell(socket, do=command, value=values.get(command, True))
+        assert "code" in answer(socket)["refused"]
+        tell(socket, do="secret", value="00000000")
+        assert answer(socket)["code"] is False
+    assert not served.obeyed and not served.stops
+    assert served.server.held() == {"": (False, False)}
+
+
+def test_one_page_has_control_every_page_with_the_code_stops(served):
+    with served.socket("/control") as first, served.socket("/control") as second:
+        enter(served, first)
+        enter(served, second)
+        tell(first, do="control", value=True)
+        assert "Take control" in answer(first)["refused"]
+        tell(first, do="take")
+        assert answer(first) == {"control": True}
+        tell(second, do="take")
+        assert "has had control" in answer(second)["refused"]
+        tell(first, do="control", value=True)
+        assert "no focus" in answer(first)["refused"]
+        tell(first, do="beat", focus=True, held={})
+        tell(first, do="control", value=True)
+        until(lambda: served.obeyed)
+        assert served.obeyed[0][:3] == ("control", "", True)
+        tell(second, do="stop")
+        assert "sent" in answer(second)["done"]
+        assert served.stops == [1]
+
+
+def test_what_is_held_is_let_go_without_heartbeat_and_with_the_connection(served):
+    with served.socket("/control") as socket:
+        enter(served, socket)
+        tell(socket, do="take")
+        answer(socket)
+        tell(socket, do="beat", focus=True, held={})
+        tell(socket, do="beat", focus=True, held={"": ["enable"]})
+        began = time.monotonic()
+        until(lambda: served.server.held()[""][0])
+        until(lambda: not served.server.held()[""][0])
+        assert time.monotonic() - began >= HEARTBEAT_S
+        assert served.server.controlled
+    until(lambda: not served.server.controlled)
+
+
+def test_a_flood_ends_the_connection_and_the_next_one_works(served):
+    with served.socket("/control") as socket:
+        with contextlib.suppress(Exception):
+            for _ in range(500):
+                socket.send("nothing")
+        with pytest.raises(Exception, match="1008|too many"):
+            for _ in range(500):
+                socket.recv(timeout=10.0)
+    with served.socket("/control") as socket:
+        enter(served, socket)
