@@ -13,7 +13,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
-from chromium import browser
 from depth_scene import load
 from websockets.sync.client import connect
 
@@ -22,6 +21,7 @@ from common.frames import TOOL_DESIRED
 from leap_motion.headset.placement import FROM_XR
 from leap_motion.service.access import FIRST_WAIT_S
 from rig_simulation.operator.hand_model import HandModel, HandPose, fingers_for
+from simulated.chromium import browser
 
 pytest.importorskip("rig_msgs.srv")
 import rospy

@@ -1,4 +1,4 @@
-"""A browser without a window, which the tests of the headset's page drive over its DevTools protocol."""
+"""A browser without a window, which tests of pages drive over its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import urllib.request
 
 @contextlib.contextmanager
 def browser(address, folder, wait_until, size="800,500"):
-    """Opens the page and yields a function that evaluates JavaScript in it; its attribute `picture` writes a PNG. Any
-    certificate is good enough.
+    """Opens the page and yields a function that evaluates JavaScript in it; its attribute `picture` writes a PNG,
+    `call` calls a method of the protocol. Any certificate is good enough.
     """
     from websockets.sync.client import connect
 
@@ -48,7 +48,7 @@ def browser(address, folder, wait_until, size="800,500"):
             def picture(path):
                 path.write_bytes(base64.b64decode(call("Page.captureScreenshot")["data"]))
 
-            evaluate.picture = picture
+            evaluate.picture, evaluate.call = picture, call
 
             yield evaluate
     finally:
