@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 import pytest
 import websockets.asyncio.client
-from chromium import browser
 from depth_scene import RGB, load
 from stereo_camera import REMAPS, Camera
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -30,6 +29,7 @@ from websockets.sync.client import connect
 from common import clock
 from common.errors import DeviceError
 from common.operator_rows import OLD_ROWS_S
+from simulated.chromium import browser
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
