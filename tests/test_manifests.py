@@ -37,6 +37,8 @@ KEYS = {
     "ruckig": "leap-rig-ruckig",
     "torch": "leap-rig-torch",
     "tqdm": "python3-tqdm",
+    "trimesh": "leap-rig-trimesh",
+    "viser": "leap-rig-viser",
     "websockets": "leap-rig-websockets",
     "yaml": "python3-yaml",
     "zstandard": "leap-rig-mcap",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import itertools
 import math
 import re
@@ -11,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import rich
 import trimesh
 import viser
 
@@ -57,8 +57,8 @@ class SceneServer:
     what shows something."""
 
     def __init__(self) -> None:
-        rich.get_console().quiet = True  # viser prints its address, which is of no use to anybody
-        self._server = viser.ViserServer(host=LOOPBACK, port=0, verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # it prints its address, which is of no use to anybody
+            self._server = viser.ViserServer(host=LOOPBACK, port=0, verbose=False)
         self._server._websock_server._incoming_handlers.clear()
         self._server._websock_server.on_client_connect(_deafen)
         self._poses = FramePoses()
