@@ -138,6 +138,8 @@ PROGRAMS = {
                 sign="/leap_kuka/operator_input"),
     ],
     "leap_rig and reflex": [
+        Program("cockpit_node.py", "cockpit", ("leap_rig", "demo.launch", "view:=browser", "cockpit_port:=0"),
+                sign="/cockpit/episode_mark"),
         Program("leap_teleop.py", "leap_teleop", ("leap_rig", "two_arms.launch", "sim:=true"),
                 sign="/leap_motion/leap_device"),
         Program("operator_view_node.py", "operator_view", ("leap_rig", "demo.launch"), needs=(viewer,)),
@@ -175,7 +177,7 @@ PROGRAMS = {
 }  # fmt: skip
 ELSEWHERE = {
     "collect_shown_grasp.py", "move.py", "simple_controller.py", "hand_wizard.py", "demo.py",
-    "record.py", "replay.py", "calibrate_camera.py", "register_rgbd_node.py", "stereo_web_node.py",
+    "record.py", "replay.py", "ros2_bridge.py", "calibrate_camera.py", "register_rgbd_node.py", "stereo_web_node.py",
 }  # fmt: skip
 """Programs that talk with a person, or need a device or a recording: the tests of their packages start them."""
 

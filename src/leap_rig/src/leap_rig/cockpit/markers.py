@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from common.frames import frame_name
+
 ADD, DELETE, DELETE_ALL = 0, 2, 3  # actions of a marker
 MOST_POINTS = 20_000  # of one message
 MOST_MARKERS = 1_000  # of one topic
@@ -184,7 +186,7 @@ def _drawing(marker: Any) -> Drawing | None:
     if not len(points):
         return None
     return Drawing(
-        form, marker.header.frame_id.lstrip("/"), _rounded(given[3:]), _unit(turn), _on_grid(points), colours,
+        form, frame_name(marker.header.frame_id), _rounded(given[3:]), _unit(turn), _on_grid(points), colours,
         min(round(opacity, 2), 1.0), size, marker.text[:MOST_LETTERS],
     )  # fmt: skip
 
