@@ -86,7 +86,7 @@ def test_the_forces_of_contact_are_those_of_the_simulation(motion, velocity):
         round(bench_contact.pushed(np.radians(away), part, height, velocity, *case)[0])
         for case in bench_contact.CASES.values()
     ]
-    line = f"| {motion} | {velocity:g} | " + " | ".join(f"{force} N" for force in forces) + " |"
+    line = f"| {motion} | {velocity:g} | " + " | ".join(map(str, forces)) + " |"
     assert line in (HANDBOOK / "safety-case.md").read_text().splitlines()
     assert forces[0] > 2.0 * forces[2] and forces[1] > forces[2]
 
@@ -97,7 +97,7 @@ def test_the_forces_are_those_of_the_model():
         per_speed = math.sqrt(stiffness / (1.0 / mass + 1.0 / ARM_KG))
         line = re.search(rf"^\| {part}[^|]*\|(.*)$", page, re.MULTILINE)
         assert line, part
-        forces = [int(force) for force in re.findall(r"(\d+) N \|", line.group(1))[:4]]
+        forces = [int(force) for force in line.group(1).split("|")[:4]]
         assert forces == [round(per_speed * speed) for speed in (0.2, 0.49, 0.65, 0.77)]
-        permitted, speed = re.search(r"(\d+) N \| (?:below )?([\d.]+) m/s", line.group(1)).groups()
+        permitted, speed = re.search(r"(\d+) \| (?:below )?([\d.]+) \|$", line.group(1)).groups()
         assert float(speed) == round(float(permitted) / per_speed, 2)
