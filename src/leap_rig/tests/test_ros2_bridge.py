@@ -6,8 +6,10 @@ from hypothesis import strategies as st
 
 from common.frames import PREFIX
 from leap_rig.ros2.channels import FIRST_TOPIC, RESULT, channels
+from leap_rig.ros2.config import LOCALHOST, SUBNET
 from leap_rig.ros2.key_values import key_values
 from leap_rig.ros2.outbox import NewestFrames
+from leap_rig.ros2.variables import side_variables
 from leap_rig.ros2.wire import HEADER, MAX_BODY, BridgeFault, frames, packed
 
 FRAMES = st.lists(st.tuples(st.integers(0, 2**16 - 1), st.binary(max_size=300)), max_size=8)
@@ -92,3 +94,20 @@ def test_topics_have_numbers_and_names_of_their_own(arms):
     assert len({topic.number for topic in topics}) == len({topic.topic for topic in topics}) == len(topics)
     assert all(topic.number >= FIRST_TOPIC > RESULT and PREFIX.fullmatch(topic.topic) for topic in topics)
     assert {f"{arm}joint_states" for arm in arms} <= {topic.topic for topic in topics}
+
+
+NAMES = ["HOME", "ROS_DOMAIN_ID", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS",
+         "FASTDDS_DEFAULT_PROFILES_FILE", "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_ENVIRONMENT_FILE",
+         "RMW_IMPLEMENTATION", "RMW_FASTRTPS_USE_QOS_FROM_XML", "SKIP_DEFAULT_XML_FILE", "PYTHONPATH",
+         "ROS_LOCALHOST_ONLY", "ROS_AUTOMATIC_DISCOVERY_RANGE"]  # fmt: skip
+
+
+@given(st.dictionaries(st.sampled_from(NAMES), st.just("theirs")))
+def test_nothing_in_the_environment_leads_the_bridge_into_the_network(own):
+    local = side_variables(own, LOCALHOST, "/ours.xml")
+    theirs = {name for name, value in local.items() if value == "theirs"}
+    assert theirs <= {"HOME", "ROS_DOMAIN_ID", "LEAP_RIG_PYTHONPATH"}
+    assert local["FASTDDS_DEFAULT_PROFILES_FILE"] == "/ours.xml" and local["SKIP_DEFAULT_XML_FILE"] == "1"
+    assert local["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+    wide = side_variables(own, SUBNET, "/ours.xml")
+    assert wide.get("ROS_STATIC_PEERS") == own.get("ROS_STATIC_PEERS") and "/ours.xml" not in wide.values()

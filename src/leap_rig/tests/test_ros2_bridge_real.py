@@ -4,7 +4,9 @@ import json
 import math
 import os
 import random
+import shlex
 import signal
+import subprocess
 import threading
 from pathlib import Path
 
@@ -22,6 +24,8 @@ from tf2_msgs.msg import TFMessage
 
 from common.ros.images import image_message
 from kuka_msgs.msg import MoveAction, MoveFeedback, MoveResult
+from leap_rig.ros2.config import LOCALHOST, SUBNET
+from leap_rig.ros2.variables import side_variables
 from rig_msgs.msg import KukaStatus, TeleopState
 
 ROOT = Path(__file__).parents[3]
@@ -31,12 +35,39 @@ PEER = Path(__file__).with_name("ros2_peer.py")
 pytestmark = [pytest.mark.ros, pytest.mark.long]
 needs_ros2 = pytest.mark.skipif(not PYTHON.is_file(), reason="ROS 2 is not installed: make ros2")
 DESIRED = "kuka/tool_frame/desired"
+TWO_MACHINES = """
+mount -t tmpfs tmpfs /run && ip netns add other && ip link add one type veth peer name two netns other || exit 77
+ip link set lo up && ip addr add 10.35.0.1/24 dev one && ip link set one up
+ip -n other link set lo up && ip -n other addr add 10.35.0.2/24 dev two && ip -n other link set two up
+"""
 
 
 def test_without_ros2_the_node_says_how_to_get_it(ros):
     bridge = ros.run("leap_rig", "ros2_bridge.py", "_python:=/nowhere/python", "__name:=no_bridge")
     assert bridge.wait(30.0) == 1
     assert "make ros2" in bridge.log_path.read_text()
+
+
+@needs_ros2
+@pytest.mark.parametrize("discovery", [LOCALHOST, SUBNET])
+def test_another_machine_reaches_the_rig_only_with_discovery_subnet(discovery):
+    def on_its_own(variables, *words):
+        """A process on a machine of its own: nothing of the memory that Fast DDS shares."""
+        command = shlex.join(["env", *(f"{k}={v}" for k, v in variables.items()), str(PYTHON), str(PEER), *words])
+        return f"unshare --mount --ipc sh -c {shlex.quote(f'mount -t tmpfs tmpfs /dev/shm && exec {command}')}"
+
+    rig = side_variables({}, discovery, str(ROOT / "src/leap_rig/config/ros2_loopback.xml"))
+    theirs = {"ROS_STATIC_PEERS": "10.35.0.1", "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
+    listener, publisher = on_its_own(rig, "listen"), on_its_own(theirs, "publish", "good")
+    script = f"{TWO_MACHINES}timeout 25 {listener} &\nsleep 5; timeout 15 ip netns exec other {publisher}; wait"
+    environment = {"PATH": os.environ["PATH"], "HOME": os.environ["HOME"]}
+    done = subprocess.run(
+        ["unshare", "--net", "--mount", "--map-root-user", "sh", "-c", script],
+        env=environment, capture_output=True, text=True, timeout=120.0,
+    )  # fmt: skip
+    if done.returncode == 77 or "unshare failed" in done.stderr:
+        pytest.skip("this machine lets nobody make networks (unshare, ip)")
+    assert (DESIRED in done.stdout) is (discovery == SUBNET), done.stdout + done.stderr
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3Stamped, Wrench, WrenchStamped
@@ -38,6 +39,7 @@ from leap_rig.ros2.outbox import NewestFrames
 from leap_rig.ros2.ros.bytes_of import bytes_of
 from leap_rig.ros2.ros.desired_door import DesiredDoor
 from leap_rig.ros2.ros.move_door import MoveDoor
+from leap_rig.ros2.variables import side_variables
 from leap_rig.ros2.wire import BridgeFault, frames, packed
 from rig_msgs.msg import KukaStatus, TeleopState
 
@@ -46,9 +48,6 @@ SOURCES = [str(Path(channels.__file__).parents[2]), str(Path(common.errors.__fil
 # Behind its own packages, whose names are those of ROS 1, too.
 PROGRAM = f"import sys; sys.path.extend({SOURCES!r}); from leap_rig.ros2.ros.side import main; main()"
 RESCUE = "from leap_rig.ros2.ros.cancel_program import main; main()"
-FOREIGN = ("PYTHONPATH", "PYTHONHOME", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH",
-           "RMW_IMPLEMENTATION", "ROS_LOCALHOST_ONLY")  # fmt: skip
-"""Variables of ROS 1, or of another ROS 2."""
 SILENT_S = 15.0  # a ROS 2 side that has not reported for so long hangs, and at its start
 LOOK_S = 0.5
 REFUSED_S = 2.0  # /diagnostics show what was refused for so long
@@ -67,11 +66,12 @@ class Ros2Side:
                 f"ROS 2 is not installed: {python} is missing. `make ros2` installs it in the clone; from an install "
                 "space, set ~python to the clone's .venv-ros2/bin/python."
             )
+        profile = Path(rospkg.RosPack().get_path("leap_rig")) / "config" / "ros2_loopback.xml"
+        if not profile.is_file():  # without it Fast DDS would open every interface
+            raise DeviceError(f"{profile} is missing, which keeps ROS 2 on this machine: install leap_rig again.")
         self._connection, theirs = socket.socketpair()
         self._connection.settimeout(SILENT_S)
-        variables = {name: value for name, value in os.environ.items() if name not in FOREIGN}
-        variables["LEAP_RIG_PYTHONPATH"] = os.environ.get("PYTHONPATH", "")
-        variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] = config.discovery.upper()
+        variables = side_variables(os.environ, config.discovery, str(profile))
         with theirs:
             self._process = subprocess.Popen(
                 [str(python), "-c", PROGRAM, json.dumps({**request, "socket": theirs.fileno()})],
