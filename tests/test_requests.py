@@ -33,7 +33,7 @@ from kuka_msgs.msg import MoveGoal
 from kuka_msgs.srv import setPayloadRequest, setScalingFactorRequest
 from reflex_msgs.msg import FingerPressure
 from reflex_msgs.srv import SetSpeedRequest, SetTactileThresholdRequest
-from rig_msgs.srv import CheckToolPoseRequest, ChooseArmRequest, HoldToolRequest, SetSceneRequest
+from rig_msgs.srv import CheckToolPoseRequest, ChooseArmRequest, ChooseOperatorRequest, HoldToolRequest, SetSceneRequest
 from rig_msgs.srv import SimulationFaultRequest as FaultRequest
 from simulated.rig import VirtualRig
 
@@ -53,6 +53,7 @@ MEANT = {
     "CheckToolPose": {},
     "HoldTool": {r"^duration$": (0.0,)},  # ends it
     "ChooseArm": {},
+    "ChooseOperator": {r"^operator$": ("",)},  # nobody
     "SetScene": {},
     "SimulationFault": {
         r"^fault$": ("",),  # lists the faults
@@ -263,6 +264,7 @@ def requests(graph, rig, folder):
     yield "kuka/move", "MoveAction", there, {r"^(name|joints)": ANY, r"^kind$": (0,), r"^velocity$": (0.0,)}
     yield "kuka/move", "MoveAction", named, {"": ANY}  # back
     rig.control(False)
+    yield "leap_hand/choose_operator", "ChooseOperator", ChooseOperatorRequest(""), {}
 
     ports = [text for name in ("", "control-", "hand-", "hand-control-") for text in (f"--{name}port", "0")]
     graph.run("rig_simulation", "world.py", "--stepped", "--scene", "cup", *ports, "--world-port", "19876")

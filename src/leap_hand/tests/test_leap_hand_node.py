@@ -15,11 +15,13 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Point, Vector3
 from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Bool
 from std_srvs.srv import Empty, EmptyResponse
 
 from leap_motion.msg import Human
 from reflex_msgs.msg import RadianServoCommands
 from rig_msgs.msg import KukaStatus
+from rig_msgs.srv import ChooseOperator
 from tools import launched
 
 pytestmark = pytest.mark.ros
@@ -353,6 +355,47 @@ def test_the_launch_files_check_refuses_a_file_that_roslaunch_or_the_node_could_
     assert program.wait(20.0) == int(words != "anna")
     log = program.log_path.read_text()
     assert words in log and log.count("anna") == 1 and "Traceback" not in log
+
+
+def test_another_operator_is_chosen_while_the_gripper_is_off(ros, driver, tracker, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    folder = tmp_path / ".config" / "leap_rig" / "operators"
+    folder.mkdir(parents=True)
+    (folder / "anna.yaml").write_text("thumb_human: [40.0, 20.0]\nsimulated: false")
+    (folder / "far.yaml").write_text("simulated: true")
+    (folder / "more.yaml").write_text("force_limit: false")
+    ros.launch("leap_hand", "leap_hand.launch", hand_only="false")
+    gripper = rospy.Publisher("kuka/gripper_control", Bool, queue_size=1, latch=True)
+    gripper.publish(True)
+    tracker.show(make_hand(30.0))
+    fist = driver_at_rest(ros, driver)
+    choose = rospy.ServiceProxy("leap_hand/choose_operator", ChooseOperator)
+    assert "switch the control of the gripper off" in choose("anna").message
+    gripper.publish(False)
+    ros.wait_until(lambda: is_near(driver, np.zeros(4)), 5.0, "the open hand")
+    for name in ("far", "more", "nobody", "../anna", "", "x" * 500, "\0"):
+        assert choose(name).success is (name == ""), name
+    assert choose("anna").success
+    assert rospy.get_param("leap_hand/thumb_human") == [40.0, 20.0]
+    assert rospy.get_param("leap_hand_node/operator") == "anna"
+    clock.sleep(1.0)
+    assert is_near(driver, np.zeros(4)), "the choice moves nothing"
+    gripper.publish(True)
+    assert driver_at_rest(ros, driver)[2] < fist[2] - 0.1, "the thumb is mapped from anna's"
+    gripper.publish(False)
+    ros.wait_until(lambda: is_near(driver, np.zeros(4)), 5.0, "the open hand")
+    assert choose("").success
+    assert rospy.get_param("leap_hand/thumb_human") == LIMITS["thumb_human"]
+    assert rospy.get_param("leap_hand/simulated") is False
+    gripper.publish(True)
+    assert np.allclose(driver_at_rest(ros, driver), fist)
+
+
+def driver_at_rest(ros, driver):
+    """Returns the command that the hand gets after its fingers have moved."""
+    ros.wait_until(lambda: driver.commands and not is_near(driver, np.zeros(4)), 9.0, "the fingers")
+    clock.sleep(0.5)
+    return np.array(newest(driver))
 
 
 @pytest.mark.parametrize(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from leap_rig.cockpit.control import CLUTCH, ENABLE, HEARTBEAT_S, CockpitControl, CockpitPage
-from leap_rig.cockpit.messages import PageMessageFault, read_command, state_text
+from leap_kuka.numbers import DEVICE_SILENCE_S
+from leap_kuka.operator_switches import DeviceSwitches
+from leap_rig.cockpit.control import CLUTCH, ENABLE, HEARTBEAT_S, CockpitControl, CockpitPage, DeviceReports
+from leap_rig.cockpit.messages import MARKS, PageMessageFault, read_command, state_text
 
 ARMS = ("left", "right")
 HELD = st.sampled_from([frozenset(), frozenset({ENABLE}), frozenset({CLUTCH}), frozenset({ENABLE, CLUTCH})])
@@ -54,10 +57,50 @@ def test_what_is_held_is_what_one_page_with_the_code_holds_now(events):
             assert kind == "beat" and controller.page is pages[which] and more[0] and CLUTCH not in more[1]
         clutched = switches.clutch
         assert control.switches["right"].enable is False
-        live = controller is not None and controller.focused and now - controller.heard <= HEARTBEAT_S
+        live = control.live(now)
+        assert live is (controller is not None and controller.focused and now - controller.heard <= HEARTBEAT_S)
         assert [control.refusal(page, now) == "" for page in pages] == [
             live and controller.page is page for page in pages
         ]
+
+
+@given(st.lists(st.tuples(st.sampled_from(["hold", "hide", "lose", "take"]), HELD, st.integers(0, 20)), max_size=30))
+def test_leap_kuka_enables_only_while_a_live_page_holds_that_and_unclutches_only_by_one(events):
+    """The arm's side of the reports, at the period of the cockpit's node."""
+    control, reports, device, now = CockpitControl(("",)), DeviceReports(), DeviceSwitches(), 100.0
+    page, dead_since = admitted(control), 0.0
+    for kind, held, periods in events:
+        if kind == "take":
+            control.take(page, now)
+        elif kind == "lose":
+            control.give(page)
+        for _ in range(periods):
+            if kind in ("hold", "hide"):
+                control.beat(page, kind == "hold", {"": held}, now)
+            now += 0.05
+            control.watch(now)
+            switches, live = control.switches[""], control.live(now)
+            if reports.due(switches.enable, switches.clutch, live, now):
+                device.take(switches.enable, switches.clutch, "cockpit", 0.0, now)
+            if device.enabled(now):
+                assert live and switches.enable
+            dead_since = math.inf if live else min(dead_since, now)
+            assert device.clutch(now) or now - dead_since <= DEVICE_SILENCE_S
+            if live or switches.clutch:
+                assert not device.silent(now)
+
+
+def test_the_first_press_on_a_page_counts_and_each_change_at_once():
+    control, reports, device, now = CockpitControl(("",)), DeviceReports(), DeviceSwitches(), 100.0
+    page = admitted(control)
+    control.take(page, now)
+    for held in [set()] * 2 + [{ENABLE}] * 3 + [set()]:
+        now += 0.03
+        control.beat(page, True, {"": held}, now)
+        switches = control.switches[""]
+        if reports.due(switches.enable, switches.clutch, control.live(now), now):
+            device.take(switches.enable, switches.clutch, "cockpit", 0.0, now)
+        assert device.enabled(now) is bool(held)
 
 
 def test_enabling_needs_a_press_after_a_release_and_after_each_loss():
@@ -89,14 +132,16 @@ def test_a_clutch_that_was_held_stays_pressed_after_a_loss_until_it_is_pressed_a
     page = admitted(control)
     control.take(page, 0.0)
     control.beat(page, True, {"": {CLUTCH}}, 0.1)
+    assert not control.switches[""].stuck
     control.give(page)
+    assert control.switches[""].stuck
     other = admitted(control)
     control.take(other, 1.0)
     control.beat(other, True, {}, 1.1)
-    assert control.switches[""].clutch
+    assert control.switches[""].clutch and control.switches[""].stuck
     control.beat(other, True, {"": {CLUTCH}}, 1.2)
     control.beat(other, True, {}, 1.3)
-    assert not control.switches[""].clutch
+    assert not control.switches[""].clutch and not control.switches[""].stuck
 
 
 def test_another_page_reads_who_has_control_and_since_when():
@@ -134,7 +179,9 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
     max_leaves=6,
 )
-NAMES = st.sampled_from(["control", "gripper", "scaling", "exit", "record", "mark", "tutorial", "beat", "secret", "x"])
+NAMES = st.sampled_from(
+    ["control", "gripper", "scaling", "exit", "record", "mark", "tutorial", "operator", "beat", "secret", "x"]
+)
 
 
 @given(
@@ -142,7 +189,10 @@ NAMES = st.sampled_from(["control", "gripper", "scaling", "exit", "record", "mar
         st.text(), st.binary(), JSON.map(json.dumps),
         st.fixed_dictionaries(
             {"do": NAMES | JSON},
-            optional={"arm": st.sampled_from(ARMS) | JSON, "value": JSON, "held": JSON, "focus": JSON},
+            optional={
+                "arm": st.sampled_from(ARMS) | JSON, "value": JSON | st.sampled_from(MARKS), "text": JSON,
+                "held": JSON, "focus": JSON,
+            },
         ).map(json.dumps),
     )
 )  # fmt: skip
@@ -155,6 +205,10 @@ def test_whatever_a_page_sends_is_a_sound_command_or_refused(text):
         assert arm in ARMS
     if name in ("control", "gripper", "record", "tutorial"):
         assert value is True or value is False
+    if name == "mark":
+        assert value[0] in MARKS and value[1].isprintable() and len(value[1]) <= 200
+    if name == "operator":
+        assert arm in ARMS and value.isprintable() and len(value) <= 200
     if name == "scaling":
         assert 0.1 <= value <= 1.5
     if name == "beat":

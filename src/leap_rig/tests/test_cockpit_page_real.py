@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -20,8 +21,9 @@ ROW = {"name": "Limits", "text": "z lower limit", "tone": "warning", "kind": "te
 TICKS = {**ROW, "name": "Start", "kind": "ticks", "labels": ["in the box", "slow"], "values": [1.0, 0.0]}
 ARM = {
     "present": True, "control_on": True, "gripper_on": False, "scaling_factor": 1.0, "status_line": "it follows.",
-    "tone": "normal", "age": 0.1, "rows": [ROW, {**ROW, "name": "Delay", "text": "35 ms"}, TICKS], "enabling": True,
-    "clutch": True, "held": {"enable": False, "clutch": False}, "operator": "",
+    "tone": "normal", "age": 0.1, "rows": [ROW, {**ROW, "name": "Delay", "text": "35 ms"}, TICKS],
+    "leap": {"engagement": "relative", "enabling": "device", "clutch": "device"}, "device": "",
+    "operator": "anna", "operators": ["", "anna", "bo"],
 }  # fmt: skip
 CODES = {"Tab": 9, "Enter": 13, "Escape": 27, " ": 32}
 OVERLAPS = """(() => {
@@ -36,12 +38,13 @@ OVERLAPS = """(() => {
 })()"""
 
 
-@pytest.fixture()
-def page(tmp_path):
+@pytest.fixture(params=[("",)], ids=["one arm"])
+def page(tmp_path, request):
     """A function that evaluates JavaScript in the page, with what it is to the server in its attributes."""
     obeyed, stops, said = [], [], []
     scene = ScenePage(b"<!doctype html><body tabindex=0>scene", ("127.0.0.1", 9))
-    server = CockpitServer(PAGE, scene, ("",), obeyed.append, lambda: stops.append(1), said.append)
+    changes = {}
+    server = CockpitServer(PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append)
     folder = tmp_path / "browser"
     folder.mkdir()
 
@@ -49,10 +52,13 @@ def page(tmp_path):
         deadline = time.monotonic() + seconds
         while not (found := condition()):
             assert time.monotonic() < deadline, f"waited for {what}"
-            arm = {**ARM, "held": dict(zip(("enable", "clutch"), server.held()[""]))}
+            shown = {
+                name: {**ARM, **changes, "held": {**asdict(held), "stuck": held.stuck}}
+                for name, held in server.held().items()
+            }
             server.put_state({
-                "arms": {"": arm}, "answer": {"number": 0, "text": "", "tone": "normal"}, "recording": "",
-                "tutorial": {"runs": False, "text": ""},
+                "arms": shown, "answer": {"number": 0, "text": "", "tone": "normal"}, "recording": "",
+                "marks": True, "tutorial": {"runs": False, "text": ""},
             })  # fmt: skip
             time.sleep(0.05)
         return found
@@ -70,7 +76,7 @@ def page(tmp_path):
 
     try:
         with browser(server.address, folder, until, "1280,943") as evaluate:
-            evaluate.server, evaluate.obeyed, evaluate.stops = server, obeyed, stops
+            evaluate.server, evaluate.obeyed, evaluate.stops, evaluate.changes = server, obeyed, stops, changes
             evaluate.until, evaluate.key, evaluate.press = until, key, press
             until(lambda: evaluate("typeof state === 'object' && state !== null"), what="the state")
 
@@ -87,7 +93,11 @@ def page(tmp_path):
 
 
 def held(page, enable, clutch):
-    page.until(lambda: page.server.held()[""] == (enable, clutch), what=f"{enable}, {clutch}")
+    def now():
+        switches = page.server.held()[""]
+        return switches.enable, switches.clutch
+
+    page.until(lambda: now() == (enable, clutch), what=f"{enable}, {clutch}")
     shown = "(({enable, clutch}) => [enable, clutch])(state.arms[''].held)"
     page.until(lambda: page(shown) == [enable, clutch], what="the page to show it")
 
@@ -101,7 +111,7 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     page.enter()
     page("$('take').focus()")
     page.press("Enter")
-    page.until(lambda: page.server.controlled and page("!document.querySelector('.enable').disabled"))
+    page.until(lambda: page.server.live and page("!document.querySelector('.enable').disabled"))
     page("document.querySelector('.enable').focus()")
     page.key("keyDown", " ")
     held(page, True, False)
@@ -111,6 +121,7 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     held(page, True, False)
     page("document.hasFocus = () => false")
     held(page, False, False)
+    assert page.until(lambda: not page.server.live, what="the server to hear of the lost focus")
     page("delete document.hasFocus")
     page.until(lambda: page("!document.querySelector('.control').disabled"))
     page("document.querySelector('.control').focus()")
@@ -122,6 +133,50 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     page.until(lambda: page.stops)
 
 
+def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(page):
+    page.enter()
+    page("$('take').click()")
+    page.until(lambda: page.server.live and page("!document.querySelector('.operator').disabled"))
+    page.changes["gripper_on"] = True
+    page.until(lambda: page("document.querySelector('.operator').disabled"))
+    page.changes["gripper_on"] = False
+    page.until(lambda: page("!document.querySelector('.operator').disabled"))
+    assert page("document.querySelector('.operator').value") == "anna"
+    page("(e => { e.value = 'bo'; e.onchange(); })(document.querySelector('.operator'))")
+    page("$('note').value = ' slipped '; document.querySelector('[data-mark=failure]').click()")
+    page.until(lambda: len(page.obeyed) > 1)
+    assert [tuple(command) for command in page.obeyed] == [
+        ("operator", "", "bo"), ("mark", "", ("failure", "slipped")),
+    ]  # fmt: skip
+
+
+def test_a_clutch_that_was_held_when_its_page_was_lost_is_told_and_another_device_hides_the_buttons(page):
+    page.enter()
+    page("$('take').click()")
+    page.until(lambda: page.server.live and page("!document.querySelector('.clutch').disabled"))
+    page("document.querySelector('.clutch').focus()")
+    page.key("keyDown", " ")
+    held(page, False, True)
+    stuck = "document.querySelector('.stuck').hidden"
+    assert page(stuck)
+    page("control.close()")
+    page.until(lambda: not page(stuck), what="the sentence")
+    assert page("document.querySelector('.stuck').textContent").startswith("The clutch stays pressed")
+    page.key("keyUp", " ")
+    page.until(lambda: page("admitted"), what="the key again")
+    page("$('take').click()")
+    page.until(lambda: page.server.live and page("!document.querySelector('.clutch').disabled"))
+    assert page.server.held()[""].clutch
+    page("document.querySelector('.clutch').focus()")
+    page.press(" ")
+    held(page, False, False)
+    page.until(lambda: page(stuck))
+    page.changes["device"] = "/operator_input_node"
+    page.until(lambda: page("document.querySelector('.clutch').hidden"))
+    assert "/operator_input_node" in page("document.querySelector('.engagement').textContent")
+
+
+@pytest.mark.parametrize("page", [("",), ("left", "right")], ids=["one arm", "two arms"], indirect=True)
 @pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
 def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
     width, height = size
@@ -134,7 +189,9 @@ def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
     stop_is_fixed = width < 700
     overlaps = [pair for pair in page(OVERLAPS).split("; ") if pair and not (stop_is_fixed and "stop" in pair)]
     assert not overlaps
-    assert page("[...document.querySelectorAll('button, input')].every(e => e.textContent || e.ariaLabel)")
+    label = "e.textContent || e.ariaLabel"
+    assert page(f"[...document.querySelectorAll('button, input')].every(e => {label})")
+    assert page("[...document.querySelectorAll('select')].every(e => e.labels.length === 1)")
 
 
 def test_what_is_old_is_grey_and_says_its_age(page):

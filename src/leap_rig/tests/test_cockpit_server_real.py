@@ -13,7 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
-from leap_rig.cockpit.control import HEARTBEAT_S
+from leap_rig.cockpit.control import HEARTBEAT_S, HeldSwitches
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 
 pytestmark = pytest.mark.real
@@ -118,10 +118,10 @@ def test_each_page_gets_the_state_and_is_seen(served):
 
 
 @pytest.mark.parametrize(
-    "command", ["control", "gripper", "exit", "scaling", "record", "mark", "tutorial", "stop", "take"]
+    "command", ["control", "gripper", "exit", "scaling", "operator", "record", "mark", "tutorial", "stop", "take"]
 )
 def test_a_page_without_the_code_commands_nothing(served, command):
-    values = {"scaling": 1.0, "mark": "begin"}
+    values = {"scaling": 1.0, "mark": "begin", "operator": "anna"}
     with served.socket("/control") as socket:
         tell(socket, do="beat", focus=True, held={"": ["enable", "clutch"]})
         tell(socket, do=command, value=values.get(command, True))
@@ -129,7 +129,7 @@ def test_a_page_without_the_code_commands_nothing(served, command):
         tell(socket, do="secret", value="00000000")
         assert answer(socket)["code"] is False
     assert not served.obeyed and not served.stops
-    assert served.server.held() == {"": (False, False)}
+    assert served.server.held() == {"": HeldSwitches()}
 
 
 def test_one_page_has_control_every_page_with_the_code_stops(served):
@@ -161,11 +161,30 @@ def test_what_is_held_is_let_go_without_heartbeat_and_with_the_connection(served
         tell(socket, do="beat", focus=True, held={})
         tell(socket, do="beat", focus=True, held={"": ["enable"]})
         began = time.monotonic()
-        until(lambda: served.server.held()[""][0])
-        until(lambda: not served.server.held()[""][0])
+        until(lambda: served.server.held()[""].enable)
+        until(lambda: not served.server.held()[""].enable)
         assert time.monotonic() - began >= HEARTBEAT_S
-        assert served.server.controlled
-    until(lambda: not served.server.controlled)
+        assert controlled(served) and not served.server.live
+    until(lambda: not controlled(served))
+
+
+def controlled(served):
+    return served.server.control.controller is not None
+
+
+def test_a_page_without_focus_commands_nothing_and_holds_nothing_but_stops(served):
+    with served.socket("/control") as socket:
+        enter(served, socket)
+        tell(socket, do="take")
+        answer(socket)
+        tell(socket, do="beat", focus=True, held={})
+        tell(socket, do="beat", held={"": ["enable"]})
+        for command, value in (("control", True), ("gripper", False), ("exit", None), ("mark", "begin")):
+            tell(socket, do=command, value=value)
+            assert "no focus" in answer(socket)["refused"]
+        assert not served.server.held()[""].enable and not served.server.live and not served.obeyed
+        tell(socket, do="stop")
+        assert "sent" in answer(socket)["done"] and served.stops
 
 
 def test_a_flood_ends_the_connection_and_the_next_one_works(served):

@@ -99,6 +99,14 @@ class HandTeleop:
         if owner is not None or keep_grip:
             self._lock.end()
 
+    def remap(self, config: HandConfig) -> bool:
+        """Takes another mapping of the fingers, if control of the gripper is off; returns whether it is."""
+        if self._gripper_on is not False:
+            return False
+        self._human, self._robot = config.human, config.robot
+        self._command = self.open_pose = read_only(self._robot[:, 0])
+        return True
+
     def switch(self, gripper_on: bool) -> GripperResult | None:
         """Sets control of the gripper; returns the open pose if this switches it off, else None."""
         changed = gripper_on != self._gripper_on

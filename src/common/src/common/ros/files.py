@@ -17,13 +17,13 @@ import yaml
 from common.config import WrittenMapping
 from common.errors import ConfigError, RigError
 
-FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*", re.ASCII)
+FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,99}", re.ASCII)
 
 
 def user_file(kind: str, name: str) -> Path:
     """Returns the path of NAME.yaml in ~/.config/leap_rig/KINDs; raises RigError if the name is not one of a file."""
     if not FILE_NAME.fullmatch(name):
-        allowed = "must be letters, digits, - and _, and begin with a letter or digit"
+        allowed = "must be up to 100 letters, digits, - and _, and begin with a letter or digit"
         raise RigError(f"The {kind}'s name is {name!r}, but {allowed}.")
     return home() / ".config" / "leap_rig" / f"{kind}s" / f"{name}.yaml"
 

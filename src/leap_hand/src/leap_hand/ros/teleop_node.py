@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import rospy
@@ -11,7 +13,8 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Empty
 
 from common import clock
-from common.errors import DeviceError
+from common.config import parse
+from common.errors import DeviceError, RigError
 from common.robot_hand import HAND
 from common.ros.calibration_use import check_use
 from common.ros.diagnostics import Diagnostics, StageTimes
@@ -24,15 +27,16 @@ from common.teleop_record import teleop_record
 from leap_hand.config import HandConfig, NodeConfig
 from leap_hand.force_limit import FEELING, FingerFeedback, ForceLimit, LimitedCommand
 from leap_hand.numbers import ANSWER_TIMEOUT_S, FIRST_STATE_S, SETTLING_S
-from leap_hand.ros.operators import operator_file
+from leap_hand.ros.operators import FILES, OPERATOR, operator_file, with_operator
 from leap_hand.teleop import GripperResult, GripperState, HandTeleop
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.tracking import ReceivedHuman, Subscribe, subscribe
 from reflex.transport import LOOPBACK
 from reflex_msgs.msg import Hand, RadianServoCommands
 from rig_msgs.msg import TeleopState
+from rig_msgs.srv import ChooseOperator, ChooseOperatorRequest
 
-FILES, OPERATOR = "files", "operator"  # under leap_hand/: the values of each file by itself, that of operator:= too
+OPERATOR_PARAM = "leap_hand_node/operator"
 
 
 class HandTeleopNode:
@@ -51,6 +55,7 @@ class HandTeleopNode:
         self._stage_times = StageTimes("leap_hand", of)
         Diagnostics("leap_hand", self._diagnostics, of)
         self._state_received = clock.Event()
+        rospy.Service(f"{of}leap_hand/choose_operator", ChooseOperator, self._on_operator)
         rospy.Subscriber(of + HAND.state, Hand, self._on_hand_state, queue_size=1, tcp_nodelay=True)
 
     def run(self, subscribe: Subscribe) -> None:
@@ -64,6 +69,25 @@ class HandTeleopNode:
             with self._lock:
                 self._carry_out(self._teleop.silence(clock.monotonic()))
             clock.sleep(0.1)
+
+    def _on_operator(self, request: ChooseOperatorRequest) -> tuple[bool, str]:
+        """Reads the mapping beside the frames, and takes it between two of them."""
+        name, of = request.operator, self._of
+        try:
+            values = with_operator(name, rospy.get_param(f"{of}leap_hand"))
+            config = parse(HandConfig, values, "leap_hand/", others=(FILES,))
+            _check_origin(config, name, of, values[FILES])
+        except RigError as error:
+            return False, f"The mapping of the fingers stays. {error}"
+        with self._lock:
+            if not self._teleop.remap(config):
+                return False, "The mapping of the fingers stays: switch the control of the gripper off first."
+        rospy.delete_param(f"{of}leap_hand")
+        rospy.set_param(f"{of}leap_hand", values)
+        rospy.set_param(f"{of}{OPERATOR_PARAM}", name)
+        sentence = f"The finger mapping is that of {name}." if name else "The finger mapping is nobody's own."
+        rospy.loginfo(sentence)
+        return True, sentence
 
     def _on_gripper(self, message: Bool) -> None:
         with while_running(), self._lock:
@@ -159,13 +183,13 @@ def calibrate(timeout: float, of: str = "") -> None:
         clock.sleep(0.05)
 
 
-def _check_origin(config: HandConfig, operator: str, of: str) -> None:
+def _check_origin(config: HandConfig, operator: str, of: str, files: Mapping[str, Mapping[str, Any]]) -> None:
     """Raises ConfigError if one of the files was measured with simulated devices and the robot hand is real; warns
     of an operator's file that does not say."""
     measured = f"The finger mapping {operator_file(operator or 'NAME')} of operator:="
     simulated_hand = rospy.get_param(f"{of}reflex_takktile_driver/network_interface", None) == LOOPBACK
     again = "Run rosrun leap_hand hand_wizard.py with a real tracker."
-    for name, values in rospy.get_param(f"{of}leap_hand/{FILES}", {}).items():
+    for name, values in files.items():
         said = said_by(values, f"{of}leap_hand/{FILES}/{name}/")
         if name == OPERATOR:
             check_use(measured, said, simulated_hand, again)
@@ -180,7 +204,7 @@ def start(node: NodeConfig, subscribe: Subscribe = subscribe, of: str = "") -> N
     config = wait_for_config(HandConfig, f"{of}leap_hand", others=(FILES,))
     if node.operator:
         rospy.loginfo("The finger mapping is that of %s.", node.operator)
-    _check_origin(config, node.operator, of)
+    _check_origin(config, node.operator, of, rospy.get_param(f"{of}leap_hand/{FILES}", {}))
     calibrate(node.service_timeout, of)
     HandTeleopNode(HandTeleop(config, node.hand_only, node.hand), ForceLimit(config), of).run(subscribe)
 

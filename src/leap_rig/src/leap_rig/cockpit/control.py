@@ -14,7 +14,10 @@ no heartbeat for HEARTBEAT_S             stays              released: a loss    
 the page gives control, or is gone       free               released: a loss              as it is: a loss
 
 So each loss goes to the side on which the tool stays: who lets go by accident moves nothing, and a clutch that was held
-then stays pressed until somebody presses and releases it."""
+then stays pressed until somebody presses and releases it.
+
+leap_kuka hears of both only while a page with control is live, or a clutch is pressed (DeviceReports): silence releases
+enabling and presses the clutch there."""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from leap_kuka.numbers import DEVICE_PERIOD_S
 from leap_motion.service.access import HeadsetAccess
 
 HEARTBEAT_S = 0.5
@@ -54,6 +58,26 @@ class HeldSwitches:
         self.enable = ENABLE in held and self.may_enable
         self.may_release |= pressed
         self.clutch = pressed or (self.clutch and not self.may_release)
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the clutch is pressed although no page holds it, since its page was lost."""
+        return self.clutch and not self.may_release
+
+
+class DeviceReports:
+    """When the state of one arm's switches is sent, as a device of the operator."""
+
+    def __init__(self) -> None:
+        self._sent, self._at = (False, False), -math.inf
+
+    def due(self, enable: bool, clutch: bool, live: bool, now: float) -> bool:
+        """Returns whether to send now: each change at once, else regularly while the page lives or the clutch is
+        pressed."""
+        if (enable, clutch) == self._sent and not ((live or clutch) and now - self._at >= DEVICE_PERIOD_S):
+            return False
+        self._sent, self._at = (enable, clutch), now
+        return True
 
 
 @dataclass
@@ -125,6 +149,11 @@ class CockpitControl:
         if self.controller is not None and now - self.controller.heard > HEARTBEAT_S:
             self._lose()
 
+    def live(self, now: float) -> bool:
+        """Whether the page with control has focus and is heard."""
+        controller = self.controller
+        return controller is not None and controller.focused and now - controller.heard <= HEARTBEAT_S
+
     def refusal(self, page: CockpitPage, now: float) -> str:
         """Returns why a page may not command now, a sentence; empty if it may."""
         if not page.key:
@@ -132,7 +161,7 @@ class CockpitControl:
         controller = self.controller
         if controller is None or controller.page is not page:
             return "Take control first."
-        if not controller.focused or now - controller.heard > HEARTBEAT_S:
+        if not self.live(now):
             return "The page has no focus, or its connection is slow: nothing was sent."
         return ""
 

@@ -12,10 +12,11 @@ from leap_rig.cockpit.control import CLUTCH, ENABLE
 
 STOP, TAKE, GIVE, BEAT, SECRET = "stop", "take", "give", "beat", "secret"
 CONTROL, GRIPPER, SCALING, EXIT = "control", "gripper", "scaling", "exit"
-RECORD, MARK, TUTORIAL = "record", "mark", "tutorial"
+RECORD, MARK, TUTORIAL, OPERATOR = "record", "mark", "tutorial", "operator"
 MARKS = ("begin", "success", "failure")
+MOST_LETTERS = 200  # of the text beside a mark, and of an operator's name
 FLAGS = (CONTROL, GRIPPER, RECORD, TUTORIAL)
-OF_AN_ARM = (CONTROL, GRIPPER, SCALING, EXIT)
+OF_AN_ARM = (CONTROL, GRIPPER, SCALING, EXIT, OPERATOR)
 
 
 class PageMessageFault(ValueError):
@@ -57,9 +58,17 @@ def read_command(text: object, arms: Iterable[str]) -> PageCommand:
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if name == SCALING and is_number and SCALING_MIN <= value <= SCALING_MAX:  # NaN is not
         return PageCommand(name, arm, float(value))
-    if name == MARK and value in MARKS:
-        return PageCommand(name, value=value)
+    if name == OPERATOR and _is_line(value):
+        return PageCommand(name, arm, value)
+    note = message.get("text", "")
+    if name == MARK and value in MARKS and _is_line(note):
+        return PageCommand(name, value=(value, note))
     raise PageMessageFault(f"The page sent {name[:20]!r} with a value that it cannot have; nothing was sent.")
+
+
+def _is_line(value: object) -> bool:
+    """Whether a value is a short text without control characters."""
+    return isinstance(value, str) and value.isprintable() and len(value) <= MOST_LETTERS
 
 
 def _held(value: object, arms: Iterable[str]) -> Mapping[str, frozenset[str]]:

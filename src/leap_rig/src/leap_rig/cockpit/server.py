@@ -9,6 +9,7 @@ import contextlib
 import gzip
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from common import clock
 from leap_motion.service.access import ConnectionLimits
 from leap_motion.service.certificate import Certificate
 from leap_motion.service.socket_service import SEND_S, PageService, page_response
-from leap_rig.cockpit.control import CockpitControl, CockpitPage
+from leap_rig.cockpit.control import CockpitControl, CockpitPage, HeldSwitches
 from leap_rig.cockpit.messages import (
     BEAT,
     GIVE,
@@ -100,9 +101,10 @@ class CockpitServer(PageService):
         return self._open_scenes > 0
 
     @property
-    def controlled(self) -> bool:
-        """Whether a page has control."""
-        return self.control.controller is not None
+    def live(self) -> bool:
+        """Whether a page has control, has focus, and is heard."""
+        with self._lock:
+            return self.control.live(clock.monotonic())
 
     def put_state(self, state: Mapping[str, Any]) -> None:
         """Sends the state to all pages; what one has not taken yet is replaced."""
@@ -111,11 +113,11 @@ class CockpitServer(PageService):
     def put_picture(self, picture: Picture) -> None:
         self._soon(self.pictures.take, picture)
 
-    def held(self) -> Mapping[str, tuple[bool, bool]]:
-        """Returns of each arm whether enabling and clutch are pressed now."""
+    def held(self) -> Mapping[str, HeldSwitches]:
+        """Returns what is pressed of each arm now."""
         with self._lock:
             self.control.watch(clock.monotonic())
-            return {arm: (switches.enable, switches.clutch) for arm, switches in self.control.switches.items()}
+            return {arm: replace(switches) for arm, switches in self.control.switches.items()}
 
     def close(self) -> None:
         """Stops the server and closes the pages' connections."""

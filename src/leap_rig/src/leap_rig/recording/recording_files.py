@@ -55,7 +55,9 @@ def folder_of(name: str) -> Path:
     if "/" in name:
         return Path(name)
     if not FILE_NAME.fullmatch(name):
-        allowed = "must be letters, digits, - and _, and begin with a letter or digit, or be a path with a slash"
+        allowed = (
+            "must be up to 100 letters, digits, - and _, and begin with a letter or digit, or be a path with a slash"
+        )
         raise RecordingFault(f"The recording's name is {name!r}, but {allowed}.")
     return Path(os.environ.get("ROS_HOME") or home() / ".ros") / HOME / name
 

@@ -15,7 +15,9 @@ TF = "/tf"
 COLOR = "/camera/rgb/image_raw"
 DEPTH = "/camera/depth/image"
 
-INPUTS = (RAW_FRAMES, "/leap_kuka/operator_input", "/kuka/move/goal")
+EPISODE_MARK = "/cockpit/episode_mark"
+
+INPUTS = (RAW_FRAMES, "/leap_kuka/operator_input", "/kuka/move/goal", EPISODE_MARK)
 COMMANDS = (SENT_GOALS, HAND_COMMAND, RAW_HAND_COMMAND, "/kuka/gripper_control")
 STATES = (
     *(JOINTS, "/kuka/joint_torques_external", "/kuka/joint_torques_measured", "/kuka/flange_force"),

@@ -4,6 +4,8 @@ what the operator holds on the page goes out on leap_kuka/operator_input, where 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import signal
 import subprocess
 import sys
@@ -15,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import rosgraph
 import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,46 +29,73 @@ from common.errors import DeviceError
 from common.ros.images import colour_from_image
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
-from kuka_control.ros.controller_link import ControllerLink, PanelUpdate
+from common.ros.raw_tf import publisher_of
+from common.ros.service_calls import ServiceFailed, call
+from kuka_control.ros.controller_link import CALL_TIMEOUT_S, ControllerLink, PanelUpdate
+from leap_hand.ros.operators import known_names
 from leap_kuka.config import DEVICE, NONE
+from leap_kuka.numbers import LEFT_S
 from leap_motion.service.access import is_loopback
 from leap_motion.service.certificate import CertificateError, own_certificate
-from leap_rig.cockpit.messages import CONTROL, EXIT, GRIPPER, MARK, RECORD, SCALING, TUTORIAL, PageCommand
+from leap_rig.cockpit.control import DeviceReports, HeldSwitches
+from leap_rig.cockpit.messages import CONTROL, EXIT, GRIPPER, MARK, OPERATOR, RECORD, SCALING, TUTORIAL, PageCommand
 from leap_rig.cockpit.ros.scene_feed import SceneFeed
 from leap_rig.cockpit.scene import SceneServer
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from leap_rig.cockpit.settings import CockpitConfig
+from leap_rig.recording.topics import EPISODE_MARK
 from rig_msgs.msg import OperatorInput
+from rig_msgs.srv import ChooseOperator
 from vision.stereo.transport import Picture
 
 PERIOD_S = 0.05
 STATE_PERIOD_S = 0.2
-MARK_TOPIC = "cockpit/episode_mark"
 IMAGE = "camera/rgb/image_raw"
 SOURCE = "cockpit"
 
 
 class ChildProgram:
-    """A program of this workspace that the cockpit starts and ends."""
+    """A program of this package that the cockpit starts and ends; `line` is what it wrote last."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen | None = None
+        self._ending = False
+        self.line = ""
+        self.ended: clock.SimpleQueue[int] = clock.SimpleQueue()  # exit codes
 
     @property
     def runs(self) -> bool:
         return self._process is not None and self._process.poll() is None
 
-    @property
-    def started(self) -> bool:
-        return self._process is not None
-
-    def start(self, *command: str) -> None:
-        self._process = subprocess.Popen(("rosrun", "leap_rig", *command), stdin=subprocess.DEVNULL)
+    def start(self, name: str, *arguments: str) -> None:
+        """Starts the program beside this one; rosrun would search for it. Raises OSError."""
+        self._ending, self.line = False, ""
+        self._process = subprocess.Popen(
+            (str(Path(sys.argv[0]).with_name(name)), *arguments),
+            **{"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True},
+        )
+        clock.Thread(target=self._read, args=(self._process,), name=name, daemon=True).start()
 
     def stop(self) -> None:
-        """Asks it to end; it may take a moment to write what it has."""
+        """Asks it to end, once it has written a line: it handles that then, and completes what it has."""
+        self._ending = True
+        if self._process is not None and self.runs and self.line:
+            self._process.send_signal(signal.SIGINT)
+
+    def close(self) -> None:
+        """Ends it, and gives it a moment to complete what it has."""
+        patience_s = 3.0
         if self._process is not None and self.runs:
             self._process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(patience_s)
+
+    def _read(self, process: subprocess.Popen) -> None:
+        for line in process.stdout or ():
+            first, self.line = not self.line, line.strip() or self.line
+            if first and self.line and self._ending:
+                self.stop()
+        self.ended.put(process.wait())
 
 
 class ArmLink:
@@ -75,11 +105,16 @@ class ArmLink:
         self._arm, self._of = arm, f"{arm}/" if arm else ""
         self._link: ControllerLink | None = None
         self._lock = clock.Lock()
-        self._publisher = rospy.Publisher(
-            f"{self._of}leap_kuka/operator_input", OperatorInput, queue_size=10, tcp_nodelay=True
+        topic = f"{self._of}leap_kuka/operator_input"
+        self._publisher = rospy.Publisher(topic, OperatorInput, queue_size=10, tcp_nodelay=True)
+        self._listen = OnDemand(
+            lambda: [rospy.Subscriber(topic, OperatorInput, self._take_input, queue_size=10, tcp_nodelay=True)]
         )
-        self._used, self._sent, self._sent_at = False, (False, False), 0.0
-        self._enabling, self._clutch, self._operator = NONE, NONE, ""
+        self._reports = DeviceReports()
+        self._other, self._other_at = "", -math.inf  # a program that reports the operator's device, and when
+        self._leap: dict[str, Any] = {}
+        self._operator, self._operators = "", [""]
+        self.answers: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()
 
     @property
     def link(self) -> ControllerLink:
@@ -91,37 +126,66 @@ class ArmLink:
 
     def watch(self, watched: bool) -> None:
         if watched and self._link is None:
-            self._enabling = rospy.get_param(f"{self._of}leap/enabling", NONE)
-            self._clutch = rospy.get_param(f"{self._of}leap/clutch", NONE)
-            self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
+            with contextlib.suppress(
+                OSError, rosgraph.MasterException
+            ):  # without a master the page still stops the arm
+                leap = rospy.get_param(f"{self._of}leap", {})
+                self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
+                self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
+                self._operators = ["", *known_names()]
             self.link.refresh()
         elif not watched:
             with self._lock:
                 link, self._link = self._link, None
             if link is not None:
                 link.close()
+        self._listen(watched and DEVICE in self._leap.values())
 
-    def hold(self, enable: bool, clutch: bool, controlled: bool) -> None:
-        """Publishes what the page holds, from its first press until nobody has control and no clutch is pressed."""
-        period_s = 0.1
-        self._used = (self._used and (controlled or clutch)) or enable or clutch
-        now = clock.monotonic()
-        if not self._used or ((enable, clutch) == self._sent and now - self._sent_at < period_s):
+    def _take_input(self, message: OperatorInput) -> None:
+        program = publisher_of(message)
+        if program != rospy.get_name():
+            self._other, self._other_at = program, clock.monotonic()
+
+    @property
+    def _device(self) -> str:
+        """The other program that reports the operator's device, empty if there is none. All that report must enable,
+        and any of them clutches: beside another one, this would take the pedal out of the operator's hand."""
+        return self._other if clock.monotonic() - self._other_at <= LEFT_S else ""
+
+    def hold(self, held: HeldSwitches, live: bool) -> None:
+        """Reports what the page holds, where a device enables or clutches and no other program reports one."""
+        if DEVICE not in self._leap.values() or self._device:
             return
-        self._sent, self._sent_at = (enable, clutch), now
-        self._publisher.publish(OperatorInput(Header(0, rospy.Time.now(), ""), SOURCE, enable, clutch))
+        if self._reports.due(held.enable, held.clutch, live, clock.monotonic()):
+            header = Header(0, rospy.Time.now(), "")
+            self._publisher.publish(OperatorInput(header, SOURCE, held.enable, held.clutch))
 
-    def shown(self, update: PanelUpdate, held: tuple[bool, bool]) -> dict[str, Any]:
+    def ask_operator(self, name: str) -> None:
+        """Asks leap_hand for another person's mapping, in a thread of its own."""
+        clock.Thread(target=self._choose, args=(name,), name="operator", daemon=True).start()
+
+    def _choose(self, name: str) -> None:
+        try:
+            answer = call(f"{self._of}leap_hand/choose_operator", ChooseOperator, name, timeout=CALL_TIMEOUT_S)
+        except ServiceFailed as error:
+            self.answers.put((False, f"Not confirmed: {error}."))
+            return
+        if answer.success:
+            self._operator = name
+        self.answers.put((answer.success, answer.message))
+
+    def shown(self, update: PanelUpdate, held: HeldSwitches) -> dict[str, Any]:
         """Returns what the page shows of the arm."""
         return {
             **asdict(update.state),
             "tone": update.state.tone.value,
             "age": update.status_age,
             "rows": [{**asdict(row), "tone": row.tone.value} for row in update.rows],
-            "enabling": self._enabling == DEVICE,
-            "clutch": self._clutch == DEVICE,
-            "held": {"enable": held[0], "clutch": held[1]},
+            "leap": self._leap,
+            "device": self._device,
+            "held": {"enable": held.enable, "clutch": held.clutch, "stuck": held.stuck},
             "operator": self._operator,
+            "operators": self._operators,
         }
 
 
@@ -137,7 +201,7 @@ class Cockpit:
         self._recorder, self._tutor = ChildProgram(), ChildProgram()
         self._recording, self._tutorial, self._number = "", "", 0
         self._answer: dict[str, Any] = {"number": 0, "text": "", "tone": "normal"}
-        self._marks = rospy.Publisher(MARK_TOPIC, String, queue_size=10)
+        self._marks = rospy.Publisher(EPISODE_MARK, String, queue_size=10)
         self._listen = OnDemand(
             lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
         )
@@ -178,7 +242,7 @@ class Cockpit:
             self._server.close()
             self._scene.close()
             for program in (self._recorder, self._tutor):
-                program.stop()
+                program.close()
 
     def _step(self) -> None:
         server, now = self._server, clock.monotonic()
@@ -187,9 +251,9 @@ class Cockpit:
         self._look(server.pictures.watched)
         while not self._commands.empty():
             self._obey(self._commands.get())
-        held = server.held()
+        held, live = server.held(), server.live
         for name, arm in self._arms.items():
-            arm.hold(*held[name], server.controlled)
+            arm.hold(held[name], live)
         if self._watched and now >= self._next_state:
             self._next_state = now + STATE_PERIOD_S
             server.put_state(self._state(held))
@@ -201,15 +265,25 @@ class Cockpit:
                 arm.watch(watched)
             self._listen(watched)
 
-    def _state(self, held: Mapping[str, tuple[bool, bool]]) -> dict[str, Any]:
+    def _state(self, held: Mapping[str, HeldSwitches]) -> dict[str, Any]:
         updates = {name: arm.link.refresh() for name, arm in self._arms.items()}
         for name, update in updates.items():
+            of = f"{name}: " if name else ""
             for text, tone in update.answers:
-                self._say(f"{name}: {text}" if name else text, tone.value)
+                self._say(of + text, tone.value)
+            answers = self._arms[name].answers
+            while not answers.empty():
+                taken, text = answers.get()
+                self._say(of + text, "normal" if taken else "warning")
+        for program, sentence in ((self._recorder, self._recorder.line), (self._tutor, "The tutorial has ended.")):
+            while not program.ended.empty():
+                failed = program.ended.get() != 0
+                self._say(program.line if failed else sentence, "warning" if failed else "normal")
         return {
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
             "answer": self._answer,
-            "recording": self._recording if self._recorder.runs else "",
+            "recording": f"{self._recording}: {self._recorder.line or 'it starts'}" if self._recorder.runs else "",
+            "marks": self._marks.get_num_connections() > 0,
             "tutorial": {"runs": self._tutor.runs, "text": self._tutorial},
         }
 
@@ -223,9 +297,11 @@ class Cockpit:
         if command.name == RECORD:
             self._record(command.value)
         elif command.name == MARK:
-            self._mark(command.value)
+            self._mark(*command.value)
         elif command.name == TUTORIAL:
             self._teach(command.value)
+        elif command.name == OPERATOR:
+            self._arms[command.arm].ask_operator(command.value)
         elif link is not None:
             asks = {CONTROL: link.ask_control, GRIPPER: link.ask_gripper, SCALING: link.ask_scaling}
             if command.name == EXIT:
@@ -236,25 +312,31 @@ class Cockpit:
     def _record(self, on: bool) -> None:
         if on and not self._recorder.runs:
             self._recording = strftime("cockpit-%Y%m%d-%H%M%S")
-            self._recorder.start("record.py", self._recording, "--topic", f"/{MARK_TOPIC}")
-            self._say(f"The recording {self._recording} starts.")
-        elif not on and self._recorder.runs:
+            self._start(self._recorder, "record.py", self._recording)
+        elif not on:
             self._recorder.stop()
-            self._say(f"The recording {self._recording} is complete.")
 
-    def _mark(self, mark: str) -> None:
-        if not self._recorder.runs:
-            self._say("Nothing is recorded: no episode was marked.", "warning")
+    def _start(self, program: ChildProgram, *command: str) -> None:
+        if "" not in self._arms:
+            self._say("Recordings and the tutorial are for one arm only.", "warning")
             return
-        self._marks.publish(String(mark))
-        self._say(f"Marked in the recording: {mark}.")
+        try:
+            program.start(*command)
+        except OSError as error:
+            self._say(f"{command[0]} cannot be started: {error.strerror}.", "warning")
+
+    def _mark(self, mark: str, text: str) -> None:
+        if self._marks.get_num_connections() == 0:
+            self._say("Nobody records: no episode was marked.", "warning")
+            return
+        self._marks.publish(String(json.dumps({"mark": mark, "text": text})))
+        self._say(f"Marked in the recording: {mark}{f', {text}' if text else ''}.")
 
     def _teach(self, on: bool) -> None:
-        if on and self._tutorial and not self._tutor.started:
+        if on and self._tutorial and not self._tutor.runs:
             self._say("The tutorial runs already: it was started with the rig.", "warning")
         elif on and not self._tutor.runs:
-            self._tutor.start("tutorial.py", "_window:=false")
-            self._say("The tutorial starts.")
+            self._start(self._tutor, "tutorial.py", "_window:=false")
         elif not on:
             self._tutor.stop()
 
