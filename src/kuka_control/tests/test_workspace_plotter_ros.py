@@ -6,17 +6,25 @@ import signal
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
+
+from common import clock
+from common.frames import BASE
 
 pytest.importorskip("rig_msgs.srv")
 import rospy
 
+from kuka_control.model.workspace_study import ReachStudy
+
+pytest.importorskip("matplotlib")
+from matplotlib.colors import to_rgb
+
+from kuka_control.gui.plot import UNREACHED
 from kuka_control.ros import plotter_program
 
 pytestmark = pytest.mark.ros
-pytest.importorskip("matplotlib")
-
 CONFIG = Path(__file__).parents[1] / "config"
 QUICK = ("--samples", "60", "--attitudes", "2", "--constrained", "40")
 
@@ -104,3 +112,30 @@ def test_what_does_not_work_is_said(virtual_graph, plotter, tmp_path, monkeypatc
     assert done.returncode == code and all(word in done.stderr for word in words), done.stderr
     assert code == 2 or len(done.stderr.splitlines()) == len(words), "one sentence for each fault"
     assert not (tmp_path / "w.png").exists()
+
+
+def test_the_positions_are_markers_until_the_program_is_interrupted(virtual_graph, plotter, monkeypatch):
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    came = []
+    rospy.Subscriber("kuka/workspace", MarkerArray, lambda message: came.extend(message.markers))
+
+    def interrupted():
+        clock.sleep(1.0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(plotter_program, "_wait", interrupted)
+    monkeypatch.setattr(plotter_program, "join", lambda *args, **options: None)
+    assert plotter("--markers", *QUICK).returncode == 130
+    shown, removed = came
+    assert (shown.type, shown.action, len(shown.points)) == (Marker.POINTS, Marker.ADD, 60)
+    assert len(shown.colors) == 60 and shown.header.frame_id == BASE
+    assert (removed.ns, removed.id, removed.action) == (shown.ns, shown.id, Marker.DELETE)
+
+
+def test_positions_out_of_reach_are_red_whatever_they_reach_turned():
+    study = ReachStudy(np.eye(3), np.array([True, False, True]), np.array([1.0, 1.0, 0.0]), {})
+    marker = plotter_program.reach_marker(study)
+    best, red, worst = ([c.r, c.g, c.b] for c in marker.colors)
+    assert red == pytest.approx(to_rgb(UNREACHED)) and best != worst
+    assert [[p.x, p.y, p.z] for p in marker.points] == np.eye(3).tolist()

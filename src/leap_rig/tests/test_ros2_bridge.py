@@ -8,7 +8,7 @@ from common.frames import PREFIX
 from leap_rig.ros2.channels import FIRST_TOPIC, RESULT, channels
 from leap_rig.ros2.config import LOCALHOST, SUBNET
 from leap_rig.ros2.key_values import key_values
-from leap_rig.ros2.outbox import NewestFrames
+from leap_rig.ros2.outbox import MessageRateLimit, NewestFrames
 from leap_rig.ros2.variables import side_variables
 from leap_rig.ros2.wire import HEADER, MAX_BODY, BridgeFault, frames, packed
 
@@ -62,6 +62,16 @@ def test_of_each_source_the_newest_wait_in_their_order(sent):
     assert list(box.take()) == sorted(kept)
     assert box.dropped == len(sent) - len(kept)
     assert box.take() == b""
+
+
+@given(st.lists(st.tuples(st.sampled_from("ab"), st.floats(0.0, 1.0)), max_size=60), st.floats(0.001, 0.3))
+def test_no_source_passes_more_often_than_its_limit_nor_is_kept_back_for_another(sent, period):
+    limit, passed = MessageRateLimit(period), {"a": [], "b": []}
+    for source, now in sorted(sent, key=lambda item: item[1]):
+        last = passed[source][-1:]
+        assert limit.passes(source, now) is (not last or now - last[0] >= period)
+        if not last or now - last[0] >= period:
+            passed[source].append(now)
 
 
 FIELDS = ("header", "mode", "limits", "on", "shift", "flags")

@@ -19,6 +19,8 @@ from common.ros.compressed_images import jpeg_from_image
 from common.ros.images import image_message
 from kuka_msgs.msg import MoveGoal, MoveResult
 from leap_rig.ros2 import channels
+from leap_rig.ros2.config import LOCALHOST, Ros2BridgeConfig
+from leap_rig.ros2.ros import bridge_node
 from leap_rig.ros2.ros.bytes_of import bytes_of
 from leap_rig.ros2.ros.desired_door import DesiredDoor
 from leap_rig.ros2.ros.move_door import MoveDoor
@@ -124,3 +126,28 @@ def test_images_become_jpeg(ros):
     assert message.header.stamp == rospy.Time(3) and message.format == "rgb8; jpeg compressed bgr8"
     with pytest.raises(ValueError):
         jpeg_from_image(image_message(image[..., 0], "mono8", "camera", rospy.Time(3)), 90)
+
+
+class Side:
+    """A ROS 2 side that says nothing."""
+
+    def __init__(self, config, request):
+        self.closed = False
+
+    def receive(self, size):
+        assert self.closed, "it would be listened to for ever"
+        return b""
+
+    def close(self):
+        self.closed = True
+
+    def wait(self):
+        return 0
+
+
+def test_a_bridge_that_is_shut_down_while_it_starts_ends(ros, monkeypatch):
+    monkeypatch.setattr(bridge_node, "Ros2Side", Side)
+    bridge = bridge_node.Ros2Bridge(Ros2BridgeConfig((), LOCALHOST, False, 10.0, 80, ""))
+    monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
+    monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: True)
+    bridge.run()

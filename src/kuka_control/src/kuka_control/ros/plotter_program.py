@@ -8,18 +8,31 @@ from pathlib import Path
 
 import numpy as np
 import rospy
-from matplotlib import pyplot
+from geometry_msgs.msg import Point, Vector3
+from matplotlib import colormaps, pyplot
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
+from common import clock
 from common.command_line import whole
 from common.errors import RigError
+from common.frames import BASE
 from common.ros.files import read_yaml
-from common.ros.node import run_program
+from common.ros.node import join, run_program
 from common.screen import check_screen
-from kuka_control.gui.plot import SIZE_INCH, WorkspacePicture, draw
+from kuka_control.gui.plot import FRACTIONS, SIZE_INCH, UNREACHED, WorkspacePicture, draw
 from kuka_control.model.rig import checked_rig
-from kuka_control.model.workspace_study import constrained_samples, sentences, study_reach, title, volume_samples
+from kuka_control.model.workspace_study import (
+    ReachStudy,
+    constrained_samples,
+    sentences,
+    study_reach,
+    title,
+    volume_samples,
+)
 from kuka_control.ros.parameter_server import NoMaster, NoParameters, dh_deviations, parameters, shipped
 
 NAME = "workspace_plotter"
@@ -34,7 +47,9 @@ def main() -> None:
 
 
 def _run(options: argparse.Namespace) -> None:
-    if options.save is None:
+    if options.markers:
+        join(NAME, anonymous=True)
+    elif options.save is None:
         _check_window()
     else:
         _check_picture_name(options.save)
@@ -48,6 +63,8 @@ def _run(options: argparse.Namespace) -> None:
     notes = sentences(config, rig, study, tolerances)
     print(title(config))
     print("\n".join(notes), flush=True)
+    if options.markers:
+        return _publish(reach_marker(study))
     samples = constrained_samples(rig.workspace, options.constrained, random)
     picture = WorkspacePicture(title(config), tuple(notes[:6]), rig, samples, study)
     if options.save is not None:
@@ -93,6 +110,36 @@ def _save(picture: WorkspacePicture, path: Path) -> None:
     print(f"The picture is saved as {path}.")
 
 
+def reach_marker(study: ReachStudy) -> Marker:
+    """Returns the studied positions in the arm's base: red where the tool does not get pointing straight down, else in
+    the colours of the picture by the fraction of the orientations that it reaches."""
+    size_m = 0.012
+    marker = Marker(ns="reach", type=Marker.POINTS, action=Marker.ADD, scale=Vector3(size_m, size_m, size_m))
+    marker.header.frame_id, marker.pose.orientation.w, marker.frame_locked = BASE, 1.0, True
+    colours = np.where(study.down[:, None], colormaps[FRACTIONS](study.fraction), to_rgba(UNREACHED))
+    marker.points = [Point(*position) for position in study.positions.tolist()]
+    marker.colors = [ColorRGBA(*colour) for colour in colours.tolist()]
+    return marker
+
+
+def _publish(marker: Marker) -> None:
+    """Shows the marker beside the workspace that a controller shows, until it is interrupted."""
+    sent_s = 0.5
+    publisher = rospy.Publisher("kuka/workspace", MarkerArray, queue_size=1, latch=True)
+    publisher.publish(MarkerArray([marker]))
+    print("The cockpit and RViz show the positions beside a controller, until Ctrl-C.")
+    try:
+        _wait()
+    finally:
+        marker.action, marker.points, marker.colors = Marker.DELETE, [], []
+        publisher.publish(MarkerArray([marker]))
+        clock.sleep(sent_s)
+
+
+def _wait() -> None:
+    clock.Event().wait()  # for the exception of an interrupt
+
+
 def _check_window() -> None:
     os.environ["QT_API"] = "pyqt5"  # python_qt_binding leaves a name here that matplotlib does not know
     cure = "Use --save FILE.png."
@@ -117,7 +164,9 @@ def _parser() -> argparse.ArgumentParser:
         help=f"parameters of a controller, or those that differ from {DEFAULT_PARAMS}",
     )
     source.add_argument("--from-server", action="store_true", help="take the parameters under kuka/ of the ROS master")
-    parser.add_argument("--save", type=Path, metavar="FILE.png", help="save the picture instead of opening a window")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--save", type=Path, metavar="FILE.png", help="save the picture instead of opening a window")
+    shown.add_argument("--markers", action="store_true", help="show where the arm reaches in the cockpit and in RViz")
     parser.add_argument(
         "--tolerances",
         type=_angle,

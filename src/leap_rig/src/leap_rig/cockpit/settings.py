@@ -11,7 +11,7 @@ from common.config import integer, path, text
 class CockpitConfig:
     """Private parameters of the node cockpit."""
 
-    page: str = path(doc="file of the page")
+    page: str = path(doc="file of the page; empty: that of the package", absent="")
     host: str = text(doc="address to serve on; 0.0.0.0: the whole network", absent="127.0.0.1")
     port: int = integer(low=0, high=65535, doc="port; 0: any free one", absent=8470)
     name: str = text(doc="further name of this computer that the page may be asked for by", absent="", empty=True)

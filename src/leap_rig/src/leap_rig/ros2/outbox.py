@@ -1,7 +1,8 @@
-"""Frames that wait for a process that may be slow: the newest of each source, in the order of their arrival."""
+"""What a slow process gets: the newest frames of each source, in the order of their arrival, and not too many."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Hashable
 
@@ -46,3 +47,18 @@ class NewestFrames:
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+
+
+class MessageRateLimit:
+    """Lets pass what comes at least `period_s` after what passed last of the same source."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._passed: dict[Hashable, float] = {}
+
+    def passes(self, source: Hashable, now: float) -> bool:
+        """Whether what came at `now` [s, monotonic] passes."""
+        if now - self._passed.get(source, -math.inf) < self._period_s:
+            return False
+        self._passed[source] = now
+        return True

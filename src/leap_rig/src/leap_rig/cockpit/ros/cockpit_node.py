@@ -214,7 +214,7 @@ class Cockpit:
             if not is_loopback(config.host):
                 certificate = own_certificate(Path(rospkg.get_ros_home()) / "leap_rig" / "headset")
             self._server = CockpitServer(
-                Path(config.page),
+                Path(config.page or f"{rospkg.RosPack().get_path('leap_rig')}/web/cockpit.html"),
                 ScenePage(self._scene.page, self._scene.address),
                 names,
                 self._commands.put,

@@ -150,6 +150,8 @@ class Ros2Bridge:
     def run(self) -> None:
         """Passes messages until ROS shuts down; raises RigError if the ROS 2 side ends before."""
         rospy.on_shutdown(self._close)
+        if rospy.is_shutdown():  # before: then nobody calls it
+            self._close()
         repeat(self._look, LOOK_S, "look")
         Diagnostics("ros2_bridge", self._state)
         try:

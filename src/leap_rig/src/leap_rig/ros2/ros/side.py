@@ -25,6 +25,7 @@ from kuka_msgs.action import Move
 from leap_rig.ros2 import channels
 from leap_rig.ros2.channels import MOVE, Channel
 from leap_rig.ros2.conversions import Ros2Conversions, ros2_name
+from leap_rig.ros2.outbox import MessageRateLimit
 from leap_rig.ros2.wire import BridgeFault, frames, packed
 
 NAME = "leap_rig"  # of the node
@@ -32,6 +33,7 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of one that was not discovered yet
 LOOK_S = 0.25  # between two looks at who is there
 END_S = 0.3  # for a result to reach its client
 MAX_TF_BYTES = 2**16
+MAX_TF_HZ = 400.0  # of a publisher and a frame: what waits longer is too old
 TF = "tf2_msgs/TFMessage"
 GOAL, RESULT, FEEDBACK = "kuka_msgs/MoveGoal", "kuka_msgs/MoveResult", "kuka_msgs/MoveFeedback"
 MESSAGES = {GOAL: Move.Goal, RESULT: Move.Result, FEEDBACK: Move.Feedback}
@@ -96,6 +98,7 @@ class DesiredTools:
         self._node, self._other, self._conversions = node, other, conversions
         self._names = [name.encode() for name in names]
         self._nodes: dict[bytes, str] = {}  # publishers by their identifiers; own ones have no name
+        self._limit, self._said = MessageRateLimit(1.0 / MAX_TF_HZ), MessageRateLimit(1.0)
         kind, latched = message_type(TF), DurabilityPolicy.TRANSIENT_LOCAL
         qualities = {"tf": QoSProfile(depth=100), "tf_static": QoSProfile(depth=10, durability=latched)}
         for topic, quality in qualities.items():
@@ -104,10 +107,15 @@ class DesiredTools:
 
     def _taker(self, topic: str, channel: int) -> Any:
         def take(data: bytes, info: Any) -> None:
-            if not any(name in data for name in self._names):
+            found = tuple(name for name in self._names if name in data)
+            if not found:
                 return
-            node = self._publisher(topic, bytes(info["publisher_gid"]["data"]))
+            node, now = self._publisher(topic, bytes(info["publisher_gid"]["data"])), clock.monotonic()
             if not node:
+                return
+            if not self._limit.passes((node, found), now):
+                if self._said.passes(node, now):
+                    self._fault(node, topic, f"comes less than {1e3 / MAX_TF_HZ:g} ms after the one before")
                 return
             if len(data) > MAX_TF_BYTES:
                 self._fault(node, topic, f"has {len(data)} bytes, more than {MAX_TF_BYTES}")
