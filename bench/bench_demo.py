@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,15 +100,15 @@ def run_demo(slices: int) -> DemoRun:
             "ROS_LOG_DIR": f"{folder}/log",
         }
         duration = slices * SLICE_S + 2.0 * STEERING_S
-        arguments = ["--duration", f"{duration:g}", "--report", str(report), "--headless"]
+        arguments = ["--duration", f"{duration:g}", "--report", str(report), "--headless", "--"]
         with open(log, "wb") as output:
             began = time.monotonic()
-            process = _start(arguments, env, output)
+            process = start_demo(arguments, env, output)
         try:
             time.sleep(WATCHED_S)
             watch = subprocess.Popen(HOME_WATCH, env=env, stdout=subprocess.PIPE, text=True)
             others.callback(watch.kill)
-            _wait_until_ready(process, log)
+            wait_until_ready(process, log)
             ready_s = time.monotonic() - began
             home_s = float(watch.communicate(timeout=END_S)[0] or "nan") - began
             time.sleep(STEERING_S)
@@ -116,11 +117,11 @@ def run_demo(slices: int) -> DemoRun:
             flange_rate = float(counter.communicate(timeout=END_S)[0] or "nan")
             process.wait(END_S)
         except subprocess.TimeoutExpired as error:
-            raise BenchError(f"The demo did not end: {_last_line(log)}") from error
+            raise BenchError(f"The demo did not end: {last_line(log)}") from error
         finally:
-            _end(process)
+            end_demo(process)
         if process.returncode != 0:
-            raise BenchError(f"The demo found a fault: {_last_line(log)}")
+            raise BenchError(f"The demo found a fault: {last_line(log)}")
         return DemoRun(json.loads(report.read_text()), home_s, ready_s, shares, flange_rate)
 
 
@@ -162,31 +163,31 @@ FLANGE_COUNTER = (
 def cpu_shares(pid: int, slices: int) -> dict[str, np.ndarray]:
     """Returns for each program below a process, and itself, its share of one CPU in each slice of a second [%]."""
     shares: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(slices))
-    before, began = _cpu_times(pid), time.monotonic()
+    before, began = cpu_times(pid), time.monotonic()
     for i in range(slices):
         time.sleep(SLICE_S)
-        now, ended = _cpu_times(pid), time.monotonic()
+        now, ended = cpu_times(pid), time.monotonic()
         for process, seconds in now.items():
             shares[process[1]][i] += 100.0 * (seconds - before.get(process, 0.0)) / (ended - began)
         before, began = now, ended
     return dict(shares)
 
 
-def _start(arguments: list[str], env: dict[str, str], output) -> subprocess.Popen:
+def start_demo(arguments: Sequence[str], env: dict[str, str], output) -> subprocess.Popen:
     ports = (f"{name}:={port}" for name, port in ports_of_a_rig().items())
-    command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *arguments, "--", *ports)
+    command = (str(ROOT / "devel" / "lib" / "leap_rig" / "demo.py"), *arguments, *ports)
     return subprocess.Popen(command, env=env, stdout=output, stderr=subprocess.STDOUT, start_new_session=True)
 
 
-def _wait_until_ready(process: subprocess.Popen, log: Path) -> None:
+def wait_until_ready(process: subprocess.Popen, log: Path) -> None:
     deadline = time.monotonic() + READY_S
     while READY not in log.read_text(errors="replace"):
         if process.poll() is not None or time.monotonic() > deadline:
-            raise BenchError(f"The arm of the demo did not come home: {_last_line(log)}")
+            raise BenchError(f"The arm of the demo did not come home: {last_line(log)}")
         time.sleep(0.1)
 
 
-def _end(process: subprocess.Popen) -> None:
+def end_demo(process: subprocess.Popen) -> None:
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -196,12 +197,12 @@ def _end(process: subprocess.Popen) -> None:
     process.wait()
 
 
-def _last_line(log: Path) -> str:
+def last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").strip().splitlines()
     return lines[-1] if lines else "it said nothing"
 
 
-def _cpu_times(root: int) -> dict[tuple[int, str], float]:
+def cpu_times(root: int) -> dict[tuple[int, str], float]:
     """Returns for a process and all below it, by id and name, the CPU time that it used so far [s]."""
     return {(pid, _name(words)): used for pid, (words, used) in processes_below(root).items()}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import time
 from dataclasses import asdict
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from leap_rig.cockpit.scene import DRAW_LESS
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from simulated.chromium import browser
 
@@ -192,6 +194,19 @@ def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
     label = "e.textContent || e.ariaLabel"
     assert page(f"[...document.querySelectorAll('button, input')].every(e => {label})")
     assert page("[...document.querySelectorAll('select')].every(e => e.labels.length === 1)")
+
+
+def test_where_a_processor_draws_the_scene_it_draws_less(page):
+    frame = "document.getElementById('view').contentWindow"
+    page(f"{frame}.document.write({json.dumps(DRAW_LESS.decode())}), {frame}.document.close()")
+    assert page(f"{frame}.location.search") == "?fixedDpr=0.6"  # headless, Chromium draws by software
+    order = page(f"""new Promise(done => {{
+      const ask = {frame}.requestAnimationFrame, called = [];
+      {frame}.cancelAnimationFrame(ask(() => called.push("cancelled")));
+      ask(() => {{ called.push(1); throw new Error("a fault of one leaves the others"); }});
+      ask(before => ask(now => done([...called, now - before])));
+    }})""")
+    assert order[:-1] == [1] and order[-1] > 100.0
 
 
 def test_what_is_old_is_grey_and_says_its_age(page):

@@ -53,12 +53,13 @@ def _start_of(pid: int) -> int | None:
     if pid <= 0:
         return None
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text(errors="replace")
+        with open(f"/proc/{pid}/stat", "rb") as file:  # a Path would take twice as long, and panels ask often
+            stat = file.read()
     except OSError:
         return None
-    fields = stat[stat.rindex(")") + 1 :].split()  # the name before it may hold spaces and brackets
+    fields = stat[stat.rindex(b")") + 1 :].split()  # the name before it may hold spaces and brackets
     state, start = fields[0], fields[19]
-    return None if state in "ZX" else int(start)  # a zombie has ended, its parent has not looked yet
+    return None if state in b"ZX" else int(start)  # a zombie has ended, its parent has not looked yet
 
 
 def _is_controller(pid: int) -> bool:

@@ -24,8 +24,42 @@ LOOPBACK = "127.0.0.1"
 STYLE = b"""<style>
 .mantine-Notifications-root, .mantine-Paper-root, [title="About Viser"], [data-dock-root] > :not(:first-child)
 { display: none !important; }
-</style></head>"""
+</style>"""
 """Hides what is viser's own: its panel, its mark and its notes."""
+DRAW_LESS = b"""<script>
+"use strict";
+{
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
+  const renderer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
+  if (/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer)) {
+    const DRAW_MS = 125, draw = requestAnimationFrame.bind(window), waiting = new Map();
+    let number = 0, asked = false, last = -Infinity;
+    const run = now => {
+      asked = false;
+      last = now;
+      const due = [...waiting.values()];
+      waiting.clear();
+      for (const call of due) try { call(now); } catch (fault) { reportError(fault); }
+    };
+    window.requestAnimationFrame = call => {
+      waiting.set(++number, call);
+      if (!asked) {
+        asked = true;
+        setTimeout(() => draw(run), Math.max(0, last + DRAW_MS - performance.now()));
+      }
+      return number;
+    };
+    window.cancelAnimationFrame = number => { waiting.delete(number); };
+    history.replaceState(null, "", "?fixedDpr=0.6");  // a parameter of viser: pixels that are drawn for one of the page
+    const context = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, options) {
+      return context.call(this, kind, {...options, antialias: false});
+    };
+  }
+}
+</script></head>"""
+"""Where no graphics card draws, but a processor, which may be the rig's: coarser, and at most eight times a second."""
 BACKGROUND = (92, 99, 109)
 NO_SHADOW: Mapping[str, Any] = {
     "cast_shadow": False,
@@ -90,7 +124,7 @@ class SceneServer:
     def page(self) -> bytes:
         """The page, HTML in one piece: it needs no other file, and shows the scene alone."""
         html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
-        return html.replace(b"</head>", STYLE, 1)
+        return html.replace(b"</head>", STYLE + DRAW_LESS, 1)
 
     @property
     def viewers(self) -> int:

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from time import strftime
 from typing import Any
@@ -177,10 +176,10 @@ class ArmLink:
     def shown(self, update: PanelUpdate, held: HeldSwitches) -> dict[str, Any]:
         """Returns what the page shows of the arm."""
         return {
-            **asdict(update.state),
+            **vars(update.state),
             "tone": update.state.tone.value,
             "age": update.status_age,
-            "rows": [{**asdict(row), "tone": row.tone.value} for row in update.rows],
+            "rows": [{**vars(row), "tone": row.tone.value} for row in update.rows],
             "leap": self._leap,
             "device": self._device,
             "held": {"enable": held.enable, "clutch": held.clutch, "stuck": held.stuck},

@@ -40,8 +40,8 @@ from rig_msgs.msg import SentGoals
 
 PERIOD_S = 1.0 / 15.0
 SLOW = 3  # markers but those of hands are read in each third period
-CLOUD_PERIOD_S = 1.0
-DESCRIPTION_PERIOD_S = 3.0
+CLOUD_PERIOD_S = 2.0
+DESCRIPTION_PERIOD_S, CHANGE_PERIOD_S = 3.0, 15.0  # until all robots are described; then
 JOINTS = 7
 DESCRIPTION = "robot_description"
 PACKAGE = "package://"
@@ -134,8 +134,10 @@ class SceneFeed:
             return
         now = clock.monotonic()
         if now >= self._next_description:
-            self._next_description = now + DESCRIPTION_PERIOD_S
             self._describe()
+            self._next_description = now + (
+                CHANGE_PERIOD_S if len(self._described) == len(self._arms) else DESCRIPTION_PERIOD_S
+            )
         with self._lock:
             transforms, self._transforms = self._transforms, {}
             self._tick = (self._tick + 1) % SLOW
