@@ -34,7 +34,7 @@ IMPURE = {"socket", "time", "threading", "subprocess", "select", "selectors", "a
 # The edge files: they may hold sockets, clocks and threads.
 EDGES = {"transport", "client", "clock", "runtime", "calibration_files", "recording_files", "screen", "server",
          "socket_service", "certificate", "hand_detector", "video_source", "webcam_program",
-         "command_line"}  # fmt: skip
+         "command_line", "webrtc"}  # fmt: skip
 # Libraries that stand alone: what their pure halves may import beside themselves, numpy and the standard library.
 ALONE = {"iiwa_kinematics": set(), "kst": set(), "leap_motion": {"websockets"}, "reflex": {"yaml"}}
 # Their extras: folders whose users install more.

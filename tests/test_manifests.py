@@ -20,7 +20,9 @@ BUILD_FILES = {name: (folder / "CMakeLists.txt").read_text() for name, folder in
 MADE_OR_NOT_USED = {"src", "msg", "srv", "action", "env-hooks", "tests", "tools", "__pycache__"}
 # The key of a module is its own name, but for these.
 KEYS = {
+    "aiortc": "leap-rig-aiortc",
     "apriltag": "leap-rig-apriltag",
+    "av": "leap-rig-aiortc",  # which brings it
     "cv2": "leap-rig-opencv",
     "glfw": "leap-rig-mujoco",  # which brings it, as it does OpenGL
     "h5py": "leap-rig-h5py",

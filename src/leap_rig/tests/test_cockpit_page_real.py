@@ -8,17 +8,20 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from leap_rig.cockpit.scene import DRAW_LESS
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from simulated.chromium import browser
+from vision.stereo.transport import Picture
 
 pytestmark = [
     pytest.mark.real,
     pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed"),
 ]
 PAGE = Path(__file__).parents[1] / "web" / "cockpit.html"
+SCRIPT = (Path(__file__).parents[2] / "vision" / "web" / "pictures.js").read_bytes()
 ROW = {"name": "Limits", "text": "z lower limit", "tone": "warning", "kind": "text", "labels": [], "values": []}
 TICKS = {**ROW, "name": "Start", "kind": "ticks", "labels": ["in the box", "slow"], "values": [1.0, 0.0]}
 ARM = {
@@ -46,7 +49,9 @@ def page(tmp_path, request):
     obeyed, stops, said = [], [], []
     scene = ScenePage(b"<!doctype html><body tabindex=0>scene", ("127.0.0.1", 9))
     changes = {}
-    server = CockpitServer(PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append)
+    server = CockpitServer(
+        PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append, script=SCRIPT
+    )
     folder = tmp_path / "browser"
     folder.mkdir()
 
@@ -60,7 +65,7 @@ def page(tmp_path, request):
             }
             server.put_state({
                 "arms": shown, "answer": {"number": 0, "text": "", "tone": "normal"}, "recording": "",
-                "marks": True, "tutorial": {"runs": False, "text": ""},
+                "cameras": ["camera"], "marks": True, "tutorial": {"runs": False, "text": ""},
             })  # fmt: skip
             time.sleep(0.05)
         return found
@@ -80,7 +85,7 @@ def page(tmp_path, request):
         with browser(server.address, folder, until, "1280,943") as evaluate:
             evaluate.server, evaluate.obeyed, evaluate.stops, evaluate.changes = server, obeyed, stops, changes
             evaluate.until, evaluate.key, evaluate.press = until, key, press
-            until(lambda: evaluate("typeof state === 'object' && state !== null"), what="the state")
+            until(lambda: evaluate("typeof stateAt === 'number' && stateAt > 0"), what="the state")
 
             def enter():
                 evaluate("document.getElementById('code').focus()")
@@ -215,3 +220,34 @@ def test_what_is_old_is_grey_and_says_its_age(page):
     assert page("$('state').className") == "old"
     assert page("$('who').textContent").startswith("No news for")
     page.until(lambda: page("$('state').className") == "")
+
+
+def test_the_newest_image_is_shown_and_an_old_one_is_grey_with_its_age(page):
+    level = iter(range(1000))
+
+    def shown(evaluate=page):
+        now = time.monotonic()
+        image = np.full((48, 64, 3), (0, 100 + next(level) % 100, 0), np.uint8)
+        page.server.put_picture("camera", Picture(image, now, now, {}))
+        return evaluate("cameraViews.camera && cameraViews.camera.shown > 3 && !cameraViews.camera.old")
+
+    page.until(shown, what="images")
+    # Images may come in any order; one that was taken before the one that is shown changes nothing.
+    assert page("""(() => {
+      const view = cameraViews.camera, image = document.createElement("canvas"), now = performance.now();
+      return [[3, 1, 2], [1, 2, 3], [2, 3, 1]].every(order => {
+        view.taken = null;
+        let newest = -Infinity;
+        return order.map(i => now + 0.001 * i - 0.01).every(at => {
+          const before = view.shown;
+          view.take(image, at, {});
+          const isNew = at > newest;
+          newest = Math.max(newest, at);
+          return view.taken === newest && (view.shown > before) === isNew;
+        });
+      });
+    })()""")
+    colour = "Array.from(cameraViews.camera.pen.getImageData(5, 40, 1, 1).data)"
+    page.until(lambda: shown() and page(colour)[1] > 90)
+    page.until(lambda: page("cameraViews.camera.old"), what="the age")
+    page.until(lambda: len(set(page(colour)[:3])) == 1, what="grey")

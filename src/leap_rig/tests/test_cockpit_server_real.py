@@ -8,13 +8,16 @@ import json
 import threading
 import time
 
+import cv2
+import numpy as np
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
 from leap_rig.cockpit.control import HEARTBEAT_S, HeldSwitches
 from leap_rig.cockpit.server import CockpitServer, ScenePage
+from vision.stereo.transport import Picture
 
 pytestmark = pytest.mark.real
 
@@ -39,8 +42,9 @@ class Served:
     def __init__(self, page, scene):
         self.obeyed, self.stops, self.said = [], [], []
         self.server = CockpitServer(
-            page, scene, ("",), self.obeyed.append, lambda: self.stops.append(1), self.said.append
-        )
+            page, scene, ("",), self.obeyed.append, lambda: self.stops.append(1), self.said.append,
+            cameras=("scene", "wrist"),
+        )  # fmt: skip
         self.host = self.server.address.split("/")[2]
 
     @property
@@ -197,3 +201,17 @@ def test_a_flood_ends_the_connection_and_the_next_one_works(served):
                 socket.recv(timeout=10.0)
     with served.socket("/control") as socket:
         enter(served, socket)
+
+
+def test_each_camera_has_its_own_images_and_rests_by_itself(served):
+    with served.socket("/pictures?camera=wrist") as socket:
+        until(lambda: served.server.pictures.watched("wrist"))
+        assert not served.server.pictures.watched("scene")
+        for camera, level in (("scene", 0), ("wrist", 200)):
+            served.server.put_picture(camera, Picture(np.full((8, 8, 3), level, np.uint8), 1.0, 2.0, {}))
+        socket.send("{}")
+        assert answer(socket)["picture"]
+        image = cv2.imdecode(np.frombuffer(socket.recv(timeout=10.0), np.uint8), cv2.IMREAD_COLOR)
+        assert image.min() > 150
+    with served.socket("/pictures?camera=none") as socket, pytest.raises(ConnectionClosed, match="1008"):
+        socket.recv(timeout=10.0)

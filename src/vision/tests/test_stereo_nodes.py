@@ -120,6 +120,37 @@ def test_a_page_gets_each_image_once_and_the_camera_rests_without_a_page(virtual
     assert not camera.watched()
 
 
+def test_a_late_page_gets_the_newest_image_alone_and_its_age(node, camera):
+    page = connect(URL)
+    clock.sleep(REFRESH_S + SOON_S)
+    for _ in range(4):
+        camera.publish()
+        clock.sleep(SOON_S)
+    published = clock.monotonic() - SOON_S
+    clock.sleep(0.3)
+    page.send(json.dumps({"t": 7.0}))
+    said, jpeg = json.loads(page.recv(timeout=60.0)), page.recv(timeout=60.0)
+    assert said["picture"] and jpeg[:2] == b"\xff\xd8"
+    assert said["t"] == 7.0 and said["waited"] == pytest.approx(0.0, abs=1e-3)
+    assert said["now"] - said["taken"] == pytest.approx(1e3 * (clock.monotonic() - published), abs=1.0)
+    page.send(json.dumps({"t": 8.0}))
+    said = json.loads(page.recv(timeout=60.0))
+    assert not said["picture"] and said["waited"] == pytest.approx(1e3 * SILENCE_S)
+    page.close()
+
+
+@pytest.mark.parametrize(
+    "message", ["", "[]", '{"t": "soon"}', '{"t": null}', '{"offer": "v=0"}', '{"video": 1}', b"\x00"]
+)
+def test_whatever_a_page_asks_it_gets_no_more_than_an_image(node, camera, message):
+    page = connect(URL)
+    page.send(message)
+    said = json.loads(page.recv(timeout=60.0))
+    assert said == ({"answer": None} if "offer" in str(message) else {"picture": False})
+    assert ask(page)[0] == {"picture": False}
+    page.close()
+
+
 def test_what_the_operator_sees_comes_with_the_images_while_it_is_fresh(node, camera):
     view = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
     page = connect(URL)
@@ -296,7 +327,7 @@ def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
     said = []
     scene = transport.Scene(0.35, False, {})
     endpoint = transport.HandsEndpoint(HandStream(0.4, 0.35), served, lambda: scene, said.append)
-    web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, ""), endpoint.converse)
+    web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto"), endpoint.converse)
     try:
         certificate = str(tmp_path / "leap_rig" / "headset" / "certificate.pem")
         secret = json.dumps({"secret": said[0].rstrip(".")[-8:]})
@@ -317,7 +348,10 @@ def test_the_page_shows_images_and_their_age_and_paints_each_eye_its_own_half(ro
         def shown():
             camera.publish()
             return (
-                evaluate("window.shown > 3 && document.getElementById('state').textContent") == "each eye its own view"
+                evaluate(
+                    "typeof view !== 'undefined' && view.shown > 3 && document.getElementById('state').textContent"
+                )
+                == "each eye its own view"
             )
 
         wait_until(shown, 30.0, "images on the page", poll=0.1)

@@ -35,7 +35,7 @@ from leap_rig.cockpit.messages import (
     read_command,
     state_text,
 )
-from vision.stereo.transport import Picture, PictureStream
+from vision.stereo.transport import AUTO, Picture, PictureStream
 
 SCENE_SOCKETS = ("/scene", "/scene/")
 SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
@@ -56,7 +56,7 @@ class ScenePage(NamedTuple):
 class CockpitServer(PageService):
     """Serves in a thread of its own. `obey` gets what a page that may has commanded, `stop` is the Emergency Stop; both
     are called in that thread, and return at once. `tell_code` gets the sentence with the code, which belongs into no
-    log. Raises as PageService does."""
+    log. `script` is the page's for images, of `cameras` on the `way` of PictureStream. Raises as PageService does."""
 
     max_message_bytes = 65536
     write_limit = 1  # what waits would be late
@@ -74,8 +74,12 @@ class CockpitServer(PageService):
         port: int = 0,
         name: str = "",
         certificate: Certificate | None = None,
+        script: bytes = b"",
+        cameras: Sequence[str] = ("camera",),
+        way: str = AUTO,
     ) -> None:
-        self._page, self._scene_html = page.read_bytes(), gzip.compress(scene.html)
+        jpeg_quality = 80
+        self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html), script
         super().__init__(host, port, name, certificate)
         self._scene, self._obey, self._stop, self._tell_code = scene, obey, stop, tell_code
         self.control, self._lock = CockpitControl(tuple(arms)), clock.Lock()
@@ -85,7 +89,7 @@ class CockpitServer(PageService):
             path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", "/control", "/scene")
         }
         self._open_pages = self._open_scenes = self._number = 0
-        self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS)
+        self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS, jpeg_quality, way, cameras)
         self._say_code()
         self._thread = clock.Thread(target=self.run, name="cockpit", daemon=True)
         self._thread.start()
@@ -110,8 +114,8 @@ class CockpitServer(PageService):
         """Sends the state to all pages; what one has not taken yet is replaced."""
         self._soon(self._take_state, state_text({**state, "controller": self._controller()}))
 
-    def put_picture(self, picture: Picture) -> None:
-        self._soon(self.pictures.take, picture)
+    def put_picture(self, camera: str, picture: Picture) -> None:
+        self._soon(self.pictures.take, camera, picture)
 
     def held(self) -> Mapping[str, HeldSwitches]:
         """Returns what is pressed of each arm now."""
@@ -145,6 +149,7 @@ class CockpitServer(PageService):
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         pages = {
             "/": lambda: page_response(self._page, ("Content-Security-Policy", "frame-ancestors 'none'")),
+            "/pictures.js": lambda: page_response(self._script, kind="text/javascript"),
             "/scene/": lambda: page_response(self._scene_html, *SCENE_HEADERS),
         }
         return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *SCENE_SOCKETS))

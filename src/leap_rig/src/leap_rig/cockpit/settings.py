@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common.config import integer, path, text
+from common.config import choice, integer, path, text
+from vision.stereo.transport import AUTO, JPEG, WEBRTC
 
 
 @dataclass(frozen=True)
@@ -16,3 +17,5 @@ class CockpitConfig:
     port: int = integer(low=0, high=65535, doc="port; 0: any free one", absent=8470)
     name: str = text(doc="further name of this computer that the page may be asked for by", absent="", empty=True)
     arms: str = text(doc="namespaces of several arms, with spaces between them; empty: one arm", absent="", empty=True)
+    cameras: str = text(doc="cameras, as namespaces of their topics, with spaces between them", absent="camera")
+    video: str = choice(AUTO, JPEG, WEBRTC, doc="how images go; auto: jpeg to this machine, else webrtc", absent=AUTO)

@@ -4,6 +4,7 @@ what the operator holds on the page goes out on leap_kuka/operator_input, where 
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import math
 import signal
@@ -45,11 +46,12 @@ from leap_rig.cockpit.settings import CockpitConfig
 from leap_rig.recording.topics import EPISODE_MARK
 from rig_msgs.msg import OperatorInput
 from rig_msgs.srv import ChooseOperator
-from vision.stereo.transport import Picture
+from vision.stereo import webrtc
+from vision.stereo.transport import JPEG, Picture
 
 PERIOD_S = 0.05
 STATE_PERIOD_S = 0.2
-IMAGE = "camera/rgb/image_raw"
+IMAGE = "rgb/image_raw"
 SOURCE = "cockpit"
 
 
@@ -204,9 +206,7 @@ class Cockpit:
         self._listen = OnDemand(
             lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
         )
-        self._look = OnDemand(
-            lambda: [rospy.Subscriber(IMAGE, Image, self._take_image, queue_size=1, buff_size=4 * 2**20)]
-        )
+        self._looks = {camera: OnDemand(functools.partial(self._images, camera)) for camera in config.cameras.split()}
         self._watched, self._next_state = False, 0.0
         try:
             certificate = None
@@ -223,11 +223,16 @@ class Cockpit:
                 port=config.port,
                 name=config.name,
                 certificate=certificate,
+                script=(Path(rospkg.RosPack().get_path("vision")) / "web" / "pictures.js").read_bytes(),
+                cameras=list(self._looks),
+                way=config.video,
             )
         except (CertificateError, OSError, OverflowError) as error:
             fault = f"Cannot serve the cockpit on {config.host}:{config.port}: {error}"
             raise DeviceError(f"{fault.rstrip('.')}. Check the page, or choose another port.") from error
         show(f"The cockpit is at {self._server.address}")
+        if config.video != JPEG and not is_loopback(config.host) and webrtc.missing():
+            rospy.logwarn("%s", webrtc.missing())
         if self._server.fingerprint:
             rospy.loginfo("The fingerprint (SHA-256) of its certificate is %s", self._server.fingerprint)
 
@@ -247,7 +252,8 @@ class Cockpit:
         server, now = self._server, clock.monotonic()
         self._watch(server.watched)
         (self._feed.start if server.scene_watched else self._feed.stop)()
-        self._look(server.pictures.watched)
+        for camera, look in self._looks.items():
+            look(server.pictures.watched(camera))
         while not self._commands.empty():
             self._obey(self._commands.get())
         held, live = server.held(), server.live
@@ -280,6 +286,7 @@ class Cockpit:
                 self._say(program.line if failed else sentence, "warning" if failed else "normal")
         return {
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
+            "cameras": list(self._looks),
             "answer": self._answer,
             "recording": f"{self._recording}: {self._recorder.line or 'it starts'}" if self._recorder.runs else "",
             "marks": self._marks.get_num_connections() > 0,
@@ -346,14 +353,17 @@ class Cockpit:
     def _take_tutorial(self, message: DiagnosticStatus) -> None:
         self._tutorial = message.message
 
-    def _take_image(self, message: Image) -> None:
-        quality = 80
+    def _images(self, camera: str) -> list[rospy.Subscriber]:
+        # Room for several images: rospy drops all but the newest only among those that it has read.
+        options = {"callback_args": camera, "queue_size": 1, "buff_size": 2**24, "tcp_nodelay": True}
+        return [rospy.Subscriber(f"{camera}/{IMAGE}", Image, self._take_image, **options)]
+
+    def _take_image(self, message: Image, camera: str) -> None:
+        came = clock.monotonic()
+        age = max(0.0, (rospy.Time.now() - message.header.stamp).to_sec())
         with contextlib.suppress(ValueError):  # of an encoding that is no colour
-            image = np.ascontiguousarray(colour_from_image(message)[..., ::-1])
-            _, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-            self._server.put_picture(
-                Picture({"age": (rospy.Time.now() - message.header.stamp).to_sec()}, jpeg.tobytes())
-            )
+            image = np.ascontiguousarray(colour_from_image(message))
+            self._server.put_picture(camera, Picture(image, came - age, came, {}))
 
 
 def show(sentence: str) -> None:

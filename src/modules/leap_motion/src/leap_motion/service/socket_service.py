@@ -177,9 +177,9 @@ class PageService(SocketService):
         return None
 
 
-def page_response(body: bytes, *more: tuple[str, str]) -> Response:
-    """Returns the answer with a page; `more`: further headers."""
-    headers = Headers([("Content-Type", "text/html; charset=utf-8"), ("Content-Length", str(len(body))), *more])
+def page_response(body: bytes, *more: tuple[str, str], kind: str = "text/html") -> Response:
+    """Returns the answer with a page, or another `kind` of text; `more`: further headers."""
+    headers = Headers([("Content-Type", f"{kind}; charset=utf-8"), ("Content-Length", str(len(body))), *more])
     headers["Connection"] = "close"
     headers["Cache-Control"] = "no-store"
     return Response(200, "OK", headers, body)

@@ -1,10 +1,8 @@
-"""The node stereo_web: serves the headset view as a page for headsets and phones, with its images on the same port. The
-page requests an image by a message on a WebSocket at /pictures, and the next one once it has shown it, so that no image
-waits in a queue. Each answer is one text message, {"picture": true, "tangents": [left, right, up, down], "deep": ...},
-and then the JPEG with both eyes side by side; or {"picture": false} if no new image arrived for a while. Both have the
-rows of the operator's view beside it, if there are any: "rows": [{name, text, tone, kind, labels, values}, ...]. The
-node subscribes to camera and view only while a page is open. With ~web/hands a headset's page also sends the person's
-hands, on a WebSocket at /hands (leap_motion.headset.transport)."""
+"""The node stereo_web: serves the headset view as a page for headsets and phones, with its images on the same port,
+both eyes side by side, on a WebSocket at /pictures (vision.stereo.transport). An answer has {"tangents": [left, right,
+up, down], "deep": ...} of its image, and the rows of the operator's view, if there are any: "rows": [{name, text, tone,
+kind, labels, values}, ...]. The node subscribes to camera and view only while a page is open. With ~web/hands a
+headset's page also sends the person's hands, on a WebSocket at /hands (leap_motion.headset.transport)."""
 
 from __future__ import annotations
 
@@ -26,13 +24,17 @@ from common.ros.diagnostics import Diagnostics
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
 from leap_motion.headset.transport import MAX_MESSAGE_BYTES
+from leap_motion.service.access import is_loopback
 from leap_motion.service.certificate import Certificate, CertificateError, own_certificate
 from leap_motion.service.socket_service import PageService, page_response
 from rig_msgs.msg import OperatorView
 from vision.ros.stereo.eye_images import ShownView, StereoImageSource
 from vision.ros.stereo.headset_hands import HeadsetHands
-from vision.stereo.transport import Picture, PictureStream
+from vision.stereo import webrtc
+from vision.stereo.transport import JPEG, Picture, PictureStream
 from vision.stereo.view import StereoViewConfig, WebConfig
+
+CAMERA = "camera"
 
 
 class StereoWeb(PageService):
@@ -43,19 +45,25 @@ class StereoWeb(PageService):
     write_limit = 1  # an image that waits would be late
 
     def __init__(
-        self, config: WebConfig, converse: Callable[[ServerConnection], Awaitable[None]] | None = None
+        self,
+        config: WebConfig,
+        converse: Callable[[ServerConnection], Awaitable[None]] | None = None,
+        jpeg_quality: int = 80,
     ) -> None:
         max_pages = 6
         pages_of_address = 3
         self._hands = converse
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         try:
-            self._page = pathlib.Path(config.page).read_bytes()
+            page = pathlib.Path(config.page)
+            self._page, self._script = page.read_bytes(), page.with_name("pictures.js").read_bytes()
             super().__init__(config.host, config.port, config.name, self._certificate(config))
         except (CertificateError, OSError, OverflowError) as error:
             fault = f"Cannot serve the page on {config.host}:{config.port}: {error}"
             raise DeviceError(f"{fault.rstrip('.')}. Check page and certificate, or choose another port.") from error
-        self._pictures = PictureStream(self._loop, self._more, max_pages, pages_of_address)
+        self._pictures = PictureStream(
+            self._loop, self._more, max_pages, pages_of_address, jpeg_quality, config.video, (CAMERA,)
+        )
         self._thread = clock.Thread(target=self.run, name="web", daemon=True)
         self._thread.start()
 
@@ -68,11 +76,11 @@ class StereoWeb(PageService):
 
     @property
     def watched(self) -> bool:
-        return self._pictures.watched
+        return self._pictures.watched(CAMERA)
 
     def put(self, picture: Picture) -> None:
         """Sends an image to every page that has shown the previous one."""
-        self._soon(self._pictures.take, picture)
+        self._soon(self._pictures.take, CAMERA, picture)
 
     def put_view(self, message: OperatorView) -> None:
         """Sends the rows of the operator's view with the next answers."""
@@ -92,7 +100,11 @@ class StereoWeb(PageService):
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         sockets = ("/pictures", "/hands") if self._hands else ("/pictures",)
-        return self._answer(connection, request, {"/": lambda: page_response(self._page)}, sockets)
+        pages = {
+            "/": lambda: page_response(self._page),
+            "/pictures.js": lambda: page_response(self._script, kind="text/javascript"),
+        }
+        return self._answer(connection, request, pages, sockets)
 
     async def _converse(self, connection: ServerConnection) -> None:
         if self._hands and connection.request.path == "/hands":
@@ -107,8 +119,10 @@ def main() -> None:
     config = private_config(StereoViewConfig, "view")
     settings = private_config(WebConfig, "web")
     hands = HeadsetHands(settings) if settings.hands else None
-    web = StereoWeb(settings, hands and hands.converse)
+    web = StereoWeb(settings, hands and hands.converse, config.jpeg_quality)
     (rospy.logwarn if hands else rospy.loginfo)("The view is at %s", web.address)
+    if settings.video != JPEG and not is_loopback(settings.host) and webrtc.missing():
+        rospy.logwarn("%s", webrtc.missing())
     if web.fingerprint:
         rospy.loginfo("The fingerprint (SHA-256) of its certificate is %s", web.fingerprint)
     images = StereoImageSource(config)
@@ -122,14 +136,14 @@ def main() -> None:
                 hands.watch()
             shown = images.wait(refresh_s)
             if shown is not None and shown.new and web.watched:
-                web.put(_frame(shown, config.jpeg_quality))
+                web.put(_picture(shown))
     finally:
         web.close()
         if hands:
             hands.close()
 
 
-def _frame(shown: ShownView, quality: int) -> Picture:
-    image = np.hstack((shown.eyes.left, shown.eyes.right))
-    _, jpeg = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-    return Picture({"tangents": shown.view.tangents, "deep": shown.eyes.deep}, jpeg.tobytes())
+def _picture(shown: ShownView) -> Picture:
+    now, age = clock.monotonic(), (rospy.Time.now() - shown.stamp).to_sec()
+    about = {"tangents": shown.view.tangents, "deep": shown.eyes.deep}
+    return Picture(np.hstack((shown.eyes.left, shown.eyes.right)), now - max(0.0, age), now, about)
