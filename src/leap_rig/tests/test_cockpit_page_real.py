@@ -65,7 +65,8 @@ def page(tmp_path, request):
             }
             server.put_state({
                 "arms": shown, "answer": {"number": 0, "text": "", "tone": "normal"}, "recording": "",
-                "cameras": ["camera"], "marks": True, "tutorial": {"runs": False, "text": ""},
+                "cameras": ["camera"], "only_view": "only_view" in changes, "marks": True,
+                "tutorial": {"runs": False, "text": ""},
             })  # fmt: skip
             time.sleep(0.05)
         return found
@@ -130,7 +131,7 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     held(page, False, False)
     assert page.until(lambda: not page.server.live, what="the server to hear of the lost focus")
     page("delete document.hasFocus")
-    page.until(lambda: page("!document.querySelector('.control').disabled"))
+    page.until(lambda: page.server.live and page("!document.querySelector('.control').disabled"))
     page("document.querySelector('.control').focus()")
     page.press("Enter")
     page.until(lambda: page.obeyed)
@@ -220,6 +221,25 @@ def test_what_is_old_is_grey_and_says_its_age(page):
     assert page("$('state').className") == "old"
     assert page("$('who').textContent").startswith("No news for")
     page.until(lambda: page("$('state').className") == "")
+
+
+def test_who_sees_the_arm_only_here_enables_only_while_an_image_is_new(page):
+    page.enter()
+    page("$('take').click()")
+    page.until(lambda: page.server.live and page("!document.querySelector('.enable').disabled"))
+    page("document.querySelector('.enable').focus()")
+    page.key("keyDown", " ")
+    held(page, True, False)
+    page.changes["only_view"] = True
+    held(page, False, False)
+
+    def live():
+        now = time.monotonic()
+        page.server.put_picture("camera", Picture(np.zeros((48, 64, 3), np.uint8), now, now, {}))
+        return page.server.live
+
+    page.until(live, what="control with images")
+    page.until(lambda: not page.server.live, what="its end without")
 
 
 def test_the_newest_image_is_shown_and_an_old_one_is_grey_with_its_age(page):

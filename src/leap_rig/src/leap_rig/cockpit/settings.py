@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from common.config import choice, integer, path, text
+from common.config import choice, flag, integer, path, text
 from vision.stereo.transport import AUTO, JPEG, WEBRTC
 
 
@@ -19,3 +19,4 @@ class CockpitConfig:
     arms: str = text(doc="namespaces of several arms, with spaces between them; empty: one arm", absent="", empty=True)
     cameras: str = text(doc="cameras, as namespaces of their topics, with spaces between them", absent="camera")
     video: str = choice(AUTO, JPEG, WEBRTC, doc="how images go; auto: jpeg to this machine, else webrtc", absent=AUTO)
+    only_view: bool = flag(doc="who enables here sees the arm only here; old images release that", absent=False)

@@ -67,6 +67,7 @@ class WebConfig:
     box_below: float = number("m", low=0.0, high=0.8, doc="with hands: box's middle below the head", absent=0.35)
     name: str = text(doc="further name of this computer that pages may be asked for by", absent="", empty=True)
     video: str = choice("auto", "jpeg", "webrtc", doc="auto: jpeg to this machine, else webrtc", absent="auto")
+    only_view: bool = flag(doc="with hands: the operator has no other view; an old image holds the arm", absent=False)
 
     def faults(self) -> list[str]:
         if bool(self.certificate) != bool(self.key):

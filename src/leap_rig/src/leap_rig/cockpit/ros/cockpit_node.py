@@ -207,6 +207,7 @@ class Cockpit:
             lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
         )
         self._looks = {camera: OnDemand(functools.partial(self._images, camera)) for camera in config.cameras.split()}
+        self._only_view = config.only_view
         self._watched, self._next_state = False, 0.0
         try:
             certificate = None
@@ -287,6 +288,7 @@ class Cockpit:
         return {
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
             "cameras": list(self._looks),
+            "only_view": self._only_view,
             "answer": self._answer,
             "recording": f"{self._recording}: {self._recorder.line or 'it starts'}" if self._recorder.runs else "",
             "marks": self._marks.get_num_connections() > 0,

@@ -52,7 +52,7 @@ class StereoWeb(PageService):
     ) -> None:
         max_pages = 6
         pages_of_address = 3
-        self._hands = converse
+        self._hands, self._only_view = converse, config.only_view
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         try:
             page = pathlib.Path(config.page)
@@ -96,6 +96,8 @@ class StereoWeb(PageService):
     def _more(self) -> dict[str, object]:
         rows, at = self._view
         more: dict[str, object] = {"hands": True} if self._hands else {}
+        if self._only_view:
+            more["only_view"] = True
         return {**more, "rows": rows} if rows and clock.monotonic() - at <= OLD_ROWS_S else more
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
