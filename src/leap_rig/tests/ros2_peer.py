@@ -57,8 +57,8 @@ def publish(node, kind, name="kuka/tool_frame/desired"):
     node.create_timer(0.02, step)
 
 
-def move(node, kind):
-    client = ActionClient(node, Move, "/kuka/move")
+def move(node, kind, arm=""):
+    client = ActionClient(node, Move, f"/{arm}kuka/move")
     client.wait_for_server()
     goal = Move.Goal(kind=Move.Goal.NAMED, name=kind)
     sent = client.send_goal_async(goal, lambda m: say(feedback=m.feedback.fraction))

@@ -64,14 +64,34 @@ def test_of_each_source_the_newest_wait_in_their_order(sent):
     assert box.take() == b""
 
 
-@given(st.lists(st.tuples(st.sampled_from("ab"), st.floats(0.0, 1.0)), max_size=60), st.floats(0.001, 0.3))
-def test_no_source_passes_more_often_than_its_limit_nor_is_kept_back_for_another(sent, period):
-    limit, passed = MessageRateLimit(period), {"a": [], "b": []}
-    for source, now in sorted(sent, key=lambda item: item[1]):
-        last = passed[source][-1:]
-        assert limit.passes(source, now) is (not last or now - last[0] >= period)
-        if not last or now - last[0] >= period:
-            passed[source].append(now)
+TIMES = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 1000)), max_size=80).map(
+    lambda sent: sorted(sent, key=lambda s: s[1])
+)
+
+
+@given(TIMES, st.integers(1, 200), st.integers(1, 10))
+def test_no_source_passes_more_often_than_its_limit(sent, rate, burst):
+    limit = MessageRateLimit(rate, burst)
+    passed = [(source, 1e-3 * ms) for source, ms in sent if limit.passes(source, 1e-3 * ms)]
+    for source in "ab":
+        times = [now for name, now in passed if name == source]
+        for i, begin in enumerate(times):
+            for count, end in enumerate(times[i:], 1):
+                assert count <= burst + rate * (end - begin) + 1e-6
+
+
+@given(TIMES, st.integers(1, 10))
+def test_a_source_below_its_limit_passes_whatever_the_other_does(sent, burst):
+    limit = MessageRateLimit(50.0, burst)
+    flood, last, now = 0, -1.0, 0.0
+    for source, ms in sent:
+        now = 1e-3 * ms
+        if source == "b":
+            flood += limit.passes("b", now)
+        elif now - last > 0.0201:
+            assert limit.passes("a", now)
+            last = now
+    assert flood <= burst + 50.0 * now + 1e-6
 
 
 FIELDS = ("header", "mode", "limits", "on", "shift", "flags")

@@ -218,10 +218,10 @@ def test_a_desired_tool_that_is_not_right(bridge, peer, wait_until, ros, kind):
 class Server:
     """A controller's kuka/move: `home` succeeds, what is called `cancelled` or `lost` runs until it is cancelled."""
 
-    def __init__(self):
+    def __init__(self, arm=""):
         self.cancelled = threading.Event()
         self.started = threading.Event()
-        self._server = actionlib.SimpleActionServer("kuka/move", MoveAction, self._run, auto_start=False)
+        self._server = actionlib.SimpleActionServer(f"{arm}kuka/move", MoveAction, self._run, auto_start=False)
         self._server.start()
 
     def close(self):
@@ -284,3 +284,29 @@ def test_who_ends_in_a_motion_cancels_it(bridge, peer, server, wait_until, who):
         assert bridge.wait(30.0) == (1 if who == "side" else 0)
     if who != "client":
         wait_until(lambda: not Path("/proc", side).exists(), 30.0, "the end of the ROS 2 side")
+
+
+@needs_ros2
+def test_each_of_two_arms_has_its_own_door(ros, peer, wait_until):
+    for arm in ("left", "right"):
+        rospy.set_param(f"{arm}/tf_prefix", arm)
+    node = ros.run("leap_rig", "ros2_bridge.py", "_arms:=[left, right]")
+    heard = ros.record("/tf", TFMessage)
+    servers = {arm: Server(arm) for arm in ("left/", "right/")}
+    try:
+        peer("publish", "good", f"left/{DESIRED}")
+        peer("publish", "good", DESIRED)  # of an only arm: there is none
+        client = peer("move", "cancelled", "right/")
+        assert client.wait(90.0) == 0 and client.lines()[-1]["status"] == CANCELLED
+        assert servers["right/"].started.is_set() and not servers["left/"].started.is_set()
+        wait_until(lambda: len(heard) > 20, 30.0, "the left arm's frame")
+        peer("publish", "good", f"right/{DESIRED}")  # beside that of the left one, which continues
+        names = lambda: {t.child_frame_id for message in heard for t in message.transforms}  # noqa: E731
+        wait_until(lambda: f"right/{DESIRED}" in names(), 30.0, "the right arm's frame")
+        assert names() == {f"left/{DESIRED}", f"right/{DESIRED}"}
+        assert "refused" not in node.log_path.read_text()
+    finally:
+        for server in servers.values():
+            server.close()
+        for arm in ("left", "right"):
+            rospy.delete_param(f"{arm}/tf_prefix")

@@ -37,6 +37,7 @@ CAMERA = {
 }
 DRIVING = (TOOL_DESIRED, FLANGE_DESIRED, HAND_FRAME, HAND_FILTERED)
 """Frames that steer an arm, or follow from one that does."""
+RECORDED = "recorded/"  # before their names in a replay
 
 
 def recorded(camera: str) -> tuple[str, ...]:

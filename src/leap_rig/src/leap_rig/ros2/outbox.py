@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Hashable
 
@@ -50,15 +49,16 @@ class NewestFrames:
 
 
 class MessageRateLimit:
-    """Lets pass what comes at least `period_s` after what passed last of the same source."""
+    """Lets pass `rate` messages a second of each source, and `burst` at once, as after a pause of the machine."""
 
-    def __init__(self, period_s: float) -> None:
-        self._period_s = period_s
-        self._passed: dict[Hashable, float] = {}
+    def __init__(self, rate: float, burst: int) -> None:
+        self._rate, self._burst = rate, burst
+        self._room: dict[Hashable, tuple[float, float]] = {}  # how many may pass, and when that was so
 
     def passes(self, source: Hashable, now: float) -> bool:
         """Whether what came at `now` [s, monotonic] passes."""
-        if now - self._passed.get(source, -math.inf) < self._period_s:
-            return False
-        self._passed[source] = now
-        return True
+        room, then = self._room.get(source, (self._burst, now))
+        room = min(self._burst, room + self._rate * (now - then))
+        passes = room >= 1.0
+        self._room[source] = room - passes, now
+        return passes

@@ -36,6 +36,7 @@ from leap_rig.cockpit.cloud import CloudFault, thinned
 from leap_rig.cockpit.markers import MOST_MARKERS, MarkerStore
 from leap_rig.cockpit.robot_tree import DescriptionFault
 from leap_rig.cockpit.scene import SceneServer
+from leap_rig.recording.topics import RECORDED
 from rig_msgs.msg import SentGoals
 
 PERIOD_S = 1.0 / 15.0
@@ -81,6 +82,7 @@ class SceneFeed:
             for frame in PLAIN_AXES:
                 scene.show_axes(frames(frame), 0.04)
         scene.show_axes(RGB_OPTICAL, 0.06, "camera")
+        scene.show_axes(RECORDED + TOOL_DESIRED, 0.08, "recorded desired tool")
         repeat(self._show, PERIOD_S, "scene")
 
     def start(self) -> None:

@@ -1,4 +1,4 @@
-"""The program replay.py: a recording in RViz, as a tracker for the whole chain, or as a motion of the robot."""
+"""The program replay.py: a recording to look at, as a tracker for the whole chain, or as a motion of the robot."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from leap_motion.service.server import LeapService, LeapServiceError
 from leap_rig.recording.fingerprint import controller_config, differences, fingerprint, moved_away, started_with
 from leap_rig.recording.recording_files import PARAMETERS, RecordingFault, StoredMessage, between, folder_of, verify
 from leap_rig.recording.run import MessageDecoders, RecordedRun, read
-from leap_rig.recording.topics import CAMERA, DRIVING, SENT_GOALS, VIEW
+from leap_rig.recording.topics import CAMERA, DRIVING, RECORDED, SENT_GOALS, VIEW
 from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_motions
 
 LONGEST_WAIT_S = 3600.0  # between two frames
@@ -191,7 +191,7 @@ class _Player:
 
 def _harmless(frame: str) -> str:
     name = frame.strip("/")  # tf takes /a for a
-    return f"recorded/{name}" if name in DRIVING else frame
+    return RECORDED + name if name in DRIVING else frame
 
 
 # Tracker
@@ -354,7 +354,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="replay.py", description="Plays a recording; its hashes are checked first.")
     parser.add_argument("name", help="of the recording in ~/.ros/leap_rig/recordings; or a path, with a slash")
     how = parser.add_mutually_exclusive_group(required=True)
-    how.add_argument("--view", action="store_true", help="in RViz, on a ROS master without a rig")
+    how.add_argument("--view", action="store_true", help="in RViz or the cockpit, on a ROS master without a rig")
     how.add_argument("--tracker", action="store_true", help="as a Leap service, for leap_driver and the whole chain")
     how.add_argument("--robot", action="store_true", help="the arm's motion, first slowly; asks before each pass")
     parser.add_argument(

@@ -33,7 +33,7 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"  # of one that was not discovered yet
 LOOK_S = 0.25  # between two looks at who is there
 END_S = 0.3  # for a result to reach its client
 MAX_TF_BYTES = 2**16
-MAX_TF_HZ = 400.0  # of a publisher and a frame: what waits longer is too old
+MAX_TF_HZ, MAX_TF_BURST = 400.0, 40  # of a publisher and a frame
 TF = "tf2_msgs/TFMessage"
 GOAL, RESULT, FEEDBACK = "kuka_msgs/MoveGoal", "kuka_msgs/MoveResult", "kuka_msgs/MoveFeedback"
 MESSAGES = {GOAL: Move.Goal, RESULT: Move.Result, FEEDBACK: Move.Feedback}
@@ -98,7 +98,7 @@ class DesiredTools:
         self._node, self._other, self._conversions = node, other, conversions
         self._names = [name.encode() for name in names]
         self._nodes: dict[bytes, str] = {}  # publishers by their identifiers; own ones have no name
-        self._limit, self._said = MessageRateLimit(1.0 / MAX_TF_HZ), MessageRateLimit(1.0)
+        self._limit, self._said = MessageRateLimit(MAX_TF_HZ, MAX_TF_BURST), MessageRateLimit(1.0, 1)
         kind, latched = message_type(TF), DurabilityPolicy.TRANSIENT_LOCAL
         qualities = {"tf": QoSProfile(depth=100), "tf_static": QoSProfile(depth=10, durability=latched)}
         for topic, quality in qualities.items():
@@ -115,7 +115,7 @@ class DesiredTools:
                 return
             if not self._limit.passes((node, found), now):
                 if self._said.passes(node, now):
-                    self._fault(node, topic, f"comes less than {1e3 / MAX_TF_HZ:g} ms after the one before")
+                    self._fault(node, topic, f"is one of more than {MAX_TF_HZ:g} a second")
                 return
             if len(data) > MAX_TF_BYTES:
                 self._fault(node, topic, f"has {len(data)} bytes, more than {MAX_TF_BYTES}")
