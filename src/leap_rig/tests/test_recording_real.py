@@ -6,11 +6,15 @@ import signal
 import threading
 
 import pytest
+import yaml
 
 from leap_motion.service.server import LeapService
 from leap_rig.recording import read
+from leap_rig.recording.recording_files import PARAMETERS
 
 pytest.importorskip("rig_msgs.srv")
+import rospy
+
 from leap_rig.recording.ros.record_program import _commit
 
 pytestmark = [pytest.mark.ros, pytest.mark.real]
@@ -47,6 +51,7 @@ def tracker():
 
 def test_what_the_tracker_sent_is_on_the_disk_when_the_recorder_is_killed(ros, tracker, tmp_path, wait_until):
     ros.run("leap_motion", "leap_driver.py", f"_port:={tracker.port}")
+    rospy.set_param("robot_description", "<robot/>")  # which rospy's cache of the recorder does not know
     program = ros.run("leap_rig", "record.py", f"{tmp_path}/run", "--task", "a test")
     wait_until(lambda: "frames" in program.log_path.read_text() or program.poll() is not None, 20.0, "the live line")
     wait_until(lambda: len(read(tmp_path / "run").frames) > 60, 20.0, "frames on the disk", poll=0.1)
@@ -54,6 +59,7 @@ def test_what_the_tracker_sent_is_on_the_disk_when_the_recorder_is_killed(ros, t
     os.killpg(program.pid, signal.SIGKILL)
     program.wait(20.0)
     run = read(tmp_path / "run")
+    assert yaml.safe_load((tmp_path / "run" / PARAMETERS).read_text())["robot_description"] == "<robot/>"
     assert run.frames[: len(on_disk)] == on_disk
     frames = [text for text in run.frames if '"event"' not in text]  # the driver may connect while it is recorded
     assert frames == [text for text in tracker.sent if text in set(frames)]

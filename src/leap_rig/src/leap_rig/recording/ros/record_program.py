@@ -27,6 +27,7 @@ from common.ros.files import file_hash
 from common.ros.node import join, run_program
 from common.ros.raw_tf import connection_of, data_of
 from common.stored_time import utc
+from kuka_control.ros.parameter_server import master_of_this_graph
 from leap_motion.ros.registrations import registration_file
 from leap_rig.recording.fingerprint import address, fingerprint, started_with
 from leap_rig.recording.recording_files import (
@@ -89,7 +90,7 @@ def record(options: argparse.Namespace) -> int:
     flush_s = 0.4  # time between two chunks; with the time that the disk takes, what is lost at a power cut
     folder = folder_of(options.name)
     join("leap_rig_record", anonymous=True)
-    parameters = rospy.get_param("/")
+    parameters = master_of_this_graph().getParam("/")  # rospy would return what its cache has of it
     inbox = Inbox()
     interrupted = clock.Event()
     # An exception in the midst of a write would leave a file that differs from its hash.
