@@ -6,6 +6,7 @@ import importlib
 import json
 import math
 import re
+import shutil
 
 import pytest
 
@@ -19,6 +20,7 @@ from bench.measure import HEAD, WHAT_WIDTH, Goal, Peer, Row, aligned, cells
     [
         *("kinematics", "control", "filter", "client", "shaping", "stopping", "vision"),
         pytest.param("leap", marks=pytest.mark.ros),
+        pytest.param("pictures", marks=pytest.mark.skipif(not shutil.which("chromium"), reason="no chromium")),
     ],
 )
 def test_a_quick_run_gives_numbers(name):
