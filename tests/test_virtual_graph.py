@@ -5,7 +5,6 @@ from __future__ import annotations
 import runpy
 import signal
 import sys
-import threading
 
 import pytest
 
@@ -14,12 +13,11 @@ from common import clock
 pytest.importorskip("rig_msgs.srv")
 import rospy
 from std_msgs.msg import Float64, String
-from std_srvs.srv import Empty, Trigger
+from std_srvs.srv import Empty
 
 import kst.transport
 from common.ros.publishing import DirectPublisher
 from common.ros.service_calls import ServiceFailed, call
-from simulated import scheduler
 from simulated.graph import Graph
 from tests import graph_laws
 
@@ -212,14 +210,6 @@ class TestServicesOfNodes:
             said = str(error)
         return said, clock.monotonic() - begun
 
-    def test_it_answers(self, slow):
-        said, lasted = self.call()
-        assert said == "" and 1.0 <= lasted <= 1.002
-
-    def test_one_that_is_late_is_given_up(self, slow):
-        said, lasted = self.call(0.5)
-        assert "did not answer within 0.5 s: it may still execute the request" in said and lasted == 0.5
-
     def test_one_that_stands_still_never_gets_the_request(self, slow):
         slow.send_signal(signal.SIGSTOP)
         said, lasted = self.call()
@@ -270,43 +260,6 @@ def scene(seed):
 def test_a_seed_makes_one_run_and_others_make_others():
     assert scene(1) == scene(1)
     assert len({tuple(scene(seed)) for seed in range(6)}) == 6
-
-
-def test_a_node_that_waits_outside_of_virtual_time_is_named(ros, monkeypatch):
-    monkeypatch.setattr(scheduler, "POLL_S", 0.02)
-    monkeypatch.setattr(scheduler, "POLLS", 5)
-    outside = threading.Event()
-    clock.sleep(0.0)
-    try:
-        with pytest.raises(scheduler.Stuck, match=r"waits outside of virtual time: sleeper(?s:.*)self._cond.wait"):
-            ros.start("sleeper", outside.wait).wait(5.0)
-    finally:
-        outside.set()
-
-
-def test_who_calls_a_node_that_is_killed_learns_that_it_has_ended(ros):
-    def main():
-        rospy.init_node("server")
-        rospy.Service("/ask", Trigger, lambda _: (True, ""))
-        rospy.spin()
-
-    server = ros.start("server", main)
-    rospy.wait_for_service("/ask")
-    server.send_signal(signal.SIGSTOP)
-    failed = []
-
-    def call():
-        try:
-            rospy.ServiceProxy("/ask", Trigger)()
-        except rospy.ServiceException as error:
-            failed.append(str(error))
-
-    clock.Thread(target=call, daemon=True).start()
-    clock.sleep(1.0)
-    assert not failed
-    server.send_signal(signal.SIGKILL)
-    clock.sleep(0.1)
-    assert len(failed) == 1 and "has ended" in failed[0]
 
 
 def test_the_ends_of_a_killed_node_reach_nobody(ros):

@@ -156,11 +156,7 @@ def test_every_image_gets_an_answer_and_so_does_what_image_geometry_takes(ros, i
 REFUSED = [
     (changed("CameraInfo"), "Nothing has come on /camera_rect/camera_info."),
     (changed("Image", encoding="16UC1", width=320), "the image has the encoding 16UC1"),
-    (changed("Image", encoding="yuv422"), "the encoding 'yuv422' is unknown"),
-    (changed("Image", data=b"torn"), "4 bytes instead of"),
     (changed("CameraInfo", width=320), "the image is 640 x 480, but its camera_info says 320 x 480"),
-    (changed("CameraInfo", K=[0.0] * 9, P=[0.0] * 12), "not calibrated"),
-    (changed("CameraInfo", distortion_model="equidistant"), "equidistant"),
 ]
 
 
@@ -223,22 +219,6 @@ def test_it_waits_for_the_camera_says_when_that_falls_silent_and_an_interrupt_st
     node.send_signal(signal.SIGINT)
     assert node.wait(1.0) == 0
     assert "Traceback" not in node.log_path.read_text()
-
-
-@pytest.mark.parametrize(
-    ("node", "parameters", "keys"),
-    [
-        (f"{NODE}.py", ("_tag_decimate:=0.5", "_tag_famly:=x"), ("~tag_decimate", "~tag_famly")),
-        (f"{NODE}.py", ("_standalone_tags:=[{id: 0}]",), ("standalone_tags[0]/size",)),
-        ("apriltag_ros_single_image_server_node.py", ("_tag_debug:=1",), ("~tag_debug",)),
-    ],
-)
-def test_bad_parameters_end_the_node(ros, node, parameters, keys):
-    process = ros.run("apriltag_ros", node, *parameters)
-    assert process.wait(1.0) == 1
-    log = process.log_path.read_text()
-    assert all(key in log for key in keys)
-    assert "Traceback" not in log
 
 
 @pytest.mark.parametrize("name", [NODE, "apriltag_ros_single_image_server_node"])

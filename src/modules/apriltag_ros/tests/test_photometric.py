@@ -112,58 +112,39 @@ def test_light_and_shade_on_the_tags_do_not_move_the_pose(camera, bundle):
     assert found.rejection == "" and corner_shift(camera, bundle, found.T_camera_tag, truth) < 0.05
 
 
-class TestRefusals:
-    """The start stays, and a sentence says why."""
+def covered(camera, target, truth):
+    """The image with a grey patch on the third tag."""
+    grey = image(camera, target, truth)
+    u, v = camera.project((truth @ [*target.tags[2].T_target_tag[:3, 3], 1.0])[:3][None])[0].astype(int)
+    grey[v - 10 : v + 12, u - 10 : u + 10] = 160
+    return grey
 
-    def rejection(self, camera, target, grey, start):
-        found = PhotometricRefiner(FAMILY, target).refine(grey, camera, start)
-        assert found.covariance is None
-        np.testing.assert_array_equal(found.T_camera_tag, start)
-        return found.rejection
 
-    def test_cut_off(self, camera, bundle):
-        truth = view(0.5, 20.0, x=0.45)
-        sentence = self.rejection(camera, bundle, image(camera, bundle, truth), truth)
-        assert "cuts off" in sentence
+def of_another_tag(camera, target, truth):
+    return image(camera, TagTarget("tag", (TargetTag(3, target.tags[0].size),)), truth)
 
-    def test_behind_the_camera(self, camera, single):
-        behind = pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, -0.5))
-        assert "cuts off" in self.rejection(camera, single, np.zeros((480, 640), np.uint8), behind)
 
-    def test_too_bright(self, camera, bundle):
-        truth = view(0.7, 30.0)
-        bright = cv2.convertScaleAbs(image(camera, bundle, truth), alpha=1.6)
-        assert "exposed" in self.rejection(camera, bundle, bright, truth)
+NEAR, BEHIND = view(0.7, 30.0), pose(np.diag([1.0, -1.0, -1.0]), (0.0, 0.0, -0.5))
+REFUSALS = {
+    "cut off": (5, view(0.5, 20.0, x=0.45), image, "cuts off"),
+    "behind the camera": (1, BEHIND, lambda *_: np.zeros((480, 640), np.uint8), "cuts off"),
+    "too bright": (5, NEAR, lambda *a: cv2.convertScaleAbs(image(*a), alpha=1.6), "exposed"),
+    "too dark": (5, NEAR, lambda *a: cv2.convertScaleAbs(image(*a), alpha=0.08, beta=20), "contrast"),
+    "blurred": (5, view(1.2, 30.0), lambda *a: image(*a, blur=3.0), "blur"),
+    "a covered tag": (5, NEAR, covered, "uncover"),
+    "another pattern": (1, view(0.6, 30.0), of_another_tag, ""),
+    "nothing to see": (1, view(0.6, 30.0), lambda *_: np.full((480, 640), 90, np.uint8), "contrast"),
+}
 
-    def test_too_dark(self, camera, bundle):
-        truth = view(0.7, 30.0)
-        dark = cv2.convertScaleAbs(image(camera, bundle, truth), alpha=0.08, beta=20)
-        assert "contrast" in self.rejection(camera, bundle, dark, truth)
 
-    def test_blurred_beyond_use(self, camera, bundle):
-        truth = view(1.2, 30.0)
-        assert "blur" in self.rejection(camera, bundle, image(camera, bundle, truth, blur=3.0), truth)
-
-    def test_a_covered_tag(self, camera, bundle):
-        truth = view(0.7, 30.0)
-        grey = image(camera, bundle, truth)
-        u, v = camera.project((truth @ [*bundle.tags[2].T_target_tag[:3, 3], 1.0])[:3][None])[0].astype(int)
-        grey[v - 10 : v + 12, u - 10 : u + 10] = 160
-        assert "uncover" in self.rejection(camera, bundle, grey, truth)
-
-    def test_another_pattern(self, camera, single):
-        truth = view(0.6, 30.0)
-        other = TagTarget("tag", (TargetTag(3, single.tags[0].size),))
-        assert self.rejection(camera, single, image(camera, other, truth), truth)
-
-    def test_a_start_that_is_far_off(self, camera, bundle):
-        truth = view(0.7, 30.0)
-        start = pose(truth[:3, :3], truth[:3, 3] + (0.03, 0.0, 0.0))
-        assert self.rejection(camera, bundle, image(camera, bundle, truth), start)
-
-    def test_nothing_to_see(self, camera, single):
-        empty = np.full((480, 640), 90, np.uint8)
-        assert "contrast" in self.rejection(camera, single, empty, view(0.6, 30.0))
+@pytest.mark.parametrize("name", [*REFUSALS, "a start that is far off"])
+def test_the_start_stays_and_a_sentence_says_why(camera, bundle, single, name):
+    tags, truth, picture, sentence = REFUSALS.get(name, (5, NEAR, image, ""))
+    target = bundle if tags == 5 else single
+    start = truth if name in REFUSALS else pose(truth[:3, :3], truth[:3, 3] + (0.03, 0.0, 0.0))
+    found = PhotometricRefiner(FAMILY, target).refine(picture(camera, target, truth), camera, start)
+    assert found.covariance is None and found.rejection and sentence in found.rejection
+    np.testing.assert_array_equal(found.T_camera_tag, start)
 
 
 @pytest.mark.parametrize(

@@ -363,33 +363,22 @@ def test_the_stop_waits_until_the_arm_stands_or_half_a_second(server, connect, m
     assert server.words()[before:] == ["getJointsPositions"] * readings + ["stopDirectServoJoints"]
 
 
-def test_an_unasked_nak_in_the_servo_mode(server, connect):
+@pytest.mark.parametrize(
+    ("says", "does"),
+    [
+        (lambda server: server.once("jp", b"nak\ndone\n"), lambda client: client.servo(HOME)),
+        (lambda server: server.push(b"nak\n"), lambda client: client.servo(HOME, Feedback.NOTHING)),
+        (lambda server: server.once("stopDirectServoJoints", b"done\nnak\n"), lambda client: client.stop_joint_servo()),
+    ],
+)
+def test_an_unasked_nak_ends_the_servo_mode(server, connect, says, does):
     client = connect()
     client.start_joint_servo()
-    server.once("jp", b"nak\ndone\n")
+    says(server)
     with pytest.raises(MotionRefused):
-        client.servo(HOME)
+        does(client)
     assert client.mode is KstMode.IDLE
     assert server.words()[-2:] == ["stopDirectServoJoints", "TFtrans"]
-
-
-def test_goals_without_answer_notice_an_unasked_nak(server, connect):
-    client = connect()
-    client.start_joint_servo()
-    server.push(b"nak\n")
-    with pytest.raises(MotionRefused):
-        client.servo(HOME, Feedback.NOTHING)
-    assert client.mode is KstMode.IDLE
-
-
-def test_an_unasked_nak_after_the_stop(server, connect):
-    client = connect()
-    client.start_joint_servo()
-    server.once("stopDirectServoJoints", b"done\nnak\n")
-    with pytest.raises(MotionRefused):
-        client.stop_joint_servo()
-    assert client.mode is KstMode.IDLE
-    assert server.words()[-1] == "TFtrans"
 
 
 def test_main_thread_getters_are_not_sent_when_nobody_would_answer(server, connect):

@@ -57,20 +57,6 @@ def test_turned_body_lies_along_the_turned_axis():
     np.testing.assert_allclose(along_x.com, [0.5, 0, 0])
 
 
-@pytest.mark.parametrize(
-    ("mass", "moments", "what"),
-    [
-        (0.0, (1, 1, 1), "mass"),
-        (float("nan"), (1, 1, 1), "mass"),
-        (1.0, (-1, 1, 1), "positive"),
-        (1.0, (1, 1, 2), "triangle"),
-        (1.0, (1, 1, 3), "triangle"),
-    ],
-)
-def test_impossible_bodies_are_named(mass, moments, what):
-    assert what in fault(Body(mass, np.zeros(3), np.diag(np.array(moments, dtype=float))))
-
-
 def lies_in(point, radius, bottom, top) -> bool:
     axis = top - bottom
     along = (point - bottom) @ axis / (axis @ axis)

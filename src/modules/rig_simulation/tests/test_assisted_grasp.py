@@ -160,48 +160,11 @@ def test_the_correction_counts_from_where_the_hand_took_over():
     assert ended[1].correction == pytest.approx(0.02, abs=2 * PLAN.tolerance)
 
 
-def test_the_hand_comes_in_only_above_the_proposal():
-    rig = Rig((0.02, 0.0, 0.0), 0.5)
-    shown = []
-
-    def each(rig, result):
-        if result.request == SHOW:
-            shown.append(rig.tool.copy())
-
-    work(rig, each=each)
-    above = TOP + np.array([0.02, 0.0, PLAN.grasp_height + PLAN.clearance])
-    np.testing.assert_allclose(shown, [above], atol=2e-3)
-
-
-@pytest.mark.parametrize("turned", [-1.2, 0.5, 1.2])
-def test_the_person_knows_where_the_hand_points_over_a_turned_tool(turned):
-    moves = []
-
-    def each(rig, result):
-        if result.move is not None:
-            moves.append(result.step)
-
-    work(Rig((0.03, 0.0, 0.0), turned), each=each)
-    assert moves.count("above") == 1
-
-
-def test_a_proposal_beside_all_objects_is_never_executed():
-    rig = Rig((0.06, 0.0, 0.0))
-    result, steps, _ = work(rig)
-    assert "the best grasp lies 60 mm from thing, the nearest object" in result.failure
-    assert steps == ["look"] and rig.requests == []
-
-
 def test_refusals_are_reported_and_outlived():
     rig = Rig(refusals=2)
     result, _, ended = work(rig)
     assert not result.failure and ended[1].refused == ("control is off",) * 2
     assert ended[1].executed == 1
-
-
-def test_an_execution_that_always_refuses_is_given_up_with_its_reason():
-    result, _, _ = work(Rig(refusals=1000))
-    assert result.failure.endswith("control is off")
 
 
 def test_what_was_not_held_is_tried_again():
@@ -210,12 +173,6 @@ def test_what_was_not_held_is_tried_again():
     assert not result.failure and ended[1].held
     assert ended[1].failed == ("the object was not held: no finger pressed",)
     assert rig.requests == [EXECUTE, SHOW, HIDE] * 2
-
-
-def test_after_three_tries_the_person_gives_up():
-    result, _, ended = work(Rig(slips=9))
-    assert result.failure == "after 3 attempts: the object was not held: no finger pressed"
-    assert len(ended[1].failed) == 3 and result.step == "leave"
 
 
 def test_a_hand_that_is_followed_no_more_goes_out_and_tries_again():
@@ -230,12 +187,27 @@ def test_a_hand_that_is_followed_no_more_goes_out_and_tries_again():
     assert ended[1].failed == ("the arm stopped following the hand: no frames came",)
 
 
-def test_an_arm_that_never_arrives_is_called_off():
+def who_never_arrives():
     rig = Rig()
     rig.advance = lambda: None
-    result, steps, _ = work(rig)
-    assert "the execution is approaching" in result.failure and steps == ["look", "approach"]
-    assert rig.requests == [EXECUTE, CANCEL]
+    return rig
+
+
+@pytest.mark.parametrize(
+    ("rig", "failure", "last", "requests"),
+    [
+        (lambda: Rig((0.06, 0.0, 0.0)), "the best grasp lies 60 mm from thing, the nearest object", "look", []),
+        (lambda: Rig(refusals=1000), "control is off", "look", None),
+        (lambda: Rig(slips=9), "after 3 attempts: the object was not held: no finger pressed", "leave", None),
+        (who_never_arrives, "the execution is approaching", "approach", [EXECUTE, CANCEL]),
+    ],
+)
+def test_what_fails_is_given_up_with_its_reason(rig, failure, last, requests):
+    rig = rig()
+    result, steps, ended = work(rig)
+    assert failure in result.failure and steps[-1] == last
+    assert requests is None or rig.requests == requests
+    assert last != "leave" or len(ended[1].failed) == 3
 
 
 def test_rounds_follow_each_other():

@@ -109,35 +109,6 @@ def test_depth_is_that_of_a_slanted_plane(cameras, lens, samples):
         assert np.abs(depth[seen] - truth[seen]).max() < 1.0 + 0.0005 * truth[seen].max()
 
 
-def test_registered_depth_lies_on_the_colour_picture(cameras):
-    model = balls()
-    camera = cameras(model, rgb=CURVED)
-    pictures = camera.take(data_of(model), True, False, True)
-    expected = CURVED.project(BALLS)
-    near = ((pictures.registered > 0) & (pictures.registered < 1500)).astype(np.uint8)[..., None] * 255
-    offsets = centroids(near, expected) - centroids(pictures.colour, expected)
-    assert np.abs(offsets).max() < 0.5
-    for (x, y), (_, _, z) in zip(np.rint(expected).astype(int), BALLS):
-        assert pictures.registered[y, x] == pytest.approx(1000.0 * (z - RADIUS), abs=4.0)
-
-
-def test_the_infrared_camera_sees_from_beside(cameras):
-    model = balls()
-    depth = cameras(model).take(data_of(model), False, True, False).depth
-    for (u, v), (_, _, z) in zip(np.rint(PLAIN.project(np.add(BALLS, [OFFSET, 0.0, 0.0]))).astype(int), BALLS):
-        assert depth[v, u] == pytest.approx(1000.0 * (z - RADIUS), abs=4.0)
-
-
-def test_only_what_is_asked_for_is_taken(cameras):
-    model = balls()
-    data = data_of(model)
-    camera = cameras(model)
-    nothing = camera.take(data, False, False, False)
-    assert (nothing.colour, nothing.depth, nothing.registered, dict(nothing.seconds)) == (None, None, None, {})
-    assert set(camera.take(data, True, False, False).seconds) == {"render_rgb", "colour"}
-    assert set(camera.take(data, False, True, False).seconds) == {"render_depth", "depth"}
-
-
 def test_a_new_model_is_looked_at_with_the_same_unit(cameras):
     wall = model_of('<geom type="plane" size="0 0 1" pos="0 0 -1"/>')
     camera = cameras(wall, scale_error_sd=0.01)

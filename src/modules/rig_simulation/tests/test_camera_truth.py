@@ -16,7 +16,6 @@ from rig_simulation.world.scene import scene_from
 pytest.importorskip("rig_msgs.srv")
 import rospy
 import tf2_ros
-from tf2_msgs.msg import TFMessage
 
 from common.ros.conversions import pose_from_transform
 
@@ -65,25 +64,3 @@ def test_the_pose_is_that_of_the_scene_and_follows_it(ros, fields):
         clock.sleep(0.2)
         np.testing.assert_allclose(published(), truth(world.fields), atol=1e-9)
         assert node.poll() is None
-
-
-def test_a_world_that_does_not_come_is_complained_of_after_five_seconds_and_asked_twice_a_second(ros):
-    heard = []
-    rospy.Subscriber("/tf_static", TFMessage, heard.append)
-    node = ros.run("rig_simulation", "camera_truth_node.py", "_port:=30021")
-    clock.sleep(4.9)
-    assert "does not answer" not in node.log_path.read_text()
-    clock.sleep(0.15)
-    assert "does not answer" in node.log_path.read_text()
-    assert node.poll() is None and not heard
-    with ControlPort({"scene": World(SCENES[0]).scene}, port=30021):
-        clock.sleep(0.55)
-        assert heard
-
-
-@pytest.mark.parametrize(("argument", "sentence"), [("_port:=0", "~port is 0"), ("_prt:=5", "~prt")])
-def test_bad_parameters_are_one_sentence(ros, argument, sentence):
-    node = ros.run("rig_simulation", "camera_truth_node.py", argument)
-    assert node.wait(1.0) == 1
-    log = node.log_path.read_text()
-    assert sentence in log and "Traceback" not in log

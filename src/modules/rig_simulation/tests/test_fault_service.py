@@ -57,24 +57,6 @@ def test_the_faults_of_a_device_are_listed(service, leap):
     assert "hand_lost" in answer.message
 
 
-@pytest.mark.parametrize(
-    ("request_fields", "sentence"),
-    [
-        (("foot", "cut", True, 0.0, 0.0), "arm, leap, hand, camera"),
-        (("leap", "dance", True, 0.0, 0.0), "bursts, cut"),
-        (("leap", "slow", True, 100.0, 0.0), "0.001 to 60"),
-        (("leap", "cut", True, float("nan"), 0.0), "nan"),
-        (("leap", "cut", True, 0.0, -1.0), "-1.0"),
-        (("arm", "cut", True, 0.0, 0.0), "answer"),
-    ],
-)
-def test_nonsense_and_absent_devices_are_refused_in_a_sentence(service, leap, request_fields, sentence):
-    answer = service(*request_fields)
-    assert not answer.success
-    assert sentence in answer.message
-    assert leap.active() == {}
-
-
 def test_a_device_that_hangs_is_refused_in_time(virtual_graph, service):
     virtual_graph.wires.serve(("127.0.0.1", ARM))
     begin = clock.monotonic()

@@ -68,19 +68,6 @@ def times_of(client, count):
     return times
 
 
-def test_cut(server, connect, moving, fault):
-    fault("cut")
-    with pytest.raises(ConnectionResetError):
-        moving.hear()
-    another = connect()
-    clock.sleep(TICK_S)
-    with pytest.raises((ConnectionResetError, BrokenPipeError)):
-        another.ask()
-    assert stands(server) and joint(server) < 0.3
-    fault("cut", on=False)
-    assert connect().ask() != ""
-
-
 def test_half_open(server, moving, fault):
     fault("half_open")
     before = joint(server)
@@ -219,24 +206,6 @@ def test_refused(server, connect, fault):
     assert client.ask("doPTPinJS") == "done\n"
     assert client.hear() == "done\n"
     assert joint(server) == 0.3
-
-
-def test_frozen(server, moving, fault):
-    fault("frozen")
-    answer, before = moving.ask(), joint(server)
-    clock.sleep(0.5)
-    assert joint(server) > before + 0.01
-    assert moving.ask() == answer
-    fault("frozen", on=False)
-    assert moving.ask() != answer
-
-
-def test_shifted(connect, fault):
-    client = connect()
-    fault("shifted", value=-0.25)
-    assert client.ask() == "-0.25_" * 7 + "\n"
-    fault("shifted", on=False)
-    assert client.ask() == ZEROS
 
 
 @pytest.mark.ros

@@ -18,7 +18,7 @@ from simulated.clock import virtual_time
 
 CYCLE_S = PERIOD_S + hand_wire.DELAY_S
 """After this time the hand has noticed a fault or a command, and its packet is there."""
-TIME, ENCODERS, POSITIONS, LOADS = 4, 160, 170, 186
+TIME, ENCODERS, POSITIONS = 4, 160, 170
 PRESSURES_F2 = 44
 
 
@@ -103,17 +103,6 @@ def test_silent(host, hand, fault):
     assert len(host.packet()) == STATE_BYTES
 
 
-def test_deaf(host, hand, fault):
-    fault("deaf")
-    host.send_mode(POSITION)
-    for _ in range(10):
-        assert len(host.packet()) == STATE_BYTES
-    assert hand.state()["modes_received"] == 0
-    fault("deaf", on=False)
-    host.send_mode(POSITION)
-    assert hand.state()["modes_received"] == 1
-
-
 def test_slow(host, hand, fault):
     def age():
         seen = host.fresh(TIME, 1, "I")[0]
@@ -182,13 +171,6 @@ def test_servo_lost(host, fault):
     assert [position > 0 for position in host.fresh(POSITIONS, 4)] == [False, True, True, True]
     fault("servo_lost", on=False)
     assert min(host.fresh(POSITIONS, 4)) > 0
-
-
-def test_overloaded(host, fault):
-    fault("overloaded", value=2)
-    assert host.fresh(LOADS, 4)[1] == 1000
-    fault("overloaded", on=False)
-    assert host.fresh(LOADS, 4)[1] < 100
 
 
 def test_touch_stuck(host, fault):

@@ -11,11 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from common import clock
-from common.errors import DeviceError
-from leap_motion.client import LeapClient
-from leap_motion.codec import LeapFrame, read_message
-from rig_simulation.control_port import ControlClient
+from leap_motion.codec import read_message
 from rig_simulation.devices.leap.program import _source, parse
 from rig_simulation.operator.guided import FARTHEST_M, GuidedOperator, HandTarget
 from rig_simulation.operator.motion import Script
@@ -132,30 +128,6 @@ def test_a_reach_at_rest_takes_effect_at_once(guided):
     hands(playback, 0.2)
     guided.reach(right=0.1, seconds=0.0)
     assert abs(hands(playback, 0.1)[-1].palm[0] - 0.1) < NOISE_M
-
-
-@pytest.mark.ros
-def test_the_program_sends_the_hand_where_its_control_port_says(virtual_graph):
-    port, control_port = 26437, 26438
-    ports = ("--port", str(port), "--control-port", str(control_port))
-    virtual_graph.run("rig_simulation", "leapd.py", "--guided", *ports)
-    clock.sleep(0.1)
-    control, heard = ControlClient("127.0.0.1", control_port), []
-    client = LeapClient(port=port, runtime=clock, tap=lambda text, _: heard.append(read_message(text)))
-    clock.sleep(1.0)
-    frames = [message for message in heard if isinstance(message, LeapFrame)]
-    assert len(frames) > 100 and not any(frame.hands for frame in frames)
-    control.ask("show", right=0.05)
-    control.ask("reach", up=0.1, seconds=0.3)
-    heard.clear()
-    clock.sleep(0.6)
-    palms = np.array([hand.palm - CENTRE for message in heard for hand in message.hands])
-    assert_allclose(palms[0], [0.05, 0.0, 0.0], atol=1e-3)
-    there = np.linalg.norm(palms - [0.0, 0.1, 0.0], axis=1) < 1e-3
-    assert PERIOD_S * np.argmax(there) == pytest.approx(0.28, abs=0.02) and np.all(there[np.argmax(there) :])
-    with pytest.raises(DeviceError):
-        control.ask("reach", height=1.0)
-    client.close()
 
 
 def test_the_second_hand_comes_beside_the_first_and_closes(guided):

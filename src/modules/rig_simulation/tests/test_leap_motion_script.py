@@ -88,11 +88,6 @@ def test_the_run_through_a_figure_is_monotonic_from_start_to_end():
     assert_allclose(ways[500], 0.5)
 
 
-def test_unknown_figures_are_refused():
-    with pytest.raises(ValueError):
-        Visit(Script(figure="star"), np.random.default_rng(0))
-
-
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.86, 0.99])
 def test_noise_has_unit_deviation_and_a_memory(memory):
     noise = LowPassNoise(np.random.default_rng(0), 50, memory)

@@ -78,20 +78,6 @@ def test_our_codec_reads_every_frame_of_the_person(service, side):
     assert None in ids[ids.index(1) :], "the hand leaves"
 
 
-def test_fields_of_the_two_sets():
-    texts = {
-        service: Playback(ScriptedOperator(SHORT, service=service), service=service).next().text
-        for service in wire.SERVICES
-    }
-    old, new = json.loads(texts["2.3"]), json.loads(texts["gemini"])
-    assert {"interactionBox", "gestures", "r", "s", "t"} <= set(old)
-    assert set(new) == {"id", "timestamp", "currentFrameRate", "hands", "pointables", "devices"}
-    assert {"sphereCenter", "stabilizedPalmPosition"} <= set(old["hands"][0])
-    assert {"grabAngle", "pinchDistance"} <= set(new["hands"][0])
-    assert {"tool", "touchZone", "tipVelocity"} <= set(old["pointables"][0])
-    assert not {"tool", "touchZone", "tipVelocity"} & set(new["pointables"][0])
-
-
 def test_signs_of_entry_and_exit():
     hands = [hand for text in visit("2.3", "right") for hand in json.loads(text)["hands"] if hand["id"] == 1]
     assert hands[0]["palmVelocity"] == [1.19209e-07] * 3

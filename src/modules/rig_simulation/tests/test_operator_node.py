@@ -1,7 +1,6 @@
 """The operator of the demonstration against a stand-in for the controller, in virtual time."""
 
 import math
-import signal
 
 import pytest
 
@@ -149,21 +148,6 @@ def test_ends_with_a_sentence_when_control_is_refused(ros, controller, leapd):
     assert node.poll() is None
     assert node.wait(4 * POLL_S) == 1
     assert "the arm moves" in node.log_path.read_text() and not leapd.played.is_set()
-
-
-def test_bad_parameters_end_it_with_a_sentence(ros):
-    node = ros.run("rig_simulation", "operator_node.py", "_leapd_prot:=1")
-    assert node.wait(1.0) == 1
-    assert "~leapd_prot" in node.log_path.read_text()
-
-
-def test_ends_with_an_interrupt(ros):
-    node = ros.run("rig_simulation", "operator_node.py")
-    clock.sleep(2.0)
-    assert "Waiting until" in node.log_path.read_text()
-    node.send_signal(signal.SIGINT)
-    assert node.wait(2 * POLL_S) == 0
-    assert "Traceback" not in node.log_path.read_text()
 
 
 def test_of_several_arms_each_is_at_home_and_switched_on_before_the_hands_come(ros, leapd):

@@ -91,19 +91,3 @@ def test_it_refuses_with_a_sentence(tmp_path, capsys, change, sentence):
     assert main([str(tmp_path / "out"), *CAMERAS, *change]) == 1
     error = capsys.readouterr().err
     assert sentence in error and error.count("\n") == 1
-
-
-def test_a_calibration_that_is_none_is_refused(tmp_path, capsys):
-    (tmp_path / "empty.yaml").write_text("")
-    assert main([str(tmp_path / "out"), *CAMERAS, "--depth", str(tmp_path / "empty.yaml")]) == 1
-    assert "mapping" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "change", [["--tilts", "85"], ["--units", "0"], ["--distances", "-1"], ["--config", "no.yaml"], ["--seed", "nan"]]
-)
-def test_bad_options_are_named(tmp_path, capsys, change):
-    with pytest.raises(SystemExit) as ended:
-        main([str(tmp_path / "out"), *CAMERAS, *change])
-    assert ended.value.code == 2
-    assert "error:" in capsys.readouterr().err

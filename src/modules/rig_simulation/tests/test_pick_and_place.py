@@ -43,19 +43,6 @@ def test_the_object_is_lifted_and_put_down_where_it_stood(scale, lag, dx, dy):
     assert set(rig.curls) == {0.0, 1.0} and rig.curl == 0.0
 
 
-def test_the_fingers_close_only_over_the_object():
-    rig = FollowingRig()
-    person = PickAndPlace(PLAN, CENTER_LINE)
-    now = 0.0
-    while rig.curl == 0.0:
-        result = person.step(PickView(rig.tool, rig.top, 0.0), now)
-        if result.move is not None:
-            rig.make(result.move)
-        rig.advance()
-        now += PERIOD_S
-    assert_allclose(rig.tool, TOP + np.array([0.0, 0.0, PLAN.grasp_height]), atol=PLAN.tolerance)
-
-
 def test_nothing_moves_while_the_arm_does_not_follow():
     rig = FollowingRig()
     result, steps = work(rig, following=lambda now: False)

@@ -154,9 +154,6 @@ def test_a_power_cycle_forgets_the_turn_but_not_the_pose():
     ("arguments", "sentence"),
     [
         (("--interface", "eth77"), "'eth77'"),
-        (("--port", "99999"), "'99999'"),
-        (("--port", "0", "--control-port", "99999"), "'99999'"),
-        (("--colour", "blue"), "unknown arguments: --colour blue"),
     ],
 )
 def test_ends_with_a_sentence(virtual_graph, arguments, sentence):
@@ -184,13 +181,6 @@ def test_one_ready_line_and_a_clean_end(program, number):
     process.send_signal(number)
     assert process.wait(PERIOD_S) == 0
     assert process.log.count("\n") == 1
-
-
-@pytest.mark.ros
-def test_refuses_a_second_hand_on_the_port(virtual_graph, program):
-    second = virtual_graph.run("rig_simulation", "reflex_hand.py", "--port", program[1], "--control-port", "0")
-    assert second.wait(1.0) == 1
-    assert second.log == f"reflex_hand: Cannot use port {program[1]} on lo.\n"
 
 
 @pytest.mark.ros

@@ -542,18 +542,6 @@ def test_limits_hold_through_motion_pause_and_servo():
     assert np.abs(v).max() > 0.9
 
 
-def test_an_abandoned_arm_brakes():
-    wire = Wire()
-    wire.ask("jRelVel_0.2_")
-    wire.ask(HOME_LINE)
-    wire.ask("doPTPinJS")
-    wire.wait(1.0)
-    wire.application.abandon()
-    wire.wait(0.5)
-    assert wire.arm.resting
-    assert 0.0 > wire.arm.q[0] > HOME[0] + 0.1
-
-
 def test_a_held_up_program_catches_up_a_second_at_most():
     wire = Wire()
     wire.ask("jRelVel_0.1_")

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import signal
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import cv2
@@ -192,26 +189,6 @@ def test_a_film_has_the_times_of_its_images(tmp_path):
     np.testing.assert_allclose(frames_of(tmp_path / "a.mp4"), [0, 100, 100, 100, 100, 200], atol=12)
 
 
-@pytest.mark.long
-def test_a_film_that_a_full_disk_cut_off_is_named(tmp_path):
-    film = tmp_path / "a.mp4"
-    program = f"""
-import resource, numpy as np
-from pathlib import Path
-from rig_simulation.recording.films import Mp4
-resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
-film = Mp4(Path({str(film)!r}), 10.0)
-for i in range(20):
-    film.add(np.random.default_rng(i).integers(0, 255, (120, 160, 3)).astype(np.uint8), 0.1 * i)
-film.close()
-"""
-    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
-    command = [sys.executable, "-c", program]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
-    assert done.returncode == 1
-    assert "0 of its 20" in done.stderr
-
-
 def test_a_film_ends_while_there_is_room_for_its_index(tmp_path, monkeypatch):
     film = Mp4(tmp_path / "a.mp4", 10.0)
     for i in range(5):
@@ -336,11 +313,3 @@ def test_the_recorder_ends_when_it_is_interrupted(recorder, running_world, tmp_p
     program.send_signal(signal.SIGINT)
     assert program.wait(0.1) == 0, program.log
     assert len(frames_of(tmp_path / "a.mp4")) == pytest.approx(10, abs=2)
-
-
-@pytest.mark.ros
-def test_without_a_world_the_recorder_names_it(recorder, tmp_path):
-    began = clock.monotonic()
-    program = recorder(tmp_path / "a.mp4", "--wait=2.0")
-    assert program.wait(5.0) == 1 and clock.monotonic() - began == pytest.approx(2.0, abs=0.2)
-    assert WORLD_PORT in program.log and program.log.count("\n") == 1

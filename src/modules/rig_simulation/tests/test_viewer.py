@@ -120,16 +120,6 @@ def test_it_ends_when_its_window_is_closed_and_another_one_with_the_world(viewer
     assert ends(another) == (0, "viewer: The world has stopped.\n")
 
 
-@pytest.mark.long
-@needs_screen
-def test_without_a_world_it_says_so(screen, free_port):
-    command = [sys.executable, str(SCRIPTS / "viewer.py"), "--port", str(free_port()), "--wait", "0.1"]
-    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path), "DISPLAY": screen.display}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=LONG_S, env=environment)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (1, "", 1), done
-    assert "does not answer" in done.stderr
-
-
 @pytest.mark.parametrize(
     ("display", "sentence"),
     [(None, "neither DISPLAY nor"), (":98765", ":98765")],

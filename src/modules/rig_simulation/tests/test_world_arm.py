@@ -228,11 +228,6 @@ def test_a_post_stands_fast_and_what_the_arm_feels_of_it_ends_a_guarded_motion()
     np.testing.assert_allclose(rig.arm.q, at, atol=1e-4)
 
 
-def test_without_a_stop_there_is_nothing_to_back_off_from():
-    with pytest.raises(ValueError):
-        Rig().arm.back_off()
-
-
 def test_a_blow_at_full_speed_neither_breaks_the_physics_nor_goes_through_the_table():
     rig = Rig()
     rig.move_tool((0.0, 0.0, -0.6), 0.7, until=lambda: rig.arm.safety_stop)

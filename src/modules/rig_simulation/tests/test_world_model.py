@@ -65,12 +65,6 @@ def test_the_panel_stands_as_the_rigs_part_does(panel, beyond):
     assert T_flange_tag[:3, 2] @ T_flange_tag[:3, 3] > 0.0, "it looks away from the flange"
 
 
-def test_the_first_tag_is_the_familys_first():
-    rows = ["00000000", "01101010", "00111010", "00110000", "01010000", "00101100", "00001000", "00000000"]
-    white = np.array([[letter == "1" for letter in row] for row in rows])
-    np.testing.assert_array_equal(black_cells(0), ~white)
-
-
 @pytest.mark.parametrize("tag", range(len(CODES)))
 def test_tags_are_those_of_another_library(tag):
     cv2 = pytest.importorskip("cv2")

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ros
 
 PORT, SEEN_S = 16434, 0.02
 """Control port of the world; the time from the node's question to the message in the test."""
-STATE_PERIOD_S, WINDOW_S, RETRY_PERIOD_S, START_S = 0.5, 5.0, 0.5, 5.0
+STATE_PERIOD_S, WINDOW_S = 0.5, 5.0
 
 
 @pytest.fixture
@@ -113,14 +113,3 @@ def test_a_world_that_is_behind_is_called_slow(ros):
         assert (reports().level, reports().message) == (0, "The world runs in real time.")
     clock.sleep(1.1)
     assert reports().level == 2 and "does not answer" in reports().message
-
-
-def test_without_a_world_it_says_so_and_waits(ros):
-    node = ros.run("rig_simulation", "simulation_node.py", "_arm_port:=0", f"_world_port:={PORT}")
-    clock.sleep(START_S)
-    assert "does not answer" not in node.log_path.read_text()
-    clock.sleep(RETRY_PERIOD_S + 0.1)
-    assert "does not answer" in node.log_path.read_text()
-    answer = rospy.ServiceProxy("simulation/reset", Trigger)()
-    assert not answer.success and "does not answer" in answer.message
-    assert node.poll() is None
