@@ -62,42 +62,32 @@ def torn(path, part=0.6):
 
 
 BAD = {
-    "missing.bag": (lambda path: path.unlink(), "missing.bag: No such file"),
-    "torn.bag": (torn, "torn.bag (has no index|cannot be read)"),
-    "empty.bag": (lambda path: path.write_bytes(b""), "empty.bag cannot be read as a bag"),
-    "text.bag": (lambda path: path.write_text("Hello"), "text.bag cannot be read as a bag"),
-    "head.bag": (lambda path: torn(path, 0.01), "head.bag (has no index|cannot be read)"),
-    "ros2.db3": (lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
-    "ros2.mcap": (lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
-    "folder.bag": (lambda path: (path.unlink(), path.mkdir()), "not a bag of ROS 1; convert .* rosbags-convert"),
+    "missing.bag": ({}, lambda path: path.unlink(), "missing.bag: No such file"),
+    "torn.bag": ({}, torn, "torn.bag (has no index|cannot be read)"),
+    "empty.bag": ({}, lambda path: path.write_bytes(b""), "empty.bag cannot be read as a bag"),
+    "text.bag": ({}, lambda path: path.write_text("Hello"), "text.bag cannot be read as a bag"),
+    "ros2.db3": ({}, lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
+    "ros2.mcap": ({}, lambda path: None, "not a bag of ROS 1; convert .* rosbags-convert"),
+    "folder.bag": ({}, lambda path: (path.unlink(), path.mkdir()), "not a bag of ROS 1; convert .* rosbags-convert"),
+    "open.bag": ({"close": False}, lambda path: None, "has no index: .* Repair it with rosbag reindex"),
+    "other.bag": ({"without": [DEPTH]}, lambda path: None, f"has no topic {DEPTH}; it has {INFO}"),
+    **{
+        f"{kind}.bag": ({"depth": f"{DEPTH}/{kind}", "kind": kind}, lambda path: None, f"give the topic {DEPTH}/{kind}")
+        for kind in ("compressedDepth", "compressed")
+    },
 }
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path, monkeypatch, capsys, name):
-    damage, said = BAD[name]
-    path = write_bag(tmp_path / name)
+def test_what_is_no_recording_or_lacks_images_is_refused_in_a_sentence(tmp_path, monkeypatch, capsys, name):
+    written, damage, said = BAD[name]
+    path = write_bag(tmp_path / name, **written)
     damage(path)
     with pytest.raises(RigError, match=said), opened(path) as bag:
         topic_in(bag, path, DEPTH)
     with pytest.raises(SystemExit) as ended:
         call(monkeypatch, depth_images, path, tmp_path / "images")
     assert ended.value.code and name in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("written", "said"),
-    [
-        ({"close": False}, "has no index: its recording was cut off. Repair it with rosbag reindex"),
-        ({"without": [DEPTH]}, f"has no topic {DEPTH}; it has {INFO}"),
-        ({"depth": f"{DEPTH}/compressedDepth", "kind": "compressedDepth"}, f"give the topic {DEPTH}/compressedDepth"),
-        ({"depth": f"{DEPTH}/compressed", "kind": "compressed"}, f"give the topic {DEPTH}/compressed"),
-    ],
-)
-def test_what_a_recording_lacks_is_named(tmp_path, written, said):
-    path = write_bag(tmp_path / "a.bag", **written)
-    with pytest.raises(RigError, match=said), opened(path) as bag:
-        topic_in(bag, path, DEPTH)
 
 
 @pytest.mark.parametrize("kind", ["", "compressed", "compressedDepth"])

@@ -21,7 +21,7 @@ from collection_rig import (
     teleop,
     tool,
 )
-from episodes import CAMERA, DOWN
+from episodes import DOWN
 
 from common import clock
 from common.errors import RigError
@@ -228,22 +228,16 @@ def test_what_is_missing_is_said_and_comes_back(rig, start, status, folder):
     start()
     topics = "/camera/depth/image, /reflex_takktile/hand_state, /camera/depth/camera_info"
     assert status()["message"] == f"nothing has come on {topics}"
-    rig.silent = {"/camera/depth/camera_info"}
-    says("nothing has come on /camera/depth/camera_info")
     rig.silent = set()
     says("0 episodes, 0 held")
     assert int(status()["frames_kept"]) > 0
     rig.silent = {"/reflex_takktile/hand_state"}
-    clock.sleep(SILENT_S - STATUS_S - 2 * IMAGE_EVERY * TICK_S - TICK_S)
-    says("0 episodes, 0 held")
+    clock.sleep(SILENT_S)
     says("nothing has come on /reflex_takktile/hand_state for")
     rig.silent = set()
     rig.depth = rig.depth[:240].copy()
     rig.perform([(0.5, OPEN, False, GRASP_Z, GRASP_Z + 0.05)])
     says("640 x 240, but its camera_info says 640 x 480")
-    rig.depth = np.zeros((CAMERA.height, CAMERA.width), np.uint16)
-    rig.perform([(0.5, OPEN, False, GRASP_Z, GRASP_Z + 0.05)])
-    says("holds no reading")
     assert not files(folder)
 
 
@@ -255,35 +249,14 @@ def test_frames_in_which_ggcnn_takes_the_robot_for_an_object_make_no_episode(rig
     assert status()["frames_kept"] == "0" and not files(folder)
 
 
-def test_it_ends_with_a_sentence(start):
-    process = start(ggcnn__network__weights="/nowhere/ggcnn.pt")
-    assert process.poll() == 1
-    log = process.log_path.read_text()
-    assert "/nowhere/ggcnn.pt cannot be read: No such file or directory" in log
-    assert "Traceback" not in log
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"crop": 300}, "~crop is not a known key"),
         ({"watch__open_angle": 2.0}, "~watch/open_angle is 2 and must not be above closed_angle"),
         ({"ggcnn__tool__approach": "sideways"}, "~ggcnn/tool/approach is 'sideways'"),
-        (
-            {"ggcnn__network__weights": str(CONFIG / "collection.yaml"), "ggcnn__network__sha256": "any"},
-            "neither a torch file nor",
-        ),
     ],
 )
 def test_a_wrong_parameter_is_refused(ros, parameters, change, sentence):
     rospy.set_param(rospy.get_name(), parameters(**change))
     with pytest.raises(RigError, match=re.escape(sentence)):
         read_setup()
-
-
-def test_an_interrupt_ends_it(start, status):
-    process = start()
-    assert "nothing has come on" in status()["message"]
-    process.send_signal(signal.SIGINT)
-    assert process.wait(LATER_S) == 0
-    assert "Traceback" not in process.log_path.read_text()

@@ -1,7 +1,6 @@
 """What dataset_info.py tells of a folder."""
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +10,6 @@ from common.poses import translation
 from grasping.lab.dataset.labels import own_grasp
 from grasping.lab.dataset.store import encode
 from grasping.lab.programs import dataset_info
-
-SCRIPT = Path(__file__).parents[1] / "scripts" / "dataset_info.py"
 
 
 @pytest.fixture
@@ -92,13 +89,6 @@ def test_a_folder_without_episodes_is_said(info, tmp_path):
     assert info(of=tmp_path / "empty") == (1, f"{tmp_path}/empty holds no episode.\n")
     code, text = info(of=tmp_path / "absent")
     assert code == 2 and "is not a folder" in text
-
-
-@pytest.mark.long
-def test_the_script_starts(processes, folder):
-    process = processes.start(sys.executable, str(SCRIPT), str(folder))
-    assert process.wait(120.0) == 0
-    assert "cup" in process.log_path.read_text()
 
 
 def test_the_offset_is_zero_where_the_person_grasps_as_ggcnn_proposes():

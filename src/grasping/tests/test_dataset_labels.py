@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from episodes import CAMERA, DOWN, episode
+from episodes import CAMERA, episode
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.camera_model import CameraModel
-from common.poses import inverse, pose, read_only, translation
+from common.poses import pose, read_only, translation
 from common.rotations import rotation_about, rotation_angle, rotation_from_zyx
 from grasping.lab.dataset.labels import map_pixel, own_grasp, relative_label, tilt_and_angle
 from grasping.network.depth_image import Crop
@@ -112,14 +112,6 @@ def test_half_a_turn_of_the_hand_changes_nothing(turn, about_x, about_y):
     np.testing.assert_allclose(labels[0].tilt, labels[1].tilt, atol=1e-9)
     assert np.sin(labels[0].angle - labels[1].angle) == pytest.approx(0.0, abs=1e-9)
     assert -np.pi / 2 <= labels[0].angle < np.pi / 2
-
-
-def test_the_camera_may_move_between_frames():
-    """The label belongs to the frame: the same grasp in the base is seen from elsewhere."""
-    moved = DOWN @ translation(0.05, 0.0, 0.0)
-    shift = relative_label(FRAME._replace(T_base_camera=moved)).column - relative_label(FRAME).column
-    z = (inverse(DOWN) @ FRAME.T_base_grasp)[2, 3]
-    assert shift == pytest.approx(-0.05 / z * 570.0 * 150 / 400)
 
 
 def test_a_frame_whose_grasps_have_no_place_has_no_label():

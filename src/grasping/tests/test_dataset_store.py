@@ -124,15 +124,6 @@ def test_the_fingerprint_is_that_of_the_configuration_alone():
     assert one.fingerprint != metadata(configuration={"a": 1, "b": [0.1, 2.1]}).fingerprint
 
 
-def test_a_file_cut_anywhere_is_named_torn():
-    data = encode(TINY)
-    for length in range(0, len(data), 97):
-        with pytest.raises(DatasetError):
-            decode(data[:length])
-    with pytest.raises(DatasetError, match="torn or damaged"):
-        decode(data[: len(data) // 2])
-
-
 @given(st.data())
 @settings(max_examples=300)
 def test_damaged_bytes_are_noticed_or_harmless(data):
@@ -215,19 +206,6 @@ def test_what_is_no_episode_is_refused_with_a_sentence(data, sentence):
         decode(data)
     assert sentence in str(refusal.value)
     assert str(refusal.value).endswith(".")
-
-
-@pytest.mark.parametrize(
-    ("changes", "sentence"),
-    [
-        ({"stamp": np.array([1.0, 1.0])}, "stamps do not rise"),
-        ({"depth": np.zeros((2, 5, 5), np.uint16)}, "do not belong together"),
-        ({"T_base_tool_closed": pose(p=(np.nan, 0.0, 0.0))}, "not finite"),
-    ],
-)
-def test_what_is_no_episode_is_not_written(changes, sentence):
-    with pytest.raises(DatasetError, match=sentence):
-        encode(replace(TINY, **changes))
 
 
 def test_an_episode_without_frames_is_none():

@@ -115,69 +115,39 @@ def test_a_grasp_that_is_held_and_lifted():
     assert trial.seen.clock - 4.0 < outcome.closed.time < trial.seen.clock - 2.0
 
 
-@pytest.mark.parametrize(
-    "goes_on, held, closed, reason",
-    [
-        (lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), False, True, "did not both feel something"),
-        (lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), False, True, "opened before the tool was lifted"),
-        (lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), False, True, "not lifted by 50 mm in 20 s"),
-        (lambda t: t.run(1.0, hand=FULL).run(0.1, hold=NO_HOLD, hold_reason="it was lost"), False, True, "it was lost"),
-        (
-            lambda t: t.run(0.1, hold=NO_HOLD, hold_reason="it was lost"),
-            False,
-            False,
-            "no longer followed: it was lost.",
-        ),
-        (lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), False, True, "state of the robot hand is unknown"),
-        (lambda t: t.run(0.1, T_base_tool=None), False, False, "pose of the tool is unknown"),
-        (lambda t: t.run(0.1, controller=None), False, False, "controller is silent"),
-        (
-            lambda t: t.run(0.1, controller=ControllerState(True, "home", "Home.")),
-            False,
-            False,
-            "left the grasp: Home.",
-        ),
-        (lambda t: t.run(181.0), False, False, "Nothing was decided within 180 s"),
-    ],
-)
-def test_how_the_grasp_of_a_person_ends(goes_on, held, closed, reason):
-    trial = Trial().with_person()
+GONE_HOME, LOST = ControllerState(True, "home", "Home."), {"hold": NO_HOLD, "hold_reason": "it was lost"}
+OFF, STOPPED = dataclasses.replace(HOME, control_on=False), ControllerState(True, "stopped", "It hit.")
+FOLLOWED, WAITING = Trial.with_person, Trial.waiting
+ENDS = [  # how it begins and goes on, why it ends, and whether the fingers had closed
+    (Trial.start, lambda t: t.run(2.1), "The tool was not held for a hand: no hand is seen.", False),
+    (Trial.start, lambda t: t.run(30.1, hold=HELD), "The tool was not above the grasp after 30 s.", False),
+    (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=OFF), "Control of the arm was sw", False),
+    (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=STOPPED), "The arm stopped: It hit.", False),
+    (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=None), "The arm's controller is silent.", False),
+    (Trial.start, lambda t: t.run(0.1, hold=HELD, T_base_tool=None), "The pose of the tool is unknown.", False),
+    (WAITING, lambda t: t.run(0.1, **LOST), "for a hand: it was lost.", False),
+    (WAITING, lambda t: t.run(0.1, controller=GONE_HOME), "The arm left the grasp: Home.", False),
+    (WAITING, lambda t: t.run(63.0), "No hand took over in time.", False),
+    (FOLLOWED, lambda t: t.run(1.0, hand=EMPTY).lift(0.06).run(2.0), "did not both feel something", True),
+    (FOLLOWED, lambda t: t.run(1.0, hand=FULL).run(0.5, hand=OPEN), "opened before the tool was lifted", True),
+    (FOLLOWED, lambda t: t.run(1.0, hand=FULL).lift(0.04).run(21.0), "not lifted by 50 mm in 20 s", True),
+    (FOLLOWED, lambda t: t.run(1.0, hand=FULL).run(0.1, **LOST), "it was lost", True),
+    (FOLLOWED, lambda t: t.run(0.1, **LOST), "no longer followed: it was lost.", False),
+    (FOLLOWED, lambda t: t.run(1.0, hand=FULL).run(0.1, hand=None), "state of the robot hand is unknown", True),
+    (FOLLOWED, lambda t: t.run(0.1, T_base_tool=None), "pose of the tool is unknown", False),
+    (FOLLOWED, lambda t: t.run(0.1, controller=None), "controller is silent", False),
+    (FOLLOWED, lambda t: t.run(0.1, controller=GONE_HOME), "left the grasp: Home.", False),
+    (FOLLOWED, lambda t: t.run(181.0), "Nothing was decided within 180 s", False),
+]
+
+
+@pytest.mark.parametrize("begin, goes_on, reason, closed", ENDS)
+def test_how_an_execution_ends(begin, goes_on, reason, closed):
+    trial = begin(Trial())
     goes_on(trial)
-    assert (trial.outcome.held, trial.outcome.closed is not None, trial.outcome.release) == (held, closed, False)
     assert reason in trial.outcome.reason
-
-
-@pytest.mark.parametrize(
-    "changes, seconds, reason",
-    [
-        ({}, 2.1, "The tool was not held for a hand: no hand is seen."),
-        ({"hold": HELD}, 30.1, "The tool was not above the grasp after 30 s."),
-        ({"hold": HELD, "controller": dataclasses.replace(HOME, control_on=False)}, 0.1, "Control of the arm was sw"),
-        ({"hold": HELD, "controller": ControllerState(True, "stopped", "It hit.")}, 0.1, "The arm stopped: It hit."),
-        ({"hold": HELD, "controller": None}, 0.1, "The arm's controller is silent."),
-        ({"hold": HELD, "T_base_tool": None}, 0.1, "The pose of the tool is unknown."),
-    ],
-)
-def test_how_an_approach_ends(changes, seconds, reason):
-    trial = Trial().start().run(seconds, **changes)
-    assert reason in trial.outcome.reason and trial.outcome.release
-    assert (trial.outcome.held, trial.outcome.closed) == (False, None)
-
-
-@pytest.mark.parametrize(
-    "changes, seconds, reason",
-    [
-        (
-            {"hold": NO_HOLD, "hold_reason": "the tool is held no longer"},
-            0.1,
-            "for a hand: the tool is held no longer.",
-        ),
-        ({"controller": ControllerState(True, "returning", "Home.")}, 0.1, "The arm left the grasp: Home."),
-        ({}, 63.0, "No hand took over in time."),
-    ],
-)
-def test_how_waiting_for_a_hand_ends(changes, seconds, reason):
-    assert reason in Trial().waiting().run(seconds, **changes).outcome.reason
+    assert (trial.outcome.held, trial.outcome.closed is not None) == (False, closed)
+    assert trial.outcome.release == (begin is not FOLLOWED), "a hand that follows is not interrupted"
 
 
 def test_a_hand_that_comes_early_takes_over_on_the_way():

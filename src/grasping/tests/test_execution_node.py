@@ -291,7 +291,6 @@ def test_silence_ends_the_execution(rig, asked, topic, sentence):
 @pytest.mark.parametrize(
     "changes, arm, sentence",
     [
-        ({"silence": -1.0}, ARM, "~silence is -1"),
         ({"tool_pose": {}}, ARM, "~tool_pose/"),
         ({}, {**ARM, "center_line": [0.0, 0.0, 0.0]}, "center_line is the zero vector"),
     ],

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grasping.network.maps import Maps, Smoothing, gaussian, highest, peaks, smoothed
+from grasping.network.maps import Maps, Smoothing, gaussian, peaks, smoothed
 
 
 def blurred(image, sigma):
@@ -57,24 +57,6 @@ def test_missing_pixels_have_no_quality():
     maps = smoothed(output(np.zeros((60, 60))), valid, Smoothing())
     assert maps.quality[:, :8].max() == 0.0
     assert maps.quality[:, -8:].min() > 0.99
-
-
-def spots(*places):
-    quality = np.zeros((100, 100), np.float32)
-    for row, column, value in places:
-        quality[row, column] = value
-    return Maps(quality, np.zeros_like(quality), np.full_like(quality, 30.0))
-
-
-def test_peaks_come_best_first_and_apart():
-    maps = spots((30, 30, 0.9), (35, 35, 0.8), (70, 70, 0.95), (30, 70, 0.1), (2, 50, 1.0))
-    found = peaks(maps, 5, distance=10, threshold=0.2)
-    assert [(p.row, p.column) for p in found] == [(70, 70), (30, 30)]
-    assert found[0].quality == pytest.approx(0.95)
-    assert peaks(maps, 1, distance=10)[0].row == 70
-    assert peaks(spots(), 3) == []
-    assert len(peaks(spots((50, 50, 0.9), (50, 51, 0.9)), 3, distance=10)) == 1
-    assert (highest(maps).row, highest(maps).column) == (2, 50)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 6))

@@ -88,36 +88,30 @@ def test_images_of_one_thing_fall_into_one_split():
     assert 0.1 < sum(kind == "validation" for kind in splits.values()) / len(splits) < 0.3
 
 
-def test_images_in_float_millimetres_are_refused_and_the_shards_before_stay(
-    images, shards, tmp_path, monkeypatch, capsys
+def test_bad_labels_and_images_are_named_counted_and_left_out_and_without_others_the_shards_before_stay(
+    images, tmp_path, monkeypatch, capsys
 ):
-    before = {path: path.read_bytes() for path in shards.iterdir()}
-    source = tmp_path / "millimetres"
-    source.mkdir()
-    for number in range(BARS):
-        depth = cv2.imread(str(images / f"bar_{number}.png"), cv2.IMREAD_UNCHANGED)
-        np.save(source / f"bar_{number}.npy", depth.astype(np.float32))
-        (source / f"bar_{number}.grasps.json").write_bytes((images / f"bar_{number}.grasps.json").read_bytes())
-    with pytest.raises(SystemExit) as ended:
-        call(monkeypatch, import_grasps, source, shards)
-    said = capsys.readouterr().err
-    assert ended.value.code and said.count("in millimetres as 16-bit ones") == BARS
-    assert f"None of the {BARS} labelled images" in said
-    assert {path: path.read_bytes() for path in shards.iterdir()} == before
-
-
-def test_one_bad_label_and_one_bad_image_of_many_are_named_and_counted(images, tmp_path, monkeypatch, capsys):
-    source = tmp_path / "source"
+    source, shards = tmp_path / "source", tmp_path / "shards"
     shutil.copytree(images, source)
     (source / "bar_0.grasps.json").write_text("{")
     np.save(source / "bar_1.npy", np.full((480, 640), 700.0))
     (source / "bar_1.png").unlink()
     (source / "bar_2.png").unlink()
     (source / "bar_3.png").write_bytes(b"\x89PNG")
-    call(monkeypatch, import_grasps, source, tmp_path / "shards", "--validation", "0")
+    call(monkeypatch, import_grasps, source, shards, "--validation", "0")
     streams = capsys.readouterr()
     assert [f"bar_{n}" in streams.err for n in range(BARS)] == [n < 4 for n in range(BARS)]
     assert f"{BARS - 4} images for training, 0 for validation, of {BARS - 4} things; 4 left out." in streams.out
+    before = {path: path.read_bytes() for path in shards.iterdir()}
+    for number in range(4, BARS):
+        (source / f"bar_{number}.png").unlink()
+        np.save(source / f"bar_{number}.npy", np.full((480, 640), 700.0, np.float32))
+    with pytest.raises(SystemExit) as ended:
+        call(monkeypatch, import_grasps, source, shards)
+    said = capsys.readouterr().err
+    assert ended.value.code and "in millimetres as 16-bit ones" in said
+    assert "None of the 4 labelled images" in said
+    assert {path: path.read_bytes() for path in shards.iterdir()} == before
 
 
 @pytest.mark.parametrize(
@@ -142,20 +136,6 @@ def test_shards_of_images_in_another_unit_or_torn_ones_are_refused(shards, tmp_p
     assert f"{shard} {said}" in capsys.readouterr().err and not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--validation", "1"], "--validation is 1 and must be at least 0 and below 1."),
-        (["--window", "0"], "--window is 0 and must be at least 1 pixel."),
-        (["--name", "../a"], "--name is '../a' and must be a word"),
-    ],
-)
-def test_bad_options_are_refused(images, tmp_path, monkeypatch, capsys, options, sentence):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, import_grasps, images, tmp_path / "shards", *options)
-    assert sentence in capsys.readouterr().err and not (tmp_path / "shards").exists()
-
-
 class Knowing(torch.nn.Module):
     """Says a grasp of given angle and opening where the images' bars are thickest; stands for a trained network."""
 
@@ -173,7 +153,7 @@ class Knowing(torch.nn.Module):
         return maps
 
 
-@pytest.mark.parametrize(("turned", "right"), [(0.0, BARS), (0.4, BARS), (0.7, 0)])
+@pytest.mark.parametrize(("turned", "right"), [(0.0, BARS), (0.7, 0)])
 def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(
     images, tmp_path, monkeypatch, capsys, turned, right
 ):
@@ -185,13 +165,6 @@ def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(
         rows = list(csv.DictReader(csv_file))
     assert [row["right"] for row in rows] == [str(right > 0)] * BARS
     assert f"| mine | {100 if right else 0} (" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("options", [["--export", "file"], ["results", "--tool", "file"], ["results"]])
-def test_a_folder_goes_with_weights_and_neither_with_export_nor_with_a_hand(images, monkeypatch, capsys, options):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate, *options, "--folder", images)
-    assert "with --weights, without --export and --tool" in capsys.readouterr().err
 
 
 def test_grasps_are_found_in_a_folder_and_drawn(images, tmp_path, monkeypatch, capsys):

@@ -115,7 +115,6 @@ def test_a_grasp_keeps_its_number_while_the_camera_moves():
 @pytest.mark.parametrize(
     ("changes", "boxes", "reason"),
     [
-        ({}, (), "nothing stands on the table"),
         ({"peaks": {"threshold": 0.99}}, (BOX,), "no peak of the quality is above 0.99"),
         ({"tool": {"max_opening": 0.04}}, (BOX,), "needs an opening of .* mm, and the hand has 40 mm"),
         ({"limits": {"x": [0.5, 1.0]}}, (BOX,), r"its x is 0.0\d m in the base frame, and 0.50 to 1.00 m are allowed"),
@@ -256,30 +255,6 @@ def test_images_for_people():
     assert (heat == drawing.REFUSED).all(axis=-1).any()
 
 
-@pytest.mark.parametrize(
-    ("changes", "fault"),
-    [
-        ({"view": "sideways"}, "view is 'sideways', but must be one of camera, table"),
-        ({"peaks": {"count": 0}}, "peaks/count is 0"),
-        ({"limits": {"x": [1.0, -1.0]}}, "limits/x is"),
-        ({"unknown": 1}, "unknown is not a known key"),
-        ({"network": {"speed": 1}}, "network/speed is not a known key"),
-        ({"tracking": 7}, "tracking/ is 7"),
-        ({"network": {"precision": "half"}}, "network/precision is 'half', but must be one of float32, bfloat16."),
-    ],
-)
-def test_a_wrong_key_is_named(changes, fault):
-    with pytest.raises(ConfigError) as caught:
-        settings_from(overlaid(YAML, changes))
-    assert fault in str(caught.value)
-
-
-def test_all_faults_are_reported_at_once():
-    with pytest.raises(ConfigError) as caught:
-        settings_from(overlaid(YAML, {"view": "sideways", "peaks": {"count": 0}, "reach": {"best": 0}}))
-    assert len(caught.value.faults) == 3
-
-
 def test_the_packages_file_is_whole_and_every_line_states_its_unit():
     assert len(sentences(settings_from(YAML))) == 12
     for name in ("ggcnn.yaml", "tool_pose.yaml"):
@@ -300,36 +275,6 @@ REACH = parse(ReachConfig, YAML["reach"])
 YES = Reachability(True, "")
 
 
-def test_a_grasp_is_asked_for_once_while_its_pose_stays():
-    book, T = ReachabilityCache(REACH), pose(p=(0.4, 0.0, 0.1))
-    assert book.wanted(1, T, 0.0)
-    assert book.known(1) is None
-    book.asked(1, T, 0.0)
-    assert not book.wanted(1, T, 0.5)
-    book.answered(1, YES)
-    assert book.known(1) == YES
-    assert not book.wanted(1, T @ pose(p=(0.004, 0.0, 0.0)), 1.0)
-    assert book.wanted(1, T, REACH.keep + 1.0)
-
-
-def test_another_pose_is_asked_for_and_the_old_answer_is_forgotten():
-    book, T = ReachabilityCache(REACH), pose(p=(0.4, 0.0, 0.1))
-    book.asked(1, T, 0.0)
-    book.answered(1, YES)
-    for other in (T @ pose(p=(0.006, 0.0, 0.0)), T @ pose(rotation_about(2, 0.1))):
-        assert book.wanted(1, other, 1.0)
-    book.asked(1, other, 1.0)
-    assert book.known(1) is None
-
-
-def test_while_it_is_asked_anew_the_answer_holds():
-    book, T = ReachabilityCache(REACH), pose()
-    book.asked(1, T, 0.0)
-    book.answered(1, YES)
-    book.asked(1, T, 11.0)
-    assert book.known(1) == YES
-
-
 @given(st.floats(0.0, 100.0))
 def test_what_was_not_answered_is_asked_again_after_a_second(now):
     book = ReachabilityCache(REACH)
@@ -338,9 +283,35 @@ def test_what_was_not_answered_is_asked_again_after_a_second(now):
     assert book.wanted(1, pose(), now) == (now > 1.0)
 
 
-def test_grasps_out_of_sight_are_forgotten_and_their_answers_too():
-    book = ReachabilityCache(REACH)
-    book.asked(1, pose(), 0.0)
+def test_every_section_is_checked_and_all_its_faults_are_named_at_once():
+    wrong = {
+        "view": "sideways", "unknown": 1, "peaks": {"count": 0}, "limits": {"x": [1.0, -1.0]}, "tracking": 7,
+        "network": {"speed": 1, "precision": "half"},
+    }  # fmt: skip
+    with pytest.raises(ConfigError) as caught:
+        settings_from(overlaid(YAML, wrong))
+    for fault in (
+        "view is 'sideways', but must be one of camera, table", "unknown is not a known key", "peaks/count is 0",
+        "limits/x is", "tracking/ is 7", "network/speed is not a known key", "network/precision is 'half'",
+    ):  # fmt: skip
+        assert fault in str(caught.value)
+
+
+def test_an_answer_holds_for_its_pose_while_it_is_asked_anew_and_is_forgotten_with_its_grasp():
+    book, T = ReachabilityCache(REACH), pose(p=(0.4, 0.0, 0.1))
+    assert book.wanted(1, T, 0.0) and book.known(1) is None
+    book.asked(1, T, 0.0)
+    assert not book.wanted(1, T, 0.5)
+    book.answered(1, YES)
+    assert book.known(1) == YES
+    assert not book.wanted(1, T @ pose(p=(0.004, 0.0, 0.0)), 1.0)
+    assert book.wanted(1, T, REACH.keep + 1.0)
+    book.asked(1, T, REACH.keep + 1.0)
+    assert book.known(1) == YES, "while it is asked anew"
+    for other in (T @ pose(p=(0.006, 0.0, 0.0)), T @ pose(rotation_about(2, 0.1))):
+        assert book.wanted(1, other, REACH.keep + 1.5)
+    book.asked(1, other, REACH.keep + 2.0)
+    assert book.known(1) is None, "the answer was of another pose"
     book.keep_only({2})
     book.answered(1, YES)
     assert book.known(1) is None

@@ -16,7 +16,17 @@ import pytest
 import torch
 
 from grasping.lab.evaluation import trials
-from grasping.lab.programs import evaluate, find_grasps, make_dataset, runs, train_ggcnn
+from grasping.lab.programs import (
+    evaluate,
+    evaluate_refinement,
+    find_grasps,
+    import_grasps,
+    make_dataset,
+    make_episodes,
+    runs,
+    train_ggcnn,
+    train_refinement,
+)
 from grasping.lab.synthetic import samples
 from grasping.network import weights
 from grasping.network.depth_image import prepare
@@ -65,23 +75,6 @@ def test_shards_are_made_once(data, monkeypatch):
     with np.load(data / names[1]) as shard:
         assert shard["depth"].shape == (2, 300, 300)
         assert set(shard) == {"depth", "quality", "angle", "width", "known", "hand", "margin"}
-
-
-def test_part_of_a_shard_is_refused(tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, make_dataset, tmp_path / "data", "--scenes", "70")
-    assert "--scenes is 70, but must be a multiple of 50." in capsys.readouterr().err
-    assert not (tmp_path / "data").exists()
-
-
-@pytest.mark.parametrize("program", [make_dataset, evaluate])
-def test_a_folder_that_cannot_be_made_is_one_sentence(program, tmp_path, monkeypatch, capsys):
-    (tmp_path / "file").write_text("no folder")
-    with pytest.raises(SystemExit) as end:
-        call(monkeypatch, program, tmp_path / "file" / "data", "--scenes", 50)
-    assert end.value.code == 2
-    last = capsys.readouterr().err.rstrip().splitlines()[-1]
-    assert str(tmp_path / "file") in last and last.endswith("Not a directory.")
 
 
 @pytest.mark.parametrize(
@@ -145,32 +138,6 @@ def test_training_stops_and_resumes(data, tmp_path, monkeypatch, capsys):
     assert (run / "weights.pt").read_bytes() != content
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
-def test_a_device_that_is_not_there_is_refused(data, tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, train_ggcnn, data, tmp_path / "run", "--device", "cuda")
-    assert "torch sees no CUDA device: train with --device cpu." in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
-def test_training_without_data_says_what_to_do(tmp_path, monkeypatch, capsys):
-    with pytest.raises(SystemExit):
-        call(monkeypatch, train_ggcnn, tmp_path, tmp_path / "run")
-    assert "run make_dataset.py or import_grasps.py first." in capsys.readouterr().err
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(("content", "sentence"), [(None, "No such file"), (b"?", "neither a torch file nor")])
-def test_evaluation_refuses_a_bad_weight_file(tmp_path, monkeypatch, capsys, content, sentence):
-    file = tmp_path / "weights.pt"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate, tmp_path / "results", "--weights", "bad", file)
-    assert sentence in capsys.readouterr().err
-    assert not (tmp_path / "results").exists()
-
-
 def test_evaluation_compares_networks(tmp_path, monkeypatch, capsys, in_process):
     file = tmp_path / "weights.pt"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
@@ -215,21 +182,6 @@ def test_scenes_and_conditions_are_those_asked_for(tmp_path, monkeypatch, in_pro
     assert {task.conditions for task in exported} == {conditions._replace(shake=False, hand=REFLEX)}
 
 
-@pytest.mark.parametrize(
-    ("options", "sentence"),
-    [
-        (["--first", "-1"], "argument --first: '-1' is not a whole number from 0"),
-        (["--scenes", "0"], "argument --scenes: '0' is not a whole number from 1"),
-        (["--error", "5", "nan"], "argument --error: 'nan' is not a number in [0, 100]"),
-    ],
-)
-def test_bad_conditions_are_refused(tmp_path, monkeypatch, capsys, options, sentence):
-    with pytest.raises(SystemExit) as end:
-        call(monkeypatch, evaluate, tmp_path / "results", *options)
-    assert end.value.code == 2
-    assert sentence in capsys.readouterr().err
-
-
 def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkeypatch, in_process):
     package, exported = Path(__file__).parents[1], tmp_path / "grasps.json"
     tool = tmp_path / "tool_pose.yaml"
@@ -248,16 +200,66 @@ def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkey
     assert json.loads(exported.read_text())["scenes"][0]["qpos"] != scenes[0]["qpos"]
 
 
+def test_evaluated_grasps_have_the_precision_that_was_asked_for():
+    image = prepare(samples.view("test", 0, 1).observed, trials.CROP)
+    exact, rounded = (
+        evaluate.network_grasp(image, evaluate.Trained(SHIPPED, None, precision))
+        for precision in ("float32", "bfloat16")
+    )
+    assert 0.0 < abs(rounded.quality - exact.quality) < 0.02
+
+
+HAND_OR_FOLDER = "with --weights, without --export and --tool"
+EITHER = "Either a folder for the results is needed, or --export."
+
+
 @pytest.mark.parametrize(
-    ("content", "sentence"), [(None, "No such file"), ("a: [", "while parsing"), ("max_opening: 1", "max_opening is 1")]
-)
-def test_evaluation_refuses_a_bad_hand(tmp_path, monkeypatch, capsys, content, sentence):
-    file = tmp_path / "tool_pose.yaml"
-    if content is not None:
-        file.write_text(content)
-    with pytest.raises(SystemExit):
-        call(monkeypatch, evaluate, tmp_path / "results", "--tool", file)
-    assert sentence in capsys.readouterr().err
+    ("program", "arguments", "sentence"),
+    [
+        (make_dataset, ["data", "--scenes", "70"], "--scenes is 70, but must be a multiple of 50."),
+        (make_dataset, ["bad/data", "--scenes", "50"], "bad/data cannot be written: Not a directory."),
+        (make_dataset, ["data", "--scenes", "50", "--margin", "0.06"], "--margin is 0.06 m, but must be between 0 and"),
+        (make_dataset, ["data", "--scenes", "50", "--margin", "nan"], "--margin is nan m"),
+        (make_dataset, ["data", "--check", "there.json"], "Either a folder for the shards is needed, or --check."),
+        (import_grasps, [".", "data", "--validation", "1"], "--validation is 1 and must be at least 0 and below 1."),
+        (import_grasps, [".", "data", "--window", "0"], "--window is 0 and must be at least 1 pixel."),
+        (import_grasps, [".", "data", "--name", "../a"], "--name is '../a' and must be a word"),
+        (train_ggcnn, [".", "run"], "run make_dataset.py or import_grasps.py first."),
+        pytest.param(
+            train_ggcnn, [".", "run", "--device", "cuda"], "torch sees no CUDA device: train with --device cpu.",
+            marks=pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device"),
+        ),
+        (evaluate, ["bad/data"], "Not a directory."),
+        (evaluate, ["new", "--error", "5", "nan"], "argument --error: 'nan' is not a number in [0, 100]"),
+        (evaluate, ["new", "--weights", "net", "missing"], "No such file"),
+        (evaluate, ["new", "--weights", "net", "bad"], "neither a torch file nor"),
+        (evaluate, ["new", "--tool", "missing"], "No such file"),
+        (evaluate, ["new", "--tool", "bad"], "while parsing"),
+        (evaluate, ["new", "--tool", "hand"], "max_opening is 1"),
+        (evaluate, ["new", "--export", "file"], EITHER),
+        (evaluate, [], EITHER),
+        (evaluate, ["--export", "file", "--folder", "."], HAND_OR_FOLDER),
+        (evaluate, ["new", "--tool", "file", "--folder", "."], HAND_OR_FOLDER),
+        (evaluate, ["new", "--folder", "."], HAND_OR_FOLDER),
+        (find_grasps, ["missing", SHIPPED], "No such file"),
+        (find_grasps, ["bad", SHIPPED], "is not an image"),
+        (find_grasps, ["hole.png", SHIPPED], "holds no reading"),
+        (train_refinement, ["nowhere", "run"], "holds no episode"),
+        (evaluate_refinement, ["nowhere", "new"], "holds no episode"),
+        (evaluate_refinement, ["nowhere", "new", "--few", "-1"], "--few is -1, but must be at least 0."),
+        (make_episodes, ["made", "nowhere.pt"], "No such file"),
+        (make_episodes, ["made", SHIPPED, "--frames", "0"], "argument --frames"),
+    ],
+)  # fmt: skip
+def test_bad_calls_are_a_sentence_and_write_nothing(tmp_path, monkeypatch, capsys, program, arguments, sentence):
+    monkeypatch.chdir(tmp_path)
+    Path("bad").write_text("a: [")
+    Path("hand").write_text("max_opening: 1")
+    cv2.imwrite("hole.png", np.zeros((480, 640), np.uint16))
+    with pytest.raises(SystemExit) as end:
+        call(monkeypatch, program, *arguments)
+    assert end.value.code == 2 and sentence in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bad", "hand", "hole.png"]
 
 
 @pytest.mark.parametrize("kind", ["npy", "png"])
@@ -277,38 +279,5 @@ def test_grasps_of_one_image(tmp_path, monkeypatch, capsys, kind):
     assert abs(abs(found["angle"]) - 0.5 * np.pi) < 0.3
     assert 0.03 < found["width"] < 0.08
     assert cv2.imread(str(tmp_path / "seen.png")).shape == (900, 900, 3)
-
-
-def test_grasps_in_bfloat16_have_another_quality(tmp_path, monkeypatch, capsys):
-    depth = np.full((480, 640), 0.7, np.float32)
-    depth[225:255, 255:385] = 0.65
-    path = tmp_path / "depth.npy"
-    np.save(path, depth)
-    qualities = []
-    for precision in ("float32", "bfloat16"):
-        call(monkeypatch, find_grasps, path, SHIPPED, "--precision", precision)
-        qualities.append(json.loads(capsys.readouterr().out)["quality"])
-    assert 0.0 < abs(qualities[1] - qualities[0]) < 0.02
-
-
-def test_evaluated_grasps_have_the_precision_that_was_asked_for():
-    image = prepare(samples.view("test", 0, 1).observed, trials.CROP)
-    exact, rounded = (
-        evaluate.network_grasp(image, evaluate.Trained(SHIPPED, None, precision))
-        for precision in ("float32", "bfloat16")
-    )
-    assert 0.0 < abs(rounded.quality - exact.quality) < 0.02
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"), [(None, "No such file"), (b"?", "is not an image"), ("hole", "holds no reading")]
-)
-def test_bad_images_are_refused(tmp_path, monkeypatch, capsys, content, sentence):
-    path = tmp_path / "depth.png"
-    if content == "hole":
-        cv2.imwrite(str(path), np.zeros((480, 640), np.uint16))
-    elif content is not None:
-        path.write_bytes(content)
-    with pytest.raises(SystemExit):
-        call(monkeypatch, find_grasps, path, SHIPPED)
-    assert sentence in capsys.readouterr().err
+    call(monkeypatch, find_grasps, path, SHIPPED, "--precision", "bfloat16")
+    assert 0.0 < abs(json.loads(capsys.readouterr().out)["quality"] - found["quality"]) < 0.02

@@ -119,10 +119,3 @@ def test_single_images_need_no_configuration():
     assert [c.peak[:2] for c in several.candidates] == [found.candidates[0].peak[:2]]
     assert [g.id for g in several.grasps] == [1] and several.grasps[0].T_base_grasp is None
     np.testing.assert_array_equal(several.grasps[0].T_camera_grasp, several.candidates[0].grasp.T_camera_grasp)
-
-
-def test_a_small_image_has_no_view():
-    found = GraspPipeline(CameraView(CropConfig(400, 0)), Nearest(), PipelineSettings()).step(
-        np.ones((300, 300)), CAMERA
-    )
-    assert found.view is None and "does not fit" in found.reason

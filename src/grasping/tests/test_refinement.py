@@ -102,16 +102,6 @@ def test_taste_never_costs_more_than_the_constraint(seed):
         assert lifts.probabilities(LIFTED, of, tilts, turns)[one.candidate] >= least - 1e-12
 
 
-def test_an_operators_tilt_is_taken_over_where_it_costs_nothing():
-    of = image_of(np.random.default_rng(3))
-    hand = taste.nobody().hand._replace(tilt_x=np.array([0.2, 0.0, 0.0]))
-    known = taste.nobody()._replace(hand=hand)
-    free = preferences(of, Preference(known, None))[0]
-    assert free.style == 1.0
-    np.testing.assert_allclose(free.tilt, [0.2, 0.0])
-    assert preferences(of, Preference(known, LIFTED))[0].style < 1.0
-
-
 def test_weights_are_recovered():
     rng = np.random.default_rng(7)
     weights = liking(height=2.0, from_middle=-2.0, line_cos=1.5)

@@ -253,9 +253,7 @@ def of_another_rig(data, folder, **changes):
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("crop", {"crop": {"side": 300, "rows_up": 0}}),
         ("network", {"weights": "ab" * 32}),
-        ("hand", {"T_tool_grasp": np.eye(4).tolist()}),
         ("robot", {"kuka": {"robot": "LBR14R820"}}),
     ],
 )
@@ -273,27 +271,6 @@ def test_things_are_left_out_and_chosen(data):
     for choice in ({"only": ["mug"]}, {"without": ["hammer"]}):
         with pytest.raises(RigError, match="holds no episode of these things"):
             train_refinement.read_episodes(data, **choice)
-
-
-@pytest.mark.parametrize(
-    ("program", "arguments", "sentence"),
-    [
-        (train_refinement, ["nowhere", "run"], "holds no episode"),
-        (evaluate_refinement, ["nowhere", "results"], "holds no episode"),
-        (evaluate_refinement, ["nowhere", "results", "--few", "-1"], "--few is -1, but must be at least 0."),
-        (make_episodes, ["made", "nowhere.pt"], "No such file"),
-        (make_episodes, ["made", WEIGHTS, "--frames", "0"], "argument --frames"),
-        (evaluate, ["folder", "--export", "file"], "Either a folder for the results is needed, or --export."),
-        (evaluate, [], "Either a folder for the results is needed, or --export."),
-    ],
-)
-def test_bad_calls_are_refused(tmp_path, monkeypatch, capsys, program, arguments, sentence):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        call(monkeypatch, program, *arguments)
-    assert end.value.code == 2
-    assert sentence in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_damaged_episode_is_named(tmp_path, data, monkeypatch, capsys):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
@@ -71,8 +70,3 @@ def test_on_a_wall_the_tool_points_along_the_worlds_vertical():
     up = np.array([-1.0, 0.0, 0.0])
     T = tool_pose(pose(rotation_about(1, np.pi / 2)), settings(), np.eye(3), up)
     np.testing.assert_allclose(T[:3, 2], -up, atol=1e-12)
-
-
-def test_fingers_above_each_other_have_no_heading():
-    with pytest.raises(ValueError, match="along the approach"):
-        tool_pose(pose(rotation_about(1, np.pi / 2)), settings(), DOWN)

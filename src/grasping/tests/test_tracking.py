@@ -157,13 +157,6 @@ def test_no_rival_is_published_while_the_best_is_out_of_sight_for_a_moment():
     assert [t.id for t in tracker.step(rival, 1.1)] == [2], "now it is forgotten"
 
 
-def test_numbers_are_not_used_again_after_a_reset():
-    tracker = GraspTracker(tracking())
-    tracker.step([detection(0.0, 0.6)], 0.0)
-    tracker.reset()
-    assert tracker.step([detection(0.0, 0.6)], 0.1)[0].id == 2
-
-
 rotations = st.builds(rotation_from_zyx, st.floats(-3.1, 3.1), st.floats(-1.4, 1.4), st.floats(-3.1, 3.1))
 poses = st.builds(pose, rotations, st.tuples(*[st.floats(-1.0, 1.0)] * 3))
 

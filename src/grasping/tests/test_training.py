@@ -46,11 +46,6 @@ def maps_of(target: MapTargets) -> torch.Tensor:
     return torch.stack([target.quality, target.cos, target.sin, target.width], dim=1)
 
 
-def test_the_targets_themselves_have_no_loss():
-    _, target = batch(some_images().arrays)
-    assert float(losses(maps_of(target), target).total) == pytest.approx(0.0, abs=1e-9)
-
-
 def test_background_teaches_no_angle_and_no_width():
     _, target = batch(some_images().arrays)
     maps = maps_of(target)

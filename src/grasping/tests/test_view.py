@@ -87,32 +87,6 @@ def test_the_view_follows_a_table_that_turns_about_its_nearest_point():
     assert turned is not first
 
 
-def test_what_is_higher_hides_what_is_below_it():
-    """Of a wall that the camera sees from the side the view shows the top edge alone."""
-    T_base_camera = looking_at((0.5, 0.0, 0.6), (0.0, 0.0, 0.0))
-    view = table_view().step(depth_picture(T_base_camera, [(0.0, 0.0, 0.0, (0.1, 0.1, 0.1))]), CAMERA)
-    T_view_base = inverse(view.T_camera_view) @ inverse(T_base_camera)
-    for y in np.linspace(-0.04, 0.04, 9):
-        u, v = np.rint(view.camera.project((T_view_base @ [0.049, y, 0.1, 1.0])[:3])).astype(int)
-        assert view.depth[v, u] == pytest.approx(YAML["table"]["distance"] - 0.1, abs=6e-3)
-
-
-def test_holes_and_readings_without_meaning_change_nothing_where_there_are_others():
-    random = np.random.default_rng(3)
-    depth = depth_picture(ABOVE, [BOX])
-    whole = table_view().step(depth, CAMERA)
-    torn = depth.copy()
-    torn[random.random(depth.shape) < 0.2] = np.nan
-    torn[::7, ::5] = np.inf
-    torn[::5, ::7] = -1.0
-    torn[::11, ::3] = 0.0
-    seen = table_view().step(torn, CAMERA)
-    both = whole.graspable & seen.graspable
-    assert both.sum() > 0.9 * whole.graspable.sum()
-    same = np.abs(seen.depth[both] - whole.depth[both]) < 4e-3
-    assert same.mean() > 0.99  # the others are at edges
-
-
 @pytest.mark.parametrize(
     ("depth", "reason"),
     [
