@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from common.config import parse
+from common.hand_tracking import REMEMBERED_S, succeeds
 from common.poses import pose
 from common.rotations import rotation_from_zyx
 from golden.chain import parsed
 from leap_kuka.config import ArmPlacement
 from leap_kuka.engagement import TRANSITIONS, EngagementState, EngagementTrigger, Tool, When, next_state
-from leap_kuka.numbers import DEVICE_SILENCE_S
+from leap_kuka.numbers import DEVICE_SILENCE_S, MAX_SILENCE_S
 from leap_kuka.teleop import ArmTeleop
 from leap_kuka.teleop_result import StreamState
 from leap_kuka.tool_hold import HoldState
@@ -71,6 +72,7 @@ class Engagement(RuleBasedStateMachine):
         self.reported, self.reported_at = (False, False), -math.inf  # pressed and clutched, in the newest message
         self.hands, self.now, self.number = {}, 50.0, 0
         self.outside, self.may = {}, set()  # frames in a row outside of the box; hands that came in while control is on
+        self.seen = {}  # hands as they were seen last, and when [s]
         self.last = self.sent = None
         self.told = known
         self.frames(1)
@@ -197,6 +199,7 @@ class Engagement(RuleBasedStateMachine):
                 self.reported, self.reported_at = (self.pressed, self.clutched), self.now
                 self.teleop.switches.device.take(*self.reported, "pedal", 0.0, self.now)
         owner, hands = self.last.owner if self.last else None, tuple(self.hands.values())
+        self.renumber(hands)
         for seen in hands:
             out = self.box.outside(seen.palm) > 0.02
             self.outside[seen.id] = self.outside.get(seen.id, 0) + 1 if out else 0
@@ -215,6 +218,19 @@ class Engagement(RuleBasedStateMachine):
             self.tool, self.mode = tool, "servo"
         elif self.mode == "servo" and self.silent > 0.2:
             self.tool, self.mode = HOME, "home"
+
+    def renumber(self, hands):
+        """A hand that has left and comes back in place under another number is the same one."""
+        numbers = {seen.id for seen in hands}
+        for seen in hands:
+            for before, at in self.seen.values():
+                elapsed = self.now - at
+                gone = before.id not in numbers and elapsed <= MAX_SILENCE_S
+                if seen.id not in self.seen and gone and succeeds(seen, before, elapsed):
+                    self.may |= {seen.id} if before.id in self.may else set()
+                    self.outside[seen.id] = self.outside.get(before.id, 0)
+        self.seen = {number: (hand, at) for number, (hand, at) in self.seen.items() if self.now - at <= REMEMBERED_S}
+        self.seen.update({seen.id: (seen, self.now) for seen in hands})
 
     def judge(self, result):
         if result.T_virtual_tool is None or not (self.told and self.control_on):
