@@ -264,7 +264,7 @@ def two_publishers(trial):
         rig.watch(2.0)
 
 
-@row(28, "tf extrapolation into the future", "H", within=1.0, hazards=(10,))
+@row(28, "tf extrapolation into the future", "H", within=1.0, named_by="whose newest transform is", hazards=(10,))
 def extrapolation(trial):
     rig, T_home = trial.rig, trial.rig.arm.now.T_base_tool
     path = swaying(inverse(T_BASE_MOUNT) @ T_home, SWAY, 3.0)
@@ -282,7 +282,8 @@ def extrapolation(trial):
         rig.wait(lambda: rig.arm.now.tool_speed > 0.05, "the arm to move")
         trial.begins()
         late[0] = None
-        rig.watch(0.8)
+        rig.wait_for_mode("home")  # after time_out; it stays there until the fault has ended
+        rig.watch(0.3)
         trial.ends()
         late[0] = 0.0
         rig.watch(2.0)
