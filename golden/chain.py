@@ -26,7 +26,7 @@ from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.desired_frame import DesiredFrame
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
-from kuka_control.model.robot_shape import OPENED_RAD, Opening
+from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import Mode, SwitchState
 from kuka_control.model.target import MotionScaling, check_tool_pose, scaled, seed
 from leap_hand.config import HandConfig
@@ -214,7 +214,7 @@ class World:
         """The joints of the robot hand; the same object until they have moved."""
         index, middle, thumb, spread = self.fingers.tolist()
         new = Opening((index, middle, thumb), (0.0, 0.0, 0.0), spread)
-        if self._opening is None or np.abs(np.subtract(new.proximal, self._opening.proximal)).max() > OPENED_RAD:
+        if self._opening is None or new.differs(self._opening):
             self._opening = new
         return self._opening
 

@@ -18,7 +18,6 @@ from kuka_control.model.obstacles import ConvexBody, ConvexShape
 from rig_description import arms, hand
 from rig_description.urdf import TABLE_HALF, TABLE_THICKNESS
 
-OPENED_RAD = 0.02  # a hand some of whose joints has turned by more than this since has another opening [rad]
 TABLE = "table"
 
 
@@ -29,6 +28,15 @@ class Opening:
     proximal: tuple[float, float, float]
     distal: tuple[float, float, float]
     preshape: float
+
+    @property
+    def joints(self) -> tuple[float, ...]:
+        return (*self.proximal, *self.distal, self.preshape)
+
+    def differs(self, before: Opening) -> bool:
+        """Returns whether the hand has opened or closed since `before` so far that bodies must be placed anew."""
+        turned = 0.02  # some joint, by more than this [rad]
+        return any(abs(now - then) > turned for now, then in zip(self.joints, before.joints))
 
 
 def arm_bodies(model: RobotModel, ring: bool) -> list[ConvexBody]:

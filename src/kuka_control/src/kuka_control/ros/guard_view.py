@@ -24,7 +24,7 @@ from kuka_control.model.arms import SIDE
 from kuka_control.model.config import ControllerConfig
 from kuka_control.model.obstacles import ConvexBody
 from kuka_control.model.rig import Rig
-from kuka_control.model.robot_shape import OPENED_RAD, TABLE, Opening
+from kuka_control.model.robot_shape import TABLE, Opening
 from reflex_msgs.msg import Hand
 from rig_msgs.msg import GuardState
 
@@ -52,7 +52,7 @@ class HandOpening:
         newest = self._newest
         if newest is None or now - newest[0] > SILENT_S:
             self._taken = None
-        elif self._taken is None or np.max(np.abs(np.subtract(_row(newest[1]), _row(self._taken)))) > OPENED_RAD:
+        elif self._taken is None or newest[1].differs(self._taken):
             self._taken = newest[1]
         return self._taken
 
@@ -60,7 +60,7 @@ class HandOpening:
         a, b, c = hand.finger
         distal = a.distal_approx, b.distal_approx, c.distal_approx
         opening = Opening((a.proximal, b.proximal, c.proximal), distal, hand.motor[3].joint_angle)
-        self._newest = (clock.monotonic(), opening) if np.isfinite(_row(opening)).all() else None
+        self._newest = (clock.monotonic(), opening) if np.isfinite(opening.joints).all() else None
 
 
 class GuardView:
@@ -77,7 +77,8 @@ class GuardView:
         period_s = 0.1
         self._base = frames(BASE)
         self._guard = collision_guard(config, rig)
-        self._margin, self._observe = config.guard_margin, observe
+        self._margin = config.guard_margin
+        self._observe = observe
         self._count = 0
         self._lock = clock.Lock()
         self._state = rospy.Publisher("kuka/guard", GuardState, queue_size=2)
@@ -136,10 +137,6 @@ class GuardView:
                     markers += _body(header, number, body, T)
         self._count += 1
         return markers
-
-
-def _row(opening: Opening) -> tuple[float, ...]:
-    return (*opening.proximal, *opening.distal, opening.preshape)
 
 
 def _body(header: Header, number: int, body: ConvexBody, T: np.ndarray) -> list[Marker]:
