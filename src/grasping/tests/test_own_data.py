@@ -167,6 +167,18 @@ def test_the_rectangle_metric_tells_a_good_network_from_one_that_is_turned(
     assert f"| mine | {100 if right else 0} (" in capsys.readouterr().out
 
 
+def test_where_no_image_can_be_used_no_results_stay(images, tmp_path, monkeypatch, capsys):
+    file, source, results = tmp_path / "weights.pt", tmp_path / "source", tmp_path / "results"
+    torch.save(NETWORKS["ggcnn2"]().state_dict(), file)
+    source.mkdir()
+    cv2.imwrite(str(source / "bar_0.png"), cv2.imread(str(images / "bar_0.png"), cv2.IMREAD_UNCHANGED)[:300])
+    li.write_grasps(source / "bar_0.grasps.json", [li.GraspRectangle(400.0, 320.0, 0.0, 50.0, 30.0)])
+    with pytest.raises(SystemExit):
+        call(monkeypatch, evaluate, results, "--folder", source, "--weights", "mine", file)
+    assert "None of the 1 labelled images" in capsys.readouterr().err
+    assert not any(results.iterdir())
+
+
 def test_grasps_are_found_in_a_folder_and_drawn(images, tmp_path, monkeypatch, capsys):
     file, source = tmp_path / "weights.pt", tmp_path / "source"
     torch.save(NETWORKS["ggcnn2"]().state_dict(), file)

@@ -176,13 +176,20 @@ def export(path: Path, tasks: Sequence[Task], processes: int) -> None:
 
 @contextlib.contextmanager
 def open_results(folder: Path, columns: Sequence[str]) -> Iterator[csv.DictWriter]:
-    """Opens a new results.csv in a folder; raises RigError if it is there already, or cannot be written."""
+    """Opens a new results.csv in a folder, which goes again if no result is written; raises RigError if it is there
+    already, or cannot be written."""
+    path = folder / "results.csv"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / "results.csv").open("x", newline="", encoding="utf-8", buffering=1) as file:
+        with path.open("x", newline="", encoding="utf-8", buffering=1) as file:
             writer = csv.DictWriter(file, columns, lineterminator="\n")
             writer.writeheader()
-            yield writer
+            empty = file.tell()
+            try:
+                yield writer
+            finally:
+                if file.tell() == empty:
+                    path.unlink()
     except FileExistsError as error:
         raise RigError(f"{error.filename} is there already: name another folder.") from None
     except OSError as error:
