@@ -12,15 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from common.config import parse
+from common.modes import ExecutionState
 from common.poses import pose, translation
 from common.rotations import rotation_about
 from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.execution import (
-    APPROACHING,
-    IDLE,
-    OVER,
-    PERSON,
-    WAITING_FOR_HAND,
     ControllerState,
     Execution,
     ExecutionConfig,
@@ -80,12 +76,12 @@ class Trial:
 
     def waiting(self):
         self.start().run(0.1).run(0.5, hold=HELD, controller=SERVO).run(0.1, T_base_tool=ABOVE)
-        assert self.execution.state == WAITING_FOR_HAND
+        assert self.execution.state == ExecutionState.WAITING_FOR_HAND
         return self
 
     def with_person(self):
         self.waiting().run(1.0, hold=TAKEN)
-        assert self.execution.state == PERSON
+        assert self.execution.state == ExecutionState.PERSON
         return self
 
     def lift(self, height):
@@ -93,16 +89,16 @@ class Trial:
 
     @property
     def outcome(self):
-        assert len(self.outcomes) == 1 and self.execution.state == OVER
+        assert len(self.outcomes) == 1 and self.execution.state == ExecutionState.OVER
         assert self.execution.reason == self.outcomes[0].reason
         return self.outcomes[0]
 
 
 def test_a_grasp_that_is_held_and_lifted():
     trial = Trial()
-    assert trial.execution.state == IDLE
+    assert trial.execution.state == ExecutionState.IDLE
     trial.start()
-    assert trial.execution.state == APPROACHING
+    assert trial.execution.state == ExecutionState.APPROACHING
     trial = Trial().with_person().lift(-0.1)
     assert "close the fingers" in trial.execution.reason
     trial.run(1.0, hand=FULL)
@@ -152,12 +148,12 @@ def test_how_an_execution_ends(begin, goes_on, reason, closed):
 
 def test_a_hand_that_comes_early_takes_over_on_the_way():
     trial = Trial().start().run(0.2, hold=HELD).run(0.1, hold=TAKEN)
-    assert trial.execution.state == PERSON
+    assert trial.execution.state == ExecutionState.PERSON
 
 
 def test_an_arm_on_its_way_home_may_be_asked():
     trial = Trial().start().run(1.0, hold=HELD, controller=ControllerState(True, "returning", "Home."))
-    assert trial.execution.state == APPROACHING
+    assert trial.execution.state == ExecutionState.APPROACHING
 
 
 def test_each_execution_has_its_number_and_its_outcome():

@@ -1,4 +1,5 @@
-"""The modes of an arm's controller on kuka/mode and in kuka/status; rig_msgs/KukaStatus has the same constants."""
+"""The modes of an arm's controller on kuka/mode and in kuka/status (rig_msgs/KukaStatus has the same constants), and
+the states of a grasp's execution on grasping/state."""
 
 from __future__ import annotations
 
@@ -24,3 +25,13 @@ TO_DESIRED_TOOL = (Mode.PICK_UP.value, Mode.SERVO.value)  # the arm goes to the 
 FOLLOWS_TOOL = (Mode.HOME.value, *TO_DESIRED_TOOL)  # the same, or it would as soon as the frame comes
 LEAVES_TOOL = (Mode.RETURNING.value, Mode.HOMING.value, Mode.HOME.value)  # it leaves the frame, or has
 CANNOT_FOLLOW = (Mode.STARTING.value, Mode.ZERO.value, Mode.STOPPED.value)  # whatever frame comes
+
+
+class ExecutionState(str, Enum):
+    """A state of the execution of a proposed grasp; it compares equal to its text in a message."""
+
+    IDLE = "idle"  # no grasp was executed yet
+    APPROACHING = "approaching"  # the arm goes above the grasp
+    WAITING_FOR_HAND = "waiting_for_hand"  # the tool is held there
+    PERSON = "person"  # an operator's hand steers
+    OVER = "over"

@@ -11,13 +11,11 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from common.config import number
-from common.modes import CANNOT_FOLLOW, LEAVES_TOOL, TO_DESIRED_TOOL
+from common.modes import CANNOT_FOLLOW, LEAVES_TOOL, TO_DESIRED_TOOL, ExecutionState
 from common.rotations import rotation_angle
 from common.teleop_record import HELD, NO_HOLD, TAKEN
 from grasping.execution.grasp_watch import GraspWatch, GraspWatchConfig, HandMeasurement, ObservedGrasp
 from grasping.pipeline.tool_pose import ToolPoseConfig, above, grasp_in_tool, tool_pose
-
-IDLE, APPROACHING, WAITING_FOR_HAND, PERSON, OVER = "idle", "approaching", "waiting_for_hand", "person", "over"
 
 
 @dataclass(frozen=True)
@@ -157,9 +155,10 @@ class ExecutionFacts(NamedTuple):
     followed: bool  # whether the arm went to the grasp
 
 
-BEFORE_HAND = (APPROACHING, WAITING_FOR_HAND)
-RUNNING = (*BEFORE_HAND, PERSON)
-STOPS: tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...] = (
+_S = ExecutionState
+BEFORE_HAND = (_S.APPROACHING, _S.WAITING_FOR_HAND)
+RUNNING = (*BEFORE_HAND, _S.PERSON)
+STOPS: tuple[tuple[tuple[ExecutionState, ...], Callable[..., bool], str], ...] = (
     (RUNNING, lambda f: f.seen.controller is None, "The arm's controller is silent"),
     (RUNNING, lambda f: not f.seen.controller.control_on, "Control of the arm was switched off"),
     (RUNNING, lambda f: f.seen.controller.mode in CANNOT_FOLLOW, "The arm stopped: {arm}"),
@@ -167,14 +166,14 @@ STOPS: tuple[tuple[tuple[str, ...], Callable[..., bool], str], ...] = (
     (BEFORE_HAND, lambda f: f.let_go, "The tool was not held for a hand: {hold}"),
     (BEFORE_HAND, lambda f: f.elapsed > f.config.wait_for_hand + f.config.silence, "No hand took over in time"),
     (
-        (APPROACHING,),
+        (_S.APPROACHING,),
         lambda f: f.elapsed > f.config.approach_time,
         "The tool was not above the grasp after {config.approach_time:g} s",
     ),
-    ((PERSON,), lambda f: f.seen.hold != TAKEN, "The operator's hand is no longer followed: {hold}"),
-    ((PERSON,), lambda f: f.seen.hand is None, "The state of the robot hand is unknown"),
+    ((_S.PERSON,), lambda f: f.seen.hold != TAKEN, "The operator's hand is no longer followed: {hold}"),
+    ((_S.PERSON,), lambda f: f.seen.hand is None, "The state of the robot hand is unknown"),
     (
-        (PERSON,),
+        (_S.PERSON,),
         lambda f: f.in_state > f.config.person_time,
         "Nothing was decided within {config.person_time:g} s of the operator's hand taking over",
     ),
@@ -186,7 +185,7 @@ row that holds counts.
 """
 
 
-def stop_sentence(state: str, facts: ExecutionFacts) -> str | None:
+def stop_sentence(state: ExecutionState, facts: ExecutionFacts) -> str | None:
     """Returns why an execution in that state ends, one sentence, or None."""
     for states, holds, sentence in STOPS:
         if state in states and holds(facts):
@@ -206,12 +205,13 @@ class Execution:
         self._T_base_above: np.ndarray | None = None
         self._began = self._since = 0.0
         self._held = self._followed = False
-        self.state, self.reason = IDLE, "No grasp was executed yet."
+        self.state = ExecutionState.IDLE
+        self.reason = "No grasp was executed yet."
         self.episode = 0
 
     @property
     def running(self) -> bool:
-        return self.state not in (IDLE, OVER)
+        return self.state not in (ExecutionState.IDLE, ExecutionState.OVER)
 
     def start(self, T_base_above: np.ndarray, now: float) -> None:
         """Begins at the monotonic time `now` [s]: leap_kuka holds the tool at a pose, shape (4, 4) [m]. Raises
@@ -222,7 +222,7 @@ class Execution:
         self._T_base_above, self._began = T_base_above, now
         self._held = self._followed = False
         self.episode += 1
-        self._enter(APPROACHING, "The arm goes above the grasp.", now)
+        self._enter(ExecutionState.APPROACHING, "The arm goes above the grasp.", now)
 
     def step(self, seen: ExecutionObservation, now: float) -> ExecutionOutcome | None:
         """Returns the outcome of the execution if it ends now; `now` is monotonic time [s]."""
@@ -230,9 +230,9 @@ class Execution:
             return None
         self._held |= seen.hold == HELD
         self._followed |= seen.controller is not None and seen.controller.mode in TO_DESIRED_TOOL
-        if self.state != PERSON and seen.hold == TAKEN:
+        if self.state != ExecutionState.PERSON and seen.hold == TAKEN:
             self._watch.reset()
-            self._enter(PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
+            self._enter(ExecutionState.PERSON, "An operator's hand has taken over; close the fingers, then lift.", now)
         elapsed, in_state = now - self._began, now - self._since
         let_go = seen.hold == NO_HOLD and (self._held or elapsed > self._config.silence)
         facts = ExecutionFacts(seen, self._config, elapsed, in_state, let_go, self._followed)
@@ -240,15 +240,15 @@ class Execution:
         if why is not None:
             return self.end(why)
         assert seen.T_base_tool is not None, "an unknown tool pose ends the execution"
-        if self.state == PERSON:
+        if self.state == ExecutionState.PERSON:
             assert seen.hand is not None, "an unknown hand ends the operator's part"
             grasp = self._watch.step(seen.hand, seen.T_base_tool, seen.clock)
             if grasp is not None:
                 return self._over(grasp, grasp.held, grasp.reason)
             if self._watch.closed:
                 self.reason = "The fingers have closed; now lift."
-        if self.state == APPROACHING and self._arrived(seen.T_base_tool):
-            self._enter(WAITING_FOR_HAND, "The tool waits above the grasp for an operator's hand.", now)
+        if self.state == ExecutionState.APPROACHING and self._arrived(seen.T_base_tool):
+            self._enter(ExecutionState.WAITING_FOR_HAND, "The tool waits above the grasp for an operator's hand.", now)
         return None
 
     def end(self, sentence: str) -> ExecutionOutcome:
@@ -262,10 +262,10 @@ class Execution:
         return bool(near and np.degrees(turn) <= self._config.arrival_angle)
 
     def _over(self, closed: ObservedGrasp | None, held: bool, sentence: str) -> ExecutionOutcome:
-        outcome = ExecutionOutcome(self.episode, closed, held, sentence, release=self.state != PERSON)
+        outcome = ExecutionOutcome(self.episode, closed, held, sentence, release=self.state != ExecutionState.PERSON)
         self._watch.reset()
-        self.state, self.reason = OVER, sentence
+        self.state, self.reason = ExecutionState.OVER, sentence
         return outcome
 
-    def _enter(self, state: str, reason: str, now: float) -> None:
+    def _enter(self, state: ExecutionState, reason: str, now: float) -> None:
         self.state, self.reason, self._since = state, reason, now

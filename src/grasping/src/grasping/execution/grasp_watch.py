@@ -65,7 +65,8 @@ class GraspWatch:
     """The watch with its state; `up` is the vertical in the base frame, shape (3,)."""
 
     def __init__(self, config: GraspWatchConfig, up: np.ndarray) -> None:
-        self._config, self._up = config, np.asarray(up, dtype=float)
+        self._config = config
+        self._up = np.asarray(up, dtype=float)
         self._untouched = np.zeros((3, 9))
         self.reset()
 

@@ -12,6 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.frames import BASE
+from common.modes import ExecutionState
 from common.poses import translation
 from common.robot_hand import HAND, hand_state
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
@@ -20,7 +21,6 @@ from common.ros.publishing import DirectPublisher
 from common.teleop_record import WAITING, TeleopRecord, teleop_record
 from grasp_msgs.msg import Grasp, GraspList, GraspOutcome
 from grasping.execution.execution import (
-    OVER,
     ControllerState,
     Execution,
     ExecutionObservation,
@@ -42,7 +42,8 @@ class ExecutionInputs:
     """The newest of each; a state older than `silence` [s] is unknown. T_flange_tool: the tool, shape (4, 4) [m]."""
 
     def __init__(self, T_flange_tool: np.ndarray, silence: float) -> None:
-        self._T_flange_tool, self._silence = T_flange_tool, silence
+        self._T_flange_tool = T_flange_tool
+        self._silence = silence
         self.grasps: GraspList | None = None  # the newest, None if none came yet
         self._controller: tuple[KukaStatus, float] | None = None
         self._hand: tuple[Hand, float] | None = None
@@ -134,16 +135,17 @@ class ExecutionDisplay:
 
     def show(self, execution: Execution, grasp: Grasp, goal: ToolGoal | None) -> None:
         """Publishes the state if it or its reason changed; `goal` is None before the first execution."""
-        shown = execution.episode, execution.state, execution.reason
+        state = execution.state.value
+        shown = execution.episode, state, execution.reason
         if self._shown == shown:
             return
         self._shown = shown
-        rospy.loginfo("Execution %d is %s: %s", execution.episode, execution.state, execution.reason)
+        rospy.loginfo("Execution %d is %s: %s", *shown)
         keys = "state", "proposal", "episode", "reason"
-        values = execution.state, str(grasp.id), str(execution.episode), execution.reason
+        values = state, str(grasp.id), str(execution.episode), execution.reason
         pairs = [KeyValue(key, value) for key, value in zip(keys, values)]
         self._state.publish(DiagnosticStatus(DiagnosticStatus.OK, "grasp_execution", execution.reason, "", pairs))
-        shapes = [] if goal is None or execution.state == OVER else _ghost(grasp, goal, execution.reason)
+        shapes = [] if goal is None or execution.state is ExecutionState.OVER else _ghost(grasp, goal, execution.reason)
         self._marker.publish(MarkerArray([Marker(ns="execution", action=Marker.DELETEALL), *shapes]))
 
     def publish(self, outcome: ExecutionOutcome, grasp: Grasp) -> None:

@@ -52,15 +52,18 @@ class ExecutionNode:
     def __init__(
         self, config: execution.ExecutionConfig, watch: GraspWatchConfig, tool: ToolPoseConfig, arm: ExecutionArmConfig
     ) -> None:
-        self._config, self._tool = config, tool
+        self._config = config
+        self._tool = tool
         self._home = mounting_frame(arm.center_line, arm.mounting)
         self._execution = execution.Execution(config, watch, self._home.up)
         self._lock = clock.Lock()
         self._asking = clock.Lock()
-        self._grasp, self._goal = NO_GRASP, None
+        self._grasp = NO_GRASP
+        self._goal = None
         self._counts = {"executed": 0, "refused": 0, "held": 0, "not_held": 0}
         self._inputs = ExecutionInputs(arm.T_flange_tool, config.silence)
-        self._display, self._log = ExecutionDisplay(), FaultLog()
+        self._display = ExecutionDisplay()
+        self._log = FaultLog()
         Diagnostics("grasp_execution", self._diagnose)
         rospy.Service("grasping/execute", Trigger, self._on_execute)
         rospy.Service("grasping/cancel", Trigger, self._on_cancel)
@@ -174,7 +177,7 @@ class ExecutionNode:
             rospy.logwarn("The tool may still be held, for %g s at most: %s.", self._config.wait_for_hand, error)
 
     def _diagnose(self) -> tuple[int, str, dict[str, object]]:
-        values = {"state": self._execution.state, "episode": self._execution.episode, **self._counts}
+        values = {"state": self._execution.state.value, "episode": self._execution.episode, **self._counts}
         missing = self._log(self._inputs.missing())
         if missing:
             return DiagnosticStatus.WARN, f"No grasp can be executed: {missing}.", values

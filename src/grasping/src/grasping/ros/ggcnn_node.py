@@ -76,7 +76,9 @@ class RefinementKind:
     """The parameter refinement_kind, which may be changed while the node runs."""
 
     def __init__(self, kinds: dict[str, Preference], kind: str) -> None:
-        self._kinds, self._kind, self._looked = kinds, kind, clock.monotonic()
+        self._kinds = kinds
+        self._kind = kind
+        self._looked = clock.monotonic()
 
     def changed(self) -> Preference | None:
         """Returns the preference of another kind than before, None otherwise; one that is not known is logged."""
@@ -106,7 +108,10 @@ class GgcnnNode:
     def __init__(
         self, settings: GgcnnSettings, pipeline: GraspPipeline, kind: RefinementKind, about: dict[str, str]
     ) -> None:
-        self._settings, self._pipeline, self._kind, self._about = settings, pipeline, kind, about
+        self._settings = settings
+        self._pipeline = pipeline
+        self._kind = kind
+        self._about = about
         self._milliseconds: dict[str, float] = {}
         self._grasps = self._image_count = self._normals_missing = 0
         self._reasons = ReasonLog()

@@ -58,7 +58,9 @@ class ImageViewer(QWidget):
         super().__init__()
         self.setWindowTitle("Images")
         self.resize(660, 540)
-        self.choice, self.shown, self.text = QComboBox(), QLabel(), QLabel()
+        self.choice = QComboBox()
+        self.shown = QLabel()
+        self.text = QLabel()
         self.shown.setAlignment(Qt.AlignCenter)
         self.shown.setSizePolicy(QSizePolicy.Ignored, QSizePolicy.Ignored)  # the window's size stays the user's
         layout = QVBoxLayout(self)

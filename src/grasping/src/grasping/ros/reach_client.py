@@ -30,11 +30,13 @@ class ReachClient:
     """Looks up whether the arm reaches a grasp."""
 
     def __init__(self, config: ReachConfig, tool: ToolPoseConfig) -> None:
-        self._config, self._tool = config, tool
+        self._config = config
+        self._tool = tool
         self._book = ReachabilityCache(config)
         self._lock = clock.Lock()
         self._questions: clock.Queue[tuple[int, np.ndarray]] = clock.Queue(maxsize=config.best)
-        self._failed, self._busy_since = False, 0.0
+        self._failed = False
+        self._busy_since = 0.0
         self.answers = 0
         if config.ask:
             clock.Thread(target=self._loop, name="reach", daemon=True).start()

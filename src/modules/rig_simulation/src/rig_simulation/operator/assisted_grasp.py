@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from common.modes import ExecutionState
 from common.rotations import rotation_about
 from rig_simulation.operator.pick_and_place import PickAndPlace, PickStep, PickView, Plan, wrapped
 
 EXECUTE, CANCEL, SHOW, HIDE = "execute", "cancel", "show", "hide"
 """Requests besides moves: to the execution, and for the operator's hand."""
-IDLE, WAITING_FOR_HAND, OVER = "idle", "waiting_for_hand", "over"
-"""States of the execution, as far as the operator needs them."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class AssistedView:
     objects: Mapping[str, ObservedObject]  # by name
     proposal: ProposedGrasp | None = None  # the newest best proposal that the arm reaches, or None
     complaint: str = ""  # why there is no proposal
-    execution: str = IDLE  # state of the execution
+    execution: str = ExecutionState.IDLE.value  # state of the execution
     reason: str = ""  # of that state
     outcome: GraspReport | None = None  # the newest outcome
 
@@ -167,9 +166,9 @@ class AssistedGrasp:
 
     def _approach(self, scene: AssistedView, now: float) -> AssistedStep:
         assert self._since is not None  # `step` sets it
-        if scene.execution in (IDLE, OVER) and now - self._since > self._habits.look:
+        if scene.execution in (ExecutionState.IDLE, ExecutionState.OVER) and now - self._since > self._habits.look:
             return self._again(f"the execution stopped before the hand came in: {scene.reason}", now)
-        if scene.execution != WAITING_FOR_HAND:
+        if scene.execution != ExecutionState.WAITING_FOR_HAND:
             return self._result()
         turned = rotation_about(2, wrapped(scene.heading - self._home_heading))
         work = PickAndPlace(self._plan, turned @ self._center_line)

@@ -14,7 +14,7 @@ from std_srvs.srv import SetBool, Trigger
 from common import clock
 from common.arms import arms_from
 from common.errors import RigError
-from common.modes import Mode
+from common.modes import ExecutionState, Mode
 from common.poses import inverse
 from common.ros.conversions import array
 from common.ros.service_calls import ServiceFailed, call
@@ -257,7 +257,7 @@ class AssistedScenario(Scenario):
             objects=objects,
             proposal=proposal,
             complaint=complaint,
-            execution=self._execution.get("state", assisted.IDLE),
+            execution=self._execution.get("state", ExecutionState.IDLE.value),
             reason=self._execution.get("reason", ""),
             outcome=self._outcome,
         )
