@@ -21,8 +21,8 @@ from iiwa_kinematics import Kinematics
 from kuka_control.limits.collision import NOISE_M, CollisionGuard, _Posture
 from kuka_control.limits.moving_arm import GuardError
 from kuka_control.loop import assembly
-from kuka_control.loop.control_loop import CHECKED_AT_ONCE
 from kuka_control.loop.moves import MoveState
+from kuka_control.loop.pending_check import CHECKED_AT_ONCE
 from kuka_control.loop.transitions import State
 from kuka_control.model.config import RealTimeConfig
 from kuka_control.model.obstacles import ConvexBody, ConvexShape, obstacles_from
@@ -584,7 +584,7 @@ def test_a_pick_up_does_not_begin_if_control_goes_off_while_its_way_is_checked()
     for off in (True, False):
         world = guarded_world().at_home()
         world.control_on = True
-        while world.loop._check is None:
+        while not world.loop._path.continues:
             world.run(DT, aside(-0.1))
         assert not world.arm.commands and world.mode == Mode.HOME
         world.control_on = not off

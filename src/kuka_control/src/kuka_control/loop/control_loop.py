@@ -5,13 +5,14 @@ handler answers a command, or the trigger for the table in transitions.py. While
 disregarded; afterwards only new ones count.
 
 After a fault the loop is latched in STOPPED: it leaves the arm where it is, says why, and continues only after control
-was switched off and on again, with a motion home. Which desired tool frames count: admission.py."""
+was switched off and on again, with a motion home. Which desired tool frames count: admission.py. Motions for programs:
+program_moves.py."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Callable, Generic, TypeVar, Union
 
@@ -26,7 +27,8 @@ from kuka_control.loop.admission import StreamAdmission
 from kuka_control.loop.commands import COMMANDS, Command, End, Event, Observation, Servo, StartPtp, Step, Wait
 from kuka_control.loop.goal_stream import SETTLED_RAD, TOLERANCE_RAD, GoalStream, GoalStreamSettings, ServoStream
 from kuka_control.loop.line_stream import LineStream
-from kuka_control.loop.moves import MoveProgress, MoveState, ProgramMotion, wrong_time
+from kuka_control.loop.pending_check import ALLOWED, PathVerdict, PendingCheck
+from kuka_control.loop.program_moves import ProgramMoves
 from kuka_control.loop.servo_law import ServoLawIdentification, ServoLawVerdict, verdict
 from kuka_control.loop.tracking import JointCheck, PtpSupervision, is_within
 from kuka_control.loop.transitions import (
@@ -45,10 +47,10 @@ from kuka_control.model.robot_shape import Opening
 from kuka_control.model.switches import IN_DOUBT, ExitInPlace, SwitchState
 from kuka_control.model.target import MotionScaling, Target, TargetChain
 from kuka_control.model.workspace import Infeasible
-from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, HOLD_HZ, LINE_START_RAD, TEST_MOTIONS
+from kuka_control.numbers import EXIT_PATIENCE_S, HAND_S, HOLD_HZ, TEST_MOTIONS
 
 if TYPE_CHECKING:
-    from kuka_control.limits.collision import CollisionGuard, PathCheck
+    from kuka_control.limits.collision import CollisionGuard
 
 Q_ZERO = read_only(np.zeros(7))  # the joints in which the arm is left behind [rad]
 
@@ -70,12 +72,6 @@ COUNTED = (
     "faults",
 )
 """The names of the counters; all are there from the start."""
-
-FINGER_IN_THE_WAY = (
-    "A finger that opens or closes meanwhile could come that near; what the fingers may touch, name in allow_contact. "
-)
-
-CHECKED_AT_ONCE = 100  # so many distances are measured in one cycle for the check of a path: a few ms
 
 
 @dataclass(frozen=True)
@@ -175,15 +171,11 @@ class ControlLoop(ABC, Generic[Settings]):
         self._position = np.zeros(3)  # of the newest desired tool frame that the arm was to go to, shape (3,) [m]
         self._unreachable: str | None = None
         self._unreachable_reported: bool | None = None
-        self._move: ProgramMotion | None = None  # the last motion for a program that started
-        self._q_before = Q_ZERO  # joints where it started
-        self._cancelled = False  # whether the program has cancelled it
-        self._progress: MoveProgress | None = None  # of the last one that was asked for
-        self._check: tuple[Sequence[np.ndarray], PathCheck] | None = None  # of a motion that is to begin, and its path
+        self._program = ProgramMoves(State.LINE in self.STATES)
+        self._path = PendingCheck(settings.guard)
         self._opening: Opening | None = None  # of the hand
         self._started: float | None = None  # when the first cycle was [s]
         # What this cycle has brought so far.
-        self._checks = False  # whether that check continues
         self._events: list[Event] = []
         self._limited_by: tuple[Limit, ...] = ()
         self._taken: list[tuple[State, Trigger]] = []
@@ -193,10 +185,9 @@ class ControlLoop(ABC, Generic[Settings]):
         self._events = []
         self._limited_by = ()
         self._taken = []
-        self._checks = False
+        self._path.begin_cycle()
         inputs = observation.inputs
-        move = inputs.move
-        self._cancelled = move is None or move.cancelled or self._move is None or move.number != self._move.number
+        self._program.take(inputs.move)
         self._scale(inputs.switches.scale)
         update = self._admission.take(inputs, now, self._active.state is State.SERVO)
         if update.refused:
@@ -208,10 +199,13 @@ class ControlLoop(ABC, Generic[Settings]):
             self._admission.program_moves(now)
         guard = self._settings.guard
         self.guard_scale = 1.0 if guard is None or Limit.COLLISION_GUARD not in self._limited_by else guard.scale
-        self._note_move(observation)
-        if self._taken or not self._checks:
-            self._check = None
         active = self._active
+        if active.has(Trait.PROGRAM):
+            of_line = active.data.fraction if isinstance(active.data, LineStream) else 0.0
+            self._program.advance(observation.joints, of_line)
+        else:
+            self._program.refuse_late(active.state.mode, active.reason, self._path.continues)
+        self._path.end_cycle(bool(self._taken))
         bounds = self._target.limited_by if self._target else ()
         inhibited = self._admission.refusal(inputs.switches.control_on, active.state, now)
         why = inhibited or self._limited(observation)
@@ -224,7 +218,7 @@ class ControlLoop(ABC, Generic[Settings]):
             self._target,
             bounds + self._limited_by,
             tuple(self._taken),
-            self._progress,
+            self._program.progress,
             self._scaling,
             inhibited is not None,
         )
@@ -274,8 +268,7 @@ class ControlLoop(ABC, Generic[Settings]):
         if blocked is not None and row.if_blocked is IfBlocked.WAITS:
             return self._refuse_pick_up(blocked, cycle.now)
         if blocked is not None and row.if_blocked is IfBlocked.REFUSES:
-            assert self._progress is not None, "a motion was asked for"
-            self._progress = replace(self._progress, state=MoveState.REFUSED, sentence=blocked)
+            self._program.refuse(blocked)
             return Wait()
         if blocked is not None and row.if_blocked.trigger is not None:
             fired = Fired(row.if_blocked.trigger, blocked)
@@ -303,7 +296,7 @@ class ControlLoop(ABC, Generic[Settings]):
         traits = row.target.traits
         cause = before.trigger if before.has(Trait.BRAKES) else fired.trigger
         if before.has(Trait.PROGRAM) and Trait.PROGRAM not in traits:
-            self._end_move(row.target, cause if fired.trigger is Trigger.AT_REST else fired.trigger, because)
+            self._program.end(row.target, cause if fired.trigger is Trigger.AT_REST else fired.trigger, because)
         elif Trait.PROGRAM in traits and not before.has(Trait.PROGRAM):
             self._admission.own.forget()
         latches = Trait.LATCHES in traits
@@ -337,44 +330,19 @@ class ControlLoop(ABC, Generic[Settings]):
             slow = self._admission.ran_before
             return self.PICK_UP, self._target.q, settings.velocity_home if slow else settings.velocity_return
         if target is State.TO_GOAL:
-            assert self._move is not None, "a program's motion is known"
-            return self._move.name, self._move.q, self._move.velocity
+            move = self._program.running
+            return move.name, move.q, move.velocity
         velocity = settings.velocity_return if target is State.RETURNING else settings.velocity_home
         return "home", settings.q_home, velocity
 
-    def _checked(self, row: Transition, cycle: Cycle) -> tuple[bool, str | None]:
+    def _checked(self, row: Transition, cycle: Cycle) -> PathVerdict:
+        """Returns whether a motion that a transition begins may begin."""
         if row.action is Action.PTP:
             name, q, _ = self._motion(row.target)
-            return self._check_path(f"motion to {name}", (cycle.observation.joints, q), False)
+            return self._path.ask(f"motion to {name}", (cycle.observation.joints, q), False)
         if row.target is State.LINE:
-            assert self._move is not None and self._move.line is not None, "a line was asked for"
-            return self._check_path("line", self._move.line.path, True)
-        return True, None
-
-    def _check_path(self, what: str, path: Sequence[np.ndarray], softly: bool) -> tuple[bool, str | None]:
-        """Returns whether the collision guard decided on a path in a cycle before, and why it refuses it, a
-        sentence. Each cycle brings a part of the check; a cycle that does not ask for it drops it. `softly`: as for
-        the guard."""
-        guard = self._settings.guard
-        before = self._check
-        if guard is None:
-            return True, None
-        self._checks = True
-        try:
-            if before is None or not _same(before[0], path):
-                self._check = before = path, guard.check(path, softly)
-            elif before[1].done:
-                return True, None
-            before[1].go_on(CHECKED_AT_ONCE)
-        except GuardError as error:
-            self._check = None
-            return True, f"The {what} is refused. {error}"
-        if before[1].fault is None:
-            return False, None
-        self._check = None
-        refuses = f"The collision guard refuses the {what}: on the way {before[1].fault}"
-        finger = FINGER_IN_THE_WAY if before[1].fault.finger else ""
-        return True, f"{refuses}; it keeps {1e3 * guard.margin:.0f} mm. {finger}Clear the way."
+            return self._path.ask("line", self._program.line.path, True)
+        return ALLOWED
 
     def _away(self, T_base_tool: np.ndarray) -> tuple[float, float]:
         """Returns how far a desired tool frame, shape (4, 4) [m], is from the tool at home: [m], [rad]."""
@@ -457,9 +425,8 @@ class ControlLoop(ABC, Generic[Settings]):
     def _toward_stream(self, cycle: Cycle) -> Outcome:
         if not cycle.switches.control_on or not self._admission.admitted:
             return Wait()
-        checks = self._check is not None and self._target is not None and self._check[0][-1] is self._target.q
-        if checks and self._admission.decided:
-            return Fired(Trigger.FAR_TARGET)  # the way to this one is being checked
+        if self._admission.decided and self._target is not None and self._path.goes_to(self._target.q):
+            return Fired(Trigger.FAR_TARGET)
         if cycle.fresh is None or not self._admission.admits(cycle.fresh, cycle.now):
             return Wait()
         q = self._resolve(cycle.fresh, cycle.observation.joints)
@@ -471,74 +438,9 @@ class ControlLoop(ABC, Generic[Settings]):
         repeats = self._admission.repeats(self._active.state, outcome.trigger, cycle.fresh, cycle.now)
         return Wait() if repeats else outcome
 
-    def _asked(self, observation: Observation) -> ProgramMotion | None:
-        """Returns the motion that a program asks for, if it was neither started nor refused before."""
-        move = observation.inputs.move
-        known = self._progress
-        if move is None or known is None or move.number > known.number:
-            return move
-        checked = move.number == known.number and known.state is MoveState.RUNNING
-        return move if checked and not self._active.has(Trait.PROGRAM) else None
-
     def _new_move(self, cycle: Cycle) -> Fired | None:
-        move = self._asked(cycle.observation)
-        if move is None:
-            return None
-        refused = self._refused_move(move, cycle)
-        if refused is not None:
-            self._progress = MoveProgress(move.number, MoveState.REFUSED, refused)
-            return None
-        self._move = move
-        self._progress = MoveProgress(move.number, MoveState.RUNNING)
-        self._q_before = cycle.observation.joints
-        return Fired(Trigger.MOVE if move.line is None else Trigger.LINE)
-
-    def _refused_move(self, move: ProgramMotion, cycle: Cycle) -> str | None:
-        if move.cancelled:
-            return "The motion was cancelled before it began."
-        if not cycle.switches.control_on:
-            return "Control is off; a program may move the arm only while the operator has switched it on."
-        if self._stream.runs:
-            return "The desired tool frame comes from a hand or a node; end that before a program moves the arm."
-        if move.line is not None:
-            if State.LINE not in self.STATES:
-                return "This controller makes no straight lines."
-            if np.max(np.abs(move.line.q_start - cycle.observation.joints)) > LINE_START_RAD:
-                return "The arm is no longer where the line begins; ask again."
-        return None
-
-    def _note_move(self, observation: Observation) -> None:
-        """Refuses a motion that came at the wrong time, and notes how far the running one is."""
-        move = self._move
-        progress = self._progress
-        if self._active.has(Trait.PROGRAM) and move is not None and progress is not None:
-            fraction, left = self._progress_at(move, observation.joints)
-            self._progress = replace(progress, fraction=fraction, left=left)
-            return
-        asked = self._asked(observation)
-        if asked is not None and not (self._checks and asked is self._move):
-            refused = wrong_time(self._active.state.mode, self._active.reason)
-            self._progress = MoveProgress(asked.number, MoveState.REFUSED, refused)
-
-    def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
-        """Returns the fraction of the running motion that is done, and what is left: [rad], of a line [m]."""
-        way, left = (float(np.max(np.abs(move.q - q))) for q in (self._q_before, joints))
-        return (1.0 - min(left / way, 1.0) if way > 0.0 else 1.0), left
-
-    def _end_move(self, target: State, cause: Trigger | None, because: str) -> None:
-        assert self._move is not None and self._progress is not None, "a motion runs"
-        state = MoveState.ABORTED
-        sentence = because
-        if target is State.AT_GOAL and cause is Trigger.ARRIVED:
-            cancelled = " It was cancelled on the way, but a point-to-point motion ends at its goal."
-            late = self._move.line is None and self._cancelled
-            state = MoveState.DONE
-            sentence = f"The arm is at {self._move.name}.{cancelled if late else ''}"
-        elif cause is Trigger.CANCELLED:
-            state = MoveState.CANCELLED
-        self._progress = replace(self._progress, state=state, sentence=sentence)
-        if state is MoveState.DONE:
-            self._progress = replace(self._progress, fraction=1.0, left=0.0)
+        trigger = self._program.begin(cycle.observation.joints, cycle.switches.control_on, self._stream.runs)
+        return None if trigger is None else Fired(trigger)
 
     @abstractmethod
     def _follow(self, distance: float) -> Outcome:
@@ -739,13 +641,12 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
         switched = self._switched(cycle)
         if switched is not None:
             return switched
-        if self._cancelled:
+        if self._program.cancelled:
             return Fired(Trigger.CANCELLED)
         joints = cycle.observation.joints
         if self._active.data is None:
-            assert self._move is not None and self._move.line is not None, "a line was asked for"
             lts = self._law is not None and self._law.lts
-            stream = LineStream(self._settings.goals, self._limits, lts, joints, cycle.now, self._move.line)
+            stream = LineStream(self._settings.goals, self._limits, lts, joints, cycle.now, self._program.line)
             self._active = replace(self._active, data=stream)
         goals: LineStream = self._active.data
         lag = goals.lag(joints, cycle.now)
@@ -760,13 +661,6 @@ class RealTimeLoop(ControlLoop[RealTimeSettings]):
             return self._sent(goals.goal(joints, cycle.now))
         except GuardError as error:
             return Fired(Trigger.GUARD_FAILED, str(error))
-
-    def _progress_at(self, move: ProgramMotion, joints: np.ndarray) -> tuple[float, float]:
-        """As for all motions; that of a line counts in the way of the tool."""
-        if move.line is None:
-            return super()._progress_at(move, joints)
-        fraction = self._active.data.fraction if isinstance(self._active.data, LineStream) else 0.0
-        return fraction, (1.0 - fraction) * move.line.length
 
     def _sent(self, goal: LimitedGoal, stamp: float | None = None) -> Servo:
         if goal.limited_by is not None:
@@ -805,10 +699,3 @@ class PtpLoop(ControlLoop[PtpSettings]):
 
     def _follow(self, distance: float) -> Outcome:
         return Wait() if distance <= self._settings.joints_thresh else Fired(Trigger.FAR_TARGET)
-
-
-def _same(before: Sequence[np.ndarray], path: Sequence[np.ndarray]) -> bool:
-    """Returns whether a path, joints of shape (7,) each [rad], is one before, from where the arm still stands."""
-    stands = 5e-4  # an arm whose joints are no further off still is where the check began [rad]
-    starts = float(np.max(np.abs(before[0] - path[0]))) <= stands
-    return starts and len(before) == len(path) and all(map(np.array_equal, before[1:], path[1:]))
