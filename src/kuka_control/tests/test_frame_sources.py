@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from common.poses import pose, translation
 from common.rotations import rotation_about
 from kuka_control.model.desired_frame import ChainWatch, FrameSources
+from kuka_control.model.frame_chain import FrameChain
 from kuka_control.numbers import HANDOVER_S
 
 BASE, LEAP, TOOL = "kuka/base_frame", "leap_motion/virtual_frame", "kuka/tool_frame/desired"
@@ -87,3 +88,27 @@ def test_a_frame_that_turns_with_the_next_hand_or_without_moving_the_tool_has_no
     assert watch.step(pause, LEAP, T, T @ T_tool) is None
     assert watch.step(pause + 0.01, LEAP, np.eye(4), T @ T_tool) is None
     assert watch.step(pause + 0.02, BASE, T, T @ T_tool @ T) is None
+
+
+FRAMES = st.sampled_from(["base", "tool", "leap", "mount", "camera", "tag"])
+
+
+@given(st.lists(st.tuples(FRAMES, FRAMES), max_size=30))
+def test_all_transforms_of_frames_that_the_tool_or_the_base_ever_stood_in_are_passed_on_in_their_order(sent):
+    chain, passed, parents, needed = FrameChain("tool", "base"), [], {}, set()
+    for number, (child, parent) in enumerate(sent):
+        passed += chain.put(child, parent)
+        passed += [(child, number)] if chain.needs(child, (child, number)) else []
+        parents[child] = parent
+        needed.update(reached(parents))
+    for frame in dict(sent):
+        came = [(child, number) for number, (child, _) in enumerate(sent) if child == frame]
+        assert [each for each in passed if each[0] == frame] == (came if frame in needed else [])
+
+
+def reached(parents):
+    """Returns the frames that the tool and the base stand in now, and both."""
+    found = ["tool", "base"]
+    for frame in found:
+        found += [parents[frame]] if parents.get(frame, frame) not in found else []
+    return found

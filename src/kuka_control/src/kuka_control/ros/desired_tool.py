@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
-from collections import deque
 
 import numpy as np
 import rospy
@@ -41,6 +40,7 @@ from kuka_control.model.desired_frame import (
     skew_fault,
     transform_fault,
 )
+from kuka_control.model.frame_chain import FrameChain, HandEntries
 from kuka_control.numbers import MAX_OFFSET_S, REPEATED_S, STANDS_S, UNCONNECTED_S
 from kuka_control.ros.other_clock import NodeClock
 
@@ -58,7 +58,6 @@ OWN = (
     *(TOOL_HOME, TOOL_COMMANDED, TOOL_MEASURED),
 )
 """The rig's own frames that are nearly called so."""
-KEPT = 32  # transforms of a frame that does not concern the desired tool frame
 
 
 class DesiredTool:
@@ -75,8 +74,9 @@ class DesiredTool:
         offset: of the clock of the node that published it last [s]."""
 
     def __init__(self, frames: ArmFrames = ONE_ARM) -> None:
-        self._base, self._tool, self._leap = frames(BASE), frames(TOOL_DESIRED), frames(VIRTUAL_LEAP)
-        self._filtered = frames(HAND_FILTERED)
+        self._base = frames(BASE)
+        self._tool = frames(TOOL_DESIRED)
+        self._leap = frames(VIRTUAL_LEAP)
         self._known = (*OWN, TOOL_DESIRED) if frames.tf_prefix else OWN
         self.buffer = tf2_ros.Buffer(debug=False)
         self._arrived = clock.Event()
@@ -86,22 +86,23 @@ class DesiredTool:
         self._conflict: object = None  # the newest one that was passed on
         self._went_back: str | None = None  # ROS time did, and this was not passed on yet
         self._refused: str | None = None  # why the newest transform of the chain is, and this was not passed on yet
-        self._heard = self._unconnected = 0.0  # when it came last, and that of those which could not be used [s]
+        self._heard = 0.0  # when the frame came last [s]
+        self._unconnected = 0.0  # when one came last that could not be used [s]
         self._unconnected_since: float | None = None  # [s]
-        self._last_stamp, self._advanced = -math.inf, 0.0  # its last stamp, and when that was later than before [s]
-        self._missing, self._missed = f"It waits for the frame {self._tool}.", -math.inf  # the second: when found [s]
+        self._last_stamp = -math.inf  # of the frame [s]
+        self._advanced = 0.0  # when that was later than the one before [s]
+        self._missing = f"It waits for the frame {self._tool}."
+        self._missed = -math.inf  # when that was found [s]
         self.stamp: rospy.Time | None = None
         self._looked_up: rospy.Time | None = None  # the same, of this machine's clock
         self._clock = NodeClock("")  # of the node that published it last
         self._clocks: dict[str, NodeClock] = {}  # of all that did
         self._foreign = True  # whether it does not stand in the virtual Leap
-        self._engagement, self._without_hand = 0, False  # the second: whether that came without it since the last hand
+        self._hands = HandEntries(self._leap, self._tool, frames(HAND_FILTERED))
         self._lock = clock.Lock()  # each publisher on /tf has a thread of its own
         self._last_time = rospy.Time.now()
         self._passed = clock.monotonic()  # when ROS time was seen to pass [s]
-        self._parents: dict[str, str] = {}
-        self._needed: set[str] = {self._tool, self._base}
-        self._others: dict[str, deque[RawTransform]] = {}
+        self._frames: FrameChain[RawTransform] = FrameChain(self._tool, self._base)
         rospy.Subscriber("/tf_static", TFMessage, self.static_callback, tcp_nodelay=True)
         rospy.Subscriber("/tf", RawTfMessage, self.callback, tcp_nodelay=True)
 
@@ -137,10 +138,10 @@ class DesiredTool:
         with self._lock:
             self._check_for_reset()
             arrived = False
-            self._count_engagements({transform.child for transform in transforms})
+            self._hands.take({transform.child for transform in transforms})
             for transform in transforms:
                 # Also one that is left out names the frames of a conflict.
-                known = self._parents.get(transform.child) == transform.parent
+                known = self._frames.parents.get(transform.child) == transform.parent
                 if transform.child == self._tool:
                     self._heard = now
                 if not self._sources.heard(transform.child, transform.parent, node, now):
@@ -152,11 +153,9 @@ class DesiredTool:
                     self._measure(node, transform, now)
                 if node in self._clocks:
                     transform = transform.earlier(self._clocks[node].offset.value)
-                if transform.child in self._needed:
+                if self._frames.needs(transform.child, transform):
                     self._take(transform)
                     arrived = True
-                else:
-                    self._others.setdefault(transform.child, deque(maxlen=KEPT)).append(transform)
         if arrived:
             self._arrived.set()
 
@@ -191,27 +190,10 @@ class DesiredTool:
 
     def _stands_in(self, child: str, parent: str) -> None:
         """Notes in which frame another one stands; gives tf2 what it needs from now on."""
-        self._parents[child] = parent
-        for start in (self._tool, self._base):  # what was needed stays so: tf2 also looks at moments before a change
-            frame, passed = self._parents.get(start), {start}
-            while frame is not None and frame not in passed:
-                passed.add(frame)
-                frame = self._parents.get(frame)
-            self._needed |= passed
-            if start == self._tool:
-                self._foreign = self._leap not in passed
-        for frame in self._needed.intersection(self._others):
-            for transform in self._others.pop(frame):
-                self._take(transform)
-
-    def _count_engagements(self, frames: set[str]) -> None:
-        """A hand has come in if the virtual Leap came without a desired tool frame before, and now comes with one
-        and the filtered hand. Without that a program holds the tool."""
-        if self._leap in frames and self._tool not in frames:
-            self._without_hand = True
-        elif self._leap in frames and self._filtered in frames:
-            self._engagement += self._without_hand
-            self._without_hand = False
+        needed = self._frames.put(child, parent)
+        self._foreign = self._leap not in self._frames.path(self._tool)
+        for transform in needed:
+            self._take(transform)
 
     def _measure(self, node: str, transform: RawTransform, now: float) -> None:
         """Compares the clock of the node that publishes the desired tool frame with this machine's."""
@@ -224,7 +206,7 @@ class DesiredTool:
             return
         self._last_stamp = -math.inf
         self.buffer.clear()  # of frames that are not corrected, or by another offset
-        self._others.clear()
+        self._frames.forget()
         offset = self.offset
         if not offset:
             rospy.loginfo("The clock of %s agrees with this machine's again.", node)
@@ -297,7 +279,7 @@ class DesiredTool:
             T_base_tool = pose_from_transform(message.transform)
             self._looked_up, self.stamp = stamp, stamp + rospy.Duration.from_sec(self.offset)
             jump = self._chain_jump(stamp, T_base_tool)
-            number, hand = self._clock.offset.number, None if self._foreign else self._engagement
+            number, hand = self._clock.offset.number, None if self._foreign else self._hands.count
             self._newest = DesiredFrame(T_base_tool, stamp.to_sec(), jump, None, number, self._foreign, hand)
         except tf2_ros.ExtrapolationException:
             return self._unusable(now) and self._refuse_late()
@@ -310,7 +292,7 @@ class DesiredTool:
 
     def _chain_jump(self, stamp: rospy.Time, T_base_tool: np.ndarray) -> str | None:
         """Returns which frame that the desired tool frame stands in has jumped, a sentence, or None."""
-        parent = self._parents.get(self._tool, self._base)
+        parent = self._frames.parents.get(self._tool, self._base)
         if parent == self._base:
             return None
         try:
@@ -329,14 +311,11 @@ class DesiredTool:
 
     def _refuse_late(self) -> bool:
         """Refuses a desired tool frame that comes with new stamps, in a frame that does not."""
-        frame, oldest = self._tool, (math.inf, self._tool)
-        passed: set[str] = set()
-        while frame in self._parents and frame not in passed:
-            passed.add(frame)
-            with contextlib.suppress(tf2_ros.TransformException):
-                newest = self.buffer.get_latest_common_time(self._parents[frame], frame).to_sec()
+        oldest = math.inf, self._tool
+        for frame in self._frames.path(self._tool):
+            with contextlib.suppress(tf2_ros.TransformException, KeyError):
+                newest = self.buffer.get_latest_common_time(self._frames.parents[frame], frame).to_sec()
                 oldest = min(oldest, (newest or math.inf, frame))  # 0: a static one
-            frame = self._parents[frame]
         newest, frame = oldest
         if newest == math.inf:
             return False
@@ -345,11 +324,9 @@ class DesiredTool:
 
     def _refuse_unconnected(self) -> bool:
         """Refuses a desired tool frame that comes, but has no way to the base."""
-        frame, passed = self._tool, set()
-        while frame in self._parents and frame not in passed:
-            passed.add(frame)
-            frame = self._parents[frame]
-        unknown = f"it stands in {frame}, and nobody publishes where that is in {self._base}"
+        last = self._frames.path(self._tool)[-1]
+        root = self._frames.parents.get(last, last)  # of a circle the frame where it begins
+        unknown = f"it stands in {root}, and nobody publishes where that is in {self._base}"
         return self._refuse(f"The desired tool frame is refused: {unknown}.")
 
     def _refuse(self, conflict: str) -> bool:
@@ -360,7 +337,7 @@ class DesiredTool:
     def _refuse_at(self, stamp: float, refused: str | None = None, conflict: str | None = None) -> bool:
         """Refuses what came, by a frame with this stamp [s]. That of a foreign stream does not begin another one, by
         which a bar would end."""
-        foreign = self._foreign and self._leap not in self._parents
+        foreign = self._foreign and self._leap not in self._frames.parents
         self._newest = DesiredFrame(np.eye(4), stamp, conflict, refused, foreign=foreign)
         return True
 
