@@ -56,7 +56,8 @@ class DelayMeter:
     """The delay of the tool behind the palm over the last seconds, while both move."""
 
     def __init__(self) -> None:
-        self.palm, self.tool = Track(NEWEST_S), Track(NEWEST_S)
+        self.palm = Track(NEWEST_S)
+        self.tool = Track(NEWEST_S)
         self._delay: HandDelay | None = None
         self._due = -math.inf
 

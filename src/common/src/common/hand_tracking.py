@@ -168,7 +168,9 @@ class HandLock(Generic[Hand]):
     def __init__(
         self, max_gap: float, outside: Callable[[np.ndarray], float] | None = None, turn: float = math.inf
     ) -> None:
-        self._max_gap, self._outside, self._turn = max_gap, outside, turn
+        self._max_gap = max_gap
+        self._outside = outside
+        self._turn = turn
         self._turn_began = 0.0
         self._tracks: list[_Track[Hand]] = []  # in the order of appearance
         self._followed: _Track[Hand] | None = None

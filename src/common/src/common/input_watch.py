@@ -19,8 +19,10 @@ class InputWatch:
     def __init__(
         self, streams: Iterable[str], once: Iterable[str] = (), slop: float | None = None, silent: float = OUTPUT_S
     ) -> None:
-        self._streams, self._once = tuple(streams), tuple(once)
-        self._slop, self._silent = slop, silent
+        self._streams = tuple(streams)
+        self._once = tuple(once)
+        self._slop = slop
+        self._silent = silent
         self._once_came: set[str] = set()
         self.restart()
 

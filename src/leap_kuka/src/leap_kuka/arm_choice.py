@@ -28,7 +28,8 @@ class ArmChoice:
     one that is in view longest."""
 
     def __init__(self, how: str, boxes: Mapping[str, float]) -> None:
-        self._how, self._boxes = how, dict(boxes)
+        self._how = how
+        self._boxes = dict(boxes)
         places = sorted(self._boxes.values())
         if how == REGION and any(b - a <= 2.0 * CLEARLY_M for a, b in zip(places, places[1:])):
             listed = ", ".join(f"{arm} {x:g} m" for arm, x in self._boxes.items())

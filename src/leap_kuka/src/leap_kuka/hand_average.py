@@ -48,7 +48,8 @@ class HandAverage:
     def __init__(self, size: int, filter: str = "mean") -> None:
         if size < 1:
             raise ValueError(f"the mean needs at least one sample, not {size}")
-        self.size, self.window = size, size / NOMINAL_RATE_HZ
+        self.size = size
+        self.window = size / NOMINAL_RATE_HZ
         self._filter = None if filter == "mean" else FILTERS[filter]()
         self._filtered: Sequence[float] = ()
         self._averaged = max(size - FILTER_SIZE, 0) + 1  # results of the filter, at most

@@ -71,8 +71,10 @@ class Button:
     """One button of one source; `slow` is the side that needs `debounce` [s]."""
 
     def __init__(self, slow: bool, debounce: float) -> None:
-        self._slow, self._debounce = slow, debounce
-        self._raw, self._since = False, -math.inf
+        self._slow = slow
+        self._debounce = debounce
+        self._raw = False
+        self._since = -math.inf
 
     def set(self, pressed: bool, now: float) -> None:
         if pressed != self._raw:
@@ -86,7 +88,8 @@ class ButtonSource:
     """The buttons of one source by what they do, and what it is called."""
 
     def __init__(self, name: str, debounce: float, has_clutch: bool = False) -> None:
-        self.name, self._has_clutch = name, has_clutch
+        self.name = name
+        self._has_clutch = has_clutch
         self.buttons = {ENABLE: Button(True, debounce), CLUTCH: Button(False, debounce)}
         self.unsure = False  # whether the clutch is pressed because the device was not there
         self.lost(-math.inf)
@@ -109,7 +112,8 @@ class InputDevice(ButtonSource):
     """A Linux input device; `keys` has the codes of its keys by what they do."""
 
     def __init__(self, keys: dict[str, int], debounce: float) -> None:
-        self._keys, self._rest = keys, b""
+        self._keys = keys
+        self._rest = b""
         super().__init__("pedal", debounce, CLUTCH in keys)
 
     def read(self, data: bytes, now: float) -> None:

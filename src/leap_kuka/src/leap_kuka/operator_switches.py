@@ -100,7 +100,8 @@ class SecondHandSwitch:
 
     def __init__(self, gesture: str, pressed_is_safe: bool, min_confidence: float) -> None:
         self._strength = "grab" if gesture.endswith("fist") else "pinch"
-        self._clutch, self._min_confidence = pressed_is_safe, min_confidence
+        self._clutch = pressed_is_safe
+        self._min_confidence = min_confidence
         self._since: float | None = None  # when the hand began to ask for motion
         self._seen = -math.inf
         self._opened = False
@@ -135,14 +136,16 @@ class OperatorSwitches:
     must end, and `source` names what enables or clutches. `elsewhere` says why another arm is steered, or is None."""
 
     def __init__(self, leap: LeapConfig) -> None:
-        self._enabling, self._clutch = leap.enabling, leap.clutch
+        self._enabling = leap.enabling
+        self._clutch = leap.clutch
         self.device = DeviceSwitches()
         self._hands = {
             name: SecondHandSwitch(kind, name == "clutch", leap.min_confidence)
             for name, kind in (("enabling", leap.enabling), ("clutch", leap.clutch))
             if kind not in (NONE, DEVICE)
         }
-        self.enabled, self.clutched = leap.enabling == NONE, False
+        self.enabled = leap.enabling == NONE
+        self.clutched = False
         self.lost = False
         self.elsewhere = None if leap.arm_choice == NONE else "no arm is chosen yet"
         self.source = ""

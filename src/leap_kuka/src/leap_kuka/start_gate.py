@@ -68,7 +68,8 @@ class StartGate:
     """The conditions of a start that are the hand's own; a running stream needs only its confidence."""
 
     def __init__(self, leap: LeapConfig, box: InteractionBox) -> None:
-        self._leap, self._box = leap, box
+        self._leap = leap
+        self._box = box
 
     def faults(self, hand: MeanHand, obstacles: Mapping[str, Reason], resumes: bool) -> dict[str, Reason]:
         """Returns the conditions that the averaged hand does not meet, with a reason each. `obstacles` are further

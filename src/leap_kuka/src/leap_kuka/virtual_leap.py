@@ -59,7 +59,8 @@ class SteadyAttitude:
     starts at the orientation R_leap_hand, shape (3, 3), relative to `heading` [rad]."""
 
     def __init__(self, R_leap_hand: np.ndarray, heading: float, limits: Attitude) -> None:
-        self._heading, self._limits = heading, limits
+        self._heading = heading
+        self._limits = limits
         self._R_leap_hand = R_leap_hand
         self.measured = attitude(R_leap_hand, heading)
         self.clipped = self.measured.clipped(limits)

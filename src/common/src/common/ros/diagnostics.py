@@ -26,7 +26,8 @@ class Diagnostics:
     tf_prefix is invalid."""
 
     def __init__(self, name: str, read: Callable[[], tuple[int, str, Mapping[str, object]]], of: str = "") -> None:
-        self._name, self._read = arm_frames(of)(name), read
+        self._name = arm_frames(of)(name)
+        self._read = read
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
         repeat(self.publish, PERIOD_S, "diagnostics")
 

@@ -75,7 +75,8 @@ class FaultLog:
     more than its numbers has changed, and its end."""
 
     def __init__(self) -> None:
-        self._kind, self._since = "", clock.monotonic()
+        self._kind = ""
+        self._since = clock.monotonic()
         self._logged = ""
 
     def __call__(self, fault: str) -> str:

@@ -35,7 +35,8 @@ class _Outbox:
     """The messages that one subscriber has not taken yet."""
 
     def __init__(self, connection, size: int) -> None:
-        self._connection, self._size = connection, size
+        self._connection = connection
+        self._size = size
         self._waiting: deque[bytes] = deque()
         self._begun = False  # whether a part of the first one is sent
         if connection.socket is not None:

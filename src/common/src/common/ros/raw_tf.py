@@ -75,7 +75,9 @@ class TransformSearch:
     """Finds the transform of `child` in `parent` in the bytes of tf messages, without reading the others."""
 
     def __init__(self, parent: str, child: str) -> None:
-        self._parent, self._child, self._names = parent, child, encoded(parent, child)
+        self._parent = parent
+        self._child = child
+        self._names = encoded(parent, child)
 
     def __call__(self, message: rospy.AnyMsg) -> RawTransform | None:
         """Returns the first one in a message, or None. Names with the leading slash of old nodes are not found."""

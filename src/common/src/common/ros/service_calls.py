@@ -35,7 +35,8 @@ class ServiceFailed(DeviceError):
 
     def __init__(self, service: str, reason: str, sent: bool) -> None:
         super().__init__(f"the service {service} {reason}")
-        self.service, self.sent = service, sent
+        self.service = service
+        self.sent = sent
 
 
 class ServiceAbsent(ServiceFailed):
@@ -49,7 +50,8 @@ class ServiceClient:
     """Calls one service of the type `kind` by its last known address."""
 
     def __init__(self, name: str, kind: type) -> None:
-        self.name, self._kind = name, kind
+        self.name = name
+        self._kind = kind
         self._address: tuple[str, int] | None = None
         self._unfinished: _Attempt | None = None  # given up, but not ended
 
@@ -108,10 +110,15 @@ class _Attempt:
     """One call in a thread of its own."""
 
     def __init__(self, client: ServiceClient, proxy: rospy.ServiceProxy, request, wait: float) -> None:
-        self._client, self._proxy, self._request, self._wait = client, proxy, request, wait
-        self._lock, self.done = clock.Lock(), clock.Event()
+        self._client = client
+        self._proxy = proxy
+        self._request = request
+        self._wait = wait
+        self._lock = clock.Lock()
+        self.done = clock.Event()
         self._given_up = self._sent = False
-        self._response, self._failure = None, None
+        self._response = None
+        self._failure = None
         clock.Thread(target=self._run, name=client.name, daemon=True).start()
 
     def response(self, timeout: float):

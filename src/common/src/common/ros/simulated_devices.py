@@ -28,7 +28,9 @@ class SimulatedDevices:
     """Those on the ROS master of a real device; `device` ends the part of a sentence."""
 
     def __init__(self, device: str) -> None:
-        self._device, self._node, self._heard = device, "", clock.Event()
+        self._device = device
+        self._node = ""
+        self._heard = clock.Event()
         rospy.Subscriber(TOPIC, String, self._take, queue_size=1)
 
     def refuse(self) -> None:

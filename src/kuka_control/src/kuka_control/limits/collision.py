@@ -114,14 +114,17 @@ class CollisionGuard:
         allowed: Iterable[str] = (),
         opening: Opening | None = None,
     ) -> None:
-        self.margin, self.scale = margin, 1.0
+        self.margin = margin
+        self.scale = 1.0
         self.nearest: NearestPair | None = None
-        self._kinematics, self._model = kinematics, kinematics.model
+        self._kinematics = kinematics
+        self._model = kinematics.model
         self._bound = margin + SAMPLED_M
         around = list(obstacles)
         lengths, angles = kinematics.slack
         self._slack = lengths + 1.5 * angles
-        self._request, self._result = hppfcl.DistanceRequest(True), hppfcl.DistanceResult()
+        self._request = hppfcl.DistanceRequest(True)
+        self._result = hppfcl.DistanceResult()
         self._fast: list[float] = self._model.max_speed.tolist()
         self._braking = [2.0 * BRAKING_PER_S * fast for fast in self._fast]
         self._linear = LAG_S**2 * min(self._braking)  # a lag up to which the braking does not count [rad]
@@ -413,7 +416,8 @@ class _Posture:
 
     def __init__(self, kinematics: Kinematics, q: Sequence[float]) -> None:
         axes, shoulder, elbow, wrist, _, (x, y, z) = joint_frames(kinematics.model, q)
-        self.q, self.axes = q, axes
+        self.q = q
+        self.axes = axes
         self.distances: dict[int, float] = {}  # of pairs that were measured, by number [m]
         self.shift: np.ndarray | None = None  # joint velocities that shift the tool by 1 m/s, shape (7, 3) [rad/s]
         self.origins = (shoulder, shoulder, shoulder, elbow, wrist, wrist, wrist)

@@ -48,9 +48,13 @@ class LinePlan:
     `duration` from rest to rest [s], and `q_goal`, joints at the end, shape (7,) [rad]."""
 
     def __init__(self, q: np.ndarray, length: float, pace: Trajectory) -> None:
-        self.length, self.duration = length, pace.duration
-        self.q_start, self.q_goal = read_only(q[0]), read_only(q[-1])
-        self._q, self._slopes, self._pace = q, _slopes(q), pace
+        self.length = length
+        self.duration = pace.duration
+        self.q_start = read_only(q[0])
+        self.q_goal = read_only(q[-1])
+        self._q = q
+        self._slopes = _slopes(q)
+        self._pace = pace
 
     @property
     def path(self) -> list[np.ndarray]:

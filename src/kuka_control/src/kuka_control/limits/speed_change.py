@@ -34,7 +34,8 @@ class SpeedChange:
         self._jerk = shape.jerk.tolist()
         self._ruckig = Ruckig(7)
         self._trajectory = Trajectory(7)
-        self._change, self._stop = InputParameter(7), InputParameter(7)
+        self._change = InputParameter(7)
+        self._stop = InputParameter(7)
         for plan in (self._change, self._stop):
             plan.control_interface = ControlInterface.Velocity
             plan.max_acceleration = self._acceleration

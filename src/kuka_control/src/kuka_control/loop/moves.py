@@ -70,7 +70,8 @@ class MovePlanner:
     ) -> None:
         self._rig = rig
         self._named = {"zero": read_only(np.zeros(7)), **named, "home": rig.home.q}
-        self._usual, self._greatest = usual, greatest
+        self._usual = usual
+        self._greatest = greatest
         self._line = line
 
     def plan(self, number: int, goal: MoveGoal, q: np.ndarray) -> ProgramMotion:

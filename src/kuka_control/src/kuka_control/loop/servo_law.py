@@ -165,7 +165,8 @@ class ServoLawIdentification:
         self._turn = -TURN_RAD if q[6] > 0.0 else TURN_RAD
         self._began: float | None = None
         self._back_at: float | None = None
-        self._out, self._back = Approach(), Approach()
+        self._out = Approach()
+        self._back = Approach()
         self._way_back = 1.0  # as a part of the turn
         self._disturbed = self._stalled = False
         self._looked = 0.0

@@ -100,7 +100,8 @@ class TrackingMonitor:
         self._measured: np.ndarray | None = None
         self._still_since = self._far_since = 0.0
         self._still_samples = self._far_samples = 0
-        self._looked, self._unknown = 0.0, 0.0
+        self._looked = 0.0
+        self._unknown = 0.0
 
     def step(self, goal: np.ndarray, measured: np.ndarray, now: float) -> str | None:
         """Returns None while the arm follows, else what is wrong, as a part of a sentence. `measured` are the newest
@@ -139,7 +140,8 @@ class PtpSupervision:
     now, `was_held`: since the motion began."""
 
     def __init__(self, name: str, q: np.ndarray) -> None:
-        self.name, self.q = name, q
+        self.name = name
+        self.q = q
         self._ended: float | None = None  # when the motion was over, with the joints not at the goal [s]
         self._readings = 0  # since then
         self._read: np.ndarray | None = None

@@ -17,7 +17,8 @@ class OffsetMeasurement:
     """One measurement, of several answers."""
 
     def __init__(self) -> None:
-        self._low, self._high = -math.inf, math.inf
+        self._low = -math.inf
+        self._high = math.inf
 
     def answered(self, sent: float, received: float, stated: float) -> None:
         """Takes an answer; one that contradicts those before begins anew: a clock was set."""
@@ -38,8 +39,10 @@ class ClockOffset:
     measured."""
 
     def __init__(self) -> None:
-        self.value, self.number = 0.0, 0
-        self._measured, self._at = 0.0, -math.inf
+        self.value = 0.0
+        self.number = 0
+        self._measured = 0.0
+        self._at = -math.inf
 
     def measured(self, offset: float) -> bool:
         """Takes a new measurement; returns whether the offset is another one from it on. One within WIDTH_S is taken

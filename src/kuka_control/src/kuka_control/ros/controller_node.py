@@ -74,7 +74,8 @@ class RobotLink:
     time, is tried again for a while. Raises DeviceError: there is no connection."""
 
     def __init__(self, config: ControllerConfig, rig: Rig) -> None:
-        self._config, self._rig = config, rig
+        self._config = config
+        self._rig = rig
         self.goals = GoalPublisher()
         rospy.loginfo("Connecting to the robot at %s:%d.", config.ip, config.port)
         self.arm = self._first()
@@ -203,7 +204,8 @@ class _Node:
         beside: SimulatedDevices | None = None,
     ) -> None:
         self._beside = beside
-        self._link, self._lifted = link, rig.workspace.lifted
+        self._link = link
+        self._lifted = rig.workspace.lifted
         self._make_loop = make_loop
         self._loop: ControlLoop | ReconnectSupervisor = make_loop()
         self._controller = Controller(link.arm, self._loop)

@@ -35,7 +35,8 @@ class MoveServer:
     ) -> None:
         self.move: ProgramMotion | None = None
         self._base = frames(BASE)
-        self._planner, self._read = planner, read
+        self._planner = planner
+        self._read = read
         self._lock = clock.Lock()
         self._handle: actionlib.ServerGoalHandle | None = None
         self._number = 0

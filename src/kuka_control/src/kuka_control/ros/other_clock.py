@@ -33,10 +33,12 @@ class NodeClock:
     about those that are far from now, the end of a sentence."""
 
     def __init__(self, node: str) -> None:
-        self.node, self.offset = node, ClockOffset()
+        self.node = node
+        self.offset = ClockOffset()
         self.finding = "its clock is being asked"
         self._result: float | None = None
-        self._asked, self._runs = 0.0, False
+        self._asked = 0.0
+        self._runs = False
 
     def doubt(self, now: float) -> None:
         """Its stamps are far from `now`, monotonic [s]: asks its clock in a thread, unless that was done just now."""

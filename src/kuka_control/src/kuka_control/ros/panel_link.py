@@ -31,7 +31,8 @@ class PanelLink(QObject):
 
     def __init__(self, panel: ControlPanel, arm: str = "") -> None:
         super().__init__(panel)
-        self._panel, self.controller = panel, ControllerLink(arm)
+        self._panel = panel
+        self.controller = ControllerLink(arm)
         panel.control_requested.connect(self.controller.ask_control)
         panel.gripper_requested.connect(self.controller.ask_gripper)
         panel.scaling_requested.connect(self.controller.ask_scaling)

@@ -79,7 +79,9 @@ class StatePublisher:
     """Publishes kuka/joint_positions at each reading, and everything else at the configured rates."""
 
     def __init__(self, rig: Rig, config: ControllerConfig, goals: GoalPublisher, frames: ArmFrames = ONE_ARM) -> None:
-        self._rig, self._goals, self._frames = rig, goals, frames
+        self._rig = rig
+        self._goals = goals
+        self._frames = frames
         self._base, self._flange, self._tool = map(frames, (BASE, FLANGE_MEASURED, TOOL_MEASURED))
         self._raw_force = config.flange_force_raw
         self._period = 1.0 / config.rate_joints
@@ -90,7 +92,8 @@ class StatePublisher:
         self._published = ArmState()
         self._target = None
         self._mode = None
-        self._host, self._pid = socket.gethostname(), os.getpid()
+        self._host = socket.gethostname()
+        self._pid = os.getpid()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=100)
         self._static = tf2_ros.StaticTransformBroadcaster()
         self._joint_states = DirectPublisher("joint_states", JointState, queue_size=10)

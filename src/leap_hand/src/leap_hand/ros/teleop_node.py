@@ -44,7 +44,9 @@ class HandTeleopNode:
     namespace of the arm with a slash, in a node for several."""
 
     def __init__(self, teleop: HandTeleop, force_limit: ForceLimit, of: str = "") -> None:
-        self._teleop, self._force_limit, self._of = teleop, force_limit, of
+        self._teleop = teleop
+        self._force_limit = force_limit
+        self._of = of
         self._wanted: np.ndarray | None = None
         self._limited = LimitedCommand(teleop.open_pose, {}, "")
         self._lock = clock.Lock()

@@ -111,8 +111,10 @@ class _Terminal:
     """Prints each instruction once, and hints now and then."""
 
     def __init__(self) -> None:
-        self._progress, self._instruction = -1.0, ""
-        self._hint, self._said = "", clock.monotonic()
+        self._progress = -1.0
+        self._instruction = ""
+        self._hint = ""
+        self._said = clock.monotonic()
 
     def say(self, step: WizardStep, now: float) -> None:
         if step.done or (step.instruction, step.progress) != (self._instruction, self._progress):

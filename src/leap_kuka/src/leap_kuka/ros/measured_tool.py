@@ -22,7 +22,8 @@ class MeasuredTool:
 
     def __init__(self, T_flange_tool: np.ndarray, frames: ArmFrames = ONE_ARM, of: str = "") -> None:
         self._T_flange_tool = T_flange_tool
-        self._base, self._flange = frames(BASE), frames(FLANGE_MEASURED)
+        self._base = frames(BASE)
+        self._flange = frames(FLANGE_MEASURED)
         self._looked_for = self._flange.encode()
         self._controller = ""
         self._newest: dict[str, tuple[bytes, float, rospy.Time]] = {}  # by publisher

@@ -24,7 +24,8 @@ class OperatorInputNode:
     """Reads the device without waiting for it, and publishes each change at once."""
 
     def __init__(self, config: OperatorInputConfig) -> None:
-        self._path, self._input = config.device, OperatorInput(config)
+        self._path = config.device
+        self._input = OperatorInput(config)
         self._file: int | None = None
         self._retry_at = 0.0
         self._failure = ""

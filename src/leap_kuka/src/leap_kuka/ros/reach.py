@@ -45,7 +45,8 @@ class ReachCheck:
         self._client = ServiceClient(f"{of}kuka/check_tool_pose", CheckToolPose)
         self._question = np.eye(4)
         self._answer = ReachAnswer(ASKING, self._question, -REACH_FRESH_S)
-        self._asked, self._period = clock.Event(), REACH_START_S
+        self._asked = clock.Event()
+        self._period = REACH_START_S
         clock.Thread(target=self._run, name="reach check", daemon=True).start()
 
     def __call__(self, T_base_desired: np.ndarray, starts: bool) -> str | None:

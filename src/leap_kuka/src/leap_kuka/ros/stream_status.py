@@ -27,7 +27,9 @@ class Repetition:
     def __init__(
         self, period: float, key: Callable[[TeleopResult], tuple], text: Callable[[TeleopResult], str] = lambda _: ""
     ) -> None:
-        self._period, self._key, self._text = period, key, text
+        self._period = period
+        self._key = key
+        self._text = text
         self._published: TeleopResult | None = None
         self._published_at = 0.0
 
@@ -51,8 +53,11 @@ class TeleopReport:
     def __init__(
         self, engagement: str, enabling_needed: bool, box: InteractionBox, frame_id: str, of: str = ""
     ) -> None:
-        self._engagement, self._enabling_needed = engagement, enabling_needed
-        self._box, self._frame_id, self._whose = box, frame_id, f"{of[:-1]}: " if of else ""
+        self._engagement = engagement
+        self._enabling_needed = enabling_needed
+        self._box = box
+        self._frame_id = frame_id
+        self._whose = f"{of[:-1]}: " if of else ""
         self._lock = clock.Lock()
         self._newest: TeleopResult | None = None
         self._state = rospy.Publisher(f"{of}leap_kuka/state", TeleopState, queue_size=10, latch=True)

@@ -52,17 +52,22 @@ class ArmTeleopNode:
         frames: ArmFrames = ONE_ARM,
         of: str = "",
     ) -> None:
-        self._teleop, self._reach = teleop, reach
-        self._base, self._virtual = frames(BASE), frames(VIRTUAL_LEAP)
-        self._hand, self._filtered = frames(HAND), frames(HAND_FILTERED)
-        self._tool, self._flange = frames(TOOL_DESIRED), frames(FLANGE_DESIRED)
+        self._teleop = teleop
+        self._reach = reach
+        self._base = frames(BASE)
+        self._virtual = frames(VIRTUAL_LEAP)
+        self._hand = frames(HAND)
+        self._filtered = frames(HAND_FILTERED)
+        self._tool = frames(TOOL_DESIRED)
+        self._flange = frames(FLANGE_DESIRED)
         self._bad_input = ""
         self._lock = clock.Lock()
         self._tf = DirectPublisher("/tf", TFMessage, queue_size=10)
         self._sent: dict[str, tuple[np.ndarray, Transform]] = {}  # poses of the newest message, by frame; read-only
         self._stage_times = StageTimes("leap_kuka", of)
         self._report = TeleopReport(engagement, teleop.switches.enabling_needed, teleop.box, self._virtual, of)
-        self._hand_to_arm, self._servo = DelayMonitor(teleop.T_tool_flange, frames), False
+        self._hand_to_arm = DelayMonitor(teleop.T_tool_flange, frames)
+        self._servo = False
         rospy.Subscriber(f"{of}kuka/status", KukaStatus, self._on_status, queue_size=1, tcp_nodelay=True)
         operator_input = f"{of}leap_kuka/operator_input"
         rospy.Subscriber(operator_input, OperatorInput, self._on_input, queue_size=10, tcp_nodelay=True)

@@ -85,7 +85,8 @@ class KstSession:
             may have been wiped, or a `done` came that is the late acknowledgement or the final word."""
 
     def __init__(self, transport: KstTransport, timing: KstTiming) -> None:
-        self.transport, self.monotonic = transport, transport.monotonic
+        self.transport = transport
+        self.monotonic = transport.monotonic
         self.timing = timing
         self.counts = LinkCounts()
         self.round_trip: float | None = None

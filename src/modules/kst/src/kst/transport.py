@@ -34,7 +34,8 @@ class KstTransport:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * USER_TIMEOUT_S))
         for option, value in _KEEPALIVE:
             self._socket.setsockopt(socket.IPPROTO_TCP, option, value)
-        self._readable, self._writable = select.poll(), select.poll()
+        self._readable = select.poll()
+        self._writable = select.poll()
         self._readable.register(self._socket, select.POLLIN)
         self._writable.register(self._socket, select.POLLOUT)
         self._splitter = KstLineSplitter()

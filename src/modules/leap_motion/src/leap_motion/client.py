@@ -116,10 +116,15 @@ class LeapClient:
         fault = wire_fault(host, code, fingerprint, trust_network)
         if fault is not None:
             raise ValueError(fault)
-        self._runtime, self._monotonic = runtime, runtime.monotonic
-        self._host, self._port, self._address = host, port, f"{host}:{port}"
-        self._code, self._fingerprint = code, fingerprint.replace(":", "").lower()
-        self._clock, self._tap = clock or runtime.time, tap
+        self._runtime = runtime
+        self._monotonic = runtime.monotonic
+        self._host = host
+        self._port = port
+        self._address = f"{host}:{port}"
+        self._code = code
+        self._fingerprint = fingerprint.replace(":", "").lower()
+        self._clock = clock or runtime.time
+        self._tap = tap
         self._closing = runtime.Event()
         self._changed = runtime.Condition()
         self._newest: tuple[str | bytes, object] | None = None

@@ -67,7 +67,8 @@ class _Known:
     """A hand as it was plausible last, its fingers by their types; times [s] on the clock of PlausibleHands."""
 
     def __init__(self, side: str) -> None:
-        self.side, self.at = side, 0.0
+        self.side = side
+        self.at = 0.0
         self.palm = np.zeros(3)  # [m]
         self.axes = np.eye(3)  # of the palm, as columns; x to the little finger's side, shape (3, 3)
         self.joints = np.zeros((5, 5, 3))  # in palm axes from the palm's centre [m]

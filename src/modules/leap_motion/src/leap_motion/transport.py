@@ -40,7 +40,8 @@ class ForeignAnswer(Exception):
 
     def __init__(self, first: bytes, by_tls: bool) -> None:
         super().__init__(f"The first bytes are {first!r}.")
-        self.first, self.by_tls = first, by_tls
+        self.first = first
+        self.by_tls = by_tls
 
 
 class LeapSocket(contextlib.AbstractContextManager):
@@ -52,7 +53,8 @@ class LeapSocket(contextlib.AbstractContextManager):
     def __init__(self, host: str, port: int, code: str = "", fingerprint: str = "") -> None:
         refusals = (401, 403, 429)  # by which a service refuses a client
         self.ponged = False  # whether the newest ping was answered
-        self._heard, self._opens = b"", OPENS_TLS if fingerprint else OPENS
+        self._heard = b""
+        self._opens = OPENS_TLS if fingerprint else OPENS
         self._messages: deque[str | bytes] = deque()
         self._parts: list[bytes] = []  # of a message that is not complete
         self._is_text = False
@@ -65,7 +67,8 @@ class LeapSocket(contextlib.AbstractContextManager):
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
             if self._tls is not None:
                 self._greet(self._tls, fingerprint, deadline)
-                self._heard, self._opens = b"", OPENS
+                self._heard = b""
+                self._opens = OPENS
             self._protocol.send_request(self._protocol.connect())
             while self._protocol.state is State.CONNECTING and self._protocol.handshake_exc is None:
                 self._read(deadline)
@@ -193,7 +196,8 @@ class _Tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-        self._in, self._out = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._in = ssl.MemoryBIO()
+        self._out = ssl.MemoryBIO()
         self._tls = context.wrap_bio(self._in, self._out)
 
     def shake(self) -> bool:

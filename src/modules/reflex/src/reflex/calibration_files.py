@@ -18,7 +18,8 @@ class CalibrationFiles:
 
     def __init__(self, folder: str, shipped: Path | None = None, simulated: bool = False) -> None:
         self.folder = Path(os.path.expanduser(folder))
-        self._shipped, self._simulated = shipped, simulated
+        self._shipped = shipped
+        self._simulated = simulated
 
     def load(self) -> tuple[FingerZeros, TactileOffsets, bool]:
         """Returns both calibrations, and whether that of the fingers was saved for this hand; raises

@@ -49,14 +49,18 @@ class ReflexHand:
         hold_at_exit: bool = False,  # keep torque and goals at the end, instead of letting the fingers go
         runtime: Any = HandRuntime,  # time and threads, with the names of HandRuntime
     ) -> None:
-        self._runtime, self._monotonic = runtime, runtime.monotonic
-        self._interface, self._port = interface, port
+        self._runtime = runtime
+        self._monotonic = runtime.monotonic
+        self._interface = interface
+        self._port = port
         self._settings = HandSettings() if settings is None else settings
         self._transport = HandTransport(interface, port)
         self._files = (
             CalibrationFiles(f"~/.ros/reflex/{interface}", simulated=interface == LOOPBACK) if files is None else files
         )
-        self._on_reading, self._on_note, self._hold_at_exit = on_reading, on_note, hold_at_exit
+        self._on_reading = on_reading
+        self._on_note = on_note
+        self._hold_at_exit = hold_at_exit
         try:
             self._logic = HandLogic(self._settings, *self._files.load())
         except BaseException:

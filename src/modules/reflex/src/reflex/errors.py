@@ -18,7 +18,8 @@ class HandSilent(ReflexError):
         silent = f"No packet from the hand on {interface} for {seconds:.1f} s"
         cure = f". {foreign}" if foreign else "; check its power, its cable and the interface."
         super().__init__(silent + cure)
-        self.interface, self.seconds = interface, seconds
+        self.interface = interface
+        self.seconds = seconds
 
 
 class CommandRefused(ReflexError):

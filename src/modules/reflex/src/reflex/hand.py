@@ -67,7 +67,8 @@ class HandRecovery(Enum):
     SERVOS_ANSWER = "warning", "All servos answer again: calibrate the fingers before they are used.", True
 
     def __init__(self, level: str, sentence: str, servos_started: bool) -> None:
-        self.level, self.sentence = level, sentence
+        self.level = level
+        self.sentence = sentence
         self.servos_started = servos_started
 
 
@@ -95,7 +96,9 @@ class HandLogic:
     refuses commands until it is calibrated."""
 
     def __init__(self, settings: HandSettings, zeros: FingerZeros, offsets: TactileOffsets, calibrated: bool) -> None:
-        self._settings, self._zeros, self._offsets = settings, zeros, offsets
+        self._settings = settings
+        self._zeros = zeros
+        self._offsets = offsets
         self.calibrated = calibrated
         self._thresholds: tuple[tuple[int, ...], ...] = ((settings.default_contact_threshold,) * 9,) * 3
         self.link = PacketFilter(settings.silence_time)

@@ -36,7 +36,8 @@ class HandStream:
     person, or empty; `placement` is None before the first."""
 
     def __init__(self, ahead: float, below: float) -> None:
-        self._ahead, self._below = ahead, below
+        self._ahead = ahead
+        self._below = below
         self.note = ""
         self.placement: Placement | None = None
         self._placed_for: object = None

@@ -56,7 +56,10 @@ class HandsEndpoint:
         say: Callable[[str], None],
         say_code: Callable[[str], None] | None = None,
     ) -> None:
-        self._stream, self._served, self._scene, self._say = stream, served, scene, say
+        self._stream = stream
+        self._served = served
+        self._scene = scene
+        self._say = say
         self._say_code = say_code or say
         self._access = HeadsetAccess()
         self._waiting = ConnectionLimits(MAX_WAITING, WAITING_OF_ADDRESS)

@@ -34,7 +34,8 @@ class LinkReport:
 
     def __init__(self, client: LeapClient, registration: TrackerRegistration | None = None, name: str = "") -> None:
         self._client = client
-        self._registration, self._name = registration, name
+        self._registration = registration
+        self._name = name
         self._what = f"The registration {registration_file(name)}" if registration is not None else ""
         self._status: LeapStatus | None = None
         self._logged: LeapStatus | None = None

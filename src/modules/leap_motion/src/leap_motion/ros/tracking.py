@@ -45,7 +45,9 @@ class ReceivedHuman(Human):
     with_joints = False
 
     def __init__(self) -> None:
-        self.stamp, self.frame_id, self.hands = rospy.Time(), 0, ()
+        self.stamp = rospy.Time()
+        self.frame_id = 0
+        self.hands = ()
 
     def deserialize(self, data: bytes) -> ReceivedHuman:
         """Reads the bytes of a message; raises genpy.DeserializationError for bytes that are not a Human message."""

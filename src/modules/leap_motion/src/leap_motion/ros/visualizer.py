@@ -22,7 +22,8 @@ class Visualizer:
     """Publishes markers in `frame`."""
 
     def __init__(self, config: VisualizerConfig) -> None:
-        self._frame, self._drawn_at = config.frame, 0.0
+        self._frame = config.frame
+        self._drawn_at = 0.0
         self._markers = rospy.Publisher("leap_motion/visualization_marker_array", MarkerArray, queue_size=2)
         self._watch = OnDemand(lambda: [subscribe(self._draw, ReceivedSkeletons)])
 

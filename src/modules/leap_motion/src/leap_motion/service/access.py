@@ -23,7 +23,8 @@ class ConnectionLimits:
     """How many connections there may be: `total`, and `per_address` of one machine."""
 
     def __init__(self, total: int, per_address: int) -> None:
-        self._total, self._per_address = total, per_address
+        self._total = total
+        self._per_address = per_address
         self._of: Counter[str] = Counter()
 
     def enter(self, address: str) -> bool:

@@ -29,7 +29,8 @@ class LeapClientLink:
 
     def __init__(self, connection: ServerConnection, version: int, service: str) -> None:
         gated_from_version = 4
-        self.connection, self.version = connection, version
+        self.connection = connection
+        self.version = version
         self.wants = {"background": service == "gemini" or version < gated_from_version, "focused": False}
         self.events: list[str] = []
         self.frames: tuple[str, ...] = ()
@@ -80,7 +81,10 @@ class LeapService(SocketService):
         simulated: bool = False,  # its hands are simulated or recorded
     ) -> None:
         shortest_code = 8
-        self._service, self._version, self._serial, self._simulated = service, version, serial, simulated
+        self._service = service
+        self._version = version
+        self._serial = serial
+        self._simulated = simulated
         self._clients: list[LeapClientLink] = []
         self._attached = True
         self._next = 0  # whose turn the frame is, where clients share them

@@ -212,7 +212,8 @@ class BoundedListener:
     """A listening socket that closes at once what is one connection too many."""
 
     def __init__(self, listener: socket.socket, limits: ConnectionLimits) -> None:
-        self._listener, self._limits = listener, limits
+        self._listener = listener
+        self._limits = limits
 
     def accept(self) -> tuple[CountedSocket, Any]:
         """As of a socket that does not block."""
@@ -234,7 +235,9 @@ class CountedSocket:
     """A socket that tells of its end."""
 
     def __init__(self, accepted: socket.socket, ended: Callable[[], None]) -> None:
-        self._accepted, self._ended, self._open = accepted, ended, True
+        self._accepted = accepted
+        self._ended = ended
+        self._open = True
 
     def close(self) -> None:
         self._accepted.close()

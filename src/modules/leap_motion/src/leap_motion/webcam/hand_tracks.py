@@ -86,7 +86,8 @@ class HandTracks:
         self._seen_at = dict.fromkeys(self._neutral, -math.inf)
         self._centred = not camera.neutral
         self._stamps: deque[float] = deque(maxlen=rate_frames)
-        self._renewed, self._settled = False, -math.inf
+        self._renewed = False
+        self._settled = -math.inf
 
     def renew(self) -> None:
         """Forgets the neutral poses and the middle of the box; they are taken anew. Until then the axes of a hand are

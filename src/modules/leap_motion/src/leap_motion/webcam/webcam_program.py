@@ -55,7 +55,8 @@ class WebcamTracker:
     """Serves the hands of a source until it is stopped."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        self._source, self._lens_for = _source(options), _lenses(options)
+        self._source = _source(options)
+        self._lens_for = _lenses(options)
         place = placement(options.setup, math.radians(options.tilt), options.distance)
         self._tracks = HandTracks(place, _width(options))
         self._detector = HandDetector(options.hands == 1)
@@ -77,7 +78,8 @@ class WebcamTracker:
             self.invitation = f"Other machines reach it by leap_host:=ADDRESS {args} leap_code:=CODE."
         self.view = TrackerView(None, None, place, False, [], "The camera is being opened.")
         self._renew = self._stopping = False
-        self._told, self._told_at = "", -math.inf
+        self._told = ""
+        self._told_at = -math.inf
         self.delays: deque[float] = deque(maxlen=100_000)
         self._threads = [threading.Thread(target=run, daemon=True) for run in (self._service.run, self._track)]
 

@@ -27,7 +27,9 @@ class WebcamWindow(QWidget):
     def __init__(self, view: Callable[[], object], renew: Callable[[], None], mirror: bool) -> None:
         refresh_ms = 33
         super().__init__()
-        self._view, self._renew, self._mirror = view, renew, mirror
+        self._view = view
+        self._renew = renew
+        self._mirror = mirror
         self.setWindowTitle("Webcam tracker")
         self.resize(800, 600 + BAND_PX)
         self._timer = QTimer(self)
