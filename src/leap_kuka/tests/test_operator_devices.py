@@ -149,6 +149,9 @@ def test_any_source_counts_and_the_service_clears_the_clutch():
     operator.device.read(events((B, 1)), 2.0)
     assert operator.state(3.0) == (True, True, "service and pedal")
     operator.device.lost(3.0)
+    operator.request(ENABLE, False, 3.2)
+    assert operator.state(3.3)[1], "only a release of the clutch is one"
+    operator.request(ENABLE, True, 3.4)
     operator.request(CLUTCH, False, 4.0)
     assert operator.state(5.0) == (True, False, "service")
     operator.request(ENABLE, False, 5.0)
