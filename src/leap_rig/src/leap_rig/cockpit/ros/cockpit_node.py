@@ -290,7 +290,9 @@ class Cockpit:
             "cameras": list(self._looks),
             "only_view": self._only_view,
             "answer": self._answer,
-            "recording": f"{self._recording}: {self._recorder.line or 'it starts'}" if self._recorder.runs else "",
+            "recording": f"{self._recording}: {self._recorder.line.partition(' | ')[0] or 'it starts'}"
+            if self._recorder.runs
+            else "",
             "marks": self._marks.get_num_connections() > 0,
             "tutorial": {"runs": self._tutor.runs, "text": self._tutorial},
         }
