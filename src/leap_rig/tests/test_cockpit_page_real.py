@@ -48,7 +48,7 @@ def page(tmp_path, request):
     """A function that evaluates JavaScript in the page, with what it is to the server in its attributes."""
     obeyed, stops, said = [], [], []
     scene = ScenePage(b"<!doctype html><body tabindex=0>scene", ("127.0.0.1", 9))
-    changes = {}
+    changes, answers = {}, []
     server = CockpitServer(
         PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append, script=SCRIPT
     )
@@ -64,7 +64,7 @@ def page(tmp_path, request):
                 for name, held in server.held().items()
             }
             server.put_state({
-                "arms": shown, "answer": {"number": 0, "text": "", "tone": "normal"}, "recording": "",
+                "arms": shown, "answers": answers, "recording": "",
                 "cameras": ["camera"], "only_view": "only_view" in changes, "marks": True,
                 "tutorial": {"runs": False, "text": ""},
             })  # fmt: skip
@@ -85,6 +85,7 @@ def page(tmp_path, request):
     try:
         with browser(server.address, folder, until, "1280,943") as evaluate:
             evaluate.server, evaluate.obeyed, evaluate.stops, evaluate.changes = server, obeyed, stops, changes
+            evaluate.answers = answers
             evaluate.until, evaluate.key, evaluate.press = until, key, press
             until(lambda: evaluate("typeof stateAt === 'number' && stateAt > 0"), what="the state")
 
@@ -113,6 +114,7 @@ def held(page, enable, clutch):
 def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     page.press("Tab")
     assert page("document.activeElement.id") == "stop"
+    page.until(lambda: page("control.readyState") == 1)
     page.press("Escape")
     page.until(lambda: "code first" in page("$('said').textContent"))
     assert not page.stops
@@ -213,6 +215,18 @@ def test_where_a_processor_draws_the_scene_it_draws_less(page):
       ask(before => ask(now => done([...called, now - before])));
     }})""")
     assert order[:-1] == [1] and order[-1] > 100.0
+
+
+def test_what_both_arms_answer_is_shown_and_a_lost_connection_is_no_missing_code(page):
+    page.enter()
+    page.answers[:] = [
+        {"number": 1, "text": "left: it hangs", "tone": "warning"},
+        {"number": 2, "text": "right: ended", "tone": "normal"},
+    ]  # fmt: skip
+    page.until(lambda: page("$('said').innerText") == "left: it hangs\nright: ended")
+    page("control.close()")
+    page.press("Escape")
+    assert page("$('said').textContent").startswith("There is no connection")
 
 
 def test_what_is_old_is_grey_and_says_its_age(page):

@@ -201,7 +201,7 @@ class Cockpit:
         self._commands: clock.SimpleQueue[PageCommand] = clock.SimpleQueue()
         self._recorder, self._tutor = ChildProgram(), ChildProgram()
         self._recording, self._tutorial, self._number = "", "", 0
-        self._answer: dict[str, Any] = {"number": 0, "text": "", "tone": "normal"}
+        self._answers: dict[str, dict[str, Any]] = {}  # the newest of each arm, and of none
         self._marks = rospy.Publisher(EPISODE_MARK, String, queue_size=10)
         self._listen = OnDemand(
             lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
@@ -274,13 +274,12 @@ class Cockpit:
     def _state(self, held: Mapping[str, HeldSwitches]) -> dict[str, Any]:
         updates = {name: arm.link.refresh() for name, arm in self._arms.items()}
         for name, update in updates.items():
-            of = f"{name}: " if name else ""
             for text, tone in update.answers:
-                self._say(of + text, tone.value)
+                self._say(text, tone.value, name)
             answers = self._arms[name].answers
             while not answers.empty():
                 taken, text = answers.get()
-                self._say(of + text, "normal" if taken else "warning")
+                self._say(text, "normal" if taken else "warning", name)
         for program, sentence in ((self._recorder, self._recorder.line), (self._tutor, "The tutorial has ended.")):
             while not program.ended.empty():
                 failed = program.ended.get() != 0
@@ -289,7 +288,7 @@ class Cockpit:
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
             "cameras": list(self._looks),
             "only_view": self._only_view,
-            "answer": self._answer,
+            "answers": sorted(self._answers.values(), key=lambda answer: answer["number"]),
             "recording": f"{self._recording}: {self._recorder.line.partition(' | ')[0] or 'it starts'}"
             if self._recorder.runs
             else "",
@@ -350,9 +349,13 @@ class Cockpit:
         elif not on:
             self._tutor.stop()
 
-    def _say(self, text: str, tone: str = "normal") -> None:
+    def _say(self, text: str, tone: str = "normal", arm: str = "") -> None:
+        """Shows a sentence on all pages, beside what was said of other arms a moment ago: of one stop both answer."""
+        moment_s, now = 10.0, clock.monotonic()
         self._number += 1
-        self._answer = {"number": self._number, "text": text, "tone": tone}
+        self._answers = {of: answer for of, answer in self._answers.items() if now - answer["at"] < moment_s}
+        of = f"{arm}: " if arm else ""
+        self._answers[arm] = {"number": self._number, "text": of + text, "tone": tone, "at": now}
 
     def _take_tutorial(self, message: DiagnosticStatus) -> None:
         self._tutorial = message.message
