@@ -1,7 +1,4 @@
 #!/bin/sh
-# with_screen.sh PROGRAM [ARGUMENT]...: RViz, unless there is no screen: Qt would abort, and ask to be installed again.
-python3 -c '
-from common.screen import no_window
-fault = no_window()
-raise SystemExit(f"RViz is not opened: {fault}." if fault else 0)' || exit 1
-exec "$@"
+# with_screen.sh PROGRAM [ARGUMENT]...: RViz beside the control panel, unless there is no screen: Qt would abort, and ask
+# to be installed again.
+exec python3 -c 'from common.ros.rviz import main; main()' "$@"

@@ -12,6 +12,7 @@ from common import clock
 from common.config import parse
 from common.errors import RigError
 from common.frames import DEPTH_OPTICAL
+from common.numbers import LABEL_M
 from common.poses import inverse, pose
 from grasping.pipeline.settings import NetworkConfig
 
@@ -185,7 +186,9 @@ def test_what_it_publishes(ros, camera, calibrated):
         assert (message.width, message.height, message.header.frame_id) == (side, side, "ggcnn/view")
         assert np.isfinite(np.asarray(array_from_image(message), float)).all()
     grippers, labels = ([m for m in got["markers"][-1].markers if m.ns == ns and m.id] for ns in ("grasps", "labels"))
-    assert {len(m.points) for m in grippers} == {8} and [m.id for m in labels] == [m.id for m in grippers]
+    assert {len(m.points) for m in grippers} == {8} and labels[0].id == grippers[0].id
+    at = [(p.x, p.y, p.z) for p in (m.pose.position for m in labels)]
+    assert all(np.linalg.norm(np.subtract(p, q)) > LABEL_M for i, p in enumerate(at) for q in at[:i])
     moved = buffer.lookup_transform("kuka/base_frame", "camera_target_frame", rospy.Time(0))
     np.testing.assert_allclose(pose_from_transform(moved.transform)[:3, 3], T_base[:3, 3], atol=5e-3)
     assert buffer.can_transform(DEPTH_OPTICAL, "ggcnn/view", rospy.Time(0))

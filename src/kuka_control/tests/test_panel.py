@@ -225,6 +225,16 @@ def test_the_smallest_panel_has_room_for_all_controls_and_part_of_the_view(panel
         assert not widget.visibleRegion().isEmpty()
 
 
+@pytest.mark.parametrize("screen", [(1600, 1000), (1280, 800)])
+def test_the_panel_of_two_arms_leaves_room_for_rviz(application, screen):
+    from common.screen import panel_area
+    from kuka_control.gui.panel import ArmsPanel
+
+    window = ArmsPanel(("left", "right"))
+    least, (*_, width, height) = window.minimumSizeHint(), panel_area(0, 0, *screen)
+    assert least.width() <= width and least.height() <= height
+
+
 def test_a_reason_too_long_for_a_line_gets_a_second_one(panel):
     from common.operator_rows import Row, RowTone
 

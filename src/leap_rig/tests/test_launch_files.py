@@ -341,6 +341,23 @@ def test_an_own_file_stands_above_the_rates_of_two_simulated_arms(tmp_path):
     assert values["/left/kuka/rate_joints"] == 25.0 and values["/left/kuka/center_line"] == [1, 0, 0]
 
 
+@pytest.mark.parametrize("name", ["rig", "two_arms"])
+def test_the_presets_of_rviz_show_each_text_once_and_no_whole_cloud(name):
+    """The rows say what box and guard say; frames are named in the tree of displays."""
+
+    def all_of(displays: list[dict]) -> list[dict]:
+        return [one for display in displays for one in (display, *all_of(display.get("Displays", [])))]
+
+    preset = yaml.safe_load((ROOT / f"src/leap_rig/rviz/{name}.rviz").read_text())
+    shown = [one for one in all_of(preset["Visualization Manager"]["Displays"]) if one["Enabled"]]
+    assert not any(one.get("Show Names") for one in shown)
+    hidden = {"interaction_box": {"reason"}, "guard_markers": {"distance", "robot"}}
+    for topic, spaces in hidden.items():
+        found = [one["Namespaces"] for one in shown if one.get("Marker Topic", "").endswith(topic)]
+        assert found and all(one == dict.fromkeys(spaces, False) for one in found)
+    assert {one["Topic"] for one in shown if "Topic" in one} <= {"operator_view/cloud"}
+
+
 def test_the_presets_of_rviz_show_topics_and_frames_of_each_arm():
     def named(display: dict, keys: tuple[str, ...]) -> set[str]:
         here = {display[key] for key in keys if key in display} | set(display.get("Frames", ()))

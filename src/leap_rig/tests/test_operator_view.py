@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from common.operator_rows import BARS, OLD_ROWS_S, Row, RowTone, plain_text
+from common.operator_rows import BARS, OLD_ROWS_S, TICKS, Row, RowTone, plain_text
 from common.teleop_record import TeleopRecord
 from leap_rig.operator.cues import Cue
 from leap_rig.operator.view import (
@@ -141,10 +141,30 @@ def test_what_can_be_heard():
     assert cue(hand, arm, at=1.1 + OLD_ROWS_S) == Cue(False, False, True), "a silent controller counts as a stop"
 
 
-def test_as_plain_text_every_line_fits():
-    rows = [Row("Hand", "word " * 40, RowTone.GOOD), Row("Grip", "free", RowTone.GOOD, BARS, ("index",), (0.5,))]
+def test_plain_text_is_short():
+    rows = [
+        Row("Hand", "word " * 40, RowTone.GOOD),
+        Row("Start", "1 of 3", RowTone.NORMAL, TICKS, ("slow", "in the box", "level"), (1.0, 0.0, 0.0)),
+        Row("Grip", "free", RowTone.GOOD, BARS, ("index",), (0.5,)),
+    ]
     lines = plain_text(rows, 40).splitlines()
-    assert max(map(len, lines)) <= 40 and lines[-1] == "    ||||.... index"
+    assert max(map(len, lines)) <= 40 and lines[2].endswith(" ...")
+    assert lines[3:] == ["Start: 1 of 3", "  - in the box, level", "Grip: free"]
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("arm", ["", "left", "right"])
+def test_a_longer_text_in_rviz_grows_upwards_where_nothing_is(arm):
+    from common.frames import ArmFrames
+    from common.numbers import LABEL_M
+    from leap_rig.operator.ros.markers import view_markers
+
+    bottoms = set()
+    for count in (1, 2, 15):
+        text = view_markers([Row("Hand", "waits", RowTone.GOOD)] * count, [], ArmFrames(arm)).markers[0]
+        bottoms.add(round(text.pose.position.z - 0.5 * count * LABEL_M, 9))
+        assert text.scale.z == LABEL_M
+    assert len(bottoms) == 1
 
 
 @pytest.mark.ros

@@ -10,13 +10,17 @@ from common import clock
 pytest.importorskip("rig_msgs.srv")
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from common.ros.node import repeat
 from leap_motion.frames import LeapFinger, LeapFrame, LeapHand
 from leap_motion.msg import Human
 from leap_motion.ros.human import FrameMessage
+from leap_rig.cockpit.cloud import NEARER, thinned
 from leap_rig.operator.ros import speaker
+from leap_rig.operator.ros.view_node import MOST_POINTS
 from reflex_msgs.msg import Finger, Hand
 from rig_msgs.msg import KukaStatus, OperatorView, TeleopState
 
@@ -117,6 +121,32 @@ def test_it_shows_what_came_to_those_who_look_and_hears_only_then(ros, rig):
         looker.unregister()
     clock.sleep(PERIOD_S + DELAY_S)
     assert ros.names("/operator_view")["hears"] == set()
+
+
+def test_the_cloud_is_thinned_and_asked_for_once_a_second(ros):
+    points = np.ones((480, 640), dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("rgb", "<u4")])
+    points["rgb"] = 0x00FF8010
+    fields = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate(points.dtype.names)]
+    whole = PointCloud2(Header(frame_id="eye"), 480, 640, fields, False, 16, 16 * 640, points.tobytes(), True)
+    camera = rospy.Publisher("camera/depth_registered/points", PointCloud2, queue_size=1)
+    asked = []
+
+    def publish():
+        if camera.get_num_connections():
+            asked.append(clock.monotonic())
+            camera.publish(whole)
+
+    repeat(publish, 0.03, "camera")
+    ros.run("leap_rig", "operator_view_node.py", "__name:=operator_view")
+    clock.sleep(2.0)
+    assert not asked
+    clouds = ros.record("operator_view/cloud", PointCloud2)
+    clock.sleep(10.0)
+    assert 8 <= len(clouds) <= 10 and len(asked) < 100
+    cloud = clouds[-1]
+    assert cloud.header.frame_id == "eye" and 10_000 < cloud.width <= MOST_POINTS and cloud.height == 1
+    shown, colours = thinned(cloud, MOST_POINTS)
+    assert shown[0] == pytest.approx([NEARER**2] * 3) and colours[0].tolist() == [0xFF, 0x80, 0x10]
 
 
 def test_it_says_once_that_there_is_no_sound(ros, rig, no_card):

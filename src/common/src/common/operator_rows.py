@@ -76,12 +76,14 @@ def rows_of(messages: Iterable) -> tuple[Row, ...]:
 
 
 def plain_text(rows: Iterable[Row], width: int) -> str:
-    """Returns the rows as lines of at most `width` characters, ASCII as far as the texts are."""
+    """Returns the rows as lines of at most `width` characters, ASCII as far as the texts are: of a long text its
+    beginning, of ticks those that are missing, and no bars."""
+    most_lines = 3
     lines = []
     for row in rows:
-        lines += textwrap.wrap(f"{row.name}: {row.text}", width, subsequent_indent="    ")
-        marks = (f"{'|' * round(8 * value):.<8}" if row.kind == BARS else "+" if value else "-" for value in row.values)
-        items = "   ".join(f"{mark} {label}".replace(" ", "\0") for mark, label in zip(marks, row.labels))
-        wrapped = textwrap.wrap(items, width, initial_indent="    ", subsequent_indent="    ")
-        lines += [line.replace("\0", " ") for line in wrapped]
+        lines += textwrap.wrap(
+            f"{row.name}: {row.text}", width, subsequent_indent="    ", max_lines=most_lines, placeholder=" ..."
+        )
+        missing = [label for label, value in zip(row.labels, row.values) if row.kind == TICKS and not value]
+        lines += textwrap.wrap(", ".join(missing), width, initial_indent="  - ", subsequent_indent="    ")
     return "\n".join(lines)

@@ -11,6 +11,8 @@ from pathlib import Path
 from common import clock
 from common.errors import DeviceError
 
+PANEL_PX = (560, 780)  # wanted size of the control panel, for one arm
+TITLE_PX, EDGE_PX = 32, 4  # of a window's frame
 X11 = ("", "xcb")  # platforms of Qt
 WITHOUT = ("offscreen", "minimal")  # those that need nothing, and show nothing
 TRIAL = """
@@ -53,8 +55,24 @@ def no_screen() -> str:
 
 
 def has_graphics_card() -> bool:
-    """Returns whether this machine has a card that draws; without one a processor does, slowly."""
+    """Returns whether a graphics card draws; else a processor does, slowly."""
+    if os.environ.get("LIBGL_ALWAYS_SOFTWARE", "0").lower() in ("1", "true", "yes"):
+        return False
     return any(Path("/dev/dri").glob("renderD*")) or Path("/dev/nvidiactl").exists()
+
+
+def panel_area(left: int, top: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """Returns left, top, width and height of the control panel within this free area of the screen [px]: at its right
+    edge, inside the frame that the window gets."""
+    wide = min(PANEL_PX[0], width - 2 * EDGE_PX)
+    high = min(PANEL_PX[1], height - TITLE_PX - EDGE_PX)
+    return left + width - wide - EDGE_PX, top + TITLE_PX, wide, high
+
+
+def view_area(left: int, top: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """Returns the same of a window beside the control panel."""
+    beside = panel_area(left, top, width, height)[0] - EDGE_PX - left
+    return left + EDGE_PX, top + TITLE_PX, beside - 2 * EDGE_PX, height - TITLE_PX - EDGE_PX
 
 
 def _platform() -> str:

@@ -13,6 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from common import clock
 from common.frames import BASE
 from common.modes import ExecutionState
+from common.numbers import LABEL_M
 from common.poses import translation
 from common.robot_hand import HAND, hand_state
 from common.ros.conversions import message_from_pose, pose_in, stamped_pose
@@ -163,7 +164,6 @@ def _ghost(grasp: Grasp, goal: ToolGoal, text: str) -> list[Marker]:
     finger_m = (0.012, 0.02, 0.06)  # a finger along x, y and z
     palm_m = (0.08, 0.02)  # the palm along y and z
     arrow_m = 0.008
-    text_m = 0.025
     half, up = 0.5 * (grasp.width + finger_m[0]), 0.5 * finger_m[2]
     palm = (grasp.width + 2.0 * finger_m[0], *palm_m)
     shapes = [
@@ -173,7 +173,7 @@ def _ghost(grasp: Grasp, goal: ToolGoal, text: str) -> list[Marker]:
         ),
         _shape(Marker.CUBE, 2, goal.T_base_grip @ translation(0.0, 0.0, -finger_m[2] - 0.5 * palm_m[1]), palm),
         _shape(Marker.ARROW, 3, np.eye(4), (arrow_m, 2.0 * arrow_m, 2.0 * arrow_m)),
-        _shape(Marker.TEXT_VIEW_FACING, 4, goal.T_base_above, (0.0, 0.0, text_m)),
+        _shape(Marker.TEXT_VIEW_FACING, 4, goal.T_base_above, (0.0, 0.0, LABEL_M)),
     ]
     shapes[3].points = [Point(*goal.T_base_above[:3, 3]), Point(*goal.T_base_tool[:3, 3])]
     shapes[4].text = text

@@ -11,6 +11,7 @@ from std_msgs.msg import ColorRGBA, Float32MultiArray, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE
+from common.numbers import LABEL_M
 from common.ros.conversions import message_from_pose, stamped_pose
 from grasp_msgs.msg import Grasp, GraspList
 from grasping.pipeline.pipeline import GraspProposal
@@ -54,24 +55,30 @@ def command(proposal: GraspProposal, between: float) -> Float32MultiArray:
 
 
 def markers(header: Header, proposals: list[tuple[GraspProposal, Reachability]]) -> MarkerArray:
-    """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there."""
+    """Returns one gripper a grasp, red for the quality 0 to green for 1, grey where the arm does not get there;
+    with number and quality where no better one stands near."""
     line_m = 0.003
     best_line_m = 0.006
-    text_m = 0.02
+    apart_m = 2.0 * LABEL_M  # a label nearer to that of a better grasp would cover it
     marker_life_s = 1.0  # markers of a node that is gone go too
     array = MarkerArray([Marker(header=header, ns="grasps", action=Marker.DELETEALL)])
+    labelled: list[np.ndarray] = []
     for i, (proposal, reach) in enumerate(proposals):
         colour = GREY if reach.refused else _colour(proposal.quality)
         shape = Marker(header=header, ns="grasps", id=proposal.id, type=Marker.LINE_LIST, color=colour)
         shape.pose = message_from_pose(proposal.T_camera_grasp)
         shape.scale.x = line_m if i else best_line_m
         shape.points = _gripper(proposal.width)
+        at = (proposal.T_camera_grasp @ (0.0, 0.0, -1.8 * FINGER_M, 1.0))[:3]
         text = Marker(header=header, ns="labels", id=proposal.id, type=Marker.TEXT_VIEW_FACING, color=colour)
-        text.pose.position = Point(*(proposal.T_camera_grasp @ (0.0, 0.0, -1.8 * FINGER_M, 1.0))[:3])
+        text.pose.position = Point(*at)
         text.pose.orientation.w = 1.0
-        text.scale.z = text_m
+        text.scale.z = LABEL_M
         text.text = f"{proposal.id}: {proposal.quality:.2f}"
-        for marker in (shape, text):
+        free = all(np.linalg.norm(at - other) > apart_m for other in labelled)
+        if free:
+            labelled.append(at)
+        for marker in (shape, text) if free else (shape,):
             marker.lifetime = rospy.Duration(marker_life_s)
             array.markers.append(marker)
     return array

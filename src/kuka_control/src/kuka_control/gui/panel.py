@@ -151,21 +151,24 @@ EMERGENCY_TIP = (
 
 
 class ControlPanel(QWidget):
+    """The panel of one arm; `narrow`: in one column, beside that of another."""
+
     control_requested = Signal(bool)
     gripper_requested = Signal(bool)
     scaling_requested = Signal(float)
     exit_requested = Signal()
     emergency_requested = Signal()
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None, narrow: bool = False) -> None:
         super().__init__(parent)
         self.setWindowTitle("Leap Rig: control")
         self.setObjectName("LeapRigControlPanel")
         self.setAttribute(Qt.WA_StyledBackground)
         self.setStyleSheet(STYLE)
-        self.control = _button("ROS Control", 64, grows=True, checkable=True)
+        high, lines = (44, 4) if narrow else (64, 3)
+        self.control = _button("ROS Control", high, grows=True, checkable=True)
         self.control.setAccessibleName("ROS Control of the arm")
-        self.gripper = _button("ROS Control", 64, grows=True, checkable=True)
+        self.gripper = _button("ROS Control", high, grows=True, checkable=True)
         self.gripper.setAccessibleName("ROS Control of the gripper")
         self.scaling_label = label()
         self.scaling_label.setAlignment(Qt.AlignHCenter)
@@ -181,10 +184,10 @@ class ControlPanel(QWidget):
         self.emergency = _button("Emergency Stop", 80, grows=True)
         self.emergency.setObjectName("emergency")
         self.emergency.setToolTip(EMERGENCY_TIP)
-        self.status = Sentence(lines=3)
-        self.answer = Sentence(lines=3)
+        self.status = Sentence(lines)
+        self.answer = Sentence(lines)
         self.operator = OperatorRows()
-        self._arrange()
+        self._arrange(narrow)
         self._connect()
         self.emergency.setFocus()
 
@@ -208,20 +211,28 @@ class ControlPanel(QWidget):
         """Shows the rows of the operator's view; whatever they are, the rest of the panel stays where it is."""
         self.operator.show_rows(tuple(row for row in rows if row.name != ARM))  # which `status` says
 
-    def _arrange(self) -> None:
+    def _arrange(self, narrow: bool) -> None:
         operator_px = 40  # height of the operator's view in the smallest panel; it scrolls
         scale_ends = QHBoxLayout()
         scale_ends.addWidget(label(f"{SCALING_MIN:.1f}", "end"))
         scale_ends.addStretch(1)
         scale_ends.addWidget(label(f"{SCALING_MAX:.1f}", "end"))
         grid = QGridLayout(self)
-        grid.setSpacing(10)
+        grid.setSpacing(4 if narrow else 10)
+        if narrow:
+            grid.setContentsMargins(0, 0, 0, 0)
         kuka = _group("KUKA", self.control, self.scaling_label, self.scaling, scale_ends, self.reset)
-        grid.addWidget(kuka, 0, 0, 2, 1)
-        grid.addWidget(_group("Gripper", self.gripper), 0, 1)
-        grid.addWidget(_group("Application", self.exit, self.emergency), 1, 1)
-        grid.addWidget(self.status, 2, 0, 1, 2)
-        grid.addWidget(self.answer, 3, 0, 1, 2)
+        gripper, end = _group("Gripper", self.gripper), _group("Application", self.exit, self.emergency)
+        columns = 1 if narrow else 2
+        if narrow:
+            for row, group in enumerate((kuka, gripper, end)):
+                grid.addWidget(group, row, 0)
+        else:
+            grid.addWidget(kuka, 0, 0, 2, 1)
+            grid.addWidget(gripper, 0, 1)
+            grid.addWidget(end, 1, 1)
+        grid.addWidget(self.status, 3, 0, 1, columns)
+        grid.addWidget(self.answer, 4, 0, 1, columns)
         view = QScrollArea()
         view.setWidgetResizable(True)
         view.setFocusPolicy(Qt.NoFocus)
@@ -229,11 +240,11 @@ class ControlPanel(QWidget):
         view.setWidget(self.operator)
         self.show_rows()
         self.operator_view = _group("Operator", view)
-        grid.addWidget(self.operator_view, 4, 0, 1, 2)
-        grid.setRowStretch(4, 1)
-        for column in (0, 1):
+        grid.addWidget(self.operator_view, 5, 0, 1, columns)
+        grid.setRowStretch(5, 1)
+        for column in range(columns):
             grid.setColumnStretch(column, 1)
-            grid.setColumnMinimumWidth(column, 240)
+            grid.setColumnMinimumWidth(column, 230 if narrow else 240)
         order = (self.emergency, self.control, self.scaling, self.reset, self.gripper, self.exit)
         for first, second in zip(order, order[1:]):
             self.setTabOrder(first, second)
@@ -286,14 +297,16 @@ class ArmsPanel(QWidget):
         super().__init__()
         self.setWindowTitle("Leap Rig: control of " + " and ".join(arms))
         self.setStyleSheet(STYLE.replace("ControlPanel", "ArmsPanel"))
-        self.panels = {arm: ControlPanel() for arm in arms}
+        self.panels = {arm: ControlPanel(narrow=True) for arm in arms}
         self.emergency = _button("Emergency Stop of all arms", 80)
         self.emergency.setObjectName("emergency")
         self.emergency.setToolTip(ALL_ARMS_TIP)
         self.emergency.pressed.connect(lambda: self.emergency_requested.emit())
         grid = QGridLayout(self)
         for column, (arm, panel) in enumerate(self.panels.items()):
-            grid.addWidget(_group(arm.upper(), panel), 0, column)
+            group = _group(arm.upper(), panel)
+            group.layout().setContentsMargins(0, 0, 0, 0)
+            grid.addWidget(group, 0, column)
             panel.emergency.hide()
             panel.operator_view.hide()  # the node operator_view knows one arm
             # Its key Esc.

@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.frames import BASE, ONE_ARM, ArmFrames
+from common.numbers import LABEL_M
 from common.poses import translation
 from common.robot_hand import HAND
 from common.ros.conversions import message_from_pose
@@ -127,7 +128,7 @@ class GuardView:
         line.points = list(state.points)
         x, y, z = np.mean([(p.x, p.y, p.z) for p in state.points], axis=0)
         above = translation(x, y, z + TEXT_ABOVE_M)
-        text = _marker(header, "distance", 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, 0.04), colour, above)
+        text = _marker(header, "distance", 0, Marker.TEXT_VIEW_FACING, (0.0, 0.0, LABEL_M), colour, above)
         text.text = f"{state.pair[0]} - {state.pair[1]}: {1e3 * state.distance:.0f} mm"
         markers = [line, text]
         if self._count % bodies_every == 0:

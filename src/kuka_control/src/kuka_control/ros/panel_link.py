@@ -10,13 +10,14 @@ from collections.abc import Sequence
 
 import rospy
 from python_qt_binding.QtCore import QObject, Qt, QTimer
+from python_qt_binding.QtGui import QGuiApplication
 from python_qt_binding.QtWidgets import QApplication
 
 from common import clock
 from common.errors import RigError
 from common.ros.master import check_surroundings
 from common.ros.node import end_closed_servers, hide_closed_connections
-from common.screen import check_screen
+from common.screen import check_screen, panel_area
 from kuka_control.gui.panel import ArmsPanel, ControlPanel
 from kuka_control.ros import panel_process
 from kuka_control.ros.controller_link import ControllerLink
@@ -108,7 +109,9 @@ def _show(on_top: bool, arms: Sequence[str]) -> int:
     clock.Thread(target=_join_ros, name="join", daemon=True).start()
     panel, links = linked_panels(arms)
     panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
-    panel.resize(560 * max(1, len(arms)), 780)
+    left, top, width, height = panel_area(*QGuiApplication.primaryScreen().availableGeometry().getRect())
+    panel.resize(width, height)
+    panel.move(left, top)
     panel.show()
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.

@@ -14,6 +14,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from common import clock
 from common.hand_tracking import LEFT, RIGHT
+from common.numbers import LABEL_M
 from leap_kuka.numbers import HEARTBEAT_S, STATE_PERIOD_S
 from leap_kuka.start_gate import CONDITIONS, InteractionBox
 from leap_kuka.teleop_result import StreamState, TeleopResult
@@ -121,10 +122,9 @@ class TeleopReport:
         return marker
 
     def _text_marker(self, colour: tuple[float, float, float], text: str) -> Marker:
-        height = 0.025  # [m]
-        above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + 2.0 * height, 0.0])
+        above = self._box.center + np.array([0.0, self._box.size[1] / 2.0 + LABEL_M, 0.0])
         marker = self._marker(Marker.TEXT_VIEW_FACING, 1, above, colour)
-        marker.scale.z = height
+        marker.ns, marker.scale.z = "reason", LABEL_M
         marker.text = text
         return marker
 

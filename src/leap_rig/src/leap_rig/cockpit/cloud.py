@@ -9,15 +9,15 @@ import numpy as np
 MOST_POINTS = 12_000
 FLOAT32, UINT32 = 7, 6
 NUMBERS = ("x", "y", "z")
-NEARER = 0.995  # points are drawn so much nearer to the camera than the table on which they lie, which would hide them
+NEARER = 0.985  # points are drawn so much nearer to the camera than the table on which they lie, which would hide them
 
 
 class CloudFault(ValueError):
     """A point cloud cannot be drawn; the message says why."""
 
 
-def thinned(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Returns positions, shape (n, 3) [m], and colours, shape (n, 3), bytes, of at most MOST_POINTS points; the same
+def thinned(cloud: Any, most: int = MOST_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Returns positions, shape (n, 3) [m], and colours, shape (n, 3), bytes, of at most `most` points; the same
     pixels in each cloud of a size, so that a still scene keeps still. Raises CloudFault."""
     fields = {field.name: field for field in cloud.fields}
     colour = next((fields[name] for name in ("rgb", "rgba") if name in fields), None)
@@ -33,7 +33,7 @@ def thinned(cloud: Any) -> tuple[np.ndarray, np.ndarray]:
     if not cloud.data:
         return np.zeros((0, 3), dtype=np.float32), np.zeros((0, 3), dtype=np.uint8)
     every = 1
-    while -(-cloud.height // every) * -(-cloud.width // every) > MOST_POINTS:
+    while -(-cloud.height // every) * -(-cloud.width // every) > most:
         every += 1
     rows = np.frombuffer(cloud.data, dtype=np.uint8).reshape(cloud.height, row)[::every, : step * cloud.width]
     pixels = np.ascontiguousarray(rows.reshape(len(rows), cloud.width, step)[:, ::every]).reshape(-1, step)

@@ -1,16 +1,19 @@
-"""The pressure on the robot's fingers and the rows of the operator's view as markers for RViz."""
+"""The operator's view for RViz: rows and pressure on the robot's fingers as markers, and the thinned point cloud."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import rospy
 from geometry_msgs.msg import Point
-from std_msgs.msg import ColorRGBA
+from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from common.frames import BASE, ONE_ARM, ArmFrames
-from common.hand_tracking import RIGHT
+from common.hand_tracking import LEFT, RIGHT
+from common.numbers import LABEL_M
 from common.operator_rows import BRIGHT_COLOURS, Row, RowTone, plain_text
 from leap_motion.ros.hand_markers import marker
 from leap_motion.skeleton import traffic_light
@@ -23,13 +26,12 @@ WORST = (RowTone.FAULT, RowTone.WARNING, RowTone.GOOD, RowTone.NORMAL, RowTone.S
 def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]], frames: ArmFrames = ONE_ARM) -> MarkerArray:
     """Returns the rows as a text beside the arm, and a bar for each taxel on the back of its finger. `pressures` are
     those of the nine taxels of index, middle and thumb as fractions of a full bar; empty if unknown."""
-    text_height_m = 0.03
-    text_columns = 44
-    text_at = (0.0, 0.5, 0.6)  # in the base, to the left of the arm, of a right one to the right [m]
+    text_columns = 32
+    # In the base, middle of the last line: to the left of an only arm, over each of two and away from the other [m].
+    x, y, z = {LEFT: (0.0, 0.05, 1.1), RIGHT: (0.0, -0.05, 1.1)}.get(frames.tf_prefix, (0.0, 0.6, 0.35))
     text = marker("text", Marker.TEXT_VIEW_FACING, 0, frames(BASE), LIFETIME)
-    x, y, z = text_at
-    text.pose.position, text.scale.z = Point(x, -y if frames.tf_prefix == RIGHT else y, z), text_height_m
     text.text = plain_text(rows, text_columns)
+    text.pose.position, text.scale.z = Point(x, y, z + 0.5 * LABEL_M * text.text.count("\n")), LABEL_M
     tones = {row.tone for row in rows}
     colour = BRIGHT_COLOURS[next((tone for tone in WORST if tone in tones), RowTone.STALE)]
     text.color = ColorRGBA(*(int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)), 1.0)
@@ -39,6 +41,15 @@ def view_markers(rows: Sequence[Row], pressures: Sequence[Sequence[float]], fram
         for part, fractions in (("proximal", taxels[:5]), ("distal", taxels[5:]))
     ]
     return MarkerArray([text, *bars])
+
+
+def cloud_message(header: Header, points: np.ndarray, colours: np.ndarray) -> PointCloud2:
+    """Returns the cloud of points, shape (n, 3) [m], with colours, shape (n, 3), bytes of red, green, blue."""
+    rgb = np.zeros((len(points), 4), dtype=np.uint8)
+    rgb[:, 2::-1] = colours
+    data = np.hstack([points.astype("<f4").view(np.uint8).reshape(-1, 12), rgb]).tobytes()
+    fields = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate(("x", "y", "z", "rgb"))]
+    return PointCloud2(header, 1, len(points), fields, False, 16, 16 * len(points), data, True)
 
 
 def _bars(link: str, part: str, fractions: Sequence[float], frames: ArmFrames) -> Marker:

@@ -10,6 +10,7 @@ from dataclasses import fields
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
@@ -25,8 +26,9 @@ from common.teleop_record import teleop_record
 from leap_motion.frames import TrackingFrame
 from leap_motion.ros.hand_markers import hand_markers
 from leap_motion.ros.tracking import ReceivedSkeletons, subscribe
+from leap_rig.cockpit.cloud import CloudFault, thinned
 from leap_rig.operator.cues import Sounds
-from leap_rig.operator.ros.markers import LIFETIME, view_markers
+from leap_rig.operator.ros.markers import LIFETIME, cloud_message, view_markers
 from leap_rig.operator.ros.speaker import Speaker
 from leap_rig.operator.view import (
     ArmView,
@@ -43,6 +45,8 @@ from rig_msgs.msg import GuardState, KukaStatus, OperatorRow, TeleopState
 from rig_msgs.msg import OperatorView as OperatorViewMessage
 
 PERIOD_S = 0.1
+CLOUD = "camera/depth_registered/points"
+CLOUD_PERIOD_S, MOST_POINTS = 1.0, 20_000  # whole ones are too much without a graphics card
 HEARTBEAT_S = 0.5  # longest time between two messages with the same rows
 HAND_TO_ARM = "hand_to_arm_ms"  # key of the measured delay in /diagnostics
 
@@ -56,10 +60,13 @@ class OperatorViewNode:
         self._sounds, self._speaker = Sounds(), Speaker() if config.sounds else None
         self._listen = OnDemand(self._input_subscribers)
         self._watch_hands = OnDemand(lambda: [subscribe(self._skeletons, ReceivedSkeletons)])
+        self._watch_cloud = OnDemand(lambda: [rospy.Subscriber(CLOUD, PointCloud2, self._take_cloud, queue_size=1)])
+        self._next_cloud = -math.inf
         self._published: tuple[object, float] = None, -math.inf
         self._rows = rospy.Publisher("operator_view/rows", OperatorViewMessage, queue_size=2)
         self._markers = rospy.Publisher("operator_view/markers", MarkerArray, queue_size=2)
         self._hands = rospy.Publisher("operator_view/hands", MarkerArray, queue_size=2)
+        self._cloud = rospy.Publisher("operator_view/cloud", PointCloud2, queue_size=1)
 
     def step(self) -> None:
         """Publishes what the operator sees now, to those who look."""
@@ -67,6 +74,8 @@ class OperatorViewNode:
         self._listen(looks or self._speaker is not None)
         self._watch_hands(self._hands.get_num_connections() > 0)
         now = clock.monotonic()
+        # One at a time: its node computes none that nobody wants.
+        self._watch_cloud(self._cloud.get_num_connections() > 0 and now >= self._next_cloud)
         with self._lock:
             rows, cue, taxels = self._view.rows(now), self._view.cue(now), self._view.taxels(now)
         sound = self._sounds.step(cue, now)
@@ -124,6 +133,16 @@ class OperatorViewNode:
                         self._take(DelayView(float(item.value)))
                     except ValueError:  # nothing was measured yet
                         continue
+
+    def _take_cloud(self, cloud: PointCloud2) -> None:
+        now = clock.monotonic()
+        if now < self._next_cloud:
+            return
+        self._next_cloud = now + CLOUD_PERIOD_S
+        try:
+            self._cloud.publish(cloud_message(cloud.header, *thinned(cloud, MOST_POINTS)))
+        except CloudFault as fault:
+            rospy.logwarn_throttle(10.0, "The point cloud is not shown: %s.", fault)
 
     def _skeletons(self, frame: TrackingFrame, _stamp: rospy.Time) -> None:
         skeleton_period_s = 1.0 / 15.0

@@ -10,6 +10,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from common.numbers import LABEL_M
 from common.poses import inverse
 from common.rotations import quaternion_from_rotation
 from rig_simulation.control_port import ControlClient
@@ -72,7 +73,6 @@ def arrow_marker(arrow: display.Arrow, T_base_world: np.ndarray) -> Marker:
 
 def label_marker(pairs: list[display.PairForce], parts: list[display.Shape], T_base_world: np.ndarray) -> Marker:
     """Returns the label of all forces on one body, beside the body if its shapes are known."""
-    letter_m = 0.03
     label_beside_m = 0.11
     by_robot = any(pair.by_robot for pair in pairs)
     marker = Marker(type=Marker.TEXT_VIEW_FACING, ns="label", color=OF_ROBOT if by_robot else OF_OTHERS)
@@ -81,7 +81,7 @@ def label_marker(pairs: list[display.PairForce], parts: list[display.Shape], T_b
         marker.pose.position = Point(*display.beyond(parts, T_base_world[:3, 1], label_beside_m).tolist())
     else:
         marker.pose.position = _point(pairs[0].position, T_base_world)
-    marker.scale.z = letter_m
+    marker.scale.z = LABEL_M
     marker.text = "\n".join(f"{display.short(pair.bodies[1])} {pair.newtons:.1f} N" for pair in pairs)
     return marker
 
