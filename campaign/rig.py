@@ -131,7 +131,11 @@ class RigUnderTest:
         }
         if self._sees:
             self._arguments.update(world_port=self._shared.free_port(), camera_control_port=self._shared.free_port())
+        if self.wire is not None and self.wire.name == "afar":
+            self._arguments.update(leap_port=self._shared.free_port(), page_port=self._shared.free_port())
         self.launch()
+        if "page_port" in self._arguments:
+            self._connect_headset(ready[1])
         self.arm = ArmTrace(robot_host, robot, PATIENCE_S)
         self.robot_hand = ControlClient("127.0.0.1", hand, PATIENCE_S)
         self.wait(lambda: self.mode in ("home", "stopped"), "the arm at home, or latched by a pause", START_S)
@@ -164,6 +168,22 @@ class RigUnderTest:
             "roslaunch", "--wait", str(Path(__file__).with_name("rig.launch")),
             *(f"{k}:={v}" for k, v in arguments.items()),
         )  # fmt: skip
+
+    def _connect_headset(self, leap_port: str) -> None:
+        """Lets a headset's page, a relay and the rig's way to it bring the hands of the Leap service to the rig."""
+        folder = self._launch.log_path.parent
+        relay, page, key = self._shared.free_port(), self._shared.free_port(), folder / "relay.key"
+        key.touch(0o600)
+        key.write_text(os.urandom(32).hex())
+        serve = ("serve", "--host", self.wire.near, "--port", str(relay), "--page", f"headset={page}")
+        served = self.run("leap_rig", "relay.py", *serve, "--key", str(key))
+        url, own = f"ws://{self.wire.far}:{relay}/rig", f"headset={self._arguments['page_port']}"
+        code = self.wait(lambda: re.search(r"next headset is (\d+)", self.log), "the code of the page", START_S)[1]
+        self.run("leap_rig", "relay.py", "connect", url, "--page", own, "--key", str(key))
+        self.wait(lambda: "A rig is connected" in served.log_path.read_text(), "the rig at the relay", START_S)
+        program = ("-m", "campaign.network.headset", leap_port, f"{self.wire.near}:{page}", code)
+        headset = self._processes.start(sys.executable, *program)
+        self.wait(lambda: "drives" in headset.log_path.read_text(), "the headset to drive", START_S)
 
     def interrupt_launch(self) -> None:
         """Ends the launch file that was started last, as Ctrl-C does."""

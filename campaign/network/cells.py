@@ -12,6 +12,7 @@ WIRES = {
     "arm": "the controller's TCP connection to the robot",
     "leap": "the WebSocket of the Leap service",
     "ros": "every connection between two nodes, and to the ROS master",
+    "afar": "the way between a relay and the rig, by which a headset's page sends the hands",
 }
 CELL_S = 20.0  # how long a condition lasts [s]
 
@@ -43,7 +44,15 @@ def unprovoked(condition: str, packets: int, lost: int) -> list[str]:
     return ["the link lost no packet, so the cell shows nothing"] if loses and not lost else []
 
 
-CELLS = {cell.number: cell for cell in (Cell(wire, condition) for wire in WIRES for condition in CONDITIONS)}
+def _is_afar(condition: str) -> bool:
+    return condition.startswith("delay_") and "loss" in condition
+
+
+CELLS = {
+    cell.number: cell
+    for cell in (Cell(wire, condition) for wire in WIRES for condition in CONDITIONS)
+    if _is_afar(cell.condition) is (cell.wire == "afar")
+}
 
 
 @dataclass
@@ -107,7 +116,7 @@ def figures(result: Mapping) -> list[str]:
 def line(name: str, result: Mapping) -> str:
     """Returns a result as a line for the terminal, its faults below."""
     cells = dict(zip(HEAD, figures(result)))
-    text = f"{name:16} {cells['result']:6} {cells['goals/s']:>4} goals/s {cells['error [mm]']:>4} mm"
+    text = f"{name:22} {cells['result']:6} {cells['goals/s']:>4} goals/s {cells['error [mm]']:>4} mm"
     text += f"  speed {cells['joint speed']} acc. {cells['acceleration']:>4} tool {cells['tool [m/s]']} m/s"
     text += f"  {cells['pick-ups']} pick-ups {cells['stops']} stops  {cells['recovery']}"
     if result.get("pause_s", 0.0) > 0.3:
@@ -121,9 +130,9 @@ def page(results: Mapping[str, dict]) -> str:
     for wire, what in WIRES.items():
         lines += [f"## {what[0].upper()}{what[1:]}", ""]
         lines += ["| condition | " + " | ".join(HEAD) + " |", "| --- " * (len(HEAD) + 1) + "|"]
-        for condition, each in CONDITIONS.items():
-            result = results.get(f"{wire}:{condition}", {"result": "not run"})
-            lines.append(f"| {each.title} | " + " | ".join(figures(result)) + " |")
+        for cell in (each for each in CELLS.values() if each.wire == wire):
+            result = results.get(cell.number, {"result": "not run"})
+            lines.append(f"| {CONDITIONS[cell.condition].title} | " + " | ".join(figures(result)) + " |")
         lines.append("")
     faults = [f"- {name}: {fault}" for name in CELLS for fault in results.get(name, {}).get("faults", ())]
     return "\n".join([*lines, *(["## Faults", "", *faults, ""] if faults else [])])

@@ -136,5 +136,10 @@ CONDITIONS = {
     "freezes_300": Condition("frozen for 300 ms every 3 s", ((2.7, CLEAR), (0.3, Link(held=True))) * 20),
     "down_5": Condition("down for 5 s", ((5.0, CLEAR), (5.0, Link(loss=1.0)), (math.inf, CLEAR))),
     "rate_256": _always("256 kbit/s", Link(rate=256e3)),
+    **{
+        f"delay_{delay}_loss_{loss}": _always(f"delay {delay} ms, loss {loss} %", Link(1e-3 * delay, loss=1e-2 * loss))
+        for delay in (20, 50, 100, 200)
+        for loss in (0, 2, 5)
+    },
 }
-"""The conditions of the table, each way, by name."""
+"""The conditions of the table, each way, by name; the last twelve are those of the internet."""

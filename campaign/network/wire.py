@@ -27,7 +27,7 @@ from campaign.network.tun import Tun
 from tools.own_network import bring_up
 
 ROOT = Path(__file__).parents[2]
-NETWORKS = {"arm": "127.77.1.", "leap": "127.77.2.", "ros": "10.77.3."}
+NETWORKS = {"arm": "127.77.1.", "leap": "127.77.2.", "ros": "10.77.3.", "afar": "127.77.4."}
 """Beginnings of the addresses. Simulated devices listen on loopback addresses only; ROS takes those for 127.0.0.1."""
 
 

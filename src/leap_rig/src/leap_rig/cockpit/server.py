@@ -77,10 +77,11 @@ class CockpitServer(PageService):
         script: bytes = b"",
         cameras: Sequence[str] = ("camera",),
         way: str = AUTO,
+        public: str = "",
     ) -> None:
         jpeg_quality = 80
         self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html), script
-        super().__init__(host, port, name, certificate)
+        super().__init__(host, port, name, certificate, public)
         self._scene, self._obey, self._stop, self._tell_code = scene, obey, stop, tell_code
         self.control, self._lock = CockpitControl(tuple(arms)), clock.Lock()
         self._state = "{}"

@@ -46,6 +46,7 @@ OF_ONE_ARM = {
     "dh_parameters": "", "guard_obstacles": "", "hand_args": "", "camera_device": "0", "video": "", "language": "",
     "camera_fault": "", "camera_rate": "3.0", "web_host": "127.0.0.1",
     "web_port": "8443",
+    "web_public": "",
     **dict.fromkeys(
         ("grasping", "camera", "operator_input", "marker_ring", "lift_workspace", "sounds", "tutorial"), "false"
     ),

@@ -16,6 +16,7 @@ import numpy as np
 
 from common.camera_model import CameraModel
 from common.config import choice, flag, integer, number, path, text
+from leap_motion.service.access import origin_faults
 from vision.stereo.lens import Dk2Lens, NoLens
 
 LEFT, RIGHT = 1, -1  # the eyes: the direction in which their images shift as an object comes nearer
@@ -68,11 +69,13 @@ class WebConfig:
     name: str = text(doc="further name of this computer that pages may be asked for by", absent="", empty=True)
     video: str = choice("auto", "jpeg", "webrtc", doc="auto: jpeg to this machine, else webrtc", absent="auto")
     only_view: bool = flag(doc="with hands: the operator has no other view; an old image holds the arm", absent=False)
+    public: str = text(doc="origin under which a relay or proxy shows the page; empty: none", absent="", empty=True)
 
     def faults(self) -> list[str]:
+        faults = origin_faults(self.public)
         if bool(self.certificate) != bool(self.key):
-            return ["https needs both certificate and key, but only one is given."]
-        return []
+            faults.append("https needs both certificate and key, but only one is given.")
+        return faults
 
 
 @dataclass(frozen=True, eq=False)

@@ -227,6 +227,7 @@ class Cockpit:
                 script=(Path(rospkg.RosPack().get_path("vision")) / "web" / "pictures.js").read_bytes(),
                 cameras=list(self._looks),
                 way=config.video,
+                public=config.public,
             )
         except (CertificateError, OSError, OverflowError) as error:
             fault = f"Cannot serve the cockpit on {config.host}:{config.port}: {error}"

@@ -1,7 +1,7 @@
 """The conversation with a headset's page, on a WebSocket that the server of the page has accepted; one headset drives
 at a time. The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a
 sentence} and the end. Each frame is answered: {"leap": [x, y, z, heading] or null, "note": a sentence, ...scene}; the
-page sends no more while several answers are missing. {"away": true}, silence and the end of the page count as
+page sends no more while an answer is missing for a second. {"away": true}, silence and the end of the page count as
 unplugged."""
 
 from __future__ import annotations

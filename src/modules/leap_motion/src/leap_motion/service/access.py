@@ -17,6 +17,7 @@ REMEMBERED_S = 3600.0  # an address that sent no wrong code for so long starts a
 MAX_ADDRESSES = 1000  # that are remembered
 CODE_DIGITS = 8  # of a code for a headset
 HOST = re.compile(r"[\w.:%\[\]-]+", re.ASCII)
+ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:]+\])(:\d+)?", re.ASCII)
 
 
 class ConnectionLimits:
@@ -128,6 +129,18 @@ def is_own_host(host: str, arrived_at: str, names: Iterable[str] = ()) -> bool:
         return is_loopback(name)
     address = _ip(name)
     return address is not None and address == _ip(arrived_at)
+
+
+def origin_faults(public: str) -> list[str]:
+    """Returns why a page cannot be shown under a public address, in sentences; it may be empty."""
+    if not public or ORIGIN.fullmatch(public):
+        return []
+    return [f"The public address {public!r} is no origin such as https://rig.example.org, without a path."]
+
+
+def is_host_of(host: str, origin: str) -> bool:
+    """Returns whether the Host of a request is that of an origin, which may be empty."""
+    return bool(origin) and host == origin.partition("://")[2]
 
 
 def hostname(url: str) -> str:

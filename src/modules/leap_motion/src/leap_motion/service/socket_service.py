@@ -18,7 +18,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from leap_motion.service.access import ConnectionLimits, is_loopback, is_own_host
+from leap_motion.service.access import ConnectionLimits, is_host_of, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate
 
 LONGEST_SLEEP_S = 0.2
@@ -57,6 +57,7 @@ class SocketService(ABC):
 
     max_message_bytes = 4096
     write_limit = 2**15  # bytes that may wait in the program before `send` waits
+    pings = False  # whether clients without TLS are pinged, too
 
     def __init__(self) -> None:
         self._doors: list[tuple[BoundedListener, ssl.SSLContext | None]] = []
@@ -75,9 +76,11 @@ class SocketService(ABC):
         """Makes `run` return soon; from a signal handler or any thread."""
         self._stopping = True
 
-    def _open(self, listener: socket.socket, tls: ssl.SSLContext | None = None) -> None:
+    def _open(
+        self, listener: socket.socket, tls: ssl.SSLContext | None = None, limits: ConnectionLimits | None = None
+    ) -> None:
         max_connections = 48
-        limits = ConnectionLimits(max_connections, MAX_OF_ADDRESS)
+        limits = limits or ConnectionLimits(max_connections, MAX_OF_ADDRESS)
         self._doors.append((BoundedListener(listener, limits), tls))
 
     def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
@@ -107,7 +110,7 @@ class SocketService(ABC):
                     create_connection=EndingConnection,
                     max_size=self.max_message_bytes,
                     write_limit=self.write_limit,
-                    ping_interval=PING_S if tls else None,
+                    ping_interval=PING_S if tls or self.pings else None,
                     ping_timeout=PING_S,
                     logger=logger,
                 )
@@ -148,10 +151,14 @@ class SocketService(ABC):
 
 class PageService(SocketService):
     """Serves pages at `address`, and WebSockets to its own pages alone; with a certificate by https. `name`: a further
-    name of this computer. Raises CertificateError, OSError or OverflowError if it cannot."""
+    name of this computer; `public`: the origin under which a relay or proxy shows the pages, such as
+    https://rig.example.org. Raises CertificateError, OSError or OverflowError if it cannot."""
 
-    def __init__(self, host: str, port: int, name: str = "", certificate: Certificate | None = None) -> None:
+    def __init__(
+        self, host: str, port: int, name: str = "", certificate: Certificate | None = None, public: str = ""
+    ) -> None:
         super().__init__()
+        self._public = public
         self.fingerprint = certificate.fingerprint() if certificate else ""
         tls = certificate.server() if certificate else None
         listener = listen(host, port)
@@ -166,13 +173,14 @@ class PageService(SocketService):
     ) -> Response | None:  # fmt: skip
         """Returns the answer to a request, by the paths of the pages and of the WebSockets; None for one of these."""
         host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
-        if not is_own_host(host, connection.local_address[0], self._names):
+        origin = self._public if is_host_of(host, self._public) else f"{self._scheme}://{host}"
+        if origin != self._public and not is_own_host(host, connection.local_address[0], self._names):
             return connection.respond(403, "Ask for this page by the address that the rig shows.\n")
         if path in pages and "Upgrade" not in request.headers:
             return pages[path]()
         if path not in sockets:
             return connection.respond(404, "Not found.\n")
-        if request.headers.get("Origin", f"{self._scheme}://{host}") != f"{self._scheme}://{host}":
+        if request.headers.get("Origin", origin) != origin:
             return connection.respond(403, "This is for its own page only.\n")
         return None
 

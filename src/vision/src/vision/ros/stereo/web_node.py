@@ -57,7 +57,7 @@ class StereoWeb(PageService):
         try:
             page = pathlib.Path(config.page)
             self._page, self._script = page.read_bytes(), page.with_name("pictures.js").read_bytes()
-            super().__init__(config.host, config.port, config.name, self._certificate(config))
+            super().__init__(config.host, config.port, config.name, self._certificate(config), config.public)
         except (CertificateError, OSError, OverflowError) as error:
             fault = f"Cannot serve the page on {config.host}:{config.port}: {error}"
             raise DeviceError(f"{fault.rstrip('.')}. Check page and certificate, or choose another port.") from error

@@ -1,0 +1,1 @@
+"""Pages of the rig over the internet, by a relay that a lab runs itself. `server` is the relay, `client` its rig."""

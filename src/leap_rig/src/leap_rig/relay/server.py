@@ -1,0 +1,174 @@
+"""The relay: a rig connects to it from inside its lab, browsers connect to a port of each page, and each connection of
+a browser passes through a WebSocket of the rig. The relay knows nothing of what passes, and stores nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import hashlib
+import secrets
+import socket
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.protocol import State
+
+from leap_motion.service.access import ConnectionLimits, is_loopback
+from leap_motion.service.socket_service import BoundedListener, SocketService, listen
+from leap_rig.relay import greeting
+from leap_rig.relay.greeting import CHUNK, NONCE, VISITOR, RelayFault
+from leap_rig.relay.transport import Passage, end, within
+
+GREET_S = 5.0  # a rig that has not proved its key by then is gone
+NO_RIG_S = 5.0  # so long a browser waits for a rig
+MAX_VISITORS, OF_ADDRESS = 48, 16  # connections of browsers to a page
+MAX_VISITS = 60  # new ones in a second
+MAX_RIG_SOCKETS = 128
+REFUSED, BUSY = 1008, 1013  # codes of closing
+
+
+class WaitingRig:
+    """A WebSocket of the rig that waits for a browser."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self.connection, self.over = connection, asyncio.Event()
+
+
+class Relay(SocketService):
+    """Serves until `stop`. `pages`: their names with the ports for browsers, on `host` as the port for the rig is; port
+    0: any free one, see `port` and `pages`. `say` gets sentences for the terminal. Raises OSError or OverflowError."""
+
+    max_message_bytes = CHUNK
+    write_limit = CHUNK
+    pings = True
+
+    def __init__(
+        self,
+        key: bytes,
+        pages: Mapping[str, int],
+        say: Callable[[str], None],
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        super().__init__()
+        self._key, self._say, self._salt = key, say, secrets.token_bytes(NONCE)
+        door = listen(host, port)
+        self._open(door, None, ConnectionLimits(MAX_RIG_SOCKETS, MAX_RIG_SOCKETS))
+        doors = {name: listen(host, number) for name, number in pages.items()}
+        # A proxy on this machine hides the browsers' addresses.
+        self._limits = ConnectionLimits(MAX_VISITORS, MAX_VISITORS if is_loopback(host) else OF_ADDRESS)
+        self._page_doors = doors
+        self.port: int = door.getsockname()[1]
+        self.pages: dict[str, int] = {name: each.getsockname()[1] for name, each in doors.items()}
+        self._waiting: deque[WaitingRig] = deque()
+        self._run, self._sockets_of_run = b"", 0
+        self._second, self._visits = 0, 0
+
+    @contextlib.asynccontextmanager
+    async def _serving(self) -> AsyncIterator[None]:
+        self._arrived = asyncio.Event()
+        async with contextlib.AsyncExitStack() as stack:
+            await stack.enter_async_context(super()._serving())
+            for name, door in self._page_doors.items():
+                visit = functools.partial(self._visit, name)
+                server = await asyncio.start_server(visit, sock=_bounded(door, self._limits), limit=CHUNK)
+                stack.callback(server.close)
+            yield
+
+    async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
+        if request.path != "/rig" or "Upgrade" not in request.headers or "Origin" in request.headers:
+            return connection.respond(404, "Not found.\n")
+        return None
+
+    async def _converse(self, connection: ServerConnection) -> None:
+        """Serves a WebSocket of a rig to its end."""
+        with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
+            try:
+                run = await within(GREET_S, self._greet(connection))
+            except RelayFault as fault:
+                self._say(f"{fault} It was refused.")
+                await connection.close(REFUSED, "that is not this relay's key")
+                return
+            if not self._enter(run):
+                await connection.close(BUSY, "another rig is connected to this relay")
+                return
+            try:
+                await self._wait(connection)
+            finally:
+                self._leave()
+
+    async def _greet(self, connection: ServerConnection) -> bytes:
+        nonce = secrets.token_bytes(NONCE)
+        await connection.send(greeting.challenge(nonce))
+        run, proof = greeting.proof(self._key, await connection.recv(), nonce)
+        await connection.send(proof)
+        return run
+
+    def _enter(self, run: bytes) -> bool:
+        """Counts a WebSocket of a rig; returns False, and does not, if those of another one are open."""
+        if self._sockets_of_run and run != self._run:
+            return False
+        if not self._sockets_of_run:
+            self._say("A rig is connected.")
+        self._run, self._sockets_of_run = run, self._sockets_of_run + 1
+        return True
+
+    def _leave(self) -> None:
+        self._sockets_of_run -= 1
+        if not self._sockets_of_run:
+            self._say("No rig is connected any more.")
+
+    async def _wait(self, connection: ServerConnection) -> None:
+        """Waits until a browser has used the WebSocket, or it has ended."""
+        rig = WaitingRig(connection)
+        self._waiting.append(rig)
+        self._arrived.set()
+        waits = [asyncio.ensure_future(wait) for wait in (rig.over.wait(), connection.wait_closed())]
+        try:
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for wait in waits:
+                wait.cancel()
+            if rig in self._waiting:
+                self._waiting.remove(rig)
+
+    async def _visit(self, page: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serves a connection of a browser to its end."""
+        rig = None
+        try:
+            if not self._may_visit():
+                return
+            address = writer.get_extra_info("peername")[0]
+            visitor = hashlib.sha256(self._salt + address.encode()).digest()[:VISITOR]
+            rig = await within(NO_RIG_S, self._next_rig())
+            await rig.connection.send(greeting.opening(visitor, page))
+            await Passage(reader, writer, rig.connection).run()
+        except (ConnectionClosed, asyncio.TimeoutError, OSError):
+            pass
+        finally:
+            if rig is not None:
+                rig.over.set()
+            await end(writer)
+
+    def _may_visit(self) -> bool:
+        before, self._second = self._second, int(self._loop.time())
+        self._visits = self._visits + 1 if self._second == before else 1
+        return self._visits <= MAX_VISITS
+
+    async def _next_rig(self) -> WaitingRig:
+        while True:
+            while self._waiting:
+                rig = self._waiting.popleft()
+                if rig.connection.state is State.OPEN:
+                    return rig
+            self._arrived.clear()
+            await self._arrived.wait()
+
+
+def _bounded(door: socket.socket, limits: ConnectionLimits) -> socket.socket:
+    return BoundedListener(door, limits)  # type: ignore[return-value]
