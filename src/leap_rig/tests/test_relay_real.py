@@ -23,7 +23,7 @@ from websockets.sync.client import connect
 from leap_motion.service.certificate import own_certificate
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from leap_rig.relay import greeting, server, transport
-from leap_rig.relay.client import RelayClient, Target
+from leap_rig.relay.client import RelayClient, PagePort
 from leap_rig.relay.greeting import NONCE, RUN
 from leap_rig.relay.server import Relay
 
@@ -109,7 +109,7 @@ def afar(ends, tmp_path):
     cockpit = Cockpit(tmp_path)
     ends(cockpit.server)
     relay = ends(Running({"cockpit": 0}))
-    ends(Rig(relay.url, {"cockpit": Target(cockpit.port)}))
+    ends(Rig(relay.url, {"cockpit": PagePort(cockpit.port)}))
     return cockpit, relay.relay.pages["cockpit"]
 
 
@@ -154,7 +154,7 @@ def test_a_page_comes_through_and_commands_the_rig_with_the_code(afar):
         tell(control, do="stop")
         assert "sent" in answer(control)["done"]
         assert cockpit.stops
-    until(lambda: not cockpit.server.controlled)  # the page is gone, and the rig sees it
+    until(lambda: cockpit.server.control.controller is None)  # the page is gone, and the rig sees it
 
 
 def test_the_public_address_admits_its_own_page_alone(afar):
@@ -180,7 +180,7 @@ def test_a_large_connection_passes_both_ways_unchanged(ends):
     """More than all buffers hold, so that each side has to wait for the other."""
     listener = ends(socket.create_server(("127.0.0.1", 0)))
     relay = ends(Running({"page": 0}))
-    ends(Rig(relay.url, {"page": Target(listener.getsockname()[1])}))
+    ends(Rig(relay.url, {"page": PagePort(listener.getsockname()[1])}))
     sent = os.urandom(5 * 2**20)
 
     def echo():
@@ -202,7 +202,7 @@ def test_tls_ends_at_the_rig_or_before_the_relay(ends, tmp_path, ends_at_the_rig
     cockpit = Cockpit(tmp_path, own_certificate(tmp_path))
     ends(cockpit.server)
     relay = ends(Running({"cockpit": 0}))
-    rig = ends(Rig(relay.url, {"cockpit": Target(cockpit.port, tls=not ends_at_the_rig)}))
+    rig = ends(Rig(relay.url, {"cockpit": PagePort(cockpit.port, tls=not ends_at_the_rig)}))
     port = relay.relay.pages["cockpit"]
     if ends_at_the_rig:
         tls = ssl.create_default_context(cafile=str(tmp_path / "certificate.pem"))
@@ -218,7 +218,7 @@ def test_a_browser_that_takes_nothing_is_let_go(ends, monkeypatch):
     monkeypatch.setattr(transport, "TAKE_S", 0.3)
     listener = ends(socket.create_server(("127.0.0.1", 0)))
     relay = ends(Running({"page": 0}))
-    ends(Rig(relay.url, {"page": Target(listener.getsockname()[1])}))
+    ends(Rig(relay.url, {"page": PagePort(listener.getsockname()[1])}))
     with socket.create_connection(("127.0.0.1", relay.relay.pages["page"]), 30.0):
         accepted, _ = listener.accept()
         accepted.settimeout(30.0)
@@ -231,7 +231,7 @@ def test_what_a_page_holds_is_let_go_where_the_relay_dies(ends, tmp_path):
     cockpit = Cockpit(tmp_path)
     ends(cockpit.server)
     relay = ends(Running({"cockpit": 0}))
-    ends(Rig(relay.url, {"cockpit": Target(cockpit.port)}))
+    ends(Rig(relay.url, {"cockpit": PagePort(cockpit.port)}))
     with page(relay.relay.pages["cockpit"], "/control") as control:
         tell(control, do="secret", value=cockpit.code)
         assert answer(control)["key"]
@@ -240,16 +240,16 @@ def test_what_a_page_holds_is_let_go_where_the_relay_dies(ends, tmp_path):
 
         def enables():
             tell(control, do="beat", focus=True, held={"": ["enable"]})
-            return cockpit.server.held()[""][0]
+            return cockpit.server.held()[""].enable
 
         until(enables)
         relay.close()
-    until(lambda: not cockpit.server.held()[""][0] and not cockpit.server.controlled)
+    until(lambda: not cockpit.server.held()[""].enable and cockpit.server.control.controller is None)
 
 
 def test_another_key_opens_nothing(ends):
     relay = ends(Running({"page": 0}))
-    rig = ends(Rig(relay.url, {"page": Target(1)}, b"another key" * 4))
+    rig = ends(Rig(relay.url, {"page": PagePort(1)}, b"another key" * 4))
     until(lambda: any("key" in text for text in rig.said) and any("another key" in text for text in relay.said))
     assert relay.relay._sockets_of_run == 0
 
@@ -273,7 +273,7 @@ def test_a_false_relay_gets_no_connection(ends):
         listener = ends(socket.create_server(("127.0.0.1", 0)))
         listener.settimeout(0.0)
         port = false.socket.getsockname()[1]
-        rig = ends(Rig(f"ws://127.0.0.1:{port}/rig", {"page": Target(listener.getsockname()[1])}))
+        rig = ends(Rig(f"ws://127.0.0.1:{port}/rig", {"page": PagePort(listener.getsockname()[1])}))
         until(lambda: any("another key" in text for text in rig.said))
         false.shutdown()
     assert not heard
@@ -351,7 +351,7 @@ def test_browsers_are_few_and_come_in_moderation(ends, monkeypatch):
 def test_the_rig_comes_back_to_a_relay_that_was_away(ends, tmp_path, free_port):
     cockpit, port = Cockpit(tmp_path), free_port()
     ends(cockpit.server)
-    rig = ends(Rig(f"ws://127.0.0.1:{port}/rig", {"cockpit": Target(cockpit.port)}))
+    rig = ends(Rig(f"ws://127.0.0.1:{port}/rig", {"cockpit": PagePort(cockpit.port)}))
     until(lambda: any("not reached" in text for text in rig.said))
     first = Running({"cockpit": 0}, port)
     assert get(first.relay.pages["cockpit"])[0] == 200
@@ -363,7 +363,7 @@ def test_the_rig_comes_back_to_a_relay_that_was_away(ends, tmp_path, free_port):
 
 def test_a_page_that_the_rig_does_not_serve_ends_at_once(ends):
     relay = ends(Running({"page": 0, "other": 0}))
-    rig = ends(Rig(relay.url, {"page": Target(1)}))
+    rig = ends(Rig(relay.url, {"page": PagePort(1)}))
     for name in ("page", "other"):
         with socket.create_connection(("127.0.0.1", relay.relay.pages[name]), 30.0) as browser:
             assert browser.recv(100) == b""

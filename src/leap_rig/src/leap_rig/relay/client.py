@@ -28,7 +28,7 @@ OPEN_S = 10.0  # for each step of the way to the relay
 PING_S = 5.0  # a relay that answers no ping for so long is gone
 
 
-class Target(NamedTuple):
+class PagePort(NamedTuple):
     """The port of a page on this machine, and whether it has a certificate."""
 
     port: int
@@ -38,7 +38,7 @@ class Target(NamedTuple):
 class RelayClient:
     """Connects to the relay at `url`, ws:// or wss://, until it is cancelled. `say` gets sentences for the terminal."""
 
-    def __init__(self, url: str, key: bytes, pages: Mapping[str, Target], say: Callable[[str], None]) -> None:
+    def __init__(self, url: str, key: bytes, pages: Mapping[str, PagePort], say: Callable[[str], None]) -> None:
         self._url, self._key, self._pages, self._say = url, key, dict(pages), say
         self._run = secrets.token_bytes(RUN)
         self._links: set[asyncio.Future[None]] = set()
@@ -112,7 +112,7 @@ class RelayClient:
         await socket.send(answer)
         greeting.check_proof(await socket.recv(), due)
 
-    async def _serve(self, asked: greeting.Opening, socket: ClientConnection) -> None:
+    async def _serve(self, asked: greeting.PageRequest, socket: ClientConnection) -> None:
         target = self._pages.get(asked.page)
         if target is None:
             self._tell(f"The relay asks for the page {asked.page!r}, which this rig does not serve.")
@@ -130,7 +130,7 @@ class RelayClient:
             self._say(sentence)
 
 
-async def _open(target: Target, address: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+async def _open(target: PagePort, address: str) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     """Connects to a page on this machine, whose certificate nobody else vouches for, from a loopback address."""
     tls = None
     if target.tls:

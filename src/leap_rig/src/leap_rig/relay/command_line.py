@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from common.command_line import CommandLine, whole
 from common.errors import RigError
 from leap_motion.service.access import is_loopback
-from leap_rig.relay.client import RelayClient, Target
+from leap_rig.relay.client import RelayClient, PagePort
 from leap_rig.relay.greeting import NAME, SHORTEST_KEY
 from leap_rig.relay.server import Relay
 
@@ -62,15 +62,15 @@ def read_key(path: str) -> bytes:
     return key
 
 
-def _page(text: str) -> tuple[str, Target]:
+def _page(text: str) -> tuple[str, PagePort]:
     name, _, port = text.partition("=")
     number = port[len("tls:") :] if port.startswith("tls:") else port
     if not NAME.fullmatch(name.encode("utf-8", "replace")) or not number.isdecimal() or int(number) > 65535:
         raise RigError(f"{text!r} is no page: a name in small letters and a port are due, such as cockpit=8470.")
-    return name, Target(int(number), port != number)
+    return name, PagePort(int(number), port != number)
 
 
-def _serve(options: argparse.Namespace, key: bytes, pages: dict[str, Target]) -> None:
+def _serve(options: argparse.Namespace, key: bytes, pages: dict[str, PagePort]) -> None:
     ports = {name: target.port for name, target in pages.items()}
     try:
         relay = Relay(key, ports, _say, host=options.host, port=options.port)
@@ -83,7 +83,7 @@ def _serve(options: argparse.Namespace, key: bytes, pages: dict[str, Target]) ->
     relay.run()
 
 
-def _connect(url: str, key: bytes, pages: dict[str, Target]) -> None:
+def _connect(url: str, key: bytes, pages: dict[str, PagePort]) -> None:
     try:
         parts = urlsplit(url)
         sound = parts.scheme in ("ws", "wss") and parts.hostname and (parts.port is None or parts.port > 0)

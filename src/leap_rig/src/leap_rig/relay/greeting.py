@@ -32,7 +32,7 @@ class RelayFault(RigError):
     """What came is not from a relay or rig with our key; the text is one sentence."""
 
 
-class Opening(NamedTuple):
+class PageRequest(NamedTuple):
     """A browser asks for a page."""
 
     visitor: bytes
@@ -73,11 +73,11 @@ def opening(visitor: bytes, page: str) -> bytes:
     return visitor + page.encode("ascii")
 
 
-def read_opening(message: object) -> Opening:
+def read_opening(message: object) -> PageRequest:
     """Returns what the relay asks for; raises RelayFault for no such message."""
     if not isinstance(message, bytes) or not NAME.fullmatch(message[VISITOR:]):
         raise RelayFault("The relay sent no name of a page.")
-    return Opening(message[:VISITOR], message[VISITOR:].decode("ascii"))
+    return PageRequest(message[:VISITOR], message[VISITOR:].decode("ascii"))
 
 
 def local_address(visitor: bytes) -> str:
