@@ -181,7 +181,8 @@ class RigUnderTest:
         code = self.wait(lambda: re.search(r"next headset is (\d+)", self.log), "the code of the page", START_S)[1]
         self.run("leap_rig", "relay.py", "connect", url, "--page", own, "--key", str(key))
         self.wait(lambda: "A rig is connected" in served.log_path.read_text(), "the rig at the relay", START_S)
-        program = ("-m", "campaign.network.headset", leap_port, f"{self.wire.near}:{page}", code)
+        urls = (f"ws://127.0.0.1:{leap_port}/v6.json", f"wss://{self.wire.near}:{page}/hands")
+        program = ("-m", "campaign.network.headset", *urls, code)
         headset = self._processes.start(sys.executable, *program)
         self.wait(lambda: "drives" in headset.log_path.read_text(), "the headset to drive", START_S)
 

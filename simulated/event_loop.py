@@ -38,6 +38,15 @@ class EventLoop(asyncio.SelectorEventLoop):
                     coroutines[0].throw(Killed)
             raise
 
+    async def create_connection(  # type: ignore[override]
+        self, factory: Any, host: Any = None, port: Any = None, *, sock: Any = None, local_addr: Any = None, **more: Any
+    ) -> Any:
+        """Connects on wires."""
+        if sock is None:
+            sock = await self.run_in_executor(None, self._wires.connect, (host, port))
+            sock.setblocking(False)
+        return await super().create_connection(factory, sock=sock, **more)
+
     def run_in_executor(self, _executor: Any, job: Callable[..., Any], *args: Any) -> Any:  # type: ignore[override]
         """Does the job in a thread of its own."""
         outcome: concurrent.futures.Future[Any] = concurrent.futures.Future()

@@ -9,8 +9,10 @@ It has the methods of campaign.rig.RigUnderTest, so rows of the campaign and tes
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import itertools
+import re
 import runpy
 import signal
 import sys
@@ -27,18 +29,24 @@ from campaign import rig as real
 from campaign.arm_trace import ArmTrace
 from campaign.clocks import SimulatedTime
 from campaign.hand_puppet import HandPuppet
+from campaign.network.headset import HeadsetPage, play
 from campaign.trial import SHIFTED, SIMULATED, VARIANTS
 from common import clock
+from leap_rig.relay.client import RelayClient, PagePort
+from leap_rig.relay.server import Relay
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.server import SimulatedLeapService
 from rig_simulation.operator.sources import Playback
+from simulated.event_loop import EventLoop
 from simulated.graph import Graph, Node
 from simulated.hand_wire import HandNetwork
 from simulated.rig_parts import BadLink, Core, WallClocks
+from vision.ros.stereo import web_node
 
 LAUNCH = Path(real.__file__).with_name("rig.launch")
 HOST = "127.0.0.1"
 PORTS = itertools.count(20000)
+NO_TLS = SimpleNamespace(server=lambda: None, fingerprint=lambda: "")  # which wires have not
 
 
 class Hand(HandPuppet):
@@ -113,9 +121,14 @@ class VirtualRig(real.RigUnderTest):
         }
         if self._sees:
             self._arguments.update(world_port=next(PORTS), camera_control_port=next(PORTS))
-        if self.wire is not None:
+        if self.wire is not None and self.wire.name == "afar":
+            self._arguments.update(leap_port=next(PORTS), page_port=next(PORTS))
+            enter(pytest.MonkeyPatch.context()).setattr(web_node, "own_certificate", lambda _: NO_TLS)
+        elif self.wire is not None:
             self.wire.port = self._arguments[{"arm": "robot_port", "leap": "leap_port"}[self.wire.name]]
         self.launch()
+        if "page_port" in self._arguments:
+            self._connect_headset(str(leap.port))
         self.arm = ArmTrace(HOST, robot)
         self._resources.callback(self.arm.close)
         self.robot_hand = ControlClient(HOST, hand)
@@ -124,6 +137,22 @@ class VirtualRig(real.RigUnderTest):
             self.camera = ControlClient(HOST, self._arguments["camera_control_port"])
             self.wait(lambda: self.count("ggcnn", "pictures") > 0, "the network's first image", real.START_S)
         self.wait(lambda: self.count("leap_hand", "commands_sent") > 0, "the robot hand to be steered", real.START_S)
+
+    def _connect_headset(self, leap_port: str) -> None:
+        """As in the real rig, but without TLS."""
+        said: list[str] = []
+        relay = Relay(b"key" * 16, {"headset": 0}, said.append)
+        self.wire.port = relay.port
+        target = {"headset": PagePort(self._arguments["page_port"])}
+        client = RelayClient(f"ws://{HOST}:{relay.port}/rig", b"key" * 16, target, said.append)
+        code = self.wait(lambda: re.search(r"next headset is (\d+)", self.log), "the code of the page", real.START_S)[1]
+        page = HeadsetPage(code)
+        page.on_drive = lambda: said.append("drives")
+        self.graph.start("relay", relay.run)
+        urls = f"ws://{HOST}:{leap_port}/v6.json", f"ws://{HOST}:{relay.pages['headset']}/hands"
+        for name, running in (("relay_client", client.run()), ("headset", play(urls[0], page, urls[1]))):
+            self.graph.start(name, functools.partial(EventLoop(self.graph.wires).run_until_complete, running))
+        self.wait(lambda: "drives" in said, "the headset to drive", real.START_S)
 
     def launch(self, devices: bool = True) -> None:
         """Starts the nodes, and with `devices` the simulated arm and hand, by rig.launch."""

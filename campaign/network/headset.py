@@ -1,4 +1,4 @@
-"""A headset's page from afar, `python -m campaign.network.headset LEAP_PORT HOST:PORT CODE`: it takes the hands that a
+"""A headset's page from afar, `python -m campaign.network.headset LEAP_URL PAGE_URL CODE`: it takes the hands that a
 simulated Leap service shows, and sends them as the page does, to a relay's port of that page. The person stands at the
 origin of the room and looks along -z. It ends with SIGTERM."""
 
@@ -10,6 +10,7 @@ import json
 import signal
 import ssl
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,10 @@ def xr_points(frame: dict[str, Any], side: str) -> np.ndarray | None:
 
 
 class HeadsetPage:
-    """The page's side of the conversation (leap_motion.headset.transport)."""
+    """The page's side of the conversation (leap_motion.headset.transport); `on_drive` is called when it drives."""
 
     def __init__(self, secret: str) -> None:
+        self.on_drive: Callable[[], None] = lambda: None
         self._secret = secret
         self._socket: Any = None
         self._sent: list[float] = []
@@ -46,8 +48,10 @@ class HeadsetPage:
 
     async def hold(self, url: str) -> None:
         """Connects, again and again."""
-        tls = ssl.create_default_context()
-        tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
+        tls = None
+        if url.startswith("wss:"):
+            tls = ssl.create_default_context()
+            tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
         while True:
             with contextlib.suppress(OSError, WebSocketException, InvalidHandshake, asyncio.TimeoutError):
                 async with connect(url, ssl=tls, compression=None, ping_interval=None) as socket:
@@ -62,7 +66,7 @@ class HeadsetPage:
             self._secret = said.get("key", self._secret)
             if said.get("drives"):
                 self._socket, self._sent = socket, []
-                print("drives", flush=True)
+                self.on_drive()
             elif "leap" in said:
                 self._sent = self._sent[1:]
                 self._origin = said["leap"] and said["leap"][:3]
@@ -80,19 +84,27 @@ class HeadsetPage:
             )
 
 
-async def main(leap_port: str, address: str, code: str) -> None:
+async def play(leap: str, page: HeadsetPage, url: str) -> None:
+    """Sends the hands of a Leap service until it ends."""
+    held = asyncio.ensure_future(page.hold(url))
+    try:
+        async with connect(leap, compression=None, max_queue=1, ping_interval=None) as service:
+            await service.send('{"background": true}')
+            async for text in service:
+                frame = json.loads(text)
+                if "hands" in frame:
+                    await page.show(frame, asyncio.get_running_loop().time())
+    finally:
+        held.cancel()
+
+
+async def main(leap: str, url: str, code: str) -> None:
     """The program."""
-    loop, page = asyncio.get_running_loop(), HeadsetPage(code)
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, asyncio.current_task().cancel)
-    held = asyncio.ensure_future(page.hold(f"wss://{address}/hands"))
-    async with connect(f"ws://127.0.0.1:{leap_port}/v6.json", compression=None, max_queue=1) as leap:
-        await leap.send('{"background": true}')
-        async for text in leap:
-            frame = json.loads(text)
-            if "hands" in frame:
-                await page.show(frame, loop.time())
-    held.cancel()
+        asyncio.get_running_loop().add_signal_handler(number, asyncio.current_task().cancel)
+    page = HeadsetPage(code)
+    page.on_drive = lambda: print("drives", flush=True)
+    await play(leap, page, url)
 
 
 if __name__ == "__main__":
