@@ -32,7 +32,7 @@ from campaign.hand_puppet import HandPuppet
 from campaign.network.headset import HeadsetPage, play
 from campaign.trial import SHIFTED, SIMULATED, VARIANTS
 from common import clock
-from leap_rig.relay.client import RelayClient, PagePort
+from leap_rig.relay.client import PagePort, RelayClient
 from leap_rig.relay.server import Relay
 from rig_simulation.control_port import ControlClient
 from rig_simulation.devices.leap.server import SimulatedLeapService

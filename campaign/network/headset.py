@@ -96,6 +96,7 @@ async def play(leap: str, page: HeadsetPage, url: str) -> None:
                     await page.show(frame, asyncio.get_running_loop().time())
     finally:
         held.cancel()
+        await asyncio.gather(held, return_exceptions=True)
 
 
 async def main(leap: str, url: str, code: str) -> None:

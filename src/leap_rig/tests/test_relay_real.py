@@ -23,7 +23,7 @@ from websockets.sync.client import connect
 from leap_motion.service.certificate import own_certificate
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from leap_rig.relay import greeting, server, transport
-from leap_rig.relay.client import RelayClient, PagePort
+from leap_rig.relay.client import PagePort, RelayClient
 from leap_rig.relay.greeting import NONCE, RUN
 from leap_rig.relay.server import Relay
 

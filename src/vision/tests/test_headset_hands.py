@@ -267,7 +267,9 @@ def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monke
     logged = []
     monkeypatch.setattr(headset_hands, "RigScene", lambda: None)
     monkeypatch.setattr(headset_hands.rospy, "logwarn", lambda *text: logged.append(str(text)))
-    hands = headset_hands.HeadsetHands(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto", False, ""))
+    hands = headset_hands.HeadsetHands(
+        WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto", False, "")
+    )
     try:
         code = hands._endpoint._access.code
         said = capsys.readouterr()

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from common.command_line import CommandLine, whole
 from common.errors import RigError
 from leap_motion.service.access import is_loopback
-from leap_rig.relay.client import RelayClient, PagePort
+from leap_rig.relay.client import PagePort, RelayClient
 from leap_rig.relay.greeting import NAME, SHORTEST_KEY
 from leap_rig.relay.server import Relay
 
