@@ -56,7 +56,7 @@ def page(tmp_path, request):
     folder = tmp_path / "browser"
     folder.mkdir()
 
-    def until(condition, seconds=30.0, what="it"):
+    def until(condition, seconds=120.0, what="it"):
         deadline = time.monotonic() + seconds
         while not (found := condition()):
             assert time.monotonic() < deadline, f"waited for {what}"
