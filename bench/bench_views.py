@@ -189,7 +189,10 @@ def _everything(address: str) -> Iterator[None]:
         wxyz=(1.0, 0.0, 0.0, 0.0), position=(2.0, 0.0, 0.5), fov=0.8, near=0.1, far=9.0, image_height=600,
         image_width=800, look_at=(0.0, 0.0, 0.0), up_direction=(0.0, 0.0, 1.0),
     ).as_serializable_dict([])  # fmt: skip
-    first = {"/scene": msgspec.msgpack.encode(camera), "/pictures": "{}"}
+    wire = address.replace("http", "ws").rstrip("/")
+    with connect(f"{wire}/state") as state:
+        scene = next(filter(None, (json.loads(text).get("scene") for text in state)))
+    first = {scene: msgspec.msgpack.encode(camera), "/pictures": "{}"}
 
     def take(path: str, connection: ClientConnection) -> None:
         with contextlib.suppress(ConnectionClosed):
@@ -200,10 +203,11 @@ def _everything(address: str) -> Iterator[None]:
                     connection.send("{}")
 
     with contextlib.ExitStack() as stack:
-        for path in ("/state", "/control", "/pictures", "/scene"):
-            subprotocols = ["viser-v1.1.1"] if path == "/scene" else None
-            url = address.replace("http", "ws").rstrip("/") + path
-            connection = stack.enter_context(connect(url, subprotocols=subprotocols, max_size=None, close_timeout=2.0))
+        for path in ("/state", "/control", "/pictures", scene):
+            subprotocols = ["viser-v1.1.1"] if path == scene else None
+            connection = stack.enter_context(
+                connect(wire + path, subprotocols=subprotocols, max_size=None, close_timeout=2.0)
+            )
             threading.Thread(target=take, args=(path, connection), daemon=True).start()
         yield
 

@@ -14,7 +14,7 @@ import urllib.request
 @contextlib.contextmanager
 def browser(address, folder, wait_until, size="800,500"):
     """Opens the page and yields a function that evaluates JavaScript in it; its attribute `picture` writes a PNG,
-    `call` calls a method of the protocol, `pid` is the process. Any certificate is good enough.
+    `call` calls a method of the protocol, `devtools` is its host, `pid` is the process. Any certificate is good enough.
     """
     from websockets.sync.client import connect
 
@@ -49,6 +49,7 @@ def browser(address, folder, wait_until, size="800,500"):
                 path.write_bytes(base64.b64decode(call("Page.captureScreenshot")["data"]))
 
             evaluate.picture, evaluate.call, evaluate.pid = picture, call, program.pid
+            evaluate.devtools = f"127.0.0.1:{port}"
 
             yield evaluate
     finally:

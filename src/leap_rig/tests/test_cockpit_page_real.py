@@ -6,6 +6,7 @@ import itertools
 import json
 import shutil
 import time
+import urllib.request
 from dataclasses import asdict
 from pathlib import Path
 
@@ -154,6 +155,12 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
     page.until(lambda: page.stops)
 
 
+def test_the_scene_has_a_process_of_its_own_for_which_the_stop_does_not_wait(page):
+    with urllib.request.urlopen(f"http://{page.devtools}/json", timeout=60.0) as answer:
+        kinds = {target["type"]: target["url"] for target in json.load(answer)}
+    assert kinds["iframe"].endswith(page.server.scene_path)
+
+
 def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(page):
     page.enter()
     page("$('take').click()")
@@ -216,7 +223,8 @@ def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
 
 
 def test_where_a_processor_draws_the_scene_it_draws_less(page):
-    frame = "document.getElementById('view').contentWindow"
+    page("document.body.append(Object.assign(document.createElement('iframe'), {id: 'drawn'}))")
+    frame = "document.getElementById('drawn').contentWindow"
     page(f"{frame}.document.write({json.dumps(DRAW_LESS.decode())}), {frame}.document.close()")
     assert page(f"{frame}.location.search") == "?fixedDpr=0.6"  # headless, Chromium draws by software
     order = page(f"""new Promise(done => {{

@@ -94,16 +94,21 @@ def get(served, path, host=None):
 def test_pages_and_who_may_have_them(served):
     assert get(served, "/")[:2] == (200, b"the page")
     assert get(served, "/")[2]["Content-Security-Policy"] == "frame-ancestors 'none'"
-    assert get(served, "/scene/")[2]["Content-Encoding"] == "gzip"
+    assert get(served, served.server.scene_path)[2]["Content-Encoding"] == "gzip"
     assert get(served, "/else")[0] == 404
     assert get(served, "/", "evil.example")[0] == 403
-    for path in ("/state", "/control", "/pictures", "/scene/"):
+    assert get(served, "/scene/")[0] == 404
+    sockets = ("/state", "/control", "/pictures", served.server.scene_path)
+    for path, origin in [
+        *((path, "http://evil.example") for path in sockets),
+        *((path, "null") for path in sockets[:3]),
+    ]:
         with pytest.raises(InvalidStatus):
-            served.socket(path, origin="http://evil.example")
+            served.socket(path, origin=origin)
 
 
 def test_the_scene_is_passed_through_with_its_subprotocol(served):
-    with served.socket("/scene", subprotocols=["viser-v1"]) as socket:
+    with served.socket(served.server.scene_path, subprotocols=["viser-v1"], origin="null") as socket:
         assert socket.subprotocol == "viser-v1"
         socket.send(b"\x00\x01")
         assert socket.recv(timeout=60.0) == b"\x00\x01"
@@ -117,7 +122,7 @@ def test_each_page_gets_the_state_and_is_seen(served):
         assert answer(socket) == {}
         assert served.server.watched
         served.server.put_state({"number": 1})
-        assert answer(socket) == {"number": 1, "controller": None}
+        assert answer(socket) == {"number": 1, "controller": None, "scene": served.server.scene_path}
     until(lambda: not served.server.watched)
 
 

@@ -17,7 +17,7 @@ from common import clock
 from common.errors import RigError
 from common.ros.master import check_surroundings
 from common.ros.node import end_closed_servers, hide_closed_connections
-from common.screen import check_screen, panel_area
+from common.screen import TITLE_PX, check_screen, panel_area
 from kuka_control.gui.panel import ArmsPanel, ControlPanel
 from kuka_control.ros import panel_process
 from kuka_control.ros.controller_link import ControllerLink
@@ -111,7 +111,7 @@ def _show(on_top: bool, arms: Sequence[str]) -> int:
     panel.setWindowFlag(Qt.WindowStaysOnTopHint, on_top)
     left, top, width, height = panel_area(*QGuiApplication.primaryScreen().availableGeometry().getRect())
     panel.resize(width, height)
-    panel.move(left, top)
+    panel.move(left, top - TITLE_PX)  # of the frame, not of what is in it
     panel.show()
     end = QTimer()
     # Its time-outs also give Python the chance to see signals.

@@ -26,6 +26,18 @@ STYLE = b"""<style>
 { display: none !important; }
 </style>"""
 """Hides what is viser's own: its panel, its mark and its notes."""
+WORKER = b"""<script>
+{
+  const Plain = Worker;
+  window.Worker = function (address, options) {
+    const request = new XMLHttpRequest();
+    request.open("GET", address, false);
+    request.send();
+    return new Plain("data:text/javascript;charset=utf-8," + encodeURIComponent(request.responseText), options);
+  };
+}
+</script>"""
+"""viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes."""
 DRAW_LESS = b"""<script>
 "use strict";
 {
@@ -124,7 +136,7 @@ class SceneServer:
     def page(self) -> bytes:
         """The page, HTML in one piece: it needs no other file, and shows the scene alone."""
         html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
-        return html.replace(b"</head>", STYLE + DRAW_LESS, 1)
+        return html.replace(b"</head>", STYLE + WORKER + DRAW_LESS, 1)
 
     @property
     def viewers(self) -> int:

@@ -1,4 +1,4 @@
-"""The cockpit's server: the page at /, the 3-D scene in it at /scene/, whose WebSocket is passed on to viser, the state
+"""The cockpit's server: the page at /, the 3-D scene in a frame of it, whose WebSocket is passed on to viser, the state
 as JSON on /state, images on /pictures, and commands on /control, which need the code. What a page sends anywhere but on
 /control moves nothing."""
 
@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import gzip
 import json
+import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +38,12 @@ from leap_rig.cockpit.messages import (
 )
 from vision.stereo.transport import AUTO, Picture, PictureStream
 
-SCENE_SOCKETS = ("/scene", "/scene/")
+ESCAPE = b"""<script>
+addEventListener("keydown", event => {
+  if (event.key === "Escape" && !event.repeat) parent.postMessage("stop", "*");
+});
+</script>"""
+"""The scene's frame is sandboxed, so that the browser draws it in a process of its own: the stop never waits for it."""
 SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
 MAX_RATE = 50  # messages of a page on /control in a second; a page sends 10
 SECRET_S = 600.0  # a page that watches may keep its connection for the code so long
@@ -80,14 +86,15 @@ class CockpitServer(PageService):
         public: str = "",
     ) -> None:
         jpeg_quality = 80
-        self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html), script
+        self.scene_path = f"/scene/{secrets.token_urlsafe(16)}"  # a sandboxed frame has no origin to be checked
+        self._page, self._scene_html, self._script = page.read_bytes(), gzip.compress(scene.html + ESCAPE), script
         super().__init__(host, port, name, certificate, public)
         self._scene, self._obey, self._stop, self._tell_code = scene, obey, stop, tell_code
         self.control, self._lock = CockpitControl(tuple(arms)), clock.Lock()
         self._state = "{}"
         self._news = self._loop.create_future()
         self._limits = {
-            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", "/control", "/scene")
+            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", "/control", self.scene_path)
         }
         self._open_pages = self._open_scenes = self._number = 0
         self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS, jpeg_quality, way, cameras)
@@ -113,7 +120,7 @@ class CockpitServer(PageService):
 
     def put_state(self, state: Mapping[str, Any]) -> None:
         """Sends the state to all pages; what one has not taken yet is replaced."""
-        self._soon(self._take_state, state_text({**state, "controller": self._controller()}))
+        self._soon(self._take_state, state_text({**state, "controller": self._controller(), "scene": self.scene_path}))
 
     def put_picture(self, camera: str, picture: Picture) -> None:
         self._soon(self.pictures.take, camera, picture)
@@ -145,18 +152,19 @@ class CockpitServer(PageService):
         self._tell_code(f"The code for the next page of the cockpit is {self.control.access.code}.")
 
     def _subprotocol(self, connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
-        return offered[0] if offered and _path(connection) in SCENE_SOCKETS else None
+        return offered[0] if offered and _path(connection) == self.scene_path else None
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         pages = {
             "/": lambda: page_response(self._page, ("Content-Security-Policy", "frame-ancestors 'none'")),
             "/pictures.js": lambda: page_response(self._script, kind="text/javascript"),
-            "/scene/": lambda: page_response(self._scene_html, *SCENE_HEADERS),
+            self.scene_path: lambda: page_response(self._scene_html, *SCENE_HEADERS),
         }
-        return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *SCENE_SOCKETS))
+        sockets = ("/state", "/control", "/pictures", self.scene_path)
+        return self._answer(connection, request, pages, sockets, (self.scene_path,))
 
     async def _converse(self, connection: ServerConnection) -> None:
-        path, address = _path(connection).rstrip("/"), connection.remote_address[0]
+        path, address = _path(connection), connection.remote_address[0]
         if path == "/pictures":
             await self.pictures.converse(connection)
             return
@@ -164,7 +172,7 @@ class CockpitServer(PageService):
         if not limits.enter(address):
             await connection.close(BUSY, "too many pages are open already")
             return
-        serve = {"/state": self._show_state, "/control": self._take_commands, "/scene": self._pass_scene}[path]
+        serve = {"/state": self._show_state, "/control": self._take_commands, self.scene_path: self._pass_scene}[path]
         try:
             with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
                 await serve(connection)

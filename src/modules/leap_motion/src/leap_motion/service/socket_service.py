@@ -169,9 +169,10 @@ class PageService(SocketService):
 
     def _answer(
         self, connection: ServerConnection, request: Request, pages: dict[str, Callable[[], Response]],
-        sockets: Collection[str],
+        sockets: Collection[str], apart: Collection[str] = (),
     ) -> Response | None:  # fmt: skip
-        """Returns the answer to a request, by the paths of the pages and of the WebSockets; None for one of these."""
+        """Returns the answer to a request, by the paths of the pages and of the WebSockets; None for one of these.
+        `apart`: the WebSockets that a sandboxed frame may open, too, whose origin is null."""
         host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
         origin = self._public if is_host_of(host, self._public) else f"{self._scheme}://{host}"
         if origin != self._public and not is_own_host(host, connection.local_address[0], self._names):
@@ -180,7 +181,8 @@ class PageService(SocketService):
             return pages[path]()
         if path not in sockets:
             return connection.respond(404, "Not found.\n")
-        if request.headers.get("Origin", origin) != origin:
+        allowed = (origin, "null") if path in apart else (origin,)
+        if request.headers.get("Origin", origin) not in allowed:
             return connection.respond(403, "This is for its own page only.\n")
         return None
 
