@@ -202,6 +202,12 @@ def test_a_cloud_replaces_the_one_before(robot):
     assert len(handle(robot, "/frames/camera/cloud").points) == 5
 
 
+def test_a_label_is_hidden_until_a_page_gives_it_its_place(robot):
+    robot.show_axes("kuka/link_7", 0.1, "last link")
+    robot.update(1.0)
+    assert not handle(robot, f"{robot._frame_node('kuka/link_7')}/axes/name").visible
+
+
 def test_transforms_of_no_numbers_are_left_out(robot):
     before = sent(robot)
     for bad in ((math.nan, *STILL[1:]), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), (math.inf, *STILL[1:])):

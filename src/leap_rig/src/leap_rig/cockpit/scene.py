@@ -404,7 +404,8 @@ class _Labels:
         self._seen: tuple = ()
 
     def put(self, key: Hashable, frame: str, point: tuple[float, float, float], text: str, handle: Any) -> None:
-        self._labels[key] = frame, point, text, handle
+        handle.visible = False  # until it has its place
+        self._labels[key], self._seen = (frame, point, text, handle), ()
 
     def drop(self, key: Hashable) -> None:
         self._labels.pop(key, None)
