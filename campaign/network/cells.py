@@ -83,7 +83,8 @@ def chosen(only: str) -> list[Cell]:
     for name in names:
         if name not in (*CELLS, *WIRES, *CONDITIONS):
             raise SystemExit(
-                f"There is no cell {name!r}; there are {', '.join((*WIRES, *CONDITIONS))} and such as arm:loss_5."
+                f"There is no cell {name!r}; there are the wires {', '.join(WIRES)}, conditions such as loss_5, "
+                "and cells such as arm:loss_5."
             )
     return [cell for cell in CELLS.values() if not names or {cell.number, cell.wire, cell.condition} & set(names)]
 

@@ -80,7 +80,7 @@ class RelayClient:
                 asked = greeting.read_opening(await socket.recv())
                 self._spare, spare = self._spare - 1, False
                 self._changed.set()
-                await self._serve(asked, socket)
+                await self._converse(asked, socket)
         except RelayFault as fault:
             self._tell(f"{fault} Trying again.")
         except ConnectionClosed as closed:
@@ -112,7 +112,7 @@ class RelayClient:
         await socket.send(answer)
         greeting.check_proof(await socket.recv(), due)
 
-    async def _serve(self, asked: greeting.PageRequest, socket: ClientConnection) -> None:
+    async def _converse(self, asked: greeting.PageRequest, socket: ClientConnection) -> None:
         target = self._pages.get(asked.page)
         if target is None:
             self._tell(f"The relay asks for the page {asked.page!r}, which this rig does not serve.")

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         key, pages = read_key(options.key), dict(_page(text) for text in options.page)
         if options.program == "serve":
-            _serve(options, key, pages)
+            _converse(options, key, pages)
         else:
             _connect(options.url, key, pages)
     except RigError as error:
@@ -70,7 +70,7 @@ def _page(text: str) -> tuple[str, PagePort]:
     return name, PagePort(int(number), port != number)
 
 
-def _serve(options: argparse.Namespace, key: bytes, pages: dict[str, PagePort]) -> None:
+def _converse(options: argparse.Namespace, key: bytes, pages: dict[str, PagePort]) -> None:
     ports = {name: target.port for name, target in pages.items()}
     try:
         relay = Relay(key, ports, _say, host=options.host, port=options.port)
