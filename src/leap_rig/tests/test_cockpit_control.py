@@ -198,7 +198,7 @@ NAMES = st.sampled_from(
 )  # fmt: skip
 def test_whatever_a_page_sends_is_a_sound_command_or_refused(text):
     try:
-        name, arm, value = read_command(text, ARMS)
+        name, arm, value, _ = read_command(text, ARMS)
     except PageMessageFault:
         return
     if name in ("control", "gripper", "scaling", "exit"):

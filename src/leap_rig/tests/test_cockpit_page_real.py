@@ -54,6 +54,7 @@ def page(tmp_path, request):
     server = CockpitServer(
         PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append, script=SCRIPT
     )
+    server.control.fresh_s = 60.0  # a busy machine is slow
     folder = tmp_path / "browser"
     folder.mkdir()
 
@@ -173,7 +174,7 @@ def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(p
     page("(e => { e.value = 'bo'; e.onchange(); })(document.querySelector('.operator'))")
     page("$('note').value = ' slipped '; document.querySelector('[data-mark=failure]').click()")
     page.until(lambda: len(page.obeyed) > 1)
-    assert [tuple(command) for command in page.obeyed] == [
+    assert [tuple(command)[:3] for command in page.obeyed] == [
         ("operator", "", "bo"), ("mark", "", ("failure", "slipped")),
     ]  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import json
+import math
 import threading
 import time
 
@@ -45,6 +46,7 @@ class Served:
             page, scene, ("",), self.obeyed.append, lambda: self.stops.append(1), self.said.append,
             cameras=("scene", "wrist"),
         )  # fmt: skip
+        self.server.control.fresh_s = math.inf  # but where a test is about it
         self.host = self.server.address.split("/")[2]
 
     @property
@@ -69,7 +71,10 @@ def tell(socket, **message):
 
 
 def answer(socket):
-    return json.loads(socket.recv(timeout=60.0))
+    """The next answer but those to heartbeats."""
+    while "heard" in (message := json.loads(socket.recv(timeout=60.0))):
+        pass
+    return message
 
 
 def enter(served, socket):
@@ -175,6 +180,36 @@ def test_what_is_held_is_let_go_without_heartbeat_and_with_the_connection(served
         assert time.monotonic() - began >= HEARTBEAT_S
         assert controlled(served) and not served.server.live
     until(lambda: not controlled(served))
+
+
+def test_what_waited_in_a_slow_connection_commands_nothing_but_a_stop(served):
+    with served.socket("/control") as socket:
+        enter(served, socket)
+        tell(socket, do="take")
+        assert answer(socket)["control"]
+        served.server.control.fresh_s = 1.0
+        tell(socket, do="beat", focus=True, held={})
+        now = json.loads(socket.recv(timeout=60.0))["heard"]
+        for heard in (now - 2.0, now + 1e6, math.nan, None, "now"):
+            tell(socket, do="beat", focus=True, held={}, heard=heard)
+            tell(socket, do="control", value=True, heard=heard)
+            assert "slow" in answer(socket)["refused"]
+            assert not served.server.live and not served.obeyed
+        served.server.control.fresh_s = 1e3
+        tell(socket, do="beat", focus=True, held={}, heard=now)
+        tell(socket, do="control", value=True, heard=now)
+        until(lambda: served.obeyed)
+        tell(socket, do="stop")
+        until(lambda: served.stops)
+
+
+def test_a_burst_of_a_page_with_the_code_loses_no_stop(served):
+    with served.socket("/control") as socket:
+        enter(served, socket)
+        for _ in range(300):
+            tell(socket, do="beat", focus=True, held={})
+        socket.send('{"do":"stop"}')
+        assert "sent" in answer(socket)["done"] and served.stops == [1]
 
 
 def controlled(served):

@@ -48,10 +48,11 @@ class PanelUpdate(NamedTuple):
 
 class ControllerLink:
     """Hears kuka/status and operator_view/rows, and carries the operator's requests to the services. `arm`: namespace
-    of one of several arms; empty: this program's own."""
+    of one of several arms; empty: this program's own. `rows`: whether somebody sees the operator's view at once."""
 
-    def __init__(self, arm: str = "") -> None:
+    def __init__(self, arm: str = "", rows: bool = True) -> None:
         self._of = f"{arm}/" if arm else ""
+        self._rows, self._rows_wanted, self._lock = None, rows, clock.Lock()
         self._status: ControllerStatus | None = None
         self._process: ControllerProcess | None = None
         self._master_lost = False
@@ -133,6 +134,7 @@ class ControllerLink:
 
     def ask_emergency(self) -> None:
         """Stops the controller at once, in a thread of its own; once while that runs."""
+        self._next.clear()
         if emergency.SERVICE not in self._running:
             self._running.add(emergency.SERVICE)
             clock.Thread(target=self._stop, name="emergency", daemon=True).start()
@@ -142,6 +144,7 @@ class ControllerLink:
         ended, sentence = emergency.stop(
             self._services[emergency.SERVICE], self._process, status.host if status else ""
         )
+        self._running.discard(emergency.SERVICE)
         self._answers.put((emergency.SERVICE, ended, sentence))
 
     def _watch(self) -> None:
@@ -167,9 +170,28 @@ class ControllerLink:
             self._wake.wait(0.0 if self._closed else watch_s)
         self._unsubscribe()
 
+    def watch_rows(self, on: bool) -> None:
+        """Whether somebody sees the operator's view now, which is made for those who look."""
+        self._rows_wanted = on
+        clock.Thread(target=self._follow_rows, name="rows", daemon=True).start()
+
+    def _follow_rows(self) -> None:
+        with self._lock:
+            if self._rows_wanted and self._rows is None and self._subscribers:
+                self._rows = rospy.Subscriber(
+                    f"{self._of}operator_view/rows", OperatorView, self._take_view, queue_size=1
+                )
+            elif not self._rows_wanted and self._rows is not None:
+                self._rows.unregister()
+                self._rows = None
+
     def _unsubscribe(self) -> None:
         for subscriber in self._subscribers:
             subscriber.unregister()
+        with self._lock:
+            rows, self._rows = self._rows, None
+        if rows is not None:
+            rows.unregister()
 
     def _master_answers(self) -> bool:
         """Asks, because rospy counts a node without topics as initialized, and waits with its first topic for ever."""
@@ -192,10 +214,8 @@ class ControllerLink:
         def subscribe() -> None:
             try:
                 self._unsubscribe()
-                self._subscribers = [
-                    rospy.Subscriber(f"{self._of}kuka/status", KukaStatus, self._take, queue_size=1),
-                    rospy.Subscriber(f"{self._of}operator_view/rows", OperatorView, self._take_view, queue_size=1),
-                ]
+                self._subscribers = [rospy.Subscriber(f"{self._of}kuka/status", KukaStatus, self._take, queue_size=1)]
+                self._follow_rows()
             finally:
                 self._subscribing = False
 

@@ -10,7 +10,7 @@ a heartbeat with focus holds it          stays              pressed, if it was s
 a heartbeat with focus does not hold it  stays              released                      released, if it was seen
                                                                                           pressed since the last loss
 a heartbeat without focus                stays              released: a loss              as it is: a loss
-no heartbeat for HEARTBEAT_S             stays              released: a loss              as it is: a loss
+none for HEARTBEAT_S, or an old one      stays              released: a loss              as it is: a loss
 the page gives control, or is gone       free               released: a loss              as it is: a loss
 
 So each loss goes to the side on which the tool stays: who lets go by accident moves nothing, and a clutch that was held
@@ -29,6 +29,7 @@ from leap_kuka.numbers import DEVICE_PERIOD_S
 from leap_motion.service.access import HeadsetAccess
 
 HEARTBEAT_S = 0.5
+FRESH_S = 0.5  # from what a page heard last of the server to what it says with it, on the way here
 ENABLE, CLUTCH = "enable", "clutch"
 
 
@@ -97,6 +98,7 @@ class CockpitControl:
     arms: tuple[str, ...]
     access: HeadsetAccess = field(default_factory=HeadsetAccess)
     controller: ControllingPage | None = None
+    fresh_s: float = FRESH_S
     switches: dict[str, HeldSwitches] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -131,14 +133,17 @@ class CockpitControl:
             self.controller = None
             self._lose()
 
-    def beat(self, page: CockpitPage, focused: bool, held: Mapping[str, Iterable[str]], now: float) -> None:
-        """Takes a heartbeat: whether the page has focus, and what it holds of each arm."""
+    def beat(
+        self, page: CockpitPage, focused: bool, held: Mapping[str, Iterable[str]], now: float, age: float = 0.0
+    ) -> None:
+        """Takes a heartbeat: whether the page has focus, and what it holds of each arm. `age`: how long ago the
+        page had heard the server when it sent it [s]; what waited in a slow connection is a loss."""
         controller = self.controller
         if controller is None or controller.page is not page:
             return
         self.watch(now)
-        controller.heard, controller.focused = now, focused
-        if not focused:
+        controller.heard, controller.focused = now, focused and 0.0 <= age <= self.fresh_s
+        if not controller.focused:
             self._lose()
             return
         for arm, switches in self.switches.items():
@@ -154,14 +159,14 @@ class CockpitControl:
         controller = self.controller
         return controller is not None and controller.focused and now - controller.heard <= HEARTBEAT_S
 
-    def refusal(self, page: CockpitPage, now: float) -> str:
-        """Returns why a page may not command now, a sentence; empty if it may."""
+    def refusal(self, page: CockpitPage, now: float, age: float = 0.0) -> str:
+        """Returns why a page may not command now, a sentence; empty if it may. `age`: as of a heartbeat."""
         if not page.key:
             return "Only a page that has sent the code can do that."
         controller = self.controller
         if controller is None or controller.page is not page:
             return "Take control first."
-        if not self.live(now):
+        if not (self.live(now) and 0.0 <= age <= self.fresh_s):
             return "The page has no focus, or its connection is slow: nothing was sent."
         return ""
 

@@ -24,11 +24,13 @@ class PageMessageFault(ValueError):
 
 
 class PageCommand(NamedTuple):
-    """A command of a page: `name`, the arm's namespace where it is for one, and its value."""
+    """A command of a page: `name`, the arm's namespace where it is for one, and its value. `heard`: the newest time of
+    the server's clock that the page had from it [s]."""
 
     name: str
     arm: str = ""
     value: Any = None
+    heard: float = -math.inf
 
 
 def read_command(text: object, arms: Iterable[str]) -> PageCommand:
@@ -39,6 +41,12 @@ def read_command(text: object, arms: Iterable[str]) -> PageCommand:
         message = None
     if not isinstance(message, dict):
         raise PageMessageFault("That was no message of the page.")
+    heard = message.get("heard")
+    command = _command(message, arms)
+    return command._replace(heard=float(heard)) if isinstance(heard, (int, float)) else command
+
+
+def _command(message: Mapping[str, Any], arms: Iterable[str]) -> PageCommand:
     name, arm = message.get("do"), message.get("arm", "")
     value: Any = message.get("value")
     if not isinstance(name, str) or not isinstance(arm, str):

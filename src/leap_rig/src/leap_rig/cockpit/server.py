@@ -46,6 +46,7 @@ addEventListener("keydown", event => {
 """The scene's frame is sandboxed, so that the browser draws it in a process of its own: the stop never waits for it."""
 SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
 MAX_RATE = 50  # messages of a page on /control in a second; a page sends 10
+STOP_TEXT = '{"do":"stop"}'  # as the page sends it
 SECRET_S = 600.0  # a page that watches may keep its connection for the code so long
 GONE_S = 5.0  # a page with the code that was silent for so long is gone
 BUSY, REFUSED = 1013, 1008  # codes of closing
@@ -224,9 +225,11 @@ class CockpitServer(PageService):
                 text = await asyncio.wait_for(connection.recv(), GONE_S if page.key else SECRET_S)
                 before, second = second, int(clock.monotonic())
                 count = count + 1 if second == before else 1
-                if count > MAX_RATE:
+                if count > MAX_RATE and not page.key:
                     await connection.close(REFUSED, "too many messages")
                     return
+                if count > MAX_RATE and text != STOP_TEXT:  # after a pause of the page or of the connection
+                    continue
                 with self._lock:
                     answer = self._answer_command(page, text, address)
                 if answer:
@@ -250,8 +253,8 @@ class CockpitServer(PageService):
             return {"refused": refused, "code": False} if refused else {"key": page.key, "name": page.name}
         if command.name == BEAT:
             focused, held = command.value
-            control.beat(page, focused, held, now)
-            return None
+            control.beat(page, focused, held, now, now - command.heard)
+            return {"heard": now}
         if command.name == STOP:
             if not page.key:
                 return {"refused": "Only a page that has sent the code can do that."}
@@ -263,7 +266,7 @@ class CockpitServer(PageService):
         if command.name == GIVE:
             control.give(page)
             return {"control": False}
-        refused = control.refusal(page, now)
+        refused = control.refusal(page, now, now - command.heard)
         if refused:
             return {"refused": refused}
         self._obey(command)

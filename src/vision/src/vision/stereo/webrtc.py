@@ -78,7 +78,9 @@ async def answered(
             frame.pts, frame.time_base = round(CLOCK_HZ * (clock.monotonic() - self.began)), Fraction(1, CLOCK_HZ)
             return frame
 
-    answer_s = 5.0
+    answer_s, most_bytes, most_candidates = 5.0, 16384, 32
+    if len(offer) > most_bytes or offer.count("\nm=") > 1 or offer.count("candidate:") > most_candidates:
+        return None  # more than a page asks for: to read it would take its time from the emergency stop
     here, there = page.local_address[0], page.remote_address[0]
     host = page.request.headers.get("Host", "").rpartition(":")[0].strip("[]") if page.request else ""
     peer = aiortc.RTCPeerConnection(aiortc.RTCConfiguration(iceServers=[]))

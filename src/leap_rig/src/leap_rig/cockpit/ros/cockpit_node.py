@@ -7,10 +7,11 @@ import contextlib
 import functools
 import json
 import math
+import queue
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import strftime
 from typing import Any
@@ -37,7 +38,7 @@ from leap_kuka.config import DEVICE, NONE
 from leap_kuka.numbers import LEFT_S
 from leap_motion.service.access import is_loopback
 from leap_motion.service.certificate import CertificateError, own_certificate
-from leap_rig.cockpit.control import DeviceReports, HeldSwitches
+from leap_rig.cockpit.control import FRESH_S, DeviceReports, HeldSwitches
 from leap_rig.cockpit.messages import CONTROL, EXIT, GRIPPER, MARK, OPERATOR, RECORD, SCALING, TUTORIAL, PageCommand
 from leap_rig.cockpit.ros.scene_feed import SceneFeed
 from leap_rig.cockpit.scene import SceneServer
@@ -100,12 +101,11 @@ class ChildProgram:
 
 
 class ArmLink:
-    """One arm: the link to its controller while a page is open, and the operator's switches of the page."""
+    """One arm: the link to its controller, and the operator's switches of the page."""
 
     def __init__(self, arm: str) -> None:
         self._arm, self._of = arm, f"{arm}/" if arm else ""
-        self._link: ControllerLink | None = None
-        self._lock = clock.Lock()
+        self.link = ControllerLink(arm, rows=False)  # all the time: a stop needs to know the controller before it hangs
         topic = f"{self._of}leap_kuka/operator_input"
         self._publisher = rospy.Publisher(topic, OperatorInput, queue_size=10, tcp_nodelay=True)
         self._listen = OnDemand(
@@ -117,16 +117,9 @@ class ArmLink:
         self._operator, self._operators = "", [""]
         self.answers: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()
 
-    @property
-    def link(self) -> ControllerLink:
-        """The link, which is made where there is none: the Emergency Stop needs one even then."""
-        with self._lock:
-            if self._link is None:
-                self._link = ControllerLink(self._arm)
-            return self._link
-
     def watch(self, watched: bool) -> None:
-        if watched and self._link is None:
+        self.link.watch_rows(watched)
+        if watched:
             with contextlib.suppress(
                 OSError, rosgraph.MasterException
             ):  # without a master the page still stops the arm
@@ -134,12 +127,6 @@ class ArmLink:
                 self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
                 self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
                 self._operators = ["", *known_names()]
-            self.link.refresh()
-        elif not watched:
-            with self._lock:
-                link, self._link = self._link, None
-            if link is not None:
-                link.close()
         self._listen(watched and DEVICE in self._leap.values())
 
     def _take_input(self, message: OperatorInput) -> None:
@@ -198,7 +185,7 @@ class Cockpit:
         self._arms = {arm: ArmLink(arm) for arm in names}
         self._scene = SceneServer()
         self._feed = SceneFeed(self._scene, names)
-        self._commands: clock.SimpleQueue[PageCommand] = clock.SimpleQueue()
+        self._commands: clock.SimpleQueue[tuple[float, PageCommand]] = clock.SimpleQueue()  # and when it came
         self._recorder, self._tutor = ChildProgram(), ChildProgram()
         self._recording, self._tutorial, self._number = "", "", 0
         self._answers: dict[str, dict[str, Any]] = {}  # the newest of each arm, and of none
@@ -217,7 +204,7 @@ class Cockpit:
                 Path(config.page or f"{rospkg.RosPack().get_path('leap_rig')}/web/cockpit.html"),
                 ScenePage(self._scene.page, self._scene.address),
                 names,
-                self._commands.put,
+                lambda command: self._commands.put((clock.monotonic(), command)),
                 self._stop,
                 show,
                 host=config.host,
@@ -256,8 +243,11 @@ class Cockpit:
         (self._feed.start if server.scene_watched else self._feed.stop)()
         for camera, look in self._looks.items():
             look(server.pictures.watched(camera))
-        while not self._commands.empty():
-            self._obey(self._commands.get())
+        for came, command in self._taken_commands():
+            if clock.monotonic() - came <= FRESH_S:
+                self._obey(command)
+            else:
+                self._say("The rig was busy: what was asked is too old, and nothing was sent.", "warning", command.arm)
         held, live = server.held(), server.live
         for name, arm in self._arms.items():
             arm.hold(held[name], live)
@@ -298,9 +288,16 @@ class Cockpit:
         }
 
     def _stop(self) -> None:
-        """The Emergency Stop, of all arms; called beside this node's own thread."""
+        """The Emergency Stop, of all arms; called beside this node's own thread. What was asked before is dropped."""
+        for _ in self._taken_commands():
+            pass
         for arm in self._arms.values():
             arm.link.ask_emergency()
+
+    def _taken_commands(self) -> Iterator[tuple[float, PageCommand]]:
+        with contextlib.suppress(queue.Empty):
+            while True:
+                yield self._commands.get_nowait()
 
     def _obey(self, command: PageCommand) -> None:
         link = self._arms[command.arm].link if command.arm in self._arms else None
