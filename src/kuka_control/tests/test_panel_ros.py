@@ -293,6 +293,21 @@ def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see, su
     see(lambda: "at once" in panel.answer.full, "the sentence")
 
 
+def test_what_waited_before_an_emergency_stop_is_not_asked_after_it(panel, start, see):
+    process = start("--host", "far-away")
+    see(panel.control.isEnabled, "the controller")
+    process.send_signal(signal.SIGSTOP)
+    for on in (False, True):
+        panel.control_requested.emit(on)
+    click(panel.emergency)
+    see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence")
+    process.send_signal(signal.SIGCONT)
+    see(lambda: not panel.link.controller._running, "the end of the calls")
+    assert call("gripper_control", "setGripperControl", True).success
+    see(panel.gripper.isChecked, "the gripper")
+    assert not panel.control.isChecked()
+
+
 def test_emergency_stop_without_a_controller_says_so(panel, see):
     click(panel.emergency)
     see(lambda: "there is no controller to stop" in panel.answer.full, "the sentence")
