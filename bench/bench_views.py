@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -168,10 +169,13 @@ def _viewer(viewer: str, address: str, folder: Path) -> Iterator[list[int]]:
 
         folder.mkdir()
         with browser(address, folder, _wait_until, SIZE) as evaluate:
-            drawn = "document.getElementById('view')?.contentDocument?.querySelector('canvas')"
-            _wait_until(
-                lambda: evaluate(f"typeof state === 'object' && state !== null && {drawn} != null"), END_S, "it"
-            )
+
+            def shows_the_scene() -> bool:
+                with urllib.request.urlopen(f"http://{evaluate.devtools}/json") as answer:
+                    return any(target["type"] == "iframe" for target in json.load(answer))
+
+            _wait_until(lambda: evaluate("typeof state === 'object' && state !== null"), END_S, "its state")
+            _wait_until(shows_the_scene, END_S, "its scene")
             yield [evaluate.pid]
     else:
         yield []
