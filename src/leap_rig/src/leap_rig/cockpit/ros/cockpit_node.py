@@ -7,7 +7,6 @@ import contextlib
 import functools
 import json
 import math
-import queue
 import signal
 import subprocess
 import sys
@@ -295,7 +294,7 @@ class Cockpit:
             arm.link.ask_emergency()
 
     def _taken_commands(self) -> Iterator[tuple[float, PageCommand]]:
-        with contextlib.suppress(queue.Empty):
+        with contextlib.suppress(clock.Empty):
             while True:
                 yield self._commands.get_nowait()
 
