@@ -114,7 +114,7 @@ def test_a_grasp_that_is_held_and_lifted():
 GONE_HOME, LOST = ControllerState(True, "home", "Home."), {"hold": NO_HOLD, "hold_reason": "it was lost"}
 OFF, STOPPED = dataclasses.replace(HOME, control_on=False), ControllerState(True, "stopped", "It hit.")
 FOLLOWED, WAITING = Trial.with_person, Trial.waiting
-ENDS = [  # how it begins and goes on, why it ends, and whether the fingers had closed
+ENDS = [  # start, what follows, the reason of the end, whether the fingers had closed
     (Trial.start, lambda t: t.run(2.1), "The tool was not held for a hand: no hand is seen.", False),
     (Trial.start, lambda t: t.run(30.1, hold=HELD), "The tool was not above the grasp after 30 s.", False),
     (Trial.start, lambda t: t.run(0.1, hold=HELD, controller=OFF), "Control of the arm was sw", False),

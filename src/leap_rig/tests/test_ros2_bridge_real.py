@@ -295,7 +295,7 @@ def test_each_of_two_arms_has_its_own_door(ros, peer, wait_until):
     servers = {arm: Server(arm) for arm in ("left/", "right/")}
     try:
         peer("publish", "good", f"left/{DESIRED}")
-        peer("publish", "good", DESIRED)  # of an only arm: there is none
+        peer("publish", "good", DESIRED)  # the topic of a rig with one arm, which this is not
         client = peer("move", "cancelled", "right/")
         assert client.wait(90.0) == 0 and client.lines()[-1]["status"] == CANCELLED
         assert servers["right/"].started.is_set() and not servers["left/"].started.is_set()

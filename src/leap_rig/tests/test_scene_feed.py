@@ -22,7 +22,7 @@ pytestmark = pytest.mark.ros
 
 
 class Shown:
-    """A scene that keeps what it is told."""
+    """A scene that records the calls."""
 
     def __init__(self):
         self.axes, self.transforms, self.drawings, self.clouds, self.joints, self.robots = [], {}, {}, [], {}, {}

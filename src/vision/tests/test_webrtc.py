@@ -86,11 +86,20 @@ def test_an_offer_is_answered_with_the_address_of_the_page_and_ends_with_it():
         await peer.setLocalDescription(await peer.createOffer())
         async with contextlib.AsyncExitStack() as stack:
             newest = NewestPicture(asyncio.get_running_loop(), 80)
-            sdp = await webrtc.answered(peer.localDescription.sdp, newest, page, stack)
+            offer = peer.localDescription.sdp
+            sdp = await webrtc.answered(offer, newest, page, stack)
+            candidate = "a=candidate:1 1 udp 1 192.0.2.2 9 typ host\r\n"
+            too_much = [
+                offer + 33 * candidate,
+                offer + offer[offer.index("m=") :],
+                offer + "a=x:" + 16384 * "x" + "\r\n",
+            ]
+            refused = [await webrtc.answered(each, newest, page, stack) for each in too_much]
         await peer.close()
-        return sdp
+        return sdp, refused
 
-    sdp = asyncio.run(answer())
+    sdp, refused = asyncio.run(answer())
+    assert refused == [None, None, None]
     assert "m=video" in sdp and "a=sendonly" in sdp
     hosts = {line.split()[4] for line in sdp.splitlines() if line.startswith("a=candidate")}
     assert hosts <= {"192.0.2.7"}

@@ -50,8 +50,8 @@ class ProgramMoves:
         self.cancelled = newest is None or newest.cancelled or not same
 
     def begin(self, joints: np.ndarray, control_on: bool, stream_runs: bool) -> Trigger | None:
-        """Returns what a motion that is asked for triggers, None if there is none or it is refused. `joints` of the
-        arm at rest, shape (7,) [rad]; `stream_runs`: desired tool frames come."""
+        """Returns the trigger of the requested motion, or None if no motion is requested or it is refused. `joints` of
+        the arm at rest, shape (7,) [rad]; `stream_runs`: desired tool frames come."""
         move = self._asked()
         if move is None:
             return None

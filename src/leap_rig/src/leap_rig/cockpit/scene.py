@@ -272,7 +272,7 @@ def _deafen(connection: Any) -> None:
 
 
 def _eye_of(camera: viser.CameraHandle) -> Eye | None:
-    """Returns a page's camera, None where the numbers that the page sent are none."""
+    """Returns a page's camera, or None if the page sent values that are not finite numbers."""
     high, wide = 420.0, 1600.0  # a view of more pixels across is of a screen with finer ones [px]
     try:
         size = float(camera.image_width), float(camera.image_height)

@@ -34,7 +34,7 @@ def main() -> None:
 
 def export(recording: Path, folder: Path, wanted: Iterable[str] | None, start: float, end: float) -> None:
     """Writes the messages of the `wanted` topics, of all for None, between these times [s]. Raises RecordingFault if
-    the folder exists, or a message is none of its type."""
+    the folder exists, or a message does not match its type."""
     version = 9  # of the metadata: Jazzy and later
     if folder.exists():
         raise RecordingFault(f"{folder} exists already, and nothing is overwritten; choose another folder.")

@@ -22,7 +22,7 @@ class Ros2Conversions:
         self._defaults: dict[str, object] = {}
 
     def learn(self, kind: str, definition: str) -> None:
-        """Takes note of a type, with the full definition of ROS 1. Raises rosbags' errors for one that is none."""
+        """Takes note of a type, with the full definition of ROS 1. Raises rosbags' errors for an invalid definition."""
         for store in (self._ros1, self.store):
             found = get_types_from_msg(definition, ros2_name(kind))
             store.register({name: fields for name, fields in found.items() if name not in store.fielddefs})

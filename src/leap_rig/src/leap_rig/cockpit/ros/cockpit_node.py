@@ -103,7 +103,7 @@ class ArmLink:
     """One arm: the link to its controller, and the operator's switches of the page."""
 
     def __init__(self, arm: str) -> None:
-        self._arm, self._of = arm, f"{arm}/" if arm else ""
+        self._of = f"{arm}/" if arm else ""
         self.link = ControllerLink(arm, rows=False)  # all the time: a stop needs to know the controller before it hangs
         topic = f"{self._of}leap_kuka/operator_input"
         self._publisher = rospy.Publisher(topic, OperatorInput, queue_size=10, tcp_nodelay=True)
@@ -135,8 +135,8 @@ class ArmLink:
 
     @property
     def _device(self) -> str:
-        """The other program that reports the operator's device, empty if there is none. All that report must enable,
-        and any of them clutches: beside another one, this would take the pedal out of the operator's hand."""
+        """The other program that reports the operator's device, or an empty text. All programs that report must enable,
+        and any of them clutches. So the page reports nothing beside a pedal, which would lose its effect."""
         return self._other if clock.monotonic() - self._other_at <= LEFT_S else ""
 
     def hold(self, held: HeldSwitches, live: bool) -> None:
