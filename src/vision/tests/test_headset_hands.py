@@ -236,6 +236,7 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
         wait_until(lambda: evaluate("window.painted > 2"), 30.0, "the view of a page that does not drive")
         assert not any(human.nr_of_hands for human in rig.humans)
         evaluate("drive.session.end(); 0")
+        clock.sleep(FIRST_WAIT_S)  # after a wrong code
         enter(said("next headset is "))
         wait_until(lambda: evaluate("!!drive.scene.leap"), 30.0, "the placement")
         assert evaluate("drive.scene.leap") == pytest.approx([*origin, 0.0], abs=1e-3)
