@@ -180,7 +180,7 @@ JSON = st.recursive(
     max_leaves=6,
 )
 NAMES = st.sampled_from(
-    ["control", "gripper", "scaling", "exit", "record", "mark", "tutorial", "operator", "beat", "secret", "x"]
+    ["control", "gripper", "scaling", "exit", "record", "mark", "tutorial", "operator", "choose", "beat", "secret", "x"]
 )
 
 
@@ -190,7 +190,7 @@ NAMES = st.sampled_from(
         st.fixed_dictionaries(
             {"do": NAMES | JSON},
             optional={
-                "arm": st.sampled_from(ARMS) | JSON, "value": JSON | st.sampled_from(MARKS), "text": JSON,
+                "arm": st.sampled_from(ARMS) | JSON, "value": JSON | st.sampled_from([*MARKS, *ARMS, "both"]), "text": JSON,
                 "held": JSON, "focus": JSON,
             },
         ).map(json.dumps),
@@ -209,6 +209,8 @@ def test_whatever_a_page_sends_is_a_sound_command_or_refused(text):
         assert value[0] in MARKS and value[1].isprintable() and len(value[1]) <= 200
     if name == "operator":
         assert arm in ARMS and value.isprintable() and len(value) <= 200
+    if name == "choose":
+        assert value in (*ARMS, "both")
     if name == "scaling":
         assert 0.1 <= value <= 1.5
     if name == "beat":

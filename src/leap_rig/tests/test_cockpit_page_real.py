@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import math
 import shutil
 import time
 import urllib.request
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leap_rig.cockpit.scene import DRAW_LESS
+from leap_rig.cockpit.scene import DRAW_LESS, TELL_DRAWN, SceneServer
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from simulated.chromium import browser
 from vision.stereo.transport import Picture
@@ -35,7 +36,12 @@ ARM = {
 CODES = {"Tab": 9, "Enter": 13, "Escape": 27, " ": 32}
 OVERLAPS = """(() => {
   const all = [...document.querySelectorAll("section, button")].filter(e => e.offsetParent);
-  const boxes = all.map(e => e.getBoundingClientRect()), found = [];
+  const rest = document.querySelector("main"), port = rest.getBoundingClientRect(), found = [];
+  const boxes = all.map(e => {
+    const box = e.getBoundingClientRect(), scrolls = rest.contains(e) && getComputedStyle(rest).overflowY === "auto";
+    return {left: box.left, right: box.right, top: scrolls ? Math.max(box.top, port.top) : box.top,
+            bottom: scrolls ? Math.min(box.bottom, port.bottom) : box.bottom};
+  });
   all.forEach((a, i) => all.forEach((b, j) => {
     const [p, q] = [boxes[i], boxes[j]];
     if (j > i && !a.contains(b) && !b.contains(a) && p.left < q.right - 1 && q.left < p.right - 1
@@ -49,7 +55,8 @@ OVERLAPS = """(() => {
 def page(tmp_path, request):
     """A function that evaluates JavaScript in the page, with what it is to the server in its attributes."""
     obeyed, stops, said = [], [], []
-    scene = ScenePage(b"<!doctype html><body tabindex=0>scene", ("127.0.0.1", 9))
+    echo = b"<script>addEventListener('message', event => parent.postMessage(event.data, '*'))</script>"
+    scene = ScenePage(b"<!doctype html><body tabindex=0>scene" + echo, ("127.0.0.1", 9))
     changes, answers = {}, []
     server = CockpitServer(
         PAGE, scene, request.param, obeyed.append, lambda: stops.append(1), said.append, script=SCRIPT
@@ -69,6 +76,7 @@ def page(tmp_path, request):
             server.put_state({
                 "arms": shown, "answers": answers, "recording": "",
                 "cameras": ["camera"], "only_view": "only_view" in changes, "marks": True,
+                "choice": changes.get("choice"),
                 "tutorial": {"runs": False, "text": ""},
             })  # fmt: skip
             time.sleep(0.05)
@@ -157,9 +165,11 @@ def test_by_the_keyboard_alone_code_control_holding_and_stop(page):
 
 
 def test_the_scene_has_a_process_of_its_own_for_which_the_stop_does_not_wait(page):
-    with urllib.request.urlopen(f"http://{page.devtools}/json", timeout=60.0) as answer:
-        kinds = {target["type"]: target["url"] for target in json.load(answer)}
-    assert kinds["iframe"].endswith(page.server.scene_path)
+    def processes():
+        with urllib.request.urlopen(f"http://{page.devtools}/json", timeout=60.0) as answer:
+            return [target["url"] for target in json.load(answer) if target["type"] == "iframe"]
+
+    page.until(lambda: any(address.endswith(page.server.scene_path) for address in processes()), what="its process")
 
 
 def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(page):
@@ -215,19 +225,84 @@ def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
     assert page("document.documentElement.scrollWidth") <= width
     box = "$('stop').getBoundingClientRect()"
     assert page(f"{box}.top") >= 0 and page(f"{box}.bottom") <= height
-    stop_is_fixed = width < 700
-    overlaps = [pair for pair in page(OVERLAPS).split("; ") if pair and not (stop_is_fixed and "stop" in pair)]
-    assert not overlaps
+    assert page(OVERLAPS) == ""
+    page("document.querySelector('main').scrollTop = 200")
+    assert page(OVERLAPS) == ""
     label = "e.textContent || e.ariaLabel"
     assert page(f"[...document.querySelectorAll('button, input')].every(e => {label})")
     assert page("[...document.querySelectorAll('select')].every(e => e.labels.length === 1)")
+
+
+def test_the_scene_is_covered_by_a_sentence_until_it_is_drawn(page):
+    notice = "$('notice').textContent"
+    page.until(lambda: page(notice) == "The scene is loading.")
+    for message, sentence in (("no WebGL", "The scene needs WebGL"), ("drawn", "")):
+        page(f"$('view').contentWindow.postMessage({message!r}, '*')")
+        page.until(lambda words=sentence: page(notice)[: len(words) or None] == words, what=message)
+    time.sleep(2.0)
+    assert page(notice).startswith("No news from the rig")
+
+
+def test_a_browser_without_webgl_says_so(page):
+    page("window.told = []; addEventListener('message', event => told.push(event.data))")
+    page("document.body.append(Object.assign(document.createElement('iframe'), {id: 'drawn'}))")
+    frame, none = (
+        "document.getElementById('drawn').contentWindow",
+        "HTMLCanvasElement.prototype.getContext = () => null",
+    )
+    page(f"{frame}.{none}")
+    page(f"{frame}.document.write({json.dumps(f'<script>{none}</script>' + TELL_DRAWN.decode())})")
+    page.until(lambda: page("told.includes('no WebGL')"))
+
+
+def test_the_scene_says_when_it_is_drawn_and_how_large_its_view_is(page, tmp_path):
+    scene, folder = SceneServer(), tmp_path / "second"
+    server = CockpitServer(PAGE, ScenePage(scene.page, scene.address), ("",), print, print, print)
+    folder.mkdir()
+    try:
+        scene.put_transform("base", "tool", (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), math.inf)
+        scene.show_axes("tool", 0.3, "tool")
+        scene._root = "base"
+        scene.update(0.0)
+        with browser(server.address, folder, page.until, "1280,943") as evaluate:
+
+            def drawn():
+                server.put_state({
+                    "arms": {}, "answers": [], "recording": "", "cameras": [], "only_view": False, "choice": None,
+                    "marks": False, "tutorial": {"runs": False, "text": ""},
+                })  # fmt: skip
+                return evaluate("typeof stateAt === 'number' && stateAt > 0 && sceneSays === ''")
+
+            page.until(drawn, what="the scene")
+            size = evaluate("[$('view').clientWidth, $('view').clientHeight]")
+            page.until(lambda: (eye := scene._eye()) and [eye.width, eye.height] == size, what="its size")
+    finally:
+        server.close()
+        scene.close()
+
+
+@pytest.mark.parametrize("page", [("left", "right")], indirect=True)
+def test_the_arm_that_the_hand_steers_is_chosen_where_a_request_chooses_it(page):
+    page.enter()
+    page("$('take').click()")
+    page.until(lambda: page.server.live)
+    assert page("$('choice').hidden")
+    page.changes["choice"] = {"names": ["left", "right", "both"], "chosen": "both"}
+    page.until(lambda: page("!$('choice').hidden && !document.querySelector('#choice button').disabled"))
+    pressed = "[...document.querySelectorAll('#choice [aria-pressed=true]')].map(each => each.value).join()"
+    assert page(pressed) == "both"
+    page("document.querySelector('#choice [value=left]').click()")
+    page.until(lambda: page.obeyed)
+    assert page.obeyed[0][:3] == ("choose", "", "left")
+    page.changes["choice"] = {"names": ["left", "right", "both"], "chosen": "left"}
+    page.until(lambda: page(pressed) == "left")
 
 
 def test_where_a_processor_draws_the_scene_it_draws_less(page):
     page("document.body.append(Object.assign(document.createElement('iframe'), {id: 'drawn'}))")
     frame = "document.getElementById('drawn').contentWindow"
     page(f"{frame}.document.write({json.dumps(DRAW_LESS.decode())}), {frame}.document.close()")
-    assert page(f"{frame}.location.search") == "?fixedDpr=0.6"  # headless, Chromium draws by software
+    assert page(f"{frame}.location.search") == "?fixedDpr=1"  # headless, Chromium draws by software
     order = page(f"""new Promise(done => {{
       const ask = {frame}.requestAnimationFrame, called = [];
       {frame}.cancelAnimationFrame(ask(() => called.push("cancelled")));

@@ -15,6 +15,9 @@ ANCHORS = {
     "top-right": (-1.0, 0.0), "top-center": (-0.5, 0.0), "center-left": (0.0, -0.5), "center-right": (-1.0, -0.5),
 }  # fmt: skip
 """Which part of a label is at its point, the preferred one first: where its upper left corner is, in label sizes."""
+INSET, LEAST_INSET_PX, INSET_LINE_PX = 0.28, 130.0, 32.0
+"""Of the camera's image in the lower right corner: its width over the view's, at least so many pixels; 4 by 3 below a
+line."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +49,12 @@ class Label(NamedTuple):
     point: tuple[float, float, float]  # in the scene [m]
 
 
-def anchors(labels: Iterable[Label], eye: Eye) -> dict[Hashable, str]:
+def anchors(labels: Iterable[Label], eye: Eye, inset: bool = False) -> dict[Hashable, str]:
     """Returns for each label that can be shown which part of it is to be at its point, a key of ANCHORS. Earlier labels
-    come first; one that fits nowhere is left out."""
-    taken: list[tuple[float, float, float, float]] = []
+    come first; one that fits nowhere is left out. `inset`: a camera's image is in the lower right corner."""
+    wide = max(INSET * eye.width, LEAST_INSET_PX)
+    corner = eye.width - wide, eye.height - 0.75 * wide - INSET_LINE_PX, eye.width, eye.height
+    taken = [corner] if inset else []
     found: dict[Hashable, str] = {}
     for label in labels:
         pixel = eye.pixel(label.point)

@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 from kuka_control.numbers import SCALING_MAX, SCALING_MIN
+from leap_kuka.arm_choice import BOTH
 from leap_rig.cockpit.control import CLUTCH, ENABLE
 
 STOP, TAKE, GIVE, BEAT, SECRET = "stop", "take", "give", "beat", "secret"
 CONTROL, GRIPPER, SCALING, EXIT = "control", "gripper", "scaling", "exit"
-RECORD, MARK, TUTORIAL, OPERATOR = "record", "mark", "tutorial", "operator"
+RECORD, MARK, TUTORIAL, OPERATOR, CHOOSE = "record", "mark", "tutorial", "operator", "choose"
 MARKS = ("begin", "success", "failure")
 MOST_LETTERS = 200  # of the text beside a mark, and of an operator's name
 FLAGS = (CONTROL, GRIPPER, RECORD, TUTORIAL)
@@ -68,6 +69,8 @@ def _command(message: Mapping[str, Any], arms: Iterable[str]) -> PageCommand:
         return PageCommand(name, arm, float(value))
     if name == OPERATOR and _is_line(value):
         return PageCommand(name, arm, value)
+    if name == CHOOSE and value in (*arms, BOTH):
+        return PageCommand(name, value=value)
     note = message.get("text", "")
     if name == MARK and value in MARKS and _is_line(note):
         return PageCommand(name, value=(value, note))

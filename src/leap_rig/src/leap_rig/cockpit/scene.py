@@ -33,11 +33,21 @@ WORKER = b"""<script>
     const request = new XMLHttpRequest();
     request.open("GET", address, false);
     request.send();
-    return new Plain("data:text/javascript;charset=utf-8," + encodeURIComponent(request.responseText), options);
+    const made = new Plain("data:text/javascript;charset=utf-8," + encodeURIComponent(request.responseText), options);
+    const post = made.postMessage.bind(made);
+    made.postMessage = (data, ...more) => {
+      const canvas = document.querySelector("canvas"), said = data.message;
+      if (said && said.type === "ViewerCameraMessage" && canvas) {
+        data = {...data, message: {...said, image_width: canvas.clientWidth, image_height: canvas.clientHeight}};
+      }
+      post(data, ...more);
+    };
+    return made;
   };
 }
 </script>"""
-"""viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes."""
+"""viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The size
+of the view that it sends becomes that on the page, in which labels have one size on every screen."""
 DRAW_LESS = b"""<script>
 "use strict";
 {
@@ -45,7 +55,7 @@ DRAW_LESS = b"""<script>
   const info = gl && gl.getExtension("WEBGL_debug_renderer_info");
   const renderer = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
   if (/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer)) {
-    const DRAW_MS = 125, draw = requestAnimationFrame.bind(window), waiting = new Map();
+    const DRAW_MS = 160, draw = requestAnimationFrame.bind(window), waiting = new Map();
     let number = 0, asked = false, last = -Infinity;
     const run = now => {
       asked = false;
@@ -63,7 +73,7 @@ DRAW_LESS = b"""<script>
       return number;
     };
     window.cancelAnimationFrame = number => { waiting.delete(number); };
-    history.replaceState(null, "", "?fixedDpr=0.6");  // a parameter of viser: pixels that are drawn for one of the page
+    history.replaceState(null, "", "?fixedDpr=1");  // a parameter of viser: pixels that are drawn for one of the page
     const context = HTMLCanvasElement.prototype.getContext;
     HTMLCanvasElement.prototype.getContext = function (kind, options) {
       return context.call(this, kind, {...options, antialias: false});
@@ -71,7 +81,29 @@ DRAW_LESS = b"""<script>
   }
 }
 </script></head>"""
-"""Where no graphics card draws, but a processor, which may be the rig's: coarser, and at most eight times a second."""
+"""Where no graphics card draws, but a processor, which may be the rig's: plain edges, at most six times a second."""
+TELL_DRAWN = b"""<script>
+"use strict";
+{
+  const LEAST = 60, kind = WebGL2RenderingContext.prototype, tell = text => parent.postMessage(text, "*");
+  if (!document.createElement("canvas").getContext("webgl2")) tell("no WebGL");
+  for (const name of ["drawElements", "drawElementsInstanced"]) {
+    const draw = kind[name];
+    kind[name] = function (mode, count, ...more) {
+      draw.call(this, mode, count, ...more);
+      if (count < LEAST || this.getParameter(this.FRAMEBUFFER_BINDING)) return;
+      kind[name] = draw;
+      const drawn = this.fenceSync(this.SYNC_GPU_COMMANDS_COMPLETE, 0);
+      const wait = setInterval(() => {
+        if (this.getSyncParameter(drawn, this.SYNC_STATUS) !== this.SIGNALED) return;
+        clearInterval(wait);
+        tell("drawn");
+      }, 50);
+    };
+  }
+}
+</script>"""
+"""Tells the page around it when something stands in the scene: its background alone has fewer corners."""
 BACKGROUND = (92, 99, 109)
 NO_SHADOW: Mapping[str, Any] = {
     "cast_shadow": False,
@@ -102,7 +134,9 @@ class SceneServer:
     `page` and the WebSocket on. Nothing that a page sends there has an effect but on its own view. One thread calls
     what shows something."""
 
-    def __init__(self) -> None:
+    def __init__(self, arms: int = 1) -> None:
+        self.inset = False  # whether the page shows a camera's image over the lower right corner
+        self._view = ONE_ARM if arms < 2 else TWO_ARMS
         with contextlib.redirect_stdout(io.StringIO()):  # it prints its address, which is of no use to anybody
             self._server = viser.ViserServer(host=LOOPBACK, port=0, verbose=False)
         self._server._websock_server._incoming_handlers.clear()
@@ -120,6 +154,10 @@ class SceneServer:
         scene = self._server.scene
         scene.set_background_image(np.full((4, 4, 3), BACKGROUND, dtype=np.uint8), format="png")
         scene.configure_default_lights(cast_shadow=False)
+        scene.configure_environment_map(
+            hdri=None
+        )  # of software that draws, its reflections would take half of the time
+        scene.add_light_ambient("/light", intensity=1.5)
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         self._server.on_client_connect(self._look)
 
@@ -136,7 +174,7 @@ class SceneServer:
     def page(self) -> bytes:
         """The page, HTML in one piece: it needs no other file, and shows the scene alone."""
         html = (Path(viser.__file__).parent / "client" / "build" / "index.html").read_bytes()
-        return html.replace(b"</head>", STYLE + WORKER + DRAW_LESS, 1)
+        return html.replace(b"</head>", STYLE + WORKER + TELL_DRAWN + DRAW_LESS, 1)
 
     @property
     def viewers(self) -> int:
@@ -150,8 +188,7 @@ class SceneServer:
         """Lets a page that has just come look at the whole rig, whatever the shape of its window."""
         if not np.isfinite(client.camera.position).all():
             return  # not a page of viser's
-        view = ONE_ARM if len(self._robots) < 2 else TWO_ARMS
-        half, eye = 0.5 * FOV, _eye_of(client.camera)
+        view, half, eye = self._view, 0.5 * FOV, _eye_of(client.camera)
         aspect = eye.width / eye.height if eye is not None else 1.0
         narrow = min(half, math.atan(math.tan(half) * max(aspect, 0.2)))
         away = view.radius / math.sin(narrow)
@@ -219,10 +256,16 @@ class SceneServer:
 
     def set_cloud(self, frame: str, points: np.ndarray, colours: np.ndarray) -> None:
         """Shows a point cloud: points in the frame, shape (n, 3) [m], and their colours, shape (n, 3), bytes."""
+        least_m, most_m = 0.002, 0.02
+        apart = np.linalg.norm(np.diff(points, axis=0), axis=1)  # mostly of neighbours in a row of the camera's image
+        covering = 0.65  # squares of twice this size touch, also where the camera looks at a surface from the side
+        size = min(max(covering * float(np.median(apart)), least_m), most_m) if len(apart) else least_m
         node = f"{self._frame_node(frame)}/cloud"
         if self._cloud is not None and self._cloud[0] != node:
             self._cloud[1].remove()
-        cloud = self._server.scene.add_point_cloud(node, points, colours, point_size=0.005, point_shading="flat")
+        cloud = self._server.scene.add_point_cloud(
+            node, points, colours, point_size=round(size, 3), point_shape="square", point_shading="flat"
+        )
         self._cloud = node, cloud
 
     def update(self, now: float) -> None:
@@ -237,7 +280,7 @@ class SceneServer:
             axes.show(now - self._poses.received(frame) < AXES_LAST_S)
         if now >= self._next_labels:
             self._next_labels = now + LABELS_PERIOD_S
-            self._labels.arrange(self._eye(), self._in_root)
+            self._labels.arrange(self._eye(), self._in_root, self.inset)
 
     def together(self) -> contextlib.AbstractContextManager[None]:
         """A context whose changes reach a page in one piece."""
@@ -273,7 +316,6 @@ def _deafen(connection: Any) -> None:
 
 def _eye_of(camera: viser.CameraHandle) -> Eye | None:
     """Returns a page's camera, or None if the page sent values that are not finite numbers."""
-    high, wide = 420.0, 1600.0  # a view of more pixels across is of a screen with finer ones [px]
     try:
         size = float(camera.image_width), float(camera.image_height)
         (x, y, z), (w, i, j, k), fov = camera.position.astype(float), camera.wxyz.astype(float), float(camera.fov)
@@ -283,8 +325,7 @@ def _eye_of(camera: viser.CameraHandle) -> Eye | None:
         return None
     if not (0.01 < fov < 3.0 and all(1.0 <= length <= 1e5 for length in size)):
         return None
-    fine = max(1.0, size[0] / (high if size[0] < size[1] else wide))
-    return Eye((x, y, z), (i, j, k, w), fov, size[0] / fine, size[1] / fine)
+    return Eye((x, y, z), (i, j, k, w), fov, *size)
 
 
 class _Placed:
@@ -410,7 +451,7 @@ class _Labels:
     def drop(self, key: Hashable) -> None:
         self._labels.pop(key, None)
 
-    def arrange(self, eye: Eye | None, in_root: Callable[[str], Pose7 | None]) -> None:
+    def arrange(self, eye: Eye | None, in_root: Callable[[str], Pose7 | None], inset: bool) -> None:
         """Gives each label its place, if they or the eye have moved."""
         if eye is None:
             return
@@ -421,12 +462,12 @@ class _Labels:
                 x, y, z, *_ = compose(T_root_frame, (*point, *IDENTITY[3:]))
                 labels.append(Label(key, text, (x, y, z)))
         coarse_m = 0.01
-        seen = eye, [(key, text, *(round(x / coarse_m) for x in point)) for key, text, point in labels]
+        seen = eye, inset, [(key, text, *(round(x / coarse_m) for x in point)) for key, text, point in labels]
         if seen == self._seen:
             return
         self._seen = seen
         # What markers say comes before the names of axes, whose keys are texts.
-        found = anchors(sorted(labels, key=lambda label: isinstance(label.key, str)), eye)
+        found = anchors(sorted(labels, key=lambda label: isinstance(label.key, str)), eye, inset)
         for key, (_, _, _, handle) in self._labels.items():
             handle.visible = key in found
             if key in found:

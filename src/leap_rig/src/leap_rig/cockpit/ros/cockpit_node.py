@@ -10,7 +10,7 @@ import math
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from time import strftime
 from typing import Any
@@ -33,19 +33,32 @@ from common.ros.raw_tf import publisher_of
 from common.ros.service_calls import ServiceFailed, call
 from kuka_control.ros.controller_link import CALL_TIMEOUT_S, ControllerLink, PanelUpdate
 from leap_hand.ros.operators import known_names
-from leap_kuka.config import DEVICE, NONE
+from leap_kuka.arm_choice import BOTH
+from leap_kuka.config import DEVICE, NONE, SERVICE
 from leap_kuka.numbers import LEFT_S
+from leap_kuka.ros.arm_choice_node import CHOSEN_ARM
 from leap_motion.service.access import is_loopback
 from leap_motion.service.certificate import CertificateError, own_certificate
 from leap_rig.cockpit.control import FRESH_S, DeviceReports, HeldSwitches
-from leap_rig.cockpit.messages import CONTROL, EXIT, GRIPPER, MARK, OPERATOR, RECORD, SCALING, TUTORIAL, PageCommand
+from leap_rig.cockpit.messages import (
+    CHOOSE,
+    CONTROL,
+    EXIT,
+    GRIPPER,
+    MARK,
+    OPERATOR,
+    RECORD,
+    SCALING,
+    TUTORIAL,
+    PageCommand,
+)
 from leap_rig.cockpit.ros.scene_feed import SceneFeed
 from leap_rig.cockpit.scene import SceneServer
 from leap_rig.cockpit.server import CockpitServer, ScenePage
 from leap_rig.cockpit.settings import CockpitConfig
 from leap_rig.recording.topics import EPISODE_MARK
 from rig_msgs.msg import OperatorInput
-from rig_msgs.srv import ChooseOperator
+from rig_msgs.srv import ChooseArm, ChooseOperator
 from vision.stereo import webrtc
 from vision.stereo.transport import JPEG, Picture
 
@@ -99,6 +112,28 @@ class ChildProgram:
         self.ended.put(process.wait())
 
 
+def _ask(
+    answers: clock.SimpleQueue[tuple[bool, str]],
+    service: str,
+    kind: Any,
+    name: str,
+    taken: Callable[[], None] = lambda: None,
+) -> None:
+    """Calls a service with a name in a thread of its own, `taken` if it succeeds; the answer goes into the queue."""
+
+    def ask() -> None:
+        try:
+            answer = call(service, kind, name, timeout=CALL_TIMEOUT_S)
+        except ServiceFailed as error:
+            answers.put((False, f"Not confirmed: {error}."))
+            return
+        if answer.success:
+            taken()
+        answers.put((answer.success, answer.message))
+
+    clock.Thread(target=ask, name=service, daemon=True).start()
+
+
 class ArmLink:
     """One arm: the link to its controller, and the operator's switches of the page."""
 
@@ -113,6 +148,7 @@ class ArmLink:
         self._reports = DeviceReports()
         self._other, self._other_at = "", -math.inf  # a program that reports the operator's device, and when
         self._leap: dict[str, Any] = {}
+        self.chosen_by_service = False  # whether a request chooses which arm the hand steers
         self._operator, self._operators = "", [""]
         self.answers: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()
 
@@ -124,6 +160,7 @@ class ArmLink:
             ):  # without a master the page still stops the arm
                 leap = rospy.get_param(f"{self._of}leap", {})
                 self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
+                self.chosen_by_service = leap.get("arm_choice") == SERVICE
                 self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
                 self._operators = ["", *known_names()]
         self._listen(watched and DEVICE in self._leap.values())
@@ -149,17 +186,11 @@ class ArmLink:
 
     def ask_operator(self, name: str) -> None:
         """Asks leap_hand for another person's mapping, in a thread of its own."""
-        clock.Thread(target=self._choose, args=(name,), name="operator", daemon=True).start()
 
-    def _choose(self, name: str) -> None:
-        try:
-            answer = call(f"{self._of}leap_hand/choose_operator", ChooseOperator, name, timeout=CALL_TIMEOUT_S)
-        except ServiceFailed as error:
-            self.answers.put((False, f"Not confirmed: {error}."))
-            return
-        if answer.success:
+        def taken() -> None:
             self._operator = name
-        self.answers.put((answer.success, answer.message))
+
+        _ask(self.answers, f"{self._of}leap_hand/choose_operator", ChooseOperator, name, taken)
 
     def shown(self, update: PanelUpdate, held: HeldSwitches) -> dict[str, Any]:
         """Returns what the page shows of the arm."""
@@ -182,18 +213,23 @@ class Cockpit:
     def __init__(self, config: CockpitConfig) -> None:
         names = tuple(config.arms.split()) or ("",)
         self._arms = {arm: ArmLink(arm) for arm in names}
-        self._scene = SceneServer()
+        self._scene = SceneServer(len(names))
         self._feed = SceneFeed(self._scene, names)
         self._commands: clock.SimpleQueue[tuple[float, PageCommand]] = clock.SimpleQueue()  # and when it came
         self._recorder, self._tutor = ChildProgram(), ChildProgram()
         self._recording, self._tutorial, self._number = "", "", 0
+        self._chosen = ""  # the arm that the hand steers
+        self._choices: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()  # what became of requests for another
         self._answers: dict[str, dict[str, Any]] = {}  # the newest of each arm, and of none
         self._marks = rospy.Publisher(EPISODE_MARK, String, queue_size=10)
         self._listen = OnDemand(
-            lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
+            lambda: [
+                rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5),
+                rospy.Subscriber(CHOSEN_ARM, String, self._take_choice, queue_size=5),
+            ]
         )
         self._looks = {camera: OnDemand(functools.partial(self._images, camera)) for camera in config.cameras.split()}
-        self._only_view = config.only_view
+        self._only_view, self._image_came = config.only_view, False
         self._watched, self._next_state = False, 0.0
         try:
             certificate = None
@@ -240,8 +276,10 @@ class Cockpit:
         server, now = self._server, clock.monotonic()
         self._watch(server.watched)
         (self._feed.start if server.scene_watched else self._feed.stop)()
+        looked = {camera: server.pictures.watched(camera) for camera in self._looks}
         for camera, look in self._looks.items():
-            look(server.pictures.watched(camera))
+            look(looked[camera])
+        self._scene.inset = self._image_came and any(looked.values())
         for came, command in self._taken_commands():
             if clock.monotonic() - came <= FRESH_S:
                 self._obey(command)
@@ -266,7 +304,7 @@ class Cockpit:
         for name, update in updates.items():
             for text, tone in update.answers:
                 self._say(text, tone.value, name)
-            answers = self._arms[name].answers
+        for name, answers in [("", self._choices), *((name, arm.answers) for name, arm in self._arms.items())]:
             while not answers.empty():
                 taken, text = answers.get()
                 self._say(text, "normal" if taken else "warning", name)
@@ -276,6 +314,9 @@ class Cockpit:
                 self._say(program.line if failed else sentence, "warning" if failed else "normal")
         return {
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
+            "choice": {"names": [*self._arms, BOTH], "chosen": self._chosen}
+            if len(self._arms) > 1 and all(arm.chosen_by_service for arm in self._arms.values())
+            else None,
             "cameras": list(self._looks),
             "only_view": self._only_view,
             "answers": sorted(self._answers.values(), key=lambda answer: answer["number"]),
@@ -308,6 +349,8 @@ class Cockpit:
             self._teach(command.value)
         elif command.name == OPERATOR:
             self._arms[command.arm].ask_operator(command.value)
+        elif command.name == CHOOSE:
+            _ask(self._choices, "leap_kuka/choose_arm", ChooseArm, command.value)
         elif link is not None:
             asks = {CONTROL: link.ask_control, GRIPPER: link.ask_gripper, SCALING: link.ask_scaling}
             if command.name == EXIT:
@@ -357,6 +400,9 @@ class Cockpit:
     def _take_tutorial(self, message: DiagnosticStatus) -> None:
         self._tutorial = message.message
 
+    def _take_choice(self, message: String) -> None:
+        self._chosen = message.data
+
     def _images(self, camera: str) -> list[rospy.Subscriber]:
         # Room for several images: rospy drops all but the newest only among those that it has read.
         options = {"callback_args": camera, "queue_size": 1, "buff_size": 2**24, "tcp_nodelay": True}
@@ -368,6 +414,7 @@ class Cockpit:
         with contextlib.suppress(ValueError):  # of an encoding that is no colour
             image = np.ascontiguousarray(colour_from_image(message))
             self._server.put_picture(camera, Picture(image, came - age, came, {}))
+            self._image_came = True
 
 
 def show(sentence: str) -> None:
