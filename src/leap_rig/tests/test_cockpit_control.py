@@ -190,8 +190,8 @@ NAMES = st.sampled_from(
         st.fixed_dictionaries(
             {"do": NAMES | JSON},
             optional={
-                "arm": st.sampled_from(ARMS) | JSON, "value": JSON | st.sampled_from([*MARKS, *ARMS, "both"]), "text": JSON,
-                "held": JSON, "focus": JSON,
+                "arm": st.sampled_from(ARMS) | JSON, "value": JSON | st.sampled_from([*MARKS, *ARMS, "both"]),
+                "text": JSON, "held": JSON, "focus": JSON,
             },
         ).map(json.dumps),
     )

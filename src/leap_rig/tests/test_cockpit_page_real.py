@@ -236,9 +236,13 @@ def test_nothing_overlaps_and_the_stop_is_in_view(page, size, tmp_path):
 def test_the_scene_is_covered_by_a_sentence_until_it_is_drawn(page):
     notice = "$('notice').textContent"
     page.until(lambda: page(notice) == "The scene is loading.")
-    for message, sentence in (("no WebGL", "The scene needs WebGL"), ("drawn", "")):
-        page(f"$('view').contentWindow.postMessage({message!r}, '*')")
-        page.until(lambda words=sentence: page(notice)[: len(words) or None] == words, what=message)
+    for message, begin in (("no WebGL", "The scene needs WebGL"), ("begun", "The robot is not"), ("drawn", "")):
+
+        def heard(message=message, begin=begin):
+            page(f"$('view').contentWindow.postMessage({message!r}, '*')")  # it may not have loaded yet
+            return page(notice).startswith(begin) and bool(page(notice)) is bool(begin)
+
+        page.until(heard, what=message)
     time.sleep(2.0)
     assert page(notice).startswith("No news from the rig")
 
@@ -271,7 +275,7 @@ def test_the_scene_says_when_it_is_drawn_and_how_large_its_view_is(page, tmp_pat
                     "arms": {}, "answers": [], "recording": "", "cameras": [], "only_view": False, "choice": None,
                     "marks": False, "tutorial": {"runs": False, "text": ""},
                 })  # fmt: skip
-                return evaluate("typeof stateAt === 'number' && stateAt > 0 && sceneSays === ''")
+                return evaluate("typeof stateAt === 'number' && stateAt > 0 && sceneSays === BEGUN")
 
             page.until(drawn, what="the scene")
             size = evaluate("[$('view').clientWidth, $('view').clientHeight]")

@@ -46,8 +46,8 @@ WORKER = b"""<script>
   };
 }
 </script>"""
-"""viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The size
-of the view that it sends becomes that on the page, in which labels have one size on every screen."""
+"""viser's thread for its WebSocket begins from a blob, which a sandboxed frame refuses; the same text it takes. The
+size of the view that it sends becomes that on the page, in which labels have one size on every screen."""
 DRAW_LESS = b"""<script>
 "use strict";
 {
@@ -85,12 +85,14 @@ DRAW_LESS = b"""<script>
 TELL_DRAWN = b"""<script>
 "use strict";
 {
-  const LEAST = 60, kind = WebGL2RenderingContext.prototype, tell = text => parent.postMessage(text, "*");
+  const LEAST = 1000, kind = WebGL2RenderingContext.prototype, told = new Set();
+  const tell = text => { if (!told.has(text)) parent.postMessage(text, "*"); told.add(text); };
   if (!document.createElement("canvas").getContext("webgl2")) tell("no WebGL");
   for (const name of ["drawElements", "drawElementsInstanced"]) {
     const draw = kind[name];
     kind[name] = function (mode, count, ...more) {
       draw.call(this, mode, count, ...more);
+      tell("begun");
       if (count < LEAST || this.getParameter(this.FRAMEBUFFER_BINDING)) return;
       kind[name] = draw;
       const drawn = this.fenceSync(this.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -103,7 +105,7 @@ TELL_DRAWN = b"""<script>
   }
 }
 </script>"""
-"""Tells the page around it when something stands in the scene: its background alone has fewer corners."""
+"""Tells the page around it when the scene is drawn, and when a robot is in it: nothing else has so many corners."""
 BACKGROUND = (92, 99, 109)
 NO_SHADOW: Mapping[str, Any] = {
     "cast_shadow": False,
