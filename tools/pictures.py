@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -26,6 +27,7 @@ from PIL import Image
 
 from leap_motion.registration import SHEET
 from rig_simulation.control_port import ControlClient
+from simulated.chromium import browser
 from simulated.ports import free_port, ports_of_a_rig
 from tools.handbook.walk import screen
 from tools.reference.sources import ROOT
@@ -136,6 +138,24 @@ def rig() -> None:
         start("rosrun", "leap_rig", "demo.py", "--", "gui:=false", *_ports())
         time.sleep(FOLLOWING_S)
         _take(PICTURES / "rig.png", environment, VIEW)
+
+
+def cockpit() -> None:
+    """The cockpit's page while the arm follows a hand."""
+    port, quality = free_port(), 80
+    command = ("rosrun", "leap_rig", "demo.py", "--view", "browser", "--", "gui:=false", "camera:=true")
+    follows = (
+        "typeof state === 'object' && state !== null && sceneSays === '' && !cameraViews.camera.old"
+        " && state.arms[''].tone === 'normal' && state.arms[''].status_line.startsWith('servo')"
+    )
+    with _started(*command, f"cockpit_port:={port}", *_ports(), DISPLAY=""), tempfile.TemporaryDirectory() as folder:
+        address, file = f"http://127.0.0.1:{port}/", Path(folder) / "cockpit.png"
+        _wait_until(lambda: _answers(port), 2.0 * FOLLOWING_S, "the cockpit")
+        with browser(address, Path(folder), _wait_until, "1280,943") as evaluate:
+            time.sleep(FOLLOWING_S)
+            _wait_until(lambda: evaluate(follows), 4.0 * FOLLOWING_S, "an arm that follows")
+            evaluate.picture(file)
+        Image.open(file).convert("RGB").save(PICTURES / "cockpit.webp", quality=quality, method=6)
 
 
 def film() -> None:
@@ -256,6 +276,7 @@ MAKERS = {
         tracker_sheet,
         panel,
         rig,
+        cockpit,
         film,
         pick_cup,
         assisted_grasp,
@@ -307,6 +328,21 @@ def _shrink(file: Path) -> None:
 
 def _ports() -> list[str]:
     return [f"{name}:={port}" for name, port in ports_of_a_rig().items()]
+
+
+def _wait_until(condition: Callable, seconds: float, what: str):
+    deadline = time.monotonic() + seconds
+    while not (found := condition()):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"No picture: waited for {what}.")
+        time.sleep(0.1)
+    return found
+
+
+def _answers(port: int) -> bool:
+    """Whether a program listens on a port of this machine."""
+    with socket.socket() as s:
+        return s.connect_ex(("127.0.0.1", port)) == 0
 
 
 def _run(*command: str, **environment: str) -> None:
