@@ -127,6 +127,8 @@ class GraphConnection:
 
     def _run(self) -> None:
         clock.sleep(self.graph.scheduler.drawn(CONNECT_S))
+        while self.publisher.node.group in self.graph.scheduler.suspended and not self.closed:
+            clock.sleep(DELAY_S)
         if self.closed:
             return
         self.open = True

@@ -300,7 +300,7 @@ def _services(graph: Graph, patch: pytest.MonkeyPatch) -> None:
     wait = lambda self, timeout=None: rospy.wait_for_service(self.resolved_name, timeout)  # noqa: E731
     patch.setattr(rospy.ServiceProxy, "wait_for_service", wait)
     patch.setattr(service_calls.ServiceClient, "connected", connected)
-    patch.setattr(service_calls.ServiceClient, "look_up", lambda self: None)
+    patch.setattr(service_calls.ServiceClient, "look_up", lambda self: graph.here.resolve(self.name) in graph.services)
     patch.setattr(service_calls._Attempt, "_hang_up", lambda self: None)
 
     def reached(address: tuple[str, int], timeout: float | None = None) -> contextlib.AbstractContextManager[None]:

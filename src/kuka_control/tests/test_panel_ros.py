@@ -293,11 +293,12 @@ def test_emergency_stop_on_another_machine_is_a_call_alone(panel, start, see, su
     see(lambda: "at once" in panel.answer.full, "the sentence")
 
 
-def test_what_waited_before_an_emergency_stop_is_not_asked_after_it(panel, start, see):
+@pytest.mark.parametrize("asked", [(False, True), (True,)], ids=["behind another", "on its way"])
+def test_what_waited_before_an_emergency_stop_is_not_asked_after_it(panel, start, see, asked):
     process = start("--host", "far-away")
     see(panel.control.isEnabled, "the controller")
     process.send_signal(signal.SIGSTOP)
-    for on in (False, True):
+    for on in asked:
         panel.control_requested.emit(on)
     click(panel.emergency)
     see(lambda: "on far-away did not confirm it" in panel.answer.full, "the sentence")
@@ -321,6 +322,30 @@ def test_qt_never_waits_for_a_service(panel, start, see, application):
     application.processEvents()
     assert panel.link.controller._running == {"kuka/scaling_factor"} and before == 0
     see(lambda: "scaling factor is 1" in panel.answer.full, "the answer")
+
+
+def test_a_controller_that_hung_before_the_panel_came_is_said_to_be_unheard(
+    ros, application, failures, timers, see, start
+):
+    process = start()
+    clock.sleep(1.0)
+    process.send_signal(signal.SIGSTOP)
+    panel = ControlPanel()
+    link = PanelLink(panel)
+    silence = see(lambda: "has not been heard" in panel.status.full, "the sentence")
+    assert is_after(1.5, silence) and panel.status.property("tone") == "fault" and not panel.control.isEnabled()
+    click(panel.emergency)
+    see(lambda: "did not confirm it" in panel.answer.full, "the sentence")
+    assert "smartPad" in panel.answer.full
+    process.send_signal(signal.SIGCONT)
+    see(panel.control.isEnabled, "the controller")
+    link.close()
+
+
+def test_what_reaches_a_controller_after_the_emergency_stop_changes_nothing(panel, controller):
+    assert call("exit_app_emergency", "exitAppEmergency").success
+    answer = call("kuka_control", "setKukaControl", True)
+    assert not answer.success and "exits at once" in answer.message
 
 
 def test_a_panel_may_go_while_a_call_runs(ros, application, failures, timers, start, see):

@@ -50,6 +50,12 @@ def test_a_controller_whose_process_is_gone_is_off_at_once():
     assert state.tone is Tone.WARNING
 
 
+def test_a_controller_that_was_never_heard_is_no_normal_start():
+    state = panel_state(None, 100.0, PanelContext(unheard=True))
+    assert not state.present and state.tone is Tone.FAULT
+    assert "has not been heard" in state.status_line and "smartPad" in state.status_line
+
+
 def test_silence_is_a_fault_and_says_what_is_known():
     here, elsewhere = (panel_state(STATUS, 20.0, PanelContext(runs=runs)) for runs in (True, None))
     assert here.status_line == "The controller has been silent for 10 s: it hangs."

@@ -12,6 +12,8 @@ import http.client
 import socket
 import struct
 import xmlrpc.client
+from collections.abc import Callable
+from typing import Any
 from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
 
@@ -55,26 +57,29 @@ class ServiceClient:
         self._address: tuple[str, int] | None = None
         self._unfinished: _Attempt | None = None  # given up, but not ended
 
-    def look_up(self) -> None:
-        """Asks the master for the address; a service that it does not know keeps its last one. Raises MasterLost if the
-        master does not answer."""
+    def look_up(self) -> bool:
+        """Asks the master for the address and returns whether it knows one; a service that it does not know keeps its
+        last one. Raises MasterLost if the master does not answer."""
         uri = ask_master("lookupService", rospy.resolve_name(self.name))
         if uri is not None:
             family = socket.AF_INET6 if rosgraph.network.use_ipv6() else socket.AF_INET
             try:  # a number, so that no later call waits for a name server
                 found = socket.getaddrinfo(*rospy.core.parse_rosrpc_uri(uri), family, socket.SOCK_STREAM)
             except OSError:
-                return
+                return True
             self._address = found[0][4][:2]
+        return uri is not None
 
-    def __call__(self, *values, timeout: float, wait: float = 0.0):
+    def __call__(self, *values, timeout: float, wait: float = 0.0, wanted: Callable[[], bool] = lambda: True):
         """Returns the response to a request with these fields, within `timeout` [s] after up to `wait` [s] for a node
-        that offers the service; raises ServiceFailed if no node offers it, it failed, or it did not answer in time."""
+        that offers the service; raises ServiceFailed if no node offers it, it failed, it did not answer in time, or it
+        was not `wanted` any more when the node could take it."""
         start, before = clock.monotonic(), self._unfinished
         if before is not None and not before.done.wait(wait + timeout):
             raise ServiceFailed(self.name, "still does not answer: nothing was requested", False)
         wait = max(0.0, wait - (clock.monotonic() - start)) if before is not None else wait
-        attempt = _Attempt(self, rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values), wait)
+        proxy, request = rospy.ServiceProxy(self.name, self._kind), self._kind._request_class(*values)
+        attempt = _Attempt(self, proxy, request, wait, wanted)
         try:
             return attempt.response(wait + timeout)
         finally:
@@ -109,11 +114,19 @@ def call(name: str, kind: type, *values, timeout: float, wait: float = 0.0):
 class _Attempt:
     """One call in a thread of its own."""
 
-    def __init__(self, client: ServiceClient, proxy: rospy.ServiceProxy, request, wait: float) -> None:
+    def __init__(
+        self,
+        client: ServiceClient,
+        proxy: rospy.ServiceProxy,
+        request: Any,
+        wait: float,
+        wanted: Callable[[], bool],
+    ) -> None:
         self._client = client
         self._proxy = proxy
         self._request = request
         self._wait = wait
+        self._wanted = wanted
         self._lock = clock.Lock()
         self.done = clock.Event()
         self._given_up = self._sent = False
@@ -141,11 +154,12 @@ class _Attempt:
                 rospy.wait_for_service(name, self._wait)
             self._proxy.transport = self._client.connected(self._proxy)
             with self._lock:
-                self._sent = not self._given_up
+                self._sent = not self._given_up and self._wanted()
             if self._sent:
                 self._response = self._proxy.call(self._request)
             else:
                 self._proxy.transport.close()
+                self._failure = ServiceFailed(name, "was not asked: it was taken back before", sent=False)
         except ServiceFailed as failure:
             self._failure = failure
         except (rospy.ServiceException, rospy.ROSException, rospy.exceptions.TransportException, OSError) as error:
@@ -197,6 +211,15 @@ def ask_master(method: str, *arguments):
     except (OSError, xmlrpc.client.Error, http.client.HTTPException, ExpatError, ValueError) as error:
         raise MasterLost(f"The ROS master at {uri} does not answer.") from error
     return value if code == 1 else None
+
+
+def master_answers() -> bool:
+    """Asks, before rospy does: it waits for ever for a master that hangs, as it does with a node's first topic."""
+    try:
+        ask_master("getPid")
+    except MasterLost:
+        return False
+    return True
 
 
 def listens(uri: str) -> bool:

@@ -40,6 +40,7 @@ class PanelContext:
     master: str = ""  # address of the ROS master
     master_lost: bool = False  # it does not answer
     runs: bool | None = None  # whether the controller's process runs, None if it is on another machine
+    unheard: bool = False  # the master has known a controller for ABSENT_S
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,10 @@ class PanelState:
 
 
 NO_CONTEXT = PanelContext()
+UNHEARD = (
+    "The ROS master knows a controller, but it has not been heard: it hangs, has ended, or is out of reach. Emergency "
+    "Stop can ask it to exit, but not end its process: keep to the red button of the smartPad."
+)
 
 
 def panel_state(status: ControllerStatus | None, now: float, context: PanelContext = NO_CONTEXT) -> PanelState:
@@ -60,6 +65,8 @@ def panel_state(status: ControllerStatus | None, now: float, context: PanelConte
     if status is None:
         if context.master_lost:
             return _absent(SCALING_DEFAULT, f"Waiting for the ROS master at {context.master}.", Tone.WARNING)
+        if context.unheard:
+            return _absent(SCALING_DEFAULT, UNHEARD, Tone.FAULT)
         return _absent(SCALING_DEFAULT, "Waiting for the controller of the arm.", Tone.NORMAL)
     if context.runs is False:
         line = f"The controller has exited. Its last state was {_sentence(status)}"

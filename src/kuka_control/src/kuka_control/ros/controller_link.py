@@ -4,7 +4,9 @@ rospy's thread, one that watches the master and one per request leave what they 
 
 from __future__ import annotations
 
+import math
 import socket
+from collections.abc import Callable
 from dataclasses import replace
 from time import strftime
 from typing import NamedTuple
@@ -14,7 +16,7 @@ import rospy
 
 from common import clock
 from common.operator_rows import OLD_ROWS_S, SILENT, Row, rows_of
-from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master
+from common.ros.service_calls import MasterLost, ServiceClient, ServiceFailed, ask_master, master_answers
 from kuka_control.gui.panel_state import ABSENT_S, ControllerStatus, PanelContext, PanelState, Tone, panel_state
 from kuka_control.ros import emergency
 from kuka_control.ros.emergency import ControllerProcess
@@ -56,10 +58,12 @@ class ControllerLink:
         self._status: ControllerStatus | None = None
         self._process: ControllerProcess | None = None
         self._master_lost = False
+        self._known_since = math.inf  # when the master named a controller
         self._services = {name: ServiceClient(self._of + name, kind) for name, kind in KINDS.items()}
         self._answers: clock.SimpleQueue[tuple[str, bool, str]] = clock.SimpleQueue()
         self._running: set[str] = set()
-        self._next: dict[str, tuple] = {}
+        self._next: dict[str, tuple[tuple, int]] = {}  # requests that wait, and how many stops were asked for before
+        self._stops = 0
         self._asked_scaling: tuple[float, float] | None = None
         self._closed = self._subscribing = False
         self._subscribers: list[rospy.Subscriber] = []
@@ -79,7 +83,8 @@ class ControllerLink:
             answers += self._taken(*self._answers.get())
         status, now = self._status, clock.monotonic()
         runs = None if self._process is None else emergency.runs(self._process)
-        context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs)
+        unheard = now - self._known_since > ABSENT_S
+        context = PanelContext(rosgraph.get_master_uri(), self._master_lost, runs, unheard)
         rows, at = self._view
         state = self._with_asked_scaling(panel_state(status, now, context))
         age = None if status is None else now - status.received
@@ -97,8 +102,9 @@ class ControllerLink:
 
     def _taken(self, name: str, accepted: bool, sentence: str) -> list[PanelAnswer]:
         self._running.discard(name)
-        if name in self._next:
-            self._ask(name, *self._next.pop(name))
+        following = self._next.pop(name, None)  # a stop beside this thread may empty it
+        if following is not None:
+            self._start(name, *following)
             return []  # the answer to the newest request counts
         if name == SCALING and not accepted:
             self._asked_scaling = None
@@ -120,20 +126,26 @@ class ControllerLink:
     def _ask(self, name: str, *request) -> None:
         """Calls a service, one call at a time so that requests stay in order; of those that wait, the newest counts."""
         if name in self._running:
-            self._next[name] = request
-            return
-        self._running.add(name)
-        clock.Thread(target=self._call, args=(name, request), name=name, daemon=True).start()
+            self._next[name] = request, self._stops
+        else:
+            self._start(name, request, self._stops)
 
-    def _call(self, name: str, request) -> None:
+    def _start(self, name: str, request: tuple, stops: int) -> None:
+        self._running.add(name)
+        clock.Thread(target=self._call, args=(name, request, stops), name=name, daemon=True).start()
+
+    def _call(self, name: str, request: tuple, stops: int) -> None:
         try:
-            answer = self._services[name](*request, timeout=CALL_TIMEOUT_S)
+            wanted = lambda: self._stops == stops  # noqa: E731
+            answer = self._services[name](*request, timeout=CALL_TIMEOUT_S, wanted=wanted)
             self._answers.put((name, answer.success, answer.message))
         except ServiceFailed as error:
             self._answers.put((name, False, f"Not confirmed: {error}."))
 
     def ask_emergency(self) -> None:
-        """Stops the controller at once, in a thread of its own; once while that runs."""
+        """Stops the controller at once, in a thread of its own; once while that runs. What was asked before and has
+        not reached the controller is taken back."""
+        self._stops += 1
         self._next.clear()
         if emergency.SERVICE not in self._running:
             self._running.add(emergency.SERVICE)
@@ -150,30 +162,36 @@ class ControllerLink:
     def _watch(self) -> None:
         """Subscribes once there is a node to do it, keeps addresses, and subscribes anew at a master that forgot us."""
         watch_s = 1.0
-        while not (self._master_answers() and rospy.core.is_initialized()):
+        while True:
+            self._master_lost = not master_answers()  # rospy counts a node without topics as initialized
+            if not self._master_lost and rospy.core.is_initialized():
+                break
             if self._closed:
                 return
             clock.sleep(POLL_S)
-        self._subscribe()
+        self._beside(self._subscribe)
         while not self._closed:
             self._wake.clear()
             try:
-                for service in self._services.values():
-                    service.look_up()
+                known = [service.look_up() for service in self._services.values()]
+                self._known_since = min(self._known_since, clock.monotonic()) if any(known) else math.inf
                 forgotten = ask_master("lookupNode", rospy.get_name()) is None
                 self._master_lost = False
             except MasterLost:
                 self._master_lost, forgotten = True, False
             # A connection that still brings a status is kept: the new master does not know its other end.
-            if forgotten and not self._hears() and not self._subscribing:
-                self._subscribe()
+            if not (self._master_lost or self._subscribing):
+                if forgotten and not self._hears():
+                    self._beside(self._subscribe)
+                elif self._rows_wanted is (self._rows is None):
+                    self._beside(self._follow_rows)
             self._wake.wait(0.0 if self._closed else watch_s)
         self._unsubscribe()
 
     def watch_rows(self, on: bool) -> None:
         """Whether somebody sees the operator's view now, which is made for those who look."""
         self._rows_wanted = on
-        clock.Thread(target=self._follow_rows, name="rows", daemon=True).start()
+        self._wake.set()
 
     def _follow_rows(self) -> None:
         with self._lock:
@@ -193,33 +211,26 @@ class ControllerLink:
         if rows is not None:
             rows.unregister()
 
-    def _master_answers(self) -> bool:
-        """Asks, because rospy counts a node without topics as initialized, and waits with its first topic for ever."""
-        try:
-            ask_master("getPid")
-        except MasterLost:
-            self._master_lost = True
-            return False
-        self._master_lost = False
-        return True
-
     def _hears(self) -> bool:
         status = self._status
         return status is not None and clock.monotonic() - status.received < ABSENT_S
 
-    def _subscribe(self) -> None:
-        """Subscribes anew in a thread of its own, as rospy waits for a master that hangs."""
+    def _beside(self, job: Callable[[], None]) -> None:
+        """Subscribes in a thread of its own, one at a time, as rospy waits for a master that hangs."""
         self._subscribing = True
 
         def subscribe() -> None:
             try:
-                self._unsubscribe()
-                self._subscribers = [rospy.Subscriber(f"{self._of}kuka/status", KukaStatus, self._take, queue_size=1)]
-                self._follow_rows()
+                job()
             finally:
                 self._subscribing = False
 
         clock.Thread(target=subscribe, name="subscribe", daemon=True).start()
+
+    def _subscribe(self) -> None:
+        self._unsubscribe()
+        self._subscribers = [rospy.Subscriber(f"{self._of}kuka/status", KukaStatus, self._take, queue_size=1)]
+        self._follow_rows()
 
     def _take_view(self, message: OperatorView) -> None:
         self._view = rows_of(message.rows), clock.monotonic()

@@ -21,12 +21,15 @@ from rig_msgs.srv import CheckToolPose, CheckToolPoseRequest, CheckToolPoseRespo
 ANSWER_S = 0.05  # how long the process lives on after an emergency call, so that the answer gets out [s]
 
 
+EXITS = "Nothing was changed: the controller exits at once."  # what waited while it hung comes after the stop, too
+
+
 class Services:
     """Offers the services under kuka/ and turns requests into positions of the switches."""
 
     def __init__(self, switches: Switches) -> None:
         self._lock = clock.Lock()
-        self._switches = switches
+        self._switches, self._exits = switches, False
         rospy.Service("kuka/exit_app_emergency", exitAppEmergency, self._end_at_once)
         rospy.Service("kuka/exit_app", exitApp, lambda _: self._ask(switches.request_exit))
         rospy.Service("kuka/kuka_control", setKukaControl, lambda r: self._ask(switches.set_control, r.data))
@@ -49,13 +52,14 @@ class Services:
 
     def _ask(self, change, *values):
         with self._lock:
-            answer: SwitchReply = change(*values)
+            answer: SwitchReply = SwitchReply(False, EXITS) if self._exits else change(*values)
         (rospy.loginfo if answer.success else rospy.logwarn)(answer.message)
         return answer.success, answer.message
 
     def _end_at_once(self, request):
         """Needs neither the control loop nor the robot, so it also works when those hang."""
         emergency_exit_code = 2
+        self._exits = True
         timer = clock.Timer(ANSWER_S, os._exit, [emergency_exit_code])
         timer.daemon = True
         timer.start()

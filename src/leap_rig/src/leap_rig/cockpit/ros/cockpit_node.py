@@ -10,14 +10,13 @@ import math
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from time import strftime
 from typing import Any
 
 import cv2
 import numpy as np
-import rosgraph
 import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -27,10 +26,11 @@ from std_msgs.msg import Header, String
 from common import clock
 from common.errors import DeviceError
 from common.ros.images import colour_from_image
+from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
 from common.ros.raw_tf import publisher_of
-from common.ros.service_calls import ServiceFailed, call
+from common.ros.service_calls import MasterLost, ServiceFailed, ask_master, call, master_answers
 from kuka_control.ros.controller_link import CALL_TIMEOUT_S, ControllerLink, PanelUpdate
 from leap_hand.ros.operators import known_names
 from leap_kuka.arm_choice import BOTH
@@ -63,7 +63,7 @@ from vision.stereo import webrtc
 from vision.stereo.transport import JPEG, Picture
 
 PERIOD_S = 0.05
-STATE_PERIOD_S = 0.2
+STATE_PERIOD_S = FOLLOW_S = 0.2
 IMAGE = "rgb/image_raw"
 SOURCE = "cockpit"
 
@@ -153,17 +153,18 @@ class ArmLink:
         self.answers: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()
 
     def watch(self, watched: bool) -> None:
+        """Listens while somebody watches; raises MasterLost."""
         self.link.watch_rows(watched)
         if watched:
-            with contextlib.suppress(
-                OSError, rosgraph.MasterException
-            ):  # without a master the page still stops the arm
-                leap = rospy.get_param(f"{self._of}leap", {})
-                self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
-                self.chosen_by_service = leap.get("arm_choice") == SERVICE
-                self._operator = str(rospy.get_param(f"{self._of}leap_hand_node/operator", ""))
-                self._operators = ["", *known_names()]
+            leap = self._parameter("leap") or {}
+            self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
+            self.chosen_by_service = leap.get("arm_choice") == SERVICE
+            self._operator = str(self._parameter("leap_hand_node/operator") or "")
+            self._operators = ["", *known_names()]
         self._listen(watched and DEVICE in self._leap.values())
+
+    def _parameter(self, name: str) -> Any:
+        return ask_master("getParam", rospy.resolve_name(self._of + name))
 
     def _take_input(self, message: OperatorInput) -> None:
         program = publisher_of(message)
@@ -230,7 +231,8 @@ class Cockpit:
         )
         self._looks = {camera: OnDemand(functools.partial(self._images, camera)) for camera in config.cameras.split()}
         self._only_view, self._image_came = config.only_view, False
-        self._watched, self._next_state = False, 0.0
+        self._next_state, self._asking, self._stopped = 0.0, clock.Lock(), -math.inf
+        self._watched = False
         try:
             certificate = None
             if not is_loopback(config.host):
@@ -254,6 +256,8 @@ class Cockpit:
         except (CertificateError, OSError, OverflowError) as error:
             fault = f"Cannot serve the cockpit on {config.host}:{config.port}: {error}"
             raise DeviceError(f"{fault.rstrip('.')}. Check the page, or choose another port.") from error
+        # Beside what answers the pages: rospy waits for a master that hangs.
+        repeat(self._follow, FOLLOW_S, "topics")
         show(f"The cockpit is at {self._server.address}")
         if config.video != JPEG and not is_loopback(config.host) and webrtc.missing():
             rospy.logwarn("%s", webrtc.missing())
@@ -265,7 +269,7 @@ class Cockpit:
         try:
             while not rospy.is_shutdown():
                 self._step()
-                clock.sleep(PERIOD_S if self._watched else idle_s)
+                clock.sleep(PERIOD_S if self._server.watched else idle_s)
         finally:
             self._server.close()
             self._scene.close()
@@ -274,30 +278,36 @@ class Cockpit:
 
     def _step(self) -> None:
         server, now = self._server, clock.monotonic()
-        self._watch(server.watched)
         (self._feed.start if server.scene_watched else self._feed.stop)()
-        looked = {camera: server.pictures.watched(camera) for camera in self._looks}
-        for camera, look in self._looks.items():
-            look(looked[camera])
-        self._scene.inset = self._image_came and any(looked.values())
-        for came, command in self._taken_commands():
+        self._scene.inset = self._image_came and any(map(server.pictures.watched, self._looks))
+        while not self._commands.empty():
+            came, command = self._commands.get()
             if clock.monotonic() - came <= FRESH_S:
-                self._obey(command)
+                self._obey(command, came)
             else:
                 self._say("The rig was busy: what was asked is too old, and nothing was sent.", "warning", command.arm)
         held, live = server.held(), server.live
         for name, arm in self._arms.items():
             arm.hold(held[name], live)
-        if self._watched and now >= self._next_state:
+        if server.watched and now >= self._next_state:
             self._next_state = now + STATE_PERIOD_S
             server.put_state(self._state(held))
 
-    def _watch(self, watched: bool) -> None:
+    def _follow(self) -> None:
+        """Subscribes to what somebody looks at, while the master answers."""
+        server, watched = self._server, self._server.watched
+        looks = [(look, server.pictures.watched(camera)) for camera, look in self._looks.items()]
+        changes = [(look, wanted) for look, wanted in looks if wanted is not bool(look.subscribers)]
+        if (watched is self._watched and not changes) or not master_answers():
+            return
+        for look, wanted in changes:
+            look(wanted)
         if watched is not self._watched:
-            self._watched = watched
-            for arm in self._arms.values():
-                arm.watch(watched)
-            self._listen(watched)
+            with contextlib.suppress(MasterLost):
+                for arm in self._arms.values():
+                    arm.watch(watched)
+                self._listen(watched)
+                self._watched = watched
 
     def _state(self, held: Mapping[str, HeldSwitches]) -> dict[str, Any]:
         updates = {name: arm.link.refresh() for name, arm in self._arms.items()}
@@ -329,18 +339,18 @@ class Cockpit:
 
     def _stop(self) -> None:
         """The Emergency Stop, of all arms; called beside this node's own thread. What was asked before is dropped."""
-        for _ in self._taken_commands():
-            pass
-        for arm in self._arms.values():
-            arm.link.ask_emergency()
+        with self._asking:
+            self._stopped = clock.monotonic()
+            for arm in self._arms.values():
+                arm.link.ask_emergency()
 
-    def _taken_commands(self) -> Iterator[tuple[float, PageCommand]]:
-        with contextlib.suppress(clock.Empty):
-            while True:
-                yield self._commands.get_nowait()
-
-    def _obey(self, command: PageCommand) -> None:
-        link = self._arms[command.arm].link if command.arm in self._arms else None
+    def _obey(self, command: PageCommand, came: float) -> None:
+        with self._asking:  # a stop comes before or after it
+            if came <= self._stopped:
+                return
+            if command.name in (CONTROL, GRIPPER, SCALING, EXIT):
+                self._ask_controller(self._arms[command.arm].link, command)
+                return
         if command.name == RECORD:
             self._record(command.value)
         elif command.name == MARK:
@@ -351,12 +361,14 @@ class Cockpit:
             self._arms[command.arm].ask_operator(command.value)
         elif command.name == CHOOSE:
             _ask(self._choices, "leap_kuka/choose_arm", ChooseArm, command.value)
-        elif link is not None:
+
+    @staticmethod
+    def _ask_controller(link: ControllerLink, command: PageCommand) -> None:
+        if command.name == EXIT:
+            link.ask_exit()
+        else:
             asks = {CONTROL: link.ask_control, GRIPPER: link.ask_gripper, SCALING: link.ask_scaling}
-            if command.name == EXIT:
-                link.ask_exit()
-            else:
-                asks[command.name](command.value)
+            asks[command.name](command.value)
 
     def _record(self, on: bool) -> None:
         if on and not self._recorder.runs:

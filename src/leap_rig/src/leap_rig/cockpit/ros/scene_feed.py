@@ -8,7 +8,6 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 
-import rosgraph
 import rospkg
 import rospy
 from sensor_msgs.msg import PointCloud2
@@ -32,6 +31,7 @@ from common.frames import (
 from common.ros.node import repeat
 from common.ros.on_demand import OnDemand
 from common.ros.raw_tf import RawTfMessage
+from common.ros.service_calls import MasterLost, ask_master, master_answers
 from leap_rig.cockpit.cloud import CloudFault, thinned
 from leap_rig.cockpit.markers import MOST_MARKERS, MarkerStore
 from leap_rig.cockpit.robot_tree import DescriptionFault
@@ -73,6 +73,7 @@ class SceneFeed:
         self._cloud: tuple | None = None
         self._markers: dict[str, MarkerStore] = {}
         self._described: dict[str, str] = {}
+        self._descriptions: dict[str, str] = {}  # that are not shown yet
         self._said: set[str] = set()
         self._on, self._next_description, self._next_cloud = False, 0.0, 0.0
         for arm in arms:
@@ -84,17 +85,28 @@ class SceneFeed:
         scene.show_axes(RGB_OPTICAL, 0.06, "camera")
         scene.show_axes(RECORDED + TOOL_DESIRED, 0.08, "recorded desired tool")
         repeat(self._show, PERIOD_S, "scene")
+        repeat(self._follow, PERIOD_S, "scene's topics")  # beside the other: rospy waits for a master that hangs
 
     def start(self) -> None:
-        """Subscribes; no effect while it is started."""
-        self._on, self._next_description, self._next_cloud = True, 0.0, 0.0
-        self._listen(True)
+        """Listens from now on; no effect while it does."""
+        if not self._on:
+            self._on, self._next_description, self._next_cloud = True, 0.0, 0.0
 
     def stop(self) -> None:
-        """Unsubscribes; what was shown last stays in the scene."""
+        """Listens no more; what was shown last stays in the scene."""
         self._on = False
-        self._listen(False)
-        self._listen_cloud(False)
+
+    def _follow(self) -> None:
+        """Subscribes and unsubscribes, and reads descriptions, while the master answers."""
+        on, now = self._on, clock.monotonic()
+        # One message of the cloud at a time: its node computes none that nobody wants.
+        for listen, wanted in ((self._listen, on), (self._listen_cloud, on and now >= self._next_cloud)):
+            if wanted is not bool(listen.subscribers) and master_answers():
+                listen(wanted)
+        if on and now >= self._next_description:
+            self._read_descriptions()
+            all_known = len(self._described) == len(self._arms)
+            self._next_description = now + (CHANGE_PERIOD_S if all_known else DESCRIPTION_PERIOD_S)
 
     def _subscribe(self) -> list[rospy.Subscriber]:
         of_arms = [f"{arm}/{topic}".lstrip("/") for arm in self._arms for topic in OF_AN_ARM]
@@ -123,6 +135,7 @@ class SceneFeed:
             self._commanded[arm] = message.joints[-JOINTS:]
 
     def _take_cloud(self, cloud: PointCloud2) -> None:
+        self._next_cloud = clock.monotonic() + CLOUD_PERIOD_S
         try:
             points, colours = thinned(cloud)
         except CloudFault as fault:
@@ -135,12 +148,8 @@ class SceneFeed:
         if not self._on:
             return
         now = clock.monotonic()
-        if now >= self._next_description:
-            self._describe()
-            self._next_description = now + (
-                CHANGE_PERIOD_S if len(self._described) == len(self._arms) else DESCRIPTION_PERIOD_S
-            )
         with self._lock:
+            descriptions, self._descriptions = self._descriptions, {}
             transforms, self._transforms = self._transforms, {}
             self._tick = (self._tick + 1) % SLOW
             due = [topic for topic in self._arrays if not self._tick or topic.endswith("hands")]
@@ -148,6 +157,11 @@ class SceneFeed:
             commanded, self._commanded = self._commanded, {}
             cloud, self._cloud = self._cloud, None
         scene = self._scene
+        for arm, text in descriptions.items():
+            try:
+                scene.set_robot(arm, text, read_mesh)
+            except (DescriptionFault, OSError) as fault:
+                self._say(str(fault))
         for child, (parent, numbers, at) in transforms.items():
             scene.put_transform(parent, child, numbers, at)
         for arm, joints in commanded.items():
@@ -163,27 +177,18 @@ class SceneFeed:
             if cloud is not None:
                 scene.set_cloud(*cloud)
             scene.update(now)
-        self._ask_for_cloud(now, cloud is not None)
 
-    def _ask_for_cloud(self, now: float, came: bool) -> None:
-        """Listens to the cloud for one message at a time: its node computes none that nobody wants."""
-        if came:
-            self._next_cloud = now + CLOUD_PERIOD_S
-        self._listen_cloud(now >= self._next_cloud)
-
-    def _describe(self) -> None:
-        """Shows the robots of the parameter server, which may come or change while the scene is shown."""
+    def _read_descriptions(self) -> None:
+        """Takes the robots of the parameter server, which may come or change while the scene is shown."""
         for arm in self._arms:
             try:
-                text = rospy.get_param(f"{arm}/{DESCRIPTION}".lstrip("/"), None)
-            except (OSError, rosgraph.MasterException):
-                return  # without a master nothing new can be shown
+                text = ask_master("getParam", rospy.resolve_name(f"{arm}/{DESCRIPTION}".lstrip("/")))
+            except MasterLost:
+                return  # nothing new can be shown
             if isinstance(text, str) and text != self._described.get(arm):
                 self._described[arm] = text
-                try:
-                    self._scene.set_robot(arm, text, read_mesh)
-                except (DescriptionFault, OSError) as fault:
-                    self._say(str(fault))
+                with self._lock:
+                    self._descriptions[arm] = text
 
     def _say(self, fault: str) -> None:
         if fault not in self._said:

@@ -1,0 +1,237 @@
+"""The node cockpit between its pages and the rig, whatever master and controller do. Server and scene are stand-ins."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+from common import clock
+
+pytest.importorskip("rig_msgs.msg")
+import rospy
+from sensor_msgs.msg import Image
+
+from kuka_control.model.switches import Switches
+from kuka_control.ros import emergency
+from kuka_control.ros.services import Services
+from leap_rig.cockpit.control import FRESH_S, HeldSwitches
+from leap_rig.cockpit.messages import PageCommand
+from leap_rig.cockpit.ros import cockpit_node
+from leap_rig.cockpit.settings import CockpitConfig
+from rig_msgs.msg import KukaStatus, OperatorInput, OperatorView
+
+pytestmark = pytest.mark.ros
+CONFIG = CockpitConfig("", "127.0.0.1", 0, "", "", "", "camera", "auto", False)
+
+
+class Pages:
+    """In the place of the server: what the pages are and hold, and what they get."""
+
+    def __init__(self, page, scene, arms, obey, stop, tell_code, **_):
+        self.obey, self.stop = obey, stop
+        self.watched = self.scene_watched = self.live = False
+        self.fingerprint, self.address = "", "http://127.0.0.1:1/"
+        self.cameras, self.states, self.images = set(), [], []
+        self.pictures = SimpleNamespace(watched=lambda camera: camera in self.cameras)
+        self.switches = {arm: HeldSwitches() for arm in arms}
+
+    def held(self):
+        return self.switches
+
+    def put_state(self, state):
+        self.states.append((clock.monotonic(), state))
+
+    def put_picture(self, camera, picture):
+        self.images.append(camera)
+
+    def close(self):
+        pass
+
+    @property
+    def shown(self):
+        """The newest state, which must be new."""
+        at, state = self.states[-1]
+        assert clock.monotonic() - at < 0.3
+        return state
+
+    @property
+    def said(self):
+        return [answer["text"] for answer in self.shown["answers"]]
+
+
+class Scene:
+    """In the place of the scene: takes everything, and keeps when it was drawn."""
+
+    page, address = b"", ("127.0.0.1", 1)
+
+    def __init__(self):
+        self.drawn = -1.0
+
+    def update(self, now):
+        self.drawn = now
+
+    def together(self):
+        return clock.Lock()
+
+    def __getattr__(self, name):
+        return lambda *_: None
+
+
+@pytest.fixture
+def pages(virtual_graph, monkeypatch):
+    """The pages of a node that runs."""
+    graph, made, scene = virtual_graph, [], Scene()
+
+    def serve(*args, **more):
+        made.append(Pages(*args, **more))
+        return made[0]
+
+    def slow(call):
+        """As rospy, which waits for a master that hangs."""
+
+        def wait(*args, **more):
+            while graph.master_hangs:
+                clock.sleep(0.01)
+            return call(*args, **more)
+
+        return wait
+
+    monkeypatch.setattr(cockpit_node, "SceneServer", lambda _: scene)
+    monkeypatch.setattr(cockpit_node, "CockpitServer", serve)
+    for name in ("__init__", "unregister"):
+        monkeypatch.setattr(rospy.Subscriber, name, slow(getattr(rospy.Subscriber, name)))
+    rospy.set_param("leap", {"engagement": "relative", "enabling": "device", "clutch": "none"})
+
+    def main():
+        rospy.init_node("cockpit")
+        cockpit_node.Cockpit(CONFIG).run()
+
+    graph.start("cockpit", main)
+    graph.wait_until(lambda: made, 10.0, "the server")
+    made[0].scene, made[0].wait = scene, graph.wait_until
+    return made[0]
+
+
+@pytest.fixture
+def controller(virtual_graph, monkeypatch):
+    """A controller that runs, as a node."""
+
+    def main():
+        rospy.init_node("controller")
+        Services(switches)
+        status = rospy.Publisher("kuka/status", KukaStatus, queue_size=1)
+        while not rospy.is_shutdown():
+            now = switches.now
+            status.publish(KukaStatus(host=node.host, pid=node.number, mode="home", control_on=now.control_on))
+            clock.sleep(0.05)
+
+    switches = Switches()
+    switches.report("home", None)
+    node = virtual_graph.start("controller", main)
+    node.switches, node.host, node.number = switches, socket.gethostname(), 10**7
+    monkeypatch.setattr(emergency, "_is_controller", lambda pid: pid == node.number)
+    runs = lambda pid: pid == node.number and node.poll() is None  # noqa: E731
+    monkeypatch.setattr(emergency, "_start_of", lambda pid: 0 if runs(pid) else None)
+    monkeypatch.setattr(os, "kill", lambda pid, number: node.send_signal(number))
+    return node
+
+
+@pytest.fixture
+def stand(monkeypatch):
+    """Called with whether the node's own thread is to stand still."""
+    step, stands = cockpit_node.Cockpit._step, []
+
+    def wait(cockpit):
+        while stands:
+            clock.sleep(0.01)
+        step(cockpit)
+
+    def change(on):
+        stands[:] = [1] * on
+        clock.sleep(0.1)
+
+    monkeypatch.setattr(cockpit_node.Cockpit, "_step", wait)
+    return change
+
+
+def open_page(pages):
+    pages.watched = pages.live = True
+    pages.wait(lambda: pages.states and pages.shown["arms"][""]["present"], 10.0, "the controller on the page")
+
+
+def test_a_command_that_waited_too_long_in_the_node_is_not_obeyed(pages, controller, stand):
+    open_page(pages)
+    pages.obey(PageCommand("control", "", True))
+    pages.wait(lambda: any("Control is on" in text for text in pages.said), 5.0, "control")
+    stand(True)
+    pages.obey(PageCommand("control", "", False))
+    clock.sleep(FRESH_S + 0.1)
+    stand(False)
+    pages.wait(lambda: any("too old, and nothing was sent" in text for text in pages.said), 5.0, "the sentence")
+    pages.obey(PageCommand("gripper", "", True))
+    pages.wait(lambda: controller.switches.now.gripper_on, 5.0, "what is asked later")
+    assert controller.switches.now.control_on
+
+
+def test_what_waits_in_the_node_when_a_page_stops_the_arm_is_dropped(pages, controller, stand):
+    controller.host = "elsewhere"
+    open_page(pages)
+    stand(True)
+    controller.send_signal(signal.SIGSTOP)
+    pages.obey(PageCommand("control", "", True))
+    pages.obey(PageCommand("gripper", "", True))
+    pages.stop()
+    stand(False)
+    clock.sleep(1.0)
+    controller.send_signal(signal.SIGCONT)
+    clock.sleep(5.0)
+    now = controller.switches.now
+    assert controller.poll() is None and not now.control_on and not now.gripper_on
+    assert any("on elsewhere did not confirm it" in text for text in pages.said)
+    pages.obey(PageCommand("gripper", "", True))
+    pages.wait(lambda: controller.switches.now.gripper_on, 5.0, "what is asked later")
+
+
+def test_after_the_last_page_the_stop_still_knows_the_controller(pages, controller, virtual_graph):
+    rows = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
+    open_page(pages)
+    pages.wait(rows.get_num_connections, 5.0, "who looks at the rows")
+    pages.watched = pages.live = False
+    pages.wait(lambda: not rows.get_num_connections(), 5.0, "nobody to look at the rows")
+    clock.sleep(5.0)
+    controller.number += 1  # another process
+    clock.sleep(5.0)
+    controller.send_signal(signal.SIGSTOP)
+    clock.sleep(5.0)
+    pages.stop()
+    pages.wait(lambda: controller.poll() is not None, 5.0, "the end of the controller")
+
+
+def test_while_the_master_hangs_pages_have_the_state_hold_and_stop(pages, controller, virtual_graph):
+    inputs = virtual_graph.record("leap_kuka/operator_input", OperatorInput)
+    images = rospy.Publisher("camera/rgb/image_raw", Image, queue_size=1)
+    open_page(pages)
+    pages.wait(lambda: inputs, 5.0, "what the page holds")
+    virtual_graph.master_hangs = True
+    pages.cameras, pages.scene_watched = {"camera"}, True
+    clock.sleep(3.0)
+    assert pages.shown["arms"][""]["present"] and clock.monotonic() - pages.scene.drawn < 0.2
+    for enable in (True, False):
+        pages.switches[""] = HeldSwitches(enable=enable)
+        clock.sleep(0.2)
+        assert inputs[-1].enabled is enable
+    pages.watched, pages.cameras = False, set()
+    clock.sleep(1.0)
+    pages.watched, pages.cameras = True, {"camera"}
+    clock.sleep(1.0)
+    controller.send_signal(signal.SIGSTOP)
+    pages.stop()
+    clock.sleep(1.0)
+    assert controller.poll() is not None and any("was ended" in text for text in pages.said)
+    assert not images.get_num_connections()
+    virtual_graph.master_hangs = False
+    pages.wait(images.get_num_connections, 10.0, "who looks at images")
