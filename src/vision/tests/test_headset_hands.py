@@ -6,6 +6,7 @@ import itertools
 import json
 import os
 import shutil
+import signal
 import subprocess
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from depth_scene import load
+from stereo_camera import REMAPS, Camera
 from websockets.sync.client import connect
 
 from common import clock
@@ -91,14 +93,26 @@ offer();
 """
 
 
-def start_rig(ros, port, wait_until):
+def emulate(evaluate, wait_until, iwer, frames, origin):
+    """Puts the emulated headset into the page, whose hand waits for its `started`."""
+    wait_until(lambda: evaluate("typeof offer === 'function'"), 60.0, "the page")
+    evaluate(iwer + "\n; 0")
+    evaluate(f"window.recorded = {frames}; window.origin = {origin}; window.RATE = {RATE_HZ}; 0")
+    evaluate("window.started = performance.now() + 1e9; 0")
+    evaluate(EMULATION + "; 0")
+    wait_until(lambda: not evaluate("code.hidden"), 60.0, "the field for the code")
+    wait_until(lambda: not evaluate("document.getElementById('vr').disabled"), 60.0, "the button")
+
+
+def start_rig(ros, port, wait_until, **more):
     """Starts page, bridge, driver and teleoperation; returns the node of the page, and what it said after words."""
     shipped = yaml.safe_load((HERE.parents[1] / "leap_kuka" / "config" / "leap_params.yaml").read_text())
     rospy.set_param("leap", {**shipped, "z_clearance": shipped["z_clearance"] + 0.05})  # higher than the page assumes
     rospy.set_param("kuka", {"robot": "LBR7R800", **ARM})
-    web = {"host": "127.0.0.1", "port": 0, "page": PAGE, "certificate": "", "key": "", "hands": True, "leap_port": port}
+    web = {"host": "127.0.0.1", "port": 0, "page": PAGE, "certificate": "", "key": "", "hands": True, "leap_port": port,
+           **more}  # fmt: skip
     rospy.set_param("stereo_web", {"view": {**load("stereo_view.yaml"), "lens": "none"}, "web": web})
-    node = ros.run("vision", "stereo_web_node.py")
+    node = ros.run("vision", "stereo_web_node.py", *REMAPS)
     ros.run("leap_motion", "leap_driver.py", f"_port:={port}")
     ros.run("leap_kuka", "leap_kuka_node.py")
 
@@ -219,17 +233,11 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
     origin = [0.0, 1.6 - 0.35 - box.y, -0.4]
     frames = json.dumps(recording(np.array([0.0, 1e3 * box.y, 0.0])))
     with browser(address, tmp_path, wait_until, size="320,240") as evaluate:
-        wait_until(lambda: evaluate("typeof offer === 'function'"), 30.0, "the page")
-        evaluate(iwer + "\n; 0")
-        evaluate(f"window.recorded = {frames}; window.origin = {origin}; window.RATE = {RATE_HZ}; 0")
-        evaluate("window.started = performance.now() + 1e9; 0")
-        evaluate(EMULATION + "; 0")
-        wait_until(lambda: not evaluate("code.hidden"), 30.0, "the field for the code")
+        emulate(evaluate, wait_until, iwer, frames, origin)
 
         def enter(code):
             evaluate(f"code.value = {json.dumps(code)}; document.getElementById('vr').click(); 0")
 
-        wait_until(lambda: not evaluate("document.getElementById('vr').disabled"), 30.0, "the button")
         wrong = "00000000" if said("next headset is ") != "00000000" else "00000001"
         enter(wrong)
         wait_until(lambda: "not the code" in evaluate("drives.textContent"), 30.0, "the refusal")
@@ -261,6 +269,66 @@ def test_in_a_browser_the_page_sends_hands_until_the_headset_is_taken_off(ros, f
         assert evaluate("drive.socket !== null")
         evaluate("drive.session.end(); 0")
         wait_until(lambda: "No headset drives" in node.log_path.read_text(), 30.0, "the end of the drive")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not shutil.which("chromium"), reason="chromium is not installed")
+@pytest.mark.skipif(not shutil.which("openssl"), reason="openssl is not installed")
+def test_in_a_browser_hands_rest_while_the_only_view_is_old_and_none_wait_for_a_rig_that_hangs(
+    ros, free_port, wait_until, tmp_path, iwer, suspend
+):
+    rig, camera = Rig(ros), Camera()
+    node, said = start_rig(ros, free_port(), wait_until, only_view=True)
+    box = rig.boxes.wait(1, 60.0)[0].markers[0].pose.position
+    origin = [0.0, 1.6 - 0.35 - box.y, -0.4]
+    frames = json.dumps(recording(np.array([0.0, 1e3 * box.y, 0.0])))
+    with browser(said("The view is at "), tmp_path, wait_until, size="320,240") as evaluate:
+        emulate(evaluate, wait_until, iwer, frames, origin)
+
+        def sees(condition):
+            """Whether that holds, while images come."""
+
+            def now():
+                camera.publish(depth=False)
+                return condition()
+
+            return now
+
+        wait_until(sees(lambda: evaluate("onlyView && !view.old")), 60.0, "a new image", poll=0.1)
+        code = json.dumps(said("next headset is "))
+        evaluate(f"code.value = {code}; document.getElementById('vr').click(); 0")
+        wait_until(sees(lambda: evaluate("!!drive.socket && !!drive.session")), 60.0, "the seat", poll=0.1)
+        evaluate("""{
+            Object.assign(window, {sent: 0, away: 0, stale: 0});
+            const send = drive.socket.send.bind(drive.socket);
+            drive.socket.send = text => {
+              window.sent += 1;
+              if ("away" in JSON.parse(text)) window.away += 1;
+              else if (view.age > 2 * OLD_MS) window.stale += 1;
+              send(text);
+            };
+        }""")
+        evaluate("window.started = performance.now(); 0")
+        wait_until(sees(rig.runs), 60.0, "the stream", poll=0.1)
+        wait_until(lambda: evaluate("view.age > 4 * OLD_MS && window.away > 0"), 60.0, "the age of the image")
+        assert evaluate("window.stale") == 0 and evaluate("drive.socket !== null")
+        wait_until(lambda: not rig.runs(), 60.0, "the end of the stream")
+        hands = "window.sent - window.away"
+        count = evaluate(hands)
+        wait_until(sees(lambda: evaluate(hands) > count), 60.0, "hands again", poll=0.1)
+        before = evaluate("Object.defineProperty(view, 'old', {get: () => false}), window.sent")
+        wait_until(lambda: evaluate("window.sent") > before + 20, 60.0, "messages")
+        suspend(node.pid)
+        try:
+            wait_until(lambda: evaluate("drive.sent.length > 0 && performance.now() - drive.sent[0] > 2 * ANSWER_MS"),
+                       60.0, "answers that stay away")  # fmt: skip
+            count, painted = evaluate("[window.sent, window.painted]")
+            wait_until(lambda: evaluate("window.painted") > painted + 20, 60.0, "what the headset shows")
+            assert evaluate("window.sent") == count
+        finally:
+            os.kill(node.pid, signal.SIGCONT)
+        wait_until(lambda: evaluate("window.sent") > count + 20, 60.0, "messages again")
+    camera.close()
 
 
 def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monkeypatch, capsys):
