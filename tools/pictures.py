@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Callable
+from typing import Any, Callable
 
 import cv2
 from PIL import Image
@@ -330,7 +330,7 @@ def _ports() -> list[str]:
     return [f"{name}:={port}" for name, port in ports_of_a_rig().items()]
 
 
-def _wait_until(condition: Callable, seconds: float, what: str):
+def _wait_until(condition: Callable, seconds: float, what: str) -> Any:
     deadline = time.monotonic() + seconds
     while not (found := condition()):
         if time.monotonic() > deadline:

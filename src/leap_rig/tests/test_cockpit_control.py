@@ -217,7 +217,15 @@ def test_whatever_a_page_sends_is_a_sound_command_or_refused(text):
         assert value[0] in (True, False) and set(value[1]) <= set(ARMS)
 
 
-@pytest.mark.parametrize("text", ["[" * 10**5, '{"do": "scaling", "arm": "left", "value": NaN}', '{"do": "control"}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 10**5,
+        '{"do": "choose", "value": "x"}',
+        '{"do": "scaling", "arm": "left", "value": NaN}',
+        '{"do": "control"}',
+    ],
+)
 def test_what_no_page_sends_is_refused(text):
     with pytest.raises(PageMessageFault):
         read_command(text, ARMS)

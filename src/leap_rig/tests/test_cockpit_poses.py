@@ -83,13 +83,18 @@ class TestLabels:
     @given(st.lists(st.tuples(lengths, lengths, st.floats(-1.0, 4.0), st.integers(1, 30)), max_size=12))
     def test_never_cover_each_other_nor_leave_the_view(self, things):
         labels = [Label(n, letters * "m", (x, y, z)) for n, (x, y, z, letters) in enumerate(things)]
-        found = anchors(labels, AHEAD, inset=True)
+        found = anchors(labels, AHEAD)
         boxes = [box(label, found[label.key]) for label in labels if label.key in found]
         for n, (x, y, w, h) in enumerate(boxes):
             assert x >= 0 and y >= 0 and x + w <= 800 and y + h <= 600
-            assert x + w <= 800 - 224 or y + h <= 600 - 200  # where the camera's image stands
             for x2, y2, w2, h2 in boxes[n + 1 :]:
                 assert x + w <= x2 or x2 + w2 <= x or y + h <= y2 or y2 + h2 <= y
+
+    @pytest.mark.parametrize(("point", "anchor"), [((0.33, 0.3, 1.0), "bottom-right"), ((0.6, 0.5, 1.0), None)])
+    def test_leave_the_image_of_the_camera_free(self, point, anchor):
+        label = Label(0, "tool", point)
+        assert anchors([label], AHEAD) == {0: "bottom-center"}
+        assert anchors([label], AHEAD, inset=True).get(0) == anchor
 
     def test_at_one_point_stand_beside_each_other(self):
         found = anchors([Label(n, "desired tool", (0.0, 0.0, 2.0)) for n in range(3)], AHEAD)
