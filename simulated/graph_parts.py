@@ -18,6 +18,7 @@ import rosgraph
 import rospy
 
 from common import clock
+from common.ros.master import LOGGERS
 
 if TYPE_CHECKING:
     from simulated.graph import Graph, Node
@@ -343,6 +344,8 @@ class GraphMaster:
     def lookupService(self, name: str) -> str:
         """An address of the service; raises rosgraph.MasterError if nobody offers it."""
         resolved = self._graph.here.resolve(name)
+        if resolved.endswith(LOGGERS):
+            return self.lookupNode(resolved[: -len(LOGGERS)])
         if resolved not in self._graph.services:
             raise rosgraph.MasterError(f"no provider of [{resolved}]")
         return f"rosrpc://localhost{resolved}"

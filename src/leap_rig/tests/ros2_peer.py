@@ -43,6 +43,11 @@ def listen(node):
         node.create_subscription(kind, f"/{topic}", lambda m, t=topic, r=read: say(topic=t, value=r(m)), quality)
 
 
+def mistake(node):
+    """Expects another type than it is."""
+    node.create_subscription(String, "/kuka/status", lambda m: say(heard=m.data), 10)
+
+
 def publish(node, kind, name="kuka/tool_frame/desired"):
     publisher = node.create_publisher(TFMessage, "/tf_static" if kind == "static" else "/tf", LATCHED)
     message = TransformStamped(child_frame_id=name)
@@ -76,7 +81,7 @@ def main():
     rclpy.init()
     action, *words = sys.argv[1:]
     node = rclpy.create_node(f"peer_{action}_{time.time_ns() % 10**6}")
-    {"listen": listen, "publish": publish, "move": move}[action](node, *words)
+    {"listen": listen, "mistake": mistake, "publish": publish, "move": move}[action](node, *words)
     if action != "move":
         rclpy.spin(node)
 

@@ -229,9 +229,25 @@ def test_a_stamp_from_another_age_ends_no_view(ros, capsys):
             assert 0 <= header.stamp.to_sec() < 2**32
 
 
-@pytest.mark.parametrize("frame", [*DRIVING, *(f"/{frame}" for frame in DRIVING), *(f"//{frame}" for frame in DRIVING)])
-def test_no_spelling_of_a_frame_that_steers_is_published(frame):
-    assert _harmless(frame).strip("/") not in DRIVING
+OF_TWO_ARMS = [f"{arm}{frame}" for arm in ("", "left/", "right/", "lab/left/") for frame in DRIVING]
+
+
+@pytest.mark.parametrize("before", ["", "/", "//"])
+@pytest.mark.parametrize("frame", OF_TWO_ARMS)
+def test_no_spelling_of_a_frame_that_steers_is_published(frame, before):
+    assert _harmless(before + frame) == f"recorded/{frame}"
+
+
+@pytest.mark.parametrize("frame", ["kuka/tool_frame/home", "left/kuka/link_1", "left_hand/frame", "my_hand/frame"])
+def test_frames_that_steer_nothing_keep_their_names(frame):
+    assert _harmless(frame) == frame
+
+
+@pytest.mark.parametrize("name", [f"{arm}{name}" for arm in ("", "/left") for name in replay_program.MOVERS])
+def test_no_view_beside_an_arm_of_any_namespace(name):
+    master = SimpleNamespace(getSystemState=lambda: ([], [], [[name, ["/someone"]]]))
+    with pytest.raises(RecordingFault, match="/someone runs on this ROS master"):
+        _refuse_movers(master)
 
 
 @pytest.mark.parametrize("time", ["1e999", "-1e999", "NaN", "9" * 400, "true", "null", '"1"', "[]"])

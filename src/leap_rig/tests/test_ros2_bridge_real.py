@@ -173,6 +173,13 @@ def test_ros2_hears_the_rig(bridge, rig, peer, wait_until, ros):
 
 
 @needs_ros2
+def test_who_expects_another_type_is_told(bridge, peer, wait_until):
+    peer("mistake")
+    said = "expects std_msgs/msg/String on /kuka/status, which is diagnostic_msgs/msg/DiagnosticStatus"
+    wait_until(lambda: said in bridge.log_path.read_text(), 30.0, "the sentence")
+
+
+@needs_ros2
 def test_the_desired_tool_of_ros2_reaches_tf_and_nothing_else(bridge, peer, wait_until, ros):
     heard = ros.record("/tf", TFMessage)
     rig = rospy.Publisher("/tf", TFMessage, queue_size=1)

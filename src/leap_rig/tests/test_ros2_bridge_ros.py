@@ -11,7 +11,8 @@ from common import clock
 pytest.importorskip("rig_msgs.srv")
 import rospy
 from geometry_msgs.msg import Transform, TransformStamped
-from std_msgs.msg import Header
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
 from common.frames import TOOL_DESIRED, TOOL_HOME
@@ -133,6 +134,7 @@ class Side:
 
     def __init__(self, config, request):
         self.closed = False
+        self.put = lambda *frame: None
 
     def receive(self, size):
         assert self.closed, "it would be listened to for ever"
@@ -151,3 +153,25 @@ def test_a_bridge_that_is_shut_down_while_it_starts_ends(ros, monkeypatch):
     monkeypatch.setattr(rospy, "is_shutdown", lambda: True)
     monkeypatch.setattr(rospy.core, "is_shutdown_requested", lambda: True)
     bridge.run()
+
+
+def test_a_topic_of_another_type_is_left_out_with_both_names(ros, monkeypatch):
+    monkeypatch.setattr(bridge_node, "Ros2Side", Side)
+    bridge = bridge_node.Ros2Bridge(Ros2BridgeConfig((), LOCALHOST, False, 10.0, 80, ""))
+    channel, sent, said = bridge._channels["joint_states"], [], []
+    monkeypatch.setattr(bridge, "_put", lambda *what: sent.append(what))
+    monkeypatch.setattr(rospy, "logwarn", lambda text, *values: said.append(text % values))
+    for kind, md5sum in (
+        ("std_msgs/String", String._md5sum), ("sensor_msgs/JointState", "0" * 32),
+        ("sensor_msgs/JointState", JointState._md5sum),
+    ):  # fmt: skip
+        message = rospy.AnyMsg()
+        message._connection_header = {"callerid": "/other", "type": kind, "md5sum": md5sum}
+        for _ in range(2):
+            bridge._bytes(channel, message)
+    assert len(sent) == 2
+    assert said == [
+        "/other publishes std_msgs/String on joint_states, not sensor_msgs/JointState; it is left out.",
+        "/other publishes sensor_msgs/JointState of another definition on joint_states, not sensor_msgs/JointState; "
+        "it is left out.",
+    ]

@@ -22,6 +22,7 @@ from common.errors import RigError
 from common.ros.files import home
 from common.ros.service_calls import MasterLost, ask_master, listens
 
+LOGGERS = "/get_loggers"  # end of the name of a service of rospy in each node
 RETRY_S = 0.5
 PATIENCE_S = 5.0  # how long a node that starts beside its master waits for it
 KEEPALIVE = {socket.TCP_KEEPIDLE: 5, socket.TCP_KEEPINTVL: 2, socket.TCP_KEEPCNT: 3}  # a dead wire shows after 11 s
@@ -192,9 +193,11 @@ class MasterWatch:
                 return
 
     def _knows_this_node(self) -> bool:
+        """Asks for a service that each node offers from its start: by a topic of which it was in want meanwhile, even
+        another master knows it."""
         name = rospy.get_name()
         with contextlib.suppress(rosgraph.MasterError):
-            return bool(rosgraph.Master(name).lookupNode(name))
+            return bool(rosgraph.Master(name).lookupService(f"{name}{LOGGERS}"))
         return False
 
 

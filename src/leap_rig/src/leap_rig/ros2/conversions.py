@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rosbags.convert.converter import is_same_wireformat, migrate_bytes
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+NAMES = {"bool": "boolean", "byte": "octet", "float32": "float", "float64": "double"}  # in ROS 2's classes
 
 
 def ros2_name(kind: str) -> str:
@@ -41,6 +46,15 @@ class Ros2Conversions:
         """Returns a message that came in CDR. Raises whatever rosbags does with other bytes."""
         return bytes(self.store.cdr_to_ros1(data, ros2_name(kind)))
 
-    def definition(self, kind: str) -> str:
-        """Returns the full definition of a type in ROS 2."""
-        return self.store.generate_msgdef(ros2_name(kind), ros_version=2)[0]
+    def fields(self, kind: str) -> dict[str, str]:
+        """Returns the fields of a type in ROS 2 with their types, as its class names them."""
+        return {name: _field_type(*found) for name, found in self.store.fielddefs[ros2_name(kind)][1]}
+
+
+def _field_type(node: Nodetype, what: Any) -> str:
+    if node == Nodetype.NAME:
+        return what.replace("/msg/", "/")
+    if node == Nodetype.BASE:
+        return NAMES.get(what[0], what[0])
+    inner = _field_type(*what[0])
+    return f"{inner}[{what[1]}]" if node == Nodetype.ARRAY else f"sequence<{inner}>"

@@ -82,8 +82,8 @@ class SceneFeed:
                 scene.show_axes(frames(frame), 0.08, f"{arm} {name}".strip())
             for frame in PLAIN_AXES:
                 scene.show_axes(frames(frame), 0.04)
+            scene.show_axes(RECORDED + frames(TOOL_DESIRED), 0.08, f"{arm} recorded desired tool".strip())
         scene.show_axes(RGB_OPTICAL, 0.06, "camera")
-        scene.show_axes(RECORDED + TOOL_DESIRED, 0.08, "recorded desired tool")
         repeat(self._show, PERIOD_S, "scene")
         repeat(self._follow, PERIOD_S, "scene's topics")  # beside the other: rospy waits for a master that hangs
 

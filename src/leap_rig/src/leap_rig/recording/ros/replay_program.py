@@ -41,7 +41,8 @@ from leap_rig.recording.waypoints import StreamedMotion, lines_along, streamed_m
 LONGEST_WAIT_S = 3600.0  # between two frames
 KIND = re.compile(r"(geometry_msgs|sensor_msgs|std_msgs|tf2_msgs|visualization_msgs)/\w+", re.ASCII)
 MOVERS = ("/kuka/kuka_control", "/kuka/exit_app", "/kuka/exit_app_emergency", f"/{HAND.driver}/disable_torque")
-"""Services of what moves an arm or a hand."""
+"""Services of what moves an arm or a hand; of several arms behind their namespaces."""
+STEERING = tuple(f"/{frame}" for frame in DRIVING)  # ends of their names, of several arms behind a prefix
 DESCRIPTION = "robot_description"
 AGREED = "yes"
 
@@ -110,7 +111,7 @@ def _refuse_movers(master: rosgraph.Master) -> None:
         _, _, offered = master.getSystemState()
     except (OSError, rosgraph.MasterException) as error:
         raise RecordingFault("The ROS master is gone, so nothing is shown any more.") from error
-    services = {name: nodes for name, nodes in offered if name in MOVERS}
+    services = {name: nodes for name, nodes in offered if name.endswith(MOVERS)}
     if services:
         nodes = ", ".join(sorted({node for names in services.values() for node in names}))
         raise RecordingFault(
@@ -191,7 +192,7 @@ class _Player:
 
 def _harmless(frame: str) -> str:
     name = frame.strip("/")  # tf takes /a for a
-    return RECORDED + name if name in DRIVING else frame
+    return RECORDED + name if f"/{name}".endswith(STEERING) else frame
 
 
 # Tracker

@@ -4,6 +4,7 @@ the process that speaks ROS 2 (`side`) and ends with it. ROS 1 is listened to on
 from __future__ import annotations
 
 import contextlib
+import http.client
 import json
 import os
 import socket
@@ -12,6 +13,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
+import roslib.message
 import rospkg
 import rospy
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -30,12 +32,13 @@ from common.ros.node import repeat, while_running
 from common.ros.on_demand import OnDemand
 from common.ros.params import arm_frames, private_config
 from common.ros.raw_tf import connection_of, data_of, publisher_of
+from common.sentences import without_numbers
 from kuka_msgs.msg import MoveFeedback, MoveGoal, MoveResult
 from leap_rig.ros2 import channels
 from leap_rig.ros2.channels import COMPRESSED, DESCRIPTION, IMAGE, MOVE, STATE, STATUS, WRENCH, Channel
 from leap_rig.ros2.config import SUBNET, Ros2BridgeConfig
 from leap_rig.ros2.key_values import key_values
-from leap_rig.ros2.outbox import NewestFrames
+from leap_rig.ros2.outbox import MessageRateLimit, NewestFrames
 from leap_rig.ros2.ros.bytes_of import bytes_of
 from leap_rig.ros2.ros.desired_door import DesiredDoor
 from leap_rig.ros2.ros.move_door import MoveDoor
@@ -140,6 +143,10 @@ class Ros2Bridge:
         self._side = Ros2Side(config, request)
         self._refused: tuple[float, str] = -REFUSED_S, ""
         self._passed, self._odd = 0, set()
+        self._warnings = MessageRateLimit(1.0 / REMIND_S, 1)
+        self._wanted: set[int] = set()
+        kinds = {channel.kind for channel in self._channels.values()}
+        self._md5sums = {kind: roslib.message.get_message_class(kind)._md5sum for kind in kinds}
         self._static: dict[str, object] = {}
         self._descriptions: dict[str, str] = {}
         self._force: dict[str, Vector3Stamped] = {}
@@ -153,6 +160,7 @@ class Ros2Bridge:
         if rospy.is_shutdown():  # before: then nobody calls it
             self._close()
         repeat(self._look, LOOK_S, "look")
+        repeat(self._ask_master, LOOK_S, "demand")
         Diagnostics("ros2_bridge", self._state)
         try:
             for channel, body in frames(self._side.receive):
@@ -172,9 +180,7 @@ class Ros2Bridge:
 
     def _take(self, channel: int, body: bytes) -> None:
         if channel == channels.WANTED:
-            wanted = json.loads(body)
-            for number, demand in self._demand.items():
-                demand(number in wanted)
+            self._wanted = set(json.loads(body))
         elif channel == channels.FAULT:
             self._refuse(body.decode())
         elif self._door is not None and channel in (channels.DESIRED, channels.STATIC):
@@ -188,8 +194,10 @@ class Ros2Bridge:
                 self._moves[arm].cancel(number)
 
     def _refuse(self, sentence: str) -> None:
-        self._refused = clock.monotonic(), sentence
-        rospy.logwarn_throttle(REMIND_S, sentence)
+        now = clock.monotonic()
+        self._refused = now, sentence
+        if self._warnings.passes(without_numbers(sentence), now):
+            rospy.logwarn(sentence)
 
     def _state(self) -> tuple[int, str, dict[str, object]]:
         listened = sum(bool(demand.subscribers) for demand in self._demand.values())
@@ -210,8 +218,15 @@ class Ros2Bridge:
     def _look(self) -> None:
         for move in self._moves:
             move.look()
+
+    def _ask_master(self) -> None:
+        """Subscribes to what ROS 2 wants, in a thread of its own: rospy waits for a master that is gone."""
+        for number, demand in self._demand.items():
+            demand(number in self._wanted)
         for of in self._arms:  # a description comes from the parameter, which may change
-            text = rospy.get_param_cached(of + DESCRIPTION, "")
+            text = ""
+            with contextlib.suppress(OSError, http.client.HTTPException):  # of a master that is gone
+                text = rospy.get_param_cached(of + DESCRIPTION, "")
             if text and self._descriptions.get(of) != text:
                 self._descriptions[of] = text
                 self._put(self._channels[of + DESCRIPTION], self._name, bytes_of(String(text)))
@@ -239,9 +254,12 @@ class Ros2Bridge:
         return [subscribe(topic, rospy.AnyMsg, partial(self._bytes, channel), tcp_nodelay=True)]
 
     def _bytes(self, channel: Channel, message: rospy.AnyMsg) -> None:
-        node, kind = publisher_of(message), connection_of(message)["type"]
+        node, header = publisher_of(message), connection_of(message)
         if node == self._name and channel.topic == "tf":
             return  # from ROS 2
+        kind = header["type"]
+        if kind == channel.kind and header["md5sum"] != self._md5sums[kind]:
+            kind += " of another definition"
         if kind != channel.kind:
             if (node, kind) not in self._odd:
                 self._odd.add((node, kind))

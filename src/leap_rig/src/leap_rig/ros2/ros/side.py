@@ -34,6 +34,7 @@ LOOK_S = 0.25  # between two looks at who is there
 END_S = 0.3  # for a result to reach its client
 MAX_TF_BYTES = 2**16
 MAX_TF_HZ, MAX_TF_BURST = 400.0, 40  # of a publisher and a frame
+RENEW = "Run make ros2; ~python, where it is set, must be the Python that it makes."
 TF = "tf2_msgs/TFMessage"
 GOAL, RESULT, FEEDBACK = "kuka_msgs/MoveGoal", "kuka_msgs/MoveResult", "kuka_msgs/MoveFeedback"
 MESSAGES = {GOAL: Move.Goal, RESULT: Move.Result, FEEDBACK: Move.Feedback}
@@ -61,7 +62,7 @@ class Topics:
     """What ROS 2 hears."""
 
     def __init__(self, node: Any, other: OtherSide, conversions: Ros2Conversions, topics: list[Channel]) -> None:
-        self._other, self._conversions = other, conversions
+        self._node, self._other, self._conversions = node, other, conversions
         self._topics = {topic.number: topic for topic in topics}
         self._publishers = {}
         for topic in topics:
@@ -69,7 +70,19 @@ class Topics:
             quality = QoSProfile(depth=topic.depth, durability=durability)
             kind = message_type(topic.kind)
             self._publishers[topic.number] = node.create_publisher(kind, f"/{topic.topic}", quality)
+            self._check(topic)
         self.own: dict[str, int] = {}  # subscribers of this node itself, by topic
+        self._others: set[bytes] = set()  # who named another type, and was told
+
+    def _check(self, topic: Channel) -> None:
+        """Ends this process if the type of a topic has other fields in ROS 2 than the bridge writes."""
+        name, infos = ros2_name(topic.kind), self._node.get_publishers_info_by_topic(f"/{topic.topic}")
+        installed = next(str(info.topic_type_hash) for info in infos if info.node_name == NAME)
+        if installed != self._conversions.store.hash_rihs01(name):
+            sys.exit(
+                f"ros2_bridge: /{topic.topic}: {name} as it is installed has other fields than the bridge makes of "
+                f"{topic.kind}, so nothing could be read. {RENEW}"
+            )
 
     def publish(self, number: int, data: bytes) -> None:
         topic = self._topics[number]
@@ -89,6 +102,23 @@ class Topics:
             if publisher.get_subscription_count() > self.own.get(self._topics[number].topic, 0)
         ]
         self._other.send(channels.WANTED, json.dumps(wanted).encode())
+        for topic in self._topics.values():
+            self._compare(topic)
+
+    def _compare(self, topic: Channel) -> None:
+        """Says who takes a topic for one of another type, which DDS keeps apart without a word."""
+        name = ros2_name(topic.kind)
+        for info in self._node.get_subscriptions_info_by_topic(f"/{topic.topic}"):
+            gid = bytes(info.endpoint_gid)
+            if info.topic_type != name and info.node_name != UNKNOWN and gid not in self._others:
+                self._others.add(gid)
+                fault = f"{_name(info)} in ROS 2 expects {info.topic_type} on /{topic.topic}, which is {name}"
+                self._other.send(channels.FAULT, f"{fault}: it hears nothing.".encode())
+
+
+def _name(info: Any) -> str:
+    """Returns the name of a node of ROS 2."""
+    return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
 class DesiredTools:
@@ -139,9 +169,8 @@ class DesiredTools:
             info = found.get(gid)
             if info is None or info.node_name == UNKNOWN:
                 return ""
-            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
             own = info.node_name == NAME and info.node_namespace == "/"
-            self._nodes[gid] = "" if own else f"{name} ({zlib.crc32(gid):08x})"
+            self._nodes[gid] = "" if own else f"{_name(info)} ({zlib.crc32(gid):08x})"
         return self._nodes[gid]
 
 
@@ -222,9 +251,11 @@ def main() -> None:
     for kind, definition in request["definitions"].items():
         conversions.learn(kind, definition)
     for kind, message in MESSAGES.items():
-        fields = [name for name, _ in conversions.store.fielddefs[ros2_name(kind)][1]]
-        if fields != list(message.get_fields_and_field_types()):
-            sys.exit("ros2_bridge: kuka_msgs in .venv-ros2 are others than those of the rig: run make ros2.")
+        if conversions.fields(kind) != message.get_fields_and_field_types():
+            sys.exit(
+                f"ros2_bridge: kuka/move: kuka_msgs/action/{message.__name__} as it is installed has other fields than "
+                f"the rig's {kind}, so no goal could be read. {RENEW}"
+            )
     other = OtherSide(socket.socket(fileno=request["socket"]))
     rclpy.init(args=[])
     node = rclpy.create_node(NAME)
