@@ -207,7 +207,7 @@ def _everything(address: str) -> Iterator[None]:
                     connection.send("{}")
 
     with contextlib.ExitStack() as stack:
-        for path in ("/state", "/control", "/pictures", scene):
+        for path in ("/state", "/pictures", scene):
             subprotocols = ["viser-v1.1.1"] if path == scene else None
             connection = stack.enter_context(
                 connect(wire + path, subprotocols=subprotocols, max_size=None, close_timeout=2.0)

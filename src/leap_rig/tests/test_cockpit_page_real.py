@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
@@ -13,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from leap_rig.cockpit.scene import DRAW_LESS, TELL_DRAWN, SceneServer
-from leap_rig.cockpit.server import CockpitServer, ScenePage
+from leap_rig.cockpit.server import MAX_PAGES, CockpitServer, ScenePage
 from simulated.chromium import browser
 from vision.stereo.transport import Picture
 
@@ -98,7 +100,7 @@ def page(tmp_path, request):
             evaluate.server, evaluate.obeyed, evaluate.stops, evaluate.changes = server, obeyed, stops, changes
             evaluate.answers = answers
             evaluate.until, evaluate.key, evaluate.press = until, key, press
-            ready = "typeof stateAt === 'number' && stateAt > 0 && control !== null && control.readyState === 1"
+            ready = "typeof stateAt === 'number' && stateAt > 0"
             until(lambda: evaluate(f"{ready} && document.hasFocus()"), what="the page")
 
             def enter():
@@ -170,6 +172,25 @@ def test_the_scene_has_a_process_of_its_own_for_which_the_stop_does_not_wait(pag
             return [target["url"] for target in json.load(answer) if target["type"] == "iframe"]
 
     page.until(lambda: any(address.endswith(page.server.scene_path) for address in processes()), what="its process")
+
+
+def test_in_a_crowd_the_page_sees_all_and_stops_once_it_has_the_code_and_after_a_reload(page):
+    assert page("control === null"), "without a code it takes no place there"
+    paths = ("/state", "/control", "/pictures?camera=camera", page.server.scene_path)
+    wire = page.server.address.replace("http", "ws").rstrip("/")
+    with contextlib.ExitStack() as stack:
+        for path, number in itertools.product(paths, range(MAX_PAGES)):
+            machine = (f"127.0.0.{2 + number // 2}", 0)
+            stack.enter_context(connect(wire + path, source_address=machine, close_timeout=0.5))
+        page.enter()
+        page("location.reload()")
+        seen = "typeof admitted === 'boolean' && admitted && state !== null && cameraViews.camera?.source != null"
+        picture = Picture(np.zeros((8, 8, 3), np.uint8), 0.0, 0.0, {})
+        page.until(lambda: (page.server.put_picture("camera", picture), page(seen))[1], what="state and image")
+        ticket = page.server.control.access.ticket
+        assert page("$('view').src").endswith(f"{page.server.scene_path}/{ticket}")
+        page.press("Escape")
+        page.until(lambda: page.stops)
 
 
 def test_the_operator_is_chosen_while_the_gripper_is_off_and_marks_have_a_text(page):

@@ -6,6 +6,7 @@ import contextlib
 import http.client
 import json
 import math
+import socket as sockets
 import threading
 import time
 
@@ -16,8 +17,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.sync.server import serve
 
+from leap_motion.service.access import MAX_GUESSES
+from leap_motion.service.socket_service import PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS
 from leap_rig.cockpit.control import HEARTBEAT_S, HeldSwitches
-from leap_rig.cockpit.server import CockpitServer, ScenePage
+from leap_rig.cockpit.server import MAX_PAGES, PAGES_OF_ADDRESS, CockpitServer, ScenePage
 from vision.stereo.transport import Picture
 
 pytestmark = pytest.mark.real
@@ -53,8 +56,17 @@ class Served:
     def code(self):
         return self.said[-1].split()[-1].rstrip(".")
 
-    def socket(self, path, **options):
-        return connect(f"ws://{self.host}{path}", **options)
+    def socket(self, path, machine="127.0.0.1", **options):
+        """A WebSocket, also of the scene."""
+        address = f"ws://{self.host}{path}"
+        return connect(
+            address, source_address=(machine, 0), subprotocols=["viser-v1"], close_timeout=0.5, **options
+        )  # fmt: skip
+
+    def bare(self, machine):
+        """A connection that has not asked for anything."""
+        host, port = self.host.split(":")
+        return sockets.create_connection((host, int(port)), 60.0, (machine, 0))
 
 
 @pytest.fixture()
@@ -79,7 +91,20 @@ def answer(socket):
 
 def enter(served, socket):
     tell(socket, do="secret", value=served.code)
-    assert "key" in answer(socket)
+    admitted = answer(socket)
+    assert "key" in admitted
+    return admitted
+
+
+def gone(socket):
+    """Whether the server has ended a connection, or does now."""
+    try:
+        while True:
+            socket.recv(timeout=1.0)
+    except TimeoutError:
+        return False
+    except ConnectionClosed:
+        return True
 
 
 def until(condition):
@@ -113,7 +138,7 @@ def test_pages_and_who_may_have_them(served):
 
 
 def test_the_scene_is_passed_through_with_its_subprotocol(served):
-    with served.socket(served.server.scene_path, subprotocols=["viser-v1"], origin="null") as socket:
+    with served.socket(served.server.scene_path, origin="null") as socket:
         assert socket.subprotocol == "viser-v1"
         socket.send(b"\x00\x01")
         assert socket.recv(timeout=60.0) == b"\x00\x01"
@@ -255,3 +280,100 @@ def test_each_camera_has_its_own_images_and_rests_by_itself(served):
         assert image.min() > 150
     with served.socket("/pictures?camera=none") as socket, pytest.raises(ConnectionClosed, match="1008"):
         socket.recv(timeout=60.0)
+
+
+def machines(first=2):
+    """Addresses of as many machines as a test wants."""
+    return (f"127.0.0.{number}" for number in range(first, 255))
+
+
+def crowd(served, stack, path):
+    """Pages without the code on all places of a path, from several machines."""
+    return [
+        stack.enter_context(served.socket(path, machine))
+        for machine, _ in zip(machines(), range(MAX_PAGES // PAGES_OF_ADDRESS))
+        for _ in range(PAGES_OF_ADDRESS)
+    ]
+
+
+def test_a_crowd_leaves_room_for_a_page_with_the_code_on_every_path(served):
+    paths = ("/state", "/pictures?camera=wrist", served.server.scene_path)
+    with contextlib.ExitStack() as stack:
+        crowds = {path: crowd(served, stack, path) for path in (*paths, "/control")}
+        for path in paths:
+            with served.socket(path) as refused, pytest.raises(ConnectionClosed, match="too many pages"):
+                refused.recv(timeout=60.0)
+        control = stack.enter_context(served.socket("/control"))
+        ticket = enter(served, control)["ticket"]
+        kept = [control]
+        for path in paths:
+            end = f"/{ticket}" if path in served.server.scene_path else f"{'&' if '?' in path else '?'}ticket={ticket}"
+            kept.append(stack.enter_context(served.socket(path + end)))
+            assert gone(crowds[path][0])
+        tell(control, do="take")
+        assert answer(control)["control"]
+        for machine, _ in zip(machines(20), range(2 * MAX_PAGES)):  # newcomers, and none takes those places
+            for path in (*paths, "/control"):
+                stack.enter_context(served.socket(path, machine))
+            tell(control, do="beat", focus=True, held={})
+        tell(control, do="stop")
+        assert "sent" in answer(control)["done"] and served.stops == [1] and controlled(served)
+        served.server.put_state({})
+        until(lambda: "scene" in answer(kept[1]))
+        kept[3].send(b"x")
+        assert kept[3].recv(timeout=60.0) == b"x" and not gone(kept[2])
+
+
+def test_who_has_the_code_stops_though_all_connections_are_taken_and_is_not_cut_off_then(served):
+    with contextlib.ExitStack() as stack:
+
+        def flood(first):
+            for machine, _ in zip(machines(first), range(PAGE_CONNECTIONS // PAGE_CONNECTIONS_OF_ADDRESS + 2)):
+                for _ in range(PAGE_CONNECTIONS_OF_ADDRESS + 1):
+                    stack.enter_context(served.bare(machine))
+
+        flood(2)
+        control = stack.enter_context(served.socket("/control"))
+        enter(served, control)
+        flood(20)
+        tell(control, do="stop")
+        assert "sent" in answer(control)["done"] and served.stops == [1]
+
+
+def test_of_too_many_connections_of_a_machine_its_own_oldest_ends(served):
+    with served.bare("127.0.0.2") as other, contextlib.ExitStack() as stack:
+        mine = [stack.enter_context(served.bare("127.0.0.3")) for _ in range(PAGE_CONNECTIONS_OF_ADDRESS + 1)]
+        assert mine[0].recv(1) == b""
+        for still in (other, *mine[1:]):
+            still.settimeout(0.0)
+            with pytest.raises(BlockingIOError):
+                still.recv(1)
+
+
+def test_wrong_codes_from_many_machines_bring_a_new_code_and_the_old_key_stays(served):
+    with served.socket("/control") as control:
+        key = enter(served, control)["key"]
+        served.server.control.access._since = -math.inf
+        code = served.code
+        for number, machine in zip(range(MAX_GUESSES), machines()):
+            with served.socket("/control", machine) as guessing:
+                tell(guessing, do="secret", value=f"guess {number}")
+                assert answer(guessing)["code"] is False
+        assert served.code != code and "wrong codes" in served.said[-1]
+        with served.socket("/control") as back:
+            tell(back, do="secret", value=key)
+            assert answer(back)["key"] == key
+            tell(back, do="stop")
+            assert "sent" in answer(back)["done"]
+
+
+@pytest.mark.parametrize(
+    "twice", ["Host: {0}\r\nHost: {0}", "Host: {0}\r\nOrigin: http://{0}\r\nOrigin: http://evil.example"]
+)
+@pytest.mark.parametrize("path", ["/", "/control"])
+def test_two_hosts_or_origins_are_refused_in_a_sentence(served, twice, path):
+    upgrade = "" if path == "/" else "Upgrade: websocket\r\nConnection: Upgrade\r\n"
+    with served.bare("127.0.0.1") as browser:
+        browser.sendall(f"GET {path} HTTP/1.1\r\n{twice.format(served.host)}\r\n{upgrade}\r\n".encode())
+        said = browser.makefile().read()
+    assert said.startswith("HTTP/1.1 400 ") and said.endswith("\n\nGive one Host and one Origin.\n")

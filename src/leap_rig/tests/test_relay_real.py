@@ -26,7 +26,7 @@ from leap_rig.cockpit.server import CockpitServer, ScenePage
 from leap_rig.relay import greeting, server, transport
 from leap_rig.relay.client import PagePort, RelayClient
 from leap_rig.relay.greeting import NONCE, RUN
-from leap_rig.relay.server import Relay
+from leap_rig.relay.server import VISITORS_OF_ADDRESS, Relay, VisitLimits, forwarded_for
 
 pytestmark = pytest.mark.real
 
@@ -85,9 +85,9 @@ class Rig:
 class Running:
     """A relay in a thread."""
 
-    def __init__(self, pages, port=0):
+    def __init__(self, pages, port=0, forwarded=False):
         self.said = []
-        self.relay = Relay(KEY, pages, self.said.append, port=port)
+        self.relay = Relay(KEY, pages, self.said.append, port=port, forwarded=forwarded)
         self.url = f"ws://127.0.0.1:{self.relay.port}/rig"
         self._thread = threading.Thread(target=self.relay.run, daemon=True)
         self._thread.start()
@@ -287,7 +287,7 @@ def test_a_false_relay_gets_no_connection(ends):
 
 def greeted(url, run):
     """Returns a WebSocket of a rig that has the key."""
-    rig = connect(url, open_timeout=30.0)
+    rig = connect(url, open_timeout=30.0, close_timeout=0.5)
     sent, due = greeting.answer(KEY, rig.recv(timeout=30.0), run, bytes(NONCE))
     rig.send(sent)
     greeting.check_proof(rig.recv(timeout=30.0), due)
@@ -352,6 +352,117 @@ def test_browsers_are_few_and_come_in_moderation(ends, monkeypatch):
             waiting[0].recv(100)
 
 
+def behind_a_proxy(ends, tmp_path):
+    """As `afar`, with a proxy that names the browsers."""
+    cockpit = Cockpit(tmp_path)
+    ends(cockpit.server)
+    relay = ends(Running({"cockpit": 0, "other": 0}, forwarded=True))
+    ends(Rig(relay.url, {"cockpit": PagePort(cockpit.port)}))
+    return cockpit, relay.relay.pages
+
+
+@contextlib.contextmanager
+def named(port, path, names):
+    """A WebSocket as the proxy passes it on; `names`: what it and the browser wrote into X-Forwarded-For."""
+    with socket.create_connection(("127.0.0.1", port), 30.0) as raw, connect(
+        f"ws://cockpit.example.org{path}", sock=raw, origin=PUBLIC, open_timeout=30.0, close_timeout=0.5,
+        additional_headers=[("X-Forwarded-For", names)],
+    ) as opened:  # fmt: skip
+        yield opened
+
+
+def visiting(ends, port, name=""):
+    """A browser's connection, which the proxy says is from `name`."""
+    browser = ends(socket.create_connection(("127.0.0.1", port), 30.0))
+    browser.sendall(f"GET / HTTP/1.1\r\nX-Forwarded-For: 10.9.9.9, {name}\r\n\r\n".encode())
+    return browser
+
+
+def ended(browser):
+    """Waits for the end of a connection."""
+    with contextlib.suppress(ConnectionResetError):
+        return browser.recv(1) == b""
+    return True
+
+
+def waits(browser):
+    """Whether a connection is still open."""
+    browser.settimeout(0.0)
+    with pytest.raises(BlockingIOError):
+        browser.recv(1)
+    return True
+
+
+def test_one_browser_behind_a_proxy_takes_not_the_places_of_others(ends, monkeypatch):
+    monkeypatch.setattr(server, "NO_RIG_S", 60.0)
+    page, other = ends(Running({"page": 0, "other": 0}, forwarded=True)).relay.pages.values()
+    crowd = [visiting(ends, page, "10.0.0.1") for _ in range(VISITORS_OF_ADDRESS)]
+    for name in ("10.0.0.1", "::ffff:10.0.0.1"):
+        assert ended(visiting(ends, page, name))
+    rest = [visiting(ends, page, "10.0.0.2"), visiting(ends, other, "10.0.0.1")]
+    assert ended(visiting(ends, page, "10.0.0.1")) and all(map(waits, crowd + rest))
+
+
+def test_each_page_of_a_relay_has_its_own_places(ends, monkeypatch):
+    monkeypatch.setattr(server, "NO_RIG_S", 60.0)
+    monkeypatch.setattr(server, "MAX_VISITORS", 2)
+    page, other = ends(Running({"page": 0, "other": 0})).relay.pages.values()
+    first, _, third = (visiting(ends, page) for _ in range(3))
+    elsewhere = visiting(ends, other)
+    assert ended(third) and waits(first) and waits(elsewhere)
+
+
+def test_one_machine_does_not_use_up_the_visits_of_others():
+    limits = VisitLimits(60, 20)
+    assert [limits.admit("10.0.0.1", 7.0) for _ in range(90)] == [True] * 20 + [False] * 70
+    assert [limits.admit(f"10.0.0.{2 + i // 20}", 7.9) for i in range(60)] == [True] * 40 + [False] * 20
+    assert limits.admit("10.0.0.1", 8.0)
+
+
+def test_wrong_codes_of_a_browser_behind_a_proxy_let_no_other_one_wait(ends, tmp_path):
+    cockpit, pages = behind_a_proxy(ends, tmp_path)
+    with named(pages["cockpit"], "/control", "203.0.113.5") as stranger:
+        for _ in range(2):
+            tell(stranger, do="secret", value="no code")
+            assert answer(stranger)["refused"]
+    with named(pages["cockpit"], "/control", "203.0.113.5, 203.0.113.6") as other:
+        tell(other, do="secret", value=cockpit.code)
+        assert answer(other)["key"]
+
+
+@pytest.mark.parametrize(
+    ("request_", "address"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", ""),
+        (b"GET / HTTP/1.1\r\nx-forwarded-for:10.0.0.1\r\n\r\n", "10.0.0.1"),
+        (b"GET / HTTP/1.1\r\nX-Forwarded-For: evil, 10.0.0.1, 2001:db8::1 \r\n\r\n", "2001:db8::1"),
+        (b"GET / HTTP/1.1\r\nX-Forwarded-For: 10.0.0.1\r\nX-Forwarded-For: 10.0.0.2\r\n\r\n", "10.0.0.2"),
+        (b"GET / HTTP/1.1\r\nX-Forwarded-For: 10.0.0.1, evil\r\n\r\n", ""),
+        (b"GET / HTTP/1.1\r\nX-Forwarded-For: \xff\r\n\r\n", ""),
+        (b"GET / HTTP/1.1\r\n\r\nX-Forwarded-For: 10.0.0.1\r\n", ""),
+        (b"", ""),
+    ],
+)
+def test_what_the_proxy_wrote_last_names_the_browser(request_, address):
+    assert forwarded_for(request_) == address
+
+
+def test_strangers_at_the_rigs_door_keep_no_rig_out_and_cut_none_off(ends, monkeypatch):
+    monkeypatch.setattr(server, "MAX_RIG_SOCKETS", 8)
+    monkeypatch.setattr(server, "GREET_S", 60.0)
+    relay = ends(Running({"page": 0}))
+    with contextlib.ExitStack() as stack:
+        for _ in range(2):
+            for _ in range(8):
+                stack.enter_context(socket.create_connection(("127.0.0.1", relay.relay.port), 30.0))
+            rig = ends(greeted(relay.url, b"1" * RUN))
+        for _ in range(8):
+            stack.enter_context(socket.create_connection(("127.0.0.1", relay.relay.port), 30.0))
+        browser = stack.enter_context(socket.create_connection(("127.0.0.1", relay.relay.pages["page"]), 30.0))
+        second = stack.enter_context(socket.create_connection(("127.0.0.1", relay.relay.pages["page"]), 30.0))
+        assert greeting.read_opening(rig.recv(timeout=30.0)).page == "page" and browser and second
+
+
 def test_the_rig_comes_back_to_a_relay_that_was_away(ends, tmp_path, free_port):
     cockpit, port = Cockpit(tmp_path), free_port()
     ends(cockpit.server)
@@ -406,10 +517,17 @@ class TestProgram:
         page = ("--page", "page=1")
         assert "Others may read" in self.refused("serve", "--key", self.key(tmp_path, 0o640), *page)
         assert "characters" in self.refused("serve", "--key", self.key(tmp_path, text="short"), *page)
+        assert "more than 1024 characters" in self.refused("serve", "--key", self.key(tmp_path, text="x" * 1025), *page)
+        os.mkfifo(tmp_path / "pipe", 0o600)
+        for no_file in (str(tmp_path / "pipe"), "/dev/zero"):
+            assert "is no regular file" in self.refused("serve", "--key", no_file, *page)
+        assert "cannot be read: Is a directory" in self.refused("serve", "--key", str(tmp_path), *page)
         assert "cannot be read" in self.refused("serve", "--key", str(tmp_path / "none"), *page)
         key = self.key(tmp_path)
         assert "wss" in self.refused("connect", "ws://192.0.2.1/rig", "--key", key, *page)
         assert "no address" in self.refused("connect", "https://192.0.2.1/rig", "--key", key, *page)
+        forwarded = self.refused("serve", "--key", key, *page, "--forwarded", "--host", "0.0.0.0")
+        assert "--forwarded needs --host 127.0.0.1" in forwarded
         assert "no page" in self.refused("serve", "--key", key, "--page", "Page=1")
 
     def test_needs_neither_ros_nor_numpy(self):

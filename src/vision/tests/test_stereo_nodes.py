@@ -327,9 +327,7 @@ def test_a_page_with_hands_has_the_rigs_own_certificate(monkeypatch, tmp_path):
     said = []
     scene = transport.Scene(0.35, False, {})
     endpoint = transport.HandsEndpoint(HandStream(0.4, 0.35), served, lambda: scene, said.append)
-    web = StereoWeb(
-        WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto", False, ""), endpoint.converse
-    )
+    web = StereoWeb(WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto", False, ""), endpoint)
     try:
         certificate = str(tmp_path / "leap_rig" / "headset" / "certificate.pem")
         secret = json.dumps({"secret": said[0].rstrip(".")[-8:]})

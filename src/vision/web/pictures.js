@@ -15,7 +15,7 @@ class CameraView {
     Object.assign(this, {canvas, columns, said, drawn, pen: canvas.getContext("2d"), shown: 0});
     this.source = this.taken = this.ahead = this.peer = this.coming = null;
     this.videoAt = this.videoTried = -Infinity;
-    this.address = location.origin.replace("http", "ws") + "/pictures" + (camera && "?camera=" + encodeURIComponent(camera));
+    this.address = location.origin.replace("http", "ws") + "/pictures?camera=" + encodeURIComponent(camera);
     this.strip = Object.assign(document.createElement("canvas"), {width: BITS + PARITY, height: 1});
     this.stripPen = this.strip.getContext("2d", {willReadFrequently: true});
     this.timer = setInterval(() => { if (this.old) this.draw(); }, 200);
@@ -33,7 +33,8 @@ class CameraView {
   }
 
   connect() {
-    const socket = this.socket = new WebSocket(this.address);
+    const ticket = sessionStorage.getItem("ticket");  // of a page with the code, which keeps its place
+    const socket = this.socket = new WebSocket(this.address + (ticket ? "&ticket=" + ticket : ""));
     this.trip = Infinity;
     socket.binaryType = "blob";
     socket.onopen = () => this.ask();

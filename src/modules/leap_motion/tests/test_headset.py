@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from common import clock
 from leap_motion.headset.hand_stream import HandStream
 from leap_motion.headset.placement import FROM_XR, placement, xr_hand
 from leap_motion.headset.transport import (
-    BUSY,
     MAX_MESSAGE_BYTES,
     MAX_WAITING,
     WAITING_OF_ADDRESS,
@@ -26,7 +26,7 @@ from leap_motion.headset.transport import (
     Scene,
 )
 from leap_motion.numbers import SETTLE_S
-from leap_motion.service.access import CODE_DIGITS, HeadsetAccess
+from leap_motion.service.access import CODE_DIGITS, CODE_S, KEY_S, MAX_GUESSES, MAX_KEYS, HeadsetAccess
 from leap_motion.service.hand import KNUCKLES_MM, WRIST_MM
 from leap_motion.service.socket_service import SocketService, listen
 from simulated.wires import DELAY_S
@@ -259,7 +259,7 @@ class TestHandStream:
 
 
 class TestAccess:
-    def test_a_code_is_good_once_and_its_key_for_ever_also_while_its_address_waits(self):
+    def test_a_code_is_good_once_and_its_key_while_it_is_used_also_while_its_address_waits(self):
         access = HeadsetAccess()
         code = access.code
         key = access.admit(code, HERE, 0.0)
@@ -267,6 +267,49 @@ class TestAccess:
         assert access.admit(code, HERE, 0.0) is None and access.admit(key, HERE, 0.0) == key
         assert access.admit(access.code, HERE, 0.9) is None
         assert access.admit(access.code, HERE, 1.0) not in (None, key)
+
+    def test_a_key_that_nobody_uses_ends_and_one_that_is_used_does_not(self):
+        access = HeadsetAccess()
+        left, used = (access.admit(access.code, HERE, 0.0) for _ in range(2))
+        for now in (0.9 * KEY_S, 1.8 * KEY_S):
+            access.use(used, now)
+        assert access.admit(left, HERE, 1.8 * KEY_S) is None
+        assert access.admit(used, HERE, 2.7 * KEY_S) == used
+        access.use(left, 2.7 * KEY_S)
+        assert access.admit(left, HERE, 2.7 * KEY_S + 400.0) is None
+
+    def test_of_too_many_keys_that_ends_which_was_not_used_for_longest(self):
+        access = HeadsetAccess()
+        keys = [access.admit(access.code, HERE, float(now)) for now in range(MAX_KEYS)]
+        access.use(keys[0], 100.0)
+        last = access.admit(access.code, HERE, 101.0)
+        assert access.admit(keys[1], HERE, 102.0) is None
+        assert all(access.admit(key, HERE, 103.0) == key for key in (keys[0], *keys[2:], last))
+
+    def test_after_many_wrong_codes_from_everywhere_there_is_a_new_one_but_not_under_the_hands_of_who_types_it(self):
+        access = HeadsetAccess()
+        key, code, now = access.admit(access.code, HERE, 0.0), access.code, CODE_S
+        assert access.sentence("page") == f"The code for the next page is {code}."
+        for number in range(MAX_GUESSES - 1):
+            assert access.admit(f"guess {number}", f"10.0.1.{number}", now) is None
+        assert access.admit("guess 0", "10.0.1.0", now + 9.0) is None and access.code == code, "the same is no guess"
+        assert access.admit("another", "10.0.2.1", now) is None and access.code != code
+        assert access.admit(code, "10.0.2.2", now) is None and access.admit(key, HERE, now) == key
+        code = access.code
+        assert access.sentence("page") == f"There were 20 wrong codes, so the code for the next page is {code}."
+        for number in range(2 * MAX_GUESSES):
+            assert access.admit(f"guess {number}", f"10.0.3.{number}", now + CODE_S - 1.0) is None
+        assert access.code == code
+        assert access.admit("guess", "10.0.4.1", now + CODE_S) is None and access.code != code
+        assert access.admit(access.code, "10.0.5.1", now + CODE_S), "who reads it is not shut out"
+        assert access.sentence("page") == f"The code for the next page is {access.code}."
+
+    def test_the_ticket_is_the_end_of_an_address_and_no_key(self):
+        access = HeadsetAccess()
+        assert access.has_ticket(f"/state?ticket={access.ticket}")
+        for path in ("", "/", "/state", access.ticket[1:], f"{access.ticket}x", "\ud800" * 30):
+            assert not access.has_ticket(path)
+        assert access.admit(access.ticket, HERE, 0.0) is None and not HeadsetAccess().has_ticket(access.ticket)
 
     @given(st.one_of(st.none(), st.text(), st.integers(), st.lists(st.integers())))
     def test_nothing_else_is_admitted(self, secret):
@@ -292,7 +335,7 @@ class Server(SocketService):
         return None
 
     async def _converse(self, connection):
-        await self._endpoint.converse(connection)
+        await self._endpoint.converse(connection, lambda: self._keep(connection))
 
 
 class Rig:
@@ -418,7 +461,9 @@ class TestConversation:
             clock.sleep(10.0)
         compared = [text for text in told if "try again" not in text]
         assert 15 < len(compared) < 25 and len(told) > 300
-        assert len(rig.said) == 1 + len(compared), "each wrong code is said, and nothing else"
+        new = [text for text in rig.said if text.startswith("There were 20 wrong codes, so the code for the next")]
+        assert len(new) == len(compared) // MAX_GUESSES
+        assert len(rig.said) == 1 + len(compared) + len(new), "each wrong code is said, and nothing else"
         assert "try again in" in seat(rig)[1]["refused"], "the right one from there has to wait"
         wires.client_address = "10.0.0.7"
         connection, said = seat(rig)
@@ -478,6 +523,7 @@ class TestConversation:
             """A connection that is lost once the code was sent."""
 
             remote_address = "127.0.0.1", 5
+            transport = SimpleNamespace(get_extra_info=lambda _: None)
 
             async def recv(self):
                 return json.dumps({"secret": rig.code})
@@ -485,30 +531,32 @@ class TestConversation:
             async def send(self, text):
                 raise ConnectionClosed(None, None)
 
-        asyncio.run(rig.endpoint.converse(Gone()))
+        asyncio.run(rig.endpoint.converse(Gone(), lambda: None))
         assert not rig.endpoint.driven
         connection, said = seat(rig)
         assert said.get("drives")
         connection.close()
 
-    def test_more_pages_than_may_wait_are_sent_away(self, rig, wires):
-        def sent_away():
-            begun = clock.monotonic()
-            with pytest.raises(ConnectionClosed) as closed:
-                open_page(rig).recv(timeout=1.0)
-            return closed.value.rcvd.code == BUSY and clock.monotonic() - begun < SOON_S
+    def test_of_too_many_pages_without_a_code_the_oldest_gives_way_and_who_drives_does_not(self, rig, wires):
+        def gone(page):
+            clock.sleep(SOON_S)
+            try:
+                page.recv(timeout=0.0)
+            except TimeoutError:
+                return False
+            except ConnectionClosed:
+                return True
 
+        driver, _ = seat(rig)
         waiting = []
         for machine in range(MAX_WAITING // WAITING_OF_ADDRESS):
             wires.client_address = f"10.0.0.{machine}"
             waiting += [open_page(rig) for _ in range(WAITING_OF_ADDRESS)]
-            assert sent_away()
+        assert not any(gone(page) for page in waiting)
+        of_the_last = open_page(rig)
+        assert [gone(page) for page in waiting] == [*[False] * (MAX_WAITING - WAITING_OF_ADDRESS), True, False]
         wires.client_address = "10.0.0.99"
-        assert sent_away()
-        for page in waiting:
-            with pytest.raises(TimeoutError):
-                page.recv(timeout=0.0)
-        assert ask(waiting[-1], {"secret": rig.code})["drives"]
-        clock.sleep(SECRET_S)
         with open_page(rig) as later:
+            assert [gone(page) for page in waiting[:2]] == [True, False] and not gone(of_the_last)
             assert "Another headset" in ask(later, {"secret": rig.code})["refused"]
+        assert ask(driver, message(0.0))["leap"]

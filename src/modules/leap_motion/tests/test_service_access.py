@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,21 +23,62 @@ CODE = "right one"
 
 @given(st.lists(st.tuples(st.booleans(), st.sampled_from(["10.0.0.1", "10.0.0.2", "::1", "fe80::1%eth0"]))))
 def test_there_are_never_more_connections_than_allowed_and_who_leaves_makes_room(steps):
-    limits, count = ConnectionLimits(5, 3), Counter()
+    limits, places = ConnectionLimits(5, 3), {}
     for comes, address in steps:
+        of_address = places.setdefault(address, [])
         if comes:
-            free = sum(count.values()) < 5 and count[address] < 3
-            assert limits.enter(address) is free
-            count[address] += free
-        elif count[address]:
-            limits.leave(address)
-            count[address] -= 1
+            free = sum(map(len, places.values())) < 5 and len(of_address) < 3
+            place = limits.enter(address, pytest.fail)
+            assert (place is not None) is free
+            of_address += [place] * free
+        elif of_address:
+            limits.leave(of_address.pop())
+
+
+STEPS = st.tuples(st.sampled_from(["comes", "comes with a ticket", "leaves", "sends the code"]), st.integers(0, 9))
+
+
+@given(st.lists(STEPS, max_size=60), st.booleans())
+def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(steps, newest_first):
+    limits, places, ended = ConnectionLimits(5, 3, newest_first), [], []
+    for step, number in steps:
+        chosen = places[number % len(places)] if places else None
+        if step.startswith("comes"):
+            machine, kept = f"10.0.0.{number % 3}", step != "comes"
+            gone = len(ended)
+            place = limits.enter(machine, lambda: ended.append(1), kept)
+            others = [each for each in places if not each.kept]
+            own = [each for each in others if each.machine == machine]
+            crowd = own if not kept and len(own) >= 3 else others if len(places) >= 5 else []
+            full = len(places) >= 5 or bool(crowd)
+            assert (place is None) is (full and not (crowd and (kept or newest_first)))
+            if place is not None:
+                assert len(ended) - gone == full
+                places = [each for each in places if not (full and each is crowd[0])] + [place]
+        elif chosen and step == "leaves":
+            limits.leave(chosen)
+            places.remove(chosen)
+        elif chosen:
+            chosen.kept = True
+        assert len(places) <= 5 and limits._places == places
+
+
+def test_who_gave_way_and_leaves_then_takes_nobodys_place():
+    limits = ConnectionLimits(1, 1, newest_first=True)
+    first = limits.enter("10.0.0.1", lambda: None)
+    assert limits.enter("10.0.0.2", pytest.fail, kept=True)
+    limits.leave(first)
+    assert limits.enter("10.0.0.3", pytest.fail) is None
 
 
 def test_a_machine_is_one_however_its_address_is_written():
     limits = ConnectionLimits(5, 1)
-    assert limits.enter("10.0.0.1") and not limits.enter("::ffff:10.0.0.1")
-    assert limits.enter("fe80::1%eth0") and not limits.enter("fe80:0::1") and limits.enter("fe80::2%eth0")
+
+    def enters(address):
+        return limits.enter(address, pytest.fail) is not None
+
+    assert enters("10.0.0.1") and not enters("::ffff:10.0.0.1")
+    assert enters("fe80::1%eth0") and not enters("fe80:0::1") and enters("fe80::2%eth0")
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 100.0), st.text(max_size=3), st.sampled_from([THERE, "10.0.0.7"]))))

@@ -1,6 +1,6 @@
 """The cockpit's server: the page at /, the 3-D scene in a frame of it, whose WebSocket is passed on to viser, the state
 as JSON on /state, images on /pictures, and commands on /control, which need the code. What a page sends anywhere but on
-/control moves nothing."""
+/control moves nothing. A page with the code gets a ticket, with which it keeps its places where many others watch."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from common import clock
-from leap_motion.service.access import ConnectionLimits
+from leap_motion.service.access import ConnectionLimits, Place
 from leap_motion.service.certificate import Certificate
-from leap_motion.service.socket_service import SEND_S, PageService, page_response
+from leap_motion.service.socket_service import SEND_S, PageService, cutter, page_response
 from leap_rig.cockpit.control import CockpitControl, CockpitPage, HeldSwitches
 from leap_rig.cockpit.messages import (
     BEAT,
@@ -47,7 +47,7 @@ addEventListener("keydown", event => {
 SCENE_HEADERS = ("Content-Encoding", "gzip"), ("Content-Security-Policy", "frame-ancestors 'self'")
 MAX_RATE = 50  # messages of a page on /control in a second; a page sends 10
 STOP_TEXT = '{"do":"stop"}'  # as the page sends it
-SECRET_S = 600.0  # a page that watches may keep its connection for the code so long
+SECRET_S = 30.0  # a page without the code may keep its connection for it so long
 GONE_S = 5.0  # a page with the code that was silent for so long is gone
 BUSY, REFUSED = 1013, 1008  # codes of closing
 MAX_PAGES, PAGES_OF_ADDRESS = 8, 4
@@ -95,7 +95,8 @@ class CockpitServer(PageService):
         self._state = "{}"
         self._news = self._loop.create_future()
         self._limits = {
-            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", "/control", self.scene_path)
+            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS, newest_first=path == "/control")
+            for path in ("/state", "/control", self.scene_path)
         }
         self._open_pages = self._open_scenes = self._number = 0
         self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS, jpeg_quality, way, cameras)
@@ -150,35 +151,45 @@ class CockpitServer(PageService):
         self._news = self._loop.create_future()
 
     def _say_code(self) -> None:
-        self._tell_code(f"The code for the next page of the cockpit is {self.control.access.code}.")
+        self._tell_code(self.control.access.sentence("page of the cockpit"))
 
     def _subprotocol(self, connection: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
-        return offered[0] if offered and _path(connection) == self.scene_path else None
+        return offered[0] if offered and self._path(connection) == self.scene_path else None
 
     async def _meet(self, connection: ServerConnection, request: Request) -> Response | None:
         pages = {
             "/": lambda: page_response(self._page, ("Content-Security-Policy", "frame-ancestors 'none'")),
             "/pictures.js": lambda: page_response(self._script, kind="text/javascript"),
-            self.scene_path: lambda: page_response(self._scene_html, *SCENE_HEADERS),
         }
-        sockets = ("/state", "/control", "/pictures", self.scene_path)
-        return self._answer(connection, request, pages, sockets, (self.scene_path,))
+        scenes = (self.scene_path, f"{self.scene_path}/{self.control.access.ticket}")
+        for scene in scenes:
+            pages[scene] = lambda: page_response(self._scene_html, *SCENE_HEADERS)
+        return self._answer(connection, request, pages, ("/state", "/control", "/pictures", *scenes), scenes)
 
     async def _converse(self, connection: ServerConnection) -> None:
-        path, address = _path(connection), connection.remote_address[0]
+        path = self._path(connection)
+        kept = self.control.access.has_ticket(connection.request.path if connection.request else "")
+        if kept:
+            self._keep(connection)
         if path == "/pictures":
-            await self.pictures.converse(connection)
+            await self.pictures.converse(connection, kept)
             return
-        limits = self._limits[path]
-        if not limits.enter(address):
+        place = self._limits[path].enter(connection.remote_address[0], cutter(connection), kept)
+        if place is None:
             await connection.close(BUSY, "too many pages are open already")
             return
-        serve = {"/state": self._show_state, "/control": self._take_commands, self.scene_path: self._pass_scene}[path]
         try:
             with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
-                await serve(connection)
+                if path == "/control":
+                    await self._take_commands(connection, place)
+                else:
+                    await (self._show_state if path == "/state" else self._pass_scene)(connection)
         finally:
-            limits.leave(address)
+            self._limits[path].leave(place)
+
+    def _path(self, connection: ServerConnection) -> str:
+        path = connection.request.path.partition("?")[0] if connection.request else ""
+        return self.scene_path if path.startswith(self.scene_path) else path
 
     async def _show_state(self, connection: ServerConnection) -> None:
         self._open_pages += 1
@@ -214,7 +225,7 @@ class CockpitServer(PageService):
         finally:
             self._open_scenes -= 1
 
-    async def _take_commands(self, connection: ServerConnection) -> None:
+    async def _take_commands(self, connection: ServerConnection, place: Place) -> None:
         address = connection.remote_address[0]
         self._number += 1
         page = CockpitPage(f"Page {self._number} at {address}")
@@ -232,6 +243,9 @@ class CockpitServer(PageService):
                     continue
                 with self._lock:
                     answer = self._answer_command(page, text, address)
+                if page.key and not place.kept:
+                    place.kept = True
+                    self._keep(connection)
                 if answer:
                     await asyncio.wait_for(connection.send(json.dumps(answer)), SEND_S)
         finally:
@@ -241,6 +255,7 @@ class CockpitServer(PageService):
 
     def _answer_command(self, page: CockpitPage, text: str | bytes, address: str) -> dict[str, Any] | None:
         control, now = self.control, clock.monotonic()
+        control.access.use(page.key, now)
         try:
             command = read_command(text, control.arms)
         except PageMessageFault as fault:
@@ -250,7 +265,9 @@ class CockpitServer(PageService):
             refused = control.admit(page, command.value, address, now)
             if control.access.code != code:
                 self._say_code()
-            return {"refused": refused, "code": False} if refused else {"key": page.key, "name": page.name}
+            if refused:
+                return {"refused": refused, "code": False}
+            return {"key": page.key, "name": page.name, "ticket": control.access.ticket}
         if command.name == BEAT:
             focused, held = command.value
             control.beat(page, focused, held, now, now - command.heard)
@@ -271,10 +288,6 @@ class CockpitServer(PageService):
             return {"refused": refused}
         self._obey(command)
         return None
-
-
-def _path(connection: ServerConnection) -> str:
-    return connection.request.path.partition("?")[0] if connection.request else ""
 
 
 async def _drain(connection: ServerConnection) -> None:

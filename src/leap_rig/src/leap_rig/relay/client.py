@@ -21,7 +21,7 @@ from leap_rig.relay.greeting import CHUNK, NONCE, RUN, RelayFault
 from leap_rig.relay.transport import Passage, end_tasks, within
 
 SPARE = 8  # WebSockets that wait; a page takes six at once
-MAX_SOCKETS = 64
+MAX_SOCKETS = 128
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.5, 30.0  # before the next try, after the first that failed and after many
 SOUND_S = 5.0  # a WebSocket that waited for so long was none that failed
 OPEN_S = 10.0  # for each step of the way to the relay

@@ -29,6 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     programs = parser.add_subparsers(dest="program", required=True, parser_class=argparse.ArgumentParser)
     serve = programs.add_parser("serve", help="be the relay, behind a TLS proxy")
     serve.add_argument("--host", default="127.0.0.1", help="address to listen on")
+    serve.add_argument("--forwarded", action="store_true", help="a proxy names the browser in X-Forwarded-For, last")
     serve.add_argument("--port", type=whole(0, 65535), default=PORT, help="port for the rig, at /rig")
     connect = programs.add_parser("connect", help="let the relay reach pages of this rig")
     connect.add_argument("url", help="address of the relay, such as wss://rig.example.org/rig")
@@ -50,16 +51,21 @@ def read_key(path: str) -> bytes:
     """Returns the key in a file; raises RigError for a file that others may read, or that holds none."""
     longest = 1024
     try:
-        with open(path, "rb") as file:
+        with open(
+            path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)
+        ) as file:  # or a pipe waits
             about = os.fstat(file.fileno())
-            key = file.read(longest).strip()
+            key = file.read(longest + 1) if stat.S_ISREG(about.st_mode) else b""
     except OSError as error:
         raise RigError(f"The key {path} cannot be read: {error.strerror}. Make one: openssl rand -hex 32.") from error
+    if not stat.S_ISREG(about.st_mode):
+        raise RigError(f"The key {path} is no regular file. Make one: openssl rand -hex 32.")
     if stat.S_IMODE(about.st_mode) & 0o077 or about.st_uid != os.getuid():
         raise RigError(f"Others may read the key {path}, so it was not used. Make a new one, and chmod 600 it.")
-    if len(key) < SHORTEST_KEY:
-        raise RigError(f"The key {path} has {len(key)} characters, {SHORTEST_KEY} at least are due.")
-    return key
+    if len(key) > longest or len(key.strip()) < SHORTEST_KEY:
+        has = f"{len(key.strip())} characters" if len(key) <= longest else f"more than {longest} characters"
+        raise RigError(f"The key {path} has {has}; {SHORTEST_KEY} to {longest} are due.")
+    return key.strip()
 
 
 def _page(text: str) -> tuple[str, PagePort]:
@@ -71,9 +77,11 @@ def _page(text: str) -> tuple[str, PagePort]:
 
 
 def _converse(options: argparse.Namespace, key: bytes, pages: dict[str, PagePort]) -> None:
+    if options.forwarded and not is_loopback(options.host):
+        raise RigError(f"Whoever reaches {options.host} could name any browser: --forwarded needs --host 127.0.0.1.")
     ports = {name: target.port for name, target in pages.items()}
     try:
-        relay = Relay(key, ports, _say, host=options.host, port=options.port)
+        relay = Relay(key, ports, _say, host=options.host, port=options.port, forwarded=options.forwarded)
     except (OSError, OverflowError) as error:
         raise RigError(f"Cannot listen on {options.host}: {error}. Choose other ports.") from error
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -7,9 +7,11 @@ import asyncio
 import contextlib
 import functools
 import hashlib
+import ipaddress
+import re
 import secrets
 import socket
-from collections import deque
+from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Mapping
 
 from websockets.asyncio.server import ServerConnection
@@ -21,14 +23,33 @@ from leap_motion.service.access import ConnectionLimits, is_loopback
 from leap_motion.service.socket_service import BoundedListener, SocketService, listen
 from leap_rig.relay import greeting
 from leap_rig.relay.greeting import CHUNK, NONCE, VISITOR, RelayFault
-from leap_rig.relay.transport import Passage, end, within
+from leap_rig.relay.transport import TAKE_S, Passage, end, within
 
 GREET_S = 5.0  # a rig that has not proved its key by then is gone
 NO_RIG_S = 5.0  # so long a browser waits for a rig
-MAX_VISITORS, OF_ADDRESS = 48, 16  # connections of browsers to a page
-MAX_VISITS = 60  # new ones in a second
-MAX_RIG_SOCKETS = 128
+MAX_VISITORS, VISITORS_OF_ADDRESS = 48, 16  # connections of browsers to a page
+MAX_VISITS, VISITS_OF_ADDRESS = 60, 20  # new ones in a second, to all pages
+MAX_RIG_SOCKETS = 160
 REFUSED, BUSY = 1008, 1013  # codes of closing
+FORWARDED = re.compile(rb"^X-Forwarded-For:(.*)$", re.IGNORECASE | re.MULTILINE)
+
+
+class VisitLimits:
+    """How many new connections there may be in a second: `total`, and `per_address` of one browser's machine."""
+
+    def __init__(self, total: int, per_address: int) -> None:
+        self._total, self._per_address = total, per_address
+        self._second, self._of = 0, Counter[str]()
+
+    def admit(self, address: str, now: float) -> bool:
+        """Counts a connection; returns False, and does not, if there were too many in this second [s]."""
+        before, self._second = self._second, int(now)
+        if self._second != before:
+            self._of.clear()
+        if self._of[address] >= self._per_address or sum(self._of.values()) >= self._total:
+            return False
+        self._of[address] += 1
+        return True
 
 
 class WaitingRig:
@@ -40,7 +61,8 @@ class WaitingRig:
 
 class Relay(SocketService):
     """Serves until `stop`. `pages`: their names with the ports for browsers, on `host` as the port for the rig is; port
-    0: any free one, see `port` and `pages`. `say` gets sentences for the terminal. Raises OSError or OverflowError."""
+    0: any free one, see `port` and `pages`. `forwarded`: a proxy in front names the browsers' addresses. `say` gets
+    sentences for the terminal. Raises OSError or OverflowError."""
 
     max_message_bytes = CHUNK
     write_limit = CHUNK
@@ -54,20 +76,22 @@ class Relay(SocketService):
         *,
         host: str = "127.0.0.1",
         port: int = 0,
+        forwarded: bool = False,
     ) -> None:
         super().__init__()
         self._key, self._say, self._salt = key, say, secrets.token_bytes(NONCE)
         door = listen(host, port)
-        self._open(door, None, ConnectionLimits(MAX_RIG_SOCKETS, MAX_RIG_SOCKETS))
+        self._open(door, None, ConnectionLimits(MAX_RIG_SOCKETS, MAX_RIG_SOCKETS, newest_first=True))
         doors = {name: listen(host, number) for name, number in pages.items()}
-        # A proxy on this machine hides the browsers' addresses.
-        self._limits = ConnectionLimits(MAX_VISITORS, MAX_VISITORS if is_loopback(host) else OF_ADDRESS)
+        self._forwarded, hidden = forwarded, is_loopback(host) and not forwarded  # by a proxy on this machine
+        of_address = MAX_VISITORS if hidden else VISITORS_OF_ADDRESS
+        self._visitors = {name: ConnectionLimits(MAX_VISITORS, of_address) for name in pages}
+        self._visits = VisitLimits(MAX_VISITS, MAX_VISITS if hidden else VISITS_OF_ADDRESS)
         self._page_doors = doors
         self.port: int = door.getsockname()[1]
         self.pages: dict[str, int] = {name: each.getsockname()[1] for name, each in doors.items()}
         self._waiting: deque[WaitingRig] = deque()
         self._run, self._sockets_of_run = b"", 0
-        self._second, self._visits = 0, 0
 
     @contextlib.asynccontextmanager
     async def _serving(self) -> AsyncIterator[None]:
@@ -76,7 +100,7 @@ class Relay(SocketService):
             await stack.enter_async_context(super()._serving())
             for name, door in self._page_doors.items():
                 visit = functools.partial(self._visit, name)
-                server = await asyncio.start_server(visit, sock=_bounded(door, self._limits), limit=CHUNK)
+                server = await asyncio.start_server(visit, sock=_bounded(door), limit=CHUNK)
                 stack.callback(server.close)
             yield
 
@@ -97,6 +121,7 @@ class Relay(SocketService):
             if not self._enter(run):
                 await connection.close(BUSY, "another rig is connected to this relay")
                 return
+            self._keep(connection)
             try:
                 await self._wait(connection)
             finally:
@@ -139,14 +164,20 @@ class Relay(SocketService):
 
     async def _visit(self, page: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serves a connection of a browser to its end."""
-        rig = None
+        rig, place, begun = None, None, b""
         try:
-            if not self._may_visit():
-                return
             address = writer.get_extra_info("peername")[0]
+            if self._forwarded:
+                begun = await within(GREET_S, reader.read(CHUNK))
+                address = forwarded_for(begun) or address
+            place = self._visitors[page].enter(address, writer.close)
+            if place is None or not self._visits.admit(address, self._loop.time()):
+                return
             visitor = hashlib.sha256(self._salt + address.encode()).digest()[:VISITOR]
             rig = await within(NO_RIG_S, self._next_rig())
             await rig.connection.send(greeting.opening(visitor, page))
+            if begun:
+                await within(TAKE_S, rig.connection.send(begun))
             await Passage(reader, writer, rig.connection).run()
         except (ConnectionClosed, asyncio.TimeoutError, OSError):
             pass
@@ -154,11 +185,8 @@ class Relay(SocketService):
             if rig is not None:
                 rig.over.set()
             await end(writer)
-
-    def _may_visit(self) -> bool:
-        before, self._second = self._second, int(self._loop.time())
-        self._visits = self._visits + 1 if self._second == before else 1
-        return self._visits <= MAX_VISITS
+            if place is not None:
+                self._visitors[page].leave(place)
 
     async def _next_rig(self) -> WaitingRig:
         while True:
@@ -170,5 +198,14 @@ class Relay(SocketService):
             await self._arrived.wait()
 
 
-def _bounded(door: socket.socket, limits: ConnectionLimits) -> socket.socket:
-    return BoundedListener(door, limits)  # type: ignore[return-value]
+def forwarded_for(request: bytes) -> str:
+    """Returns the address that a proxy added to a request, "" if there is none; its own words stand before."""
+    added = FORWARDED.findall(request.partition(b"\r\n\r\n")[0])
+    try:
+        return str(ipaddress.ip_address(added[-1].rpartition(b",")[2].strip().decode("ascii"))) if added else ""
+    except ValueError:  # and UnicodeDecodeError
+        return ""
+
+
+def _bounded(door: socket.socket) -> socket.socket:
+    return BoundedListener(door, ConnectionLimits(MAX_VISITORS, MAX_VISITORS))  # type: ignore[return-value]

@@ -25,7 +25,7 @@ from websockets.exceptions import ConnectionClosed
 
 from common import clock
 from leap_motion.service.access import ConnectionLimits, is_loopback
-from leap_motion.service.socket_service import SEND_S
+from leap_motion.service.socket_service import SEND_S, cutter
 from vision.stereo import webrtc
 
 JPEG, WEBRTC, AUTO = "jpeg", "webrtc", "auto"
@@ -97,16 +97,16 @@ class PictureStream:
         """Takes a new image, in the loop."""
         self._newest[camera].take(picture)
 
-    async def converse(self, connection: ServerConnection) -> None:
-        """Serves a page to its end."""
-        address = connection.remote_address[0]
+    async def converse(self, connection: ServerConnection, kept: bool = False) -> None:
+        """Serves a page to its end; `kept`: its place is."""
         asked = parse_qs(urlsplit(connection.request.path if connection.request else "").query)
         camera = asked.get("camera", [next(iter(self._newest))])[0]
         if camera not in self._newest:
             await connection.close(1008, "there is no such camera")
             return
         newest, limits = self._newest[camera], self._limits[camera]
-        if not limits.enter(address):
+        place = limits.enter(connection.remote_address[0], cutter(connection), kept)
+        if place is None:
             await connection.close(1013, "too many pages are open already")
             return
         newest.pages += 1
@@ -116,7 +116,7 @@ class PictureStream:
                     await self._show(connection, newest, stack)
                 finally:
                     newest.pages -= 1
-                    limits.leave(address)
+                    limits.leave(place)
 
     def _may_have_video(self, address: str) -> bool:
         wanted = self._way == WEBRTC or (self._way == AUTO and not is_loopback(address))

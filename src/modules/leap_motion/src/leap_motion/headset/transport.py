@@ -1,8 +1,8 @@
 """The conversation with a headset's page, on a WebSocket that the server of the page has accepted; one headset drives
-at a time. The page sends {"secret": its code or key}; the answer is {"key": ..., "drives": true}, or {"refused": a
-sentence} and the end. Each frame is answered: {"leap": [x, y, z, heading] or null, "note": a sentence, ...scene}; the
-page sends no more while an answer is missing for a second. {"away": true}, silence and the end of the page count as
-unplugged."""
+at a time. The page sends {"secret": its code or key}; the answer is {"key": ..., "ticket": ..., "drives": true}, or
+{"refused": a sentence} and the end. Each frame is answered: {"leap": [x, y, z, heading] or null, "note": a sentence,
+...scene}; the page sends no more while an answer is missing for a second. {"away": true}, silence and the end of the
+page count as unplugged."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed
 
 from leap_motion.headset.hand_stream import HandFrame, HandStream
 from leap_motion.service.access import ConnectionLimits, HeadsetAccess
-from leap_motion.service.socket_service import SEND_S
+from leap_motion.service.socket_service import SEND_S, cutter
 
 MAX_MESSAGE_BYTES = 16384  # longest message of a page; two hands take 3000
 SECRET_S = 5.0  # a page that has not sent its code by then is gone,
@@ -61,8 +61,8 @@ class HandsEndpoint:
         self._scene = scene
         self._say = say
         self._say_code = say_code or say
-        self._access = HeadsetAccess()
-        self._waiting = ConnectionLimits(MAX_WAITING, WAITING_OF_ADDRESS)
+        self.access = HeadsetAccess()
+        self._waiting = ConnectionLimits(MAX_WAITING, WAITING_OF_ADDRESS, newest_first=True)
         self._driver: tuple[str, ServerConnection] | None = None
         self._placed_by = ""  # key of the headset whose box stands in the room
         self._leaving: asyncio.Future | None = None
@@ -74,12 +74,16 @@ class HandsEndpoint:
     def driven(self) -> bool:
         return self._driver is not None
 
-    async def converse(self, connection: ServerConnection) -> None:
-        """Serves one connection to its end, which nothing that it sends can prevent."""
+    async def converse(self, connection: ServerConnection, keep: Callable[[], None]) -> None:
+        """Serves one connection to its end, which nothing that it sends can prevent. `keep` is called for that of a
+        page that may drive: it gives way to no other."""
         try:
             key = await self._greet(connection)
             try:
-                if not key or not await self._seat(key, connection):
+                if not key:
+                    return
+                keep()
+                if not await self._seat(key, connection):
                     return
                 await self._drive(connection)
             finally:
@@ -91,17 +95,16 @@ class HandsEndpoint:
     async def _greet(self, connection: ServerConnection) -> str | None:
         """Returns the key of a page that may drive; tells the others why they may not."""
         address = connection.remote_address[0]
-        if not self._waiting.enter(address):
-            await connection.close(BUSY, "Too many pages ask for the robot.")
-            return None
+        place = self._waiting.enter(address, cutter(connection))
+        assert place is not None  # none is kept there
         try:
             text = await asyncio.wait_for(connection.recv(), SECRET_S)
         finally:
-            self._waiting.leave(address)
-        code, now = self._access.code, time.monotonic()
-        wait = self._access.wait(address, now)
-        key = self._access.admit(_read(text).get("secret"), address, now)
-        if self._access.code != code:
+            self._waiting.leave(place)
+        code, now = self.access.code, time.monotonic()
+        wait = self.access.wait(address, now)
+        key = self.access.admit(_read(text).get("secret"), address, now)
+        if self.access.code != code:
             self._tell_code()
         if key is None:
             refused = "That is not the code that stands on the rig's terminal."
@@ -114,14 +117,14 @@ class HandsEndpoint:
         return key
 
     def _tell_code(self) -> None:
-        self._say_code(f"The code for the next headset is {self._access.code}.")
+        self._say_code(self.access.sentence("headset"))
 
     async def _seat(self, key: str, connection: ServerConnection) -> bool:
         """Gives the page the driver's seat if it is free, or its own from before its connection was lost."""
         before = self._driver
         if before is not None and before[0] != key:
             refused = "Another headset drives the robot; this one can watch."
-            await _send(connection, {"refused": refused, "key": key})
+            await _send(connection, {"refused": refused, "key": key, "ticket": self.access.ticket})
             await connection.close(BUSY)
             return False
         self._driver = (key, connection)
@@ -129,7 +132,7 @@ class HandsEndpoint:
         self._placed_by = key
         if before is not None:
             self._leaving = asyncio.ensure_future(before[1].close())
-        await _send(connection, {"key": key, "drives": True})
+        await _send(connection, {"key": key, "ticket": self.access.ticket, "drives": True})
         self._say("A headset drives the robot.")
         return True
 
@@ -152,6 +155,7 @@ class HandsEndpoint:
             answer = self._answer(text)
             if text is not None:
                 heard = time.monotonic()
+                self.access.use(self._driver[0], heard)
                 if answer is None:
                     return
                 await _send(connection, answer)

@@ -6,50 +6,73 @@ from __future__ import annotations
 import hashlib
 import hmac
 import ipaddress
+import math
 import re
 import secrets
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 FIRST_WAIT_S, LONGEST_WAIT_S = 1.0, 300.0  # of an address after its first wrong code, and after many
 REMEMBERED_S = 3600.0  # an address that sent no wrong code for so long starts anew
 MAX_ADDRESSES = 1000  # that are remembered
 CODE_DIGITS = 8  # of a code for a headset
+MAX_GUESSES = 20  # wrong codes from all addresses, before there is a new one
+CODE_S = 60.0  # so long at least a code stays
+KEY_S = 12 * 3600.0  # a key that was not used for so long is none any more
+MAX_KEYS = 32
 HOST = re.compile(r"[\w.:%\[\]-]+", re.ASCII)
 ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:]+\])(:\d+)?", re.ASCII)
 
 
+@dataclass(eq=False)
+class Place:
+    """One of the places for connections: of which machine, how its connection is ended, and whether it is kept."""
+
+    machine: str
+    end: Callable[[], None]
+    kept: bool = False
+
+
 class ConnectionLimits:
-    """How many connections there may be: `total`, and `per_address` of one machine."""
+    """How many connections there may be: `total`, and `per_address` of one machine, but for those that are kept. A kept
+    one takes the place of the oldest other one if there is no room, and gives way to none. `newest_first`: any new one
+    takes the place of the oldest that is not kept, of its own machine if that has too many."""
 
-    def __init__(self, total: int, per_address: int) -> None:
-        self._total = total
-        self._per_address = per_address
-        self._of: Counter[str] = Counter()
+    def __init__(self, total: int, per_address: int, newest_first: bool = False) -> None:
+        self._total, self._per_address, self._newest_first = total, per_address, newest_first
+        self._places: list[Place] = []  # the oldest first
 
-    def enter(self, address: str) -> bool:
-        """Counts a connection from an address; returns False, and does not count it, if there are too many."""
+    def enter(self, address: str, end: Callable[[], None], kept: bool = False) -> Place | None:
+        """Returns the place of a new connection, None if there is no room. `end` ends it if it has to give way."""
         machine = _machine(address)
-        if sum(self._of.values()) >= self._total or self._of[machine] >= self._per_address:
-            return False
-        self._of[machine] += 1
-        return True
+        others = [place for place in self._places if not place.kept]
+        of_machine = [place for place in others if place.machine == machine]
+        full = len(self._places) >= self._total
+        if not kept and len(of_machine) >= self._per_address:
+            full, others = True, of_machine
+        if full:
+            if not others or not (kept or self._newest_first):
+                return None
+            self.leave(others[0])
+            others[0].end()
+        place = Place(machine, end, kept)
+        self._places.append(place)
+        return place
 
-    def leave(self, address: str) -> None:
-        machine = _machine(address)
-        self._of[machine] -= 1
-        if not self._of[machine]:
-            del self._of[machine]
+    def leave(self, place: Place) -> None:
+        """Makes room again, once a connection has ended; also of one that gave way."""
+        if place in self._places:
+            self._places.remove(place)
 
 
 class AccessCode:
     """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at
     most; meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a
-    program that reconnects, is no further guess."""
+    program that reconnects, is no further guess. `guesses`: since the last right code, from all addresses."""
 
     def __init__(self, code: str) -> None:
-        self.code = code
+        self.code, self.guesses = code, 0
         self._wrong: dict[str, tuple[int, float, str]] = {}  # how many, until when [s], the last one's hash
 
     def wait(self, address: str, now: float) -> float:
@@ -64,12 +87,14 @@ class AccessCode:
         machine = _machine(address)
         count, until, last = self._wrong.pop(machine, (0, now, ""))
         if hmac.compare_digest(given.encode("utf-8", "replace"), self.code.encode()):
+            self.guesses = 0
             return True
         if now - until > REMEMBERED_S:
             count = 0
         wait, guess = FIRST_WAIT_S, hashlib.sha256(given.encode("utf-8", "replace")).hexdigest()
         if guess != last:
             wait, count = min(FIRST_WAIT_S * 2.0 ** min(count, 30), LONGEST_WAIT_S), count + 1
+            self.guesses += 1
         if len(self._wrong) >= MAX_ADDRESSES:
             del self._wrong[min(self._wrong, key=lambda each: self._wrong[each][1])]
         self._wrong[machine] = count, now + wait, guess
@@ -78,15 +103,28 @@ class AccessCode:
 
 class HeadsetAccess:
     """Who may drive the robot over the network: whoever knows the code that stands on the rig's terminal. A code is
-    good for one headset, which gets a key for when its connection is lost; the next one needs the next code."""
+    good for one headset, which gets a key for when its connection is lost; the next one needs the next code. After
+    MAX_GUESSES wrong codes there is a new one, too, but none within CODE_S of the last: somebody may be typing it.
+
+    `ticket`, for pages with a key, admits to nothing: a connection to an address that ends with it has a kept place."""
 
     def __init__(self) -> None:
-        self._keys: set[str] = set()
-        self._check = AccessCode(_new_code())
+        self._keys: dict[str, float] = {}  # when each was used [s]
+        self._check, self._since, self._guessed = AccessCode(_new_code()), -math.inf, 0
+        self.ticket = secrets.token_urlsafe(16)
 
     @property
     def code(self) -> str:
         return self._check.code
+
+    def sentence(self, whose: str) -> str:
+        """Returns the sentence for the terminal that has the code, for the next `whose`."""
+        sentence = f"he code for the next {whose} is {self.code}."
+        return f"There were {self._guessed} wrong codes, so t{sentence}" if self._guessed else f"T{sentence}"
+
+    def has_ticket(self, path: str) -> bool:
+        """Returns whether the address of a request ends with the ticket."""
+        return hmac.compare_digest(path[-len(self.ticket) :].encode("utf-8", "replace"), self.ticket.encode())
 
     def wait(self, address: str, now: float) -> float:
         """Returns how long no code of an address is compared yet [s]."""
@@ -96,15 +134,30 @@ class HeadsetAccess:
         """Returns the key of a page that sent the code, which is void then, or its key; None for one that sent
         neither. A key, which nobody guesses, is good while its address waits."""
         text = secret if isinstance(secret, str) else ""
+        self._keys = {key: used for key, used in self._keys.items() if now - used < KEY_S}
         for key in self._keys:
             if hmac.compare_digest(text.encode("utf-8", "replace"), key.encode()):
+                self._keys[key] = now
                 return key
         if not self._check.accepts(text, address, now):
+            if self._check.guesses >= MAX_GUESSES and now - self._since >= CODE_S:
+                self._renew(self._check.guesses, now)
             return None
-        self._check.code = _new_code()
+        self._renew(0, now)
+        if len(self._keys) >= MAX_KEYS:
+            del self._keys[min(self._keys, key=self._keys.__getitem__)]
         key = secrets.token_urlsafe(16)
-        self._keys.add(key)
+        self._keys[key] = now
         return key
+
+    def use(self, key: str, now: float) -> None:
+        """Notes that a page with a key is there."""
+        if key in self._keys:
+            self._keys[key] = now
+
+    def _renew(self, guessed: int, now: float) -> None:
+        self._check.code, self._check.guesses = _new_code(), 0
+        self._since, self._guessed = now, guessed
 
 
 def _new_code() -> str:

@@ -18,7 +18,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from leap_motion.service.access import ConnectionLimits, is_host_of, is_loopback, is_own_host
+from leap_motion.service.access import ConnectionLimits, Place, is_host_of, is_loopback, is_own_host
 from leap_motion.service.certificate import Certificate
 
 LONGEST_SLEEP_S = 0.2
@@ -28,6 +28,7 @@ GONE_S = 10.0  # what could not be sent within this time after the end of a conv
 SEND_S = 2.0  # and within this one after the end of the service; a client that takes a message no sooner is gone
 PING_S = 10.0  # another machine that answers no ping is gone
 MAX_OF_ADDRESS = 12
+PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS = 64, 24  # to a page: four pages of a machine take 20 WebSockets
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -82,6 +83,11 @@ class SocketService(ABC):
         max_connections = 48
         limits = limits or ConnectionLimits(max_connections, MAX_OF_ADDRESS)
         self._doors.append((BoundedListener(listener, limits), tls))
+
+    def _keep(self, connection: ServerConnection) -> None:
+        """Lets a connection give way to no other."""
+        for door, _ in self._doors:
+            door.keep(connection.remote_address)
 
     def _soon(self, action: Callable[..., None], *arguments: Any) -> None:
         with contextlib.suppress(RuntimeError):  # the service has ended
@@ -162,7 +168,7 @@ class PageService(SocketService):
         self.fingerprint = certificate.fingerprint() if certificate else ""
         tls = certificate.server() if certificate else None
         listener = listen(host, port)
-        self._open(listener, tls)
+        self._open(listener, tls, ConnectionLimits(PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS, newest_first=True))
         self._names = () if is_loopback(host) else (*own_names(), name)
         self._scheme = "https" if tls else "http"
         self.address = f"{self._scheme}://{_reachable(host)}:{listener.getsockname()[1]}/"
@@ -173,7 +179,10 @@ class PageService(SocketService):
     ) -> Response | None:  # fmt: skip
         """Returns the answer to a request, by the paths of the pages and of the WebSockets; None for one of these.
         `apart`: the WebSockets that a sandboxed frame may open, too, whose origin is null."""
-        host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
+        hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
+        if len(hosts) > 1 or len(origins) > 1:
+            return connection.respond(400, "Give one Host and one Origin.\n")
+        host, path = "".join(hosts), request.path.partition("?")[0]
         origin = self._public if is_host_of(host, self._public) else f"{self._scheme}://{host}"
         if origin != self._public and not is_own_host(host, connection.local_address[0], self._names):
             return connection.respond(403, "Ask for this page by the address that the rig shows.\n")
@@ -182,7 +191,7 @@ class PageService(SocketService):
         if path not in sockets:
             return connection.respond(404, "Not found.\n")
         allowed = (origin, "null") if path in apart else (origin,)
-        if request.headers.get("Origin", origin) not in allowed:
+        if origins and origins[0] not in allowed:
             return connection.respond(403, "This is for its own page only.\n")
         return None
 
@@ -210,6 +219,11 @@ def cut(its_socket: Any) -> None:
         its_socket.shutdown(socket.SHUT_RDWR)
 
 
+def cutter(connection: ServerConnection) -> Callable[[], None]:
+    """Returns what ends a connection."""
+    return functools.partial(cut, connection.transport.get_extra_info("socket"))
+
+
 async def _end_tasks() -> None:
     """Ends what still runs, such as a connection that is being opened."""
     left = asyncio.all_tasks() - {asyncio.current_task()}
@@ -219,23 +233,36 @@ async def _end_tasks() -> None:
 
 
 class BoundedListener:
-    """A listening socket that closes at once what is one connection too many."""
+    """A listening socket that closes at once what is one connection too many, or what gives way to it."""
 
     def __init__(self, listener: socket.socket, limits: ConnectionLimits) -> None:
         self._listener = listener
         self._limits = limits
+        self._places: dict[Any, Place] = {}  # by the address and port of who connected
 
     def accept(self) -> tuple[CountedSocket, Any]:
         """As of a socket that does not block."""
         max_refused = 100  # connections that are closed before others have their turn
         for _ in range(max_refused):
             accepted, address = self._listener.accept()
-            if self._limits.enter(address[0]):
+            place = self._limits.enter(address[0], functools.partial(cut, accepted))
+            if place is not None:
                 # asyncio leaves it out for a listener of create_server
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
-                return CountedSocket(accepted, functools.partial(self._limits.leave, address[0])), address
+                self._places[address] = place
+                return CountedSocket(accepted, functools.partial(self._leave, address, place)), address
             accepted.close()
         raise ConnectionAbortedError("too many connections")  # which asyncio takes for a client that went away
+
+    def keep(self, address: Any) -> None:
+        """Lets the connection from an address and port give way to no other."""
+        if address in self._places:
+            self._places[address].kept = True
+
+    def _leave(self, address: Any, place: Place) -> None:
+        self._limits.leave(place)
+        if self._places.get(address) is place:  # a new connection may have the port already
+            del self._places[address]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._listener, name)

@@ -60,8 +60,8 @@ class RigScene:
 
 
 class HeadsetHands:
-    """Serves the hands of one headset on the port of a Leap service, in a thread; `converse` takes the page's socket.
-    Raises DeviceError if the port is taken."""
+    """Serves the hands of one headset on the port of a Leap service, in a thread; `endpoint` takes the page's
+    socket. Raises DeviceError if the port is taken."""
 
     def __init__(self, config: WebConfig) -> None:
         try:
@@ -71,8 +71,7 @@ class HeadsetHands:
         self._frames = 0
         self._scene = RigScene()
         stream = HandStream(config.box_ahead, config.box_below)
-        self._endpoint = HandsEndpoint(stream, self, self._scene, lambda text: rospy.logwarn("%s", text), _show)
-        self.converse = self._endpoint.converse
+        self.endpoint = HandsEndpoint(stream, self, self._scene, lambda text: rospy.logwarn("%s", text), _show)
         self._thread = clock.Thread(target=self._service.run, name="leap service", daemon=True)
         self._thread.start()
 
@@ -88,7 +87,7 @@ class HeadsetHands:
 
     def watch(self) -> None:
         """Listens to what the page draws while a headset drives."""
-        self._scene.watch(self._endpoint.driven)
+        self._scene.watch(self.endpoint.driven)
 
     def close(self) -> None:
         close_s = 2.0

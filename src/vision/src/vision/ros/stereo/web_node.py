@@ -6,8 +6,8 @@ headset's page also sends the person's hands, on a WebSocket at /hands (leap_mot
 
 from __future__ import annotations
 
+import functools
 import pathlib
-from collections.abc import Awaitable, Callable
 from dataclasses import asdict
 
 import cv2
@@ -23,7 +23,7 @@ from common.operator_rows import OLD_ROWS_S, rows_of
 from common.ros.diagnostics import Diagnostics
 from common.ros.on_demand import OnDemand
 from common.ros.params import private_config
-from leap_motion.headset.transport import MAX_MESSAGE_BYTES
+from leap_motion.headset.transport import MAX_MESSAGE_BYTES, HandsEndpoint
 from leap_motion.service.access import is_loopback
 from leap_motion.service.certificate import Certificate, CertificateError, own_certificate
 from leap_motion.service.socket_service import PageService, page_response
@@ -38,7 +38,7 @@ CAMERA = "camera"
 
 
 class StereoWeb(PageService):
-    """A server in a thread of its own; `address` is its page's, `fingerprint` its certificate's. `converse` serves
+    """A server in a thread of its own; `address` is its page's, `fingerprint` its certificate's. `hands` serves
     /hands, if there is to be that. Raises DeviceError without page, certificate or port."""
 
     max_message_bytes = MAX_MESSAGE_BYTES
@@ -47,12 +47,12 @@ class StereoWeb(PageService):
     def __init__(
         self,
         config: WebConfig,
-        converse: Callable[[ServerConnection], Awaitable[None]] | None = None,
+        hands: HandsEndpoint | None = None,
         jpeg_quality: int = 80,
     ) -> None:
         max_pages = 6
         pages_of_address = 3
-        self._hands, self._only_view = converse, config.only_view
+        self._hands, self._only_view = hands, config.only_view
         self._view: tuple[list[dict], float] = [], 0.0  # rows and when they came [s]
         try:
             page = pathlib.Path(config.page)
@@ -109,10 +109,14 @@ class StereoWeb(PageService):
         return self._answer(connection, request, pages, sockets)
 
     async def _converse(self, connection: ServerConnection) -> None:
-        if self._hands and connection.request.path == "/hands":
-            await self._hands(connection)
-        else:
-            await self._pictures.converse(connection)
+        keep, path = functools.partial(self._keep, connection), connection.request.path
+        if self._hands and path == "/hands":
+            await self._hands.converse(connection, keep)
+            return
+        kept = self._hands is not None and self._hands.access.has_ticket(path)
+        if kept:
+            keep()
+        await self._pictures.converse(connection, kept)
 
 
 def main() -> None:
@@ -121,7 +125,7 @@ def main() -> None:
     config = private_config(StereoViewConfig, "view")
     settings = private_config(WebConfig, "web")
     hands = HeadsetHands(settings) if settings.hands else None
-    web = StereoWeb(settings, hands and hands.converse, config.jpeg_quality)
+    web = StereoWeb(settings, hands and hands.endpoint, config.jpeg_quality)
     (rospy.logwarn if hands else rospy.loginfo)("The view is at %s", web.address)
     if settings.video != JPEG and not is_loopback(settings.host) and webrtc.missing():
         rospy.logwarn("%s", webrtc.missing())
