@@ -174,16 +174,18 @@ def test_the_scene_has_a_process_of_its_own_for_which_the_stop_does_not_wait(pag
     page.until(lambda: any(address.endswith(page.server.scene_path) for address in processes()), what="its process")
 
 
-def test_in_a_crowd_the_page_sees_all_and_stops_once_it_has_the_code_and_after_a_reload(page):
+def test_in_a_crowd_a_page_sees_all_and_stops_when_it_comes_back_with_its_key(page):
     assert page("control === null"), "without a code it takes no place there"
     paths = ("/state", "/control", "/pictures?camera=camera", page.server.scene_path)
     wire = page.server.address.replace("http", "ws").rstrip("/")
+    page.enter()
+    page.call("Page.navigate", url="about:blank")
+    page.until(lambda: not page.server.watched, what="the page to be gone")
     with contextlib.ExitStack() as stack:
         for path, number in itertools.product(paths, range(MAX_PAGES)):
             machine = (f"127.0.0.{2 + number // 2}", 0)
             stack.enter_context(connect(wire + path, source_address=machine, close_timeout=0.5))
-        page.enter()
-        page("location.reload()")
+        page.call("Page.navigate", url=page.server.address)
         seen = "typeof admitted === 'boolean' && admitted && state !== null && cameraViews.camera?.source != null"
         picture = Picture(np.zeros((8, 8, 3), np.uint8), 0.0, 0.0, {})
         page.until(lambda: (page.server.put_picture("camera", picture), page(seen))[1], what="state and image")

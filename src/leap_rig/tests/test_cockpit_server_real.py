@@ -228,6 +228,14 @@ def test_what_waited_in_a_slow_connection_commands_nothing_but_a_stop(served):
         until(lambda: served.stops)
 
 
+def test_a_page_that_is_there_uses_its_key(served):
+    with served.socket("/control") as socket:
+        key, keys = enter(served, socket)["key"], served.server.control.access._keys
+        keys[key] = -math.inf
+        tell(socket, do="beat", focus=True, held={})
+        until(lambda: keys[key] > -math.inf)
+
+
 def test_a_burst_of_a_page_with_the_code_loses_no_stop(served):
     with served.socket("/control") as socket:
         enter(served, socket)

@@ -340,7 +340,7 @@ def test_the_code_stands_on_the_terminal_and_not_in_the_log(virtual_graph, monke
         WebConfig("127.0.0.1", 0, PAGE, "", "", True, 0, 0.4, 0.35, "", "auto", False, "")
     )
     try:
-        code = hands._endpoint._access.code
+        code = hands.endpoint.access.code
         said = capsys.readouterr()
         assert code in said.err and code not in said.out and not any(code in text for text in logged)
     finally:

@@ -481,6 +481,13 @@ class TestConversation:
         assert said["drives"]
         third.close()
 
+    def test_a_headset_that_drives_uses_its_key(self, rig):
+        page, said = seat(rig)
+        rig.endpoint.access._keys[said["key"]] = -math.inf
+        ask(page, message(0.0))
+        assert rig.endpoint.access._keys[said["key"]] == pytest.approx(clock.monotonic(), abs=SOON_S)
+        leave(rig, page)
+
     def test_another_headset_gets_a_box_of_its_own_though_its_page_counts_alike(self, rig):
         first, said = seat(rig)
         assert ask(first, message(0.0))["leap"] == pytest.approx([0.0, 0.9, -0.4, 0.0])

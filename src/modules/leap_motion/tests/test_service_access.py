@@ -38,9 +38,9 @@ def test_there_are_never_more_connections_than_allowed_and_who_leaves_makes_room
 STEPS = st.tuples(st.sampled_from(["comes", "comes with a ticket", "leaves", "sends the code"]), st.integers(0, 9))
 
 
-@given(st.lists(STEPS, max_size=60), st.booleans())
+@given(st.lists(STEPS, min_size=20, max_size=40), st.booleans())
 def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(steps, newest_first):
-    limits, places, ended = ConnectionLimits(5, 3, newest_first), [], []
+    limits, places, ended = ConnectionLimits(3, 2, newest_first), [], []
     for step, number in steps:
         chosen = places[number % len(places)] if places else None
         if step.startswith("comes"):
@@ -49,8 +49,8 @@ def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(step
             place = limits.enter(machine, lambda: ended.append(1), kept)
             others = [each for each in places if not each.kept]
             own = [each for each in others if each.machine == machine]
-            crowd = own if not kept and len(own) >= 3 else others if len(places) >= 5 else []
-            full = len(places) >= 5 or bool(crowd)
+            crowd = own if not kept and len(own) >= 2 else others if len(places) >= 3 else []
+            full = len(places) >= 3 or bool(crowd)
             assert (place is None) is (full and not (crowd and (kept or newest_first)))
             if place is not None:
                 assert len(ended) - gone == full
@@ -60,7 +60,7 @@ def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(step
             places.remove(chosen)
         elif chosen:
             chosen.kept = True
-        assert len(places) <= 5 and limits._places == places
+        assert len(places) <= 3 and limits._places == places
 
 
 def test_who_gave_way_and_leaves_then_takes_nobodys_place():

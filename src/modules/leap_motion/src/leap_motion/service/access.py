@@ -69,7 +69,7 @@ class ConnectionLimits:
 class AccessCode:
     """The present `code`. Each wrong one makes its address wait, twice as long as the last one, LONGEST_WAIT_S at
     most; meanwhile nothing from there is compared. Other addresses do not wait. The same wrong code again, as from a
-    program that reconnects, is no further guess. `guesses`: since the last right code, from all addresses."""
+    program that reconnects, is no further guess. `guesses`: how many there were, from all addresses."""
 
     def __init__(self, code: str) -> None:
         self.code, self.guesses = code, 0
@@ -87,7 +87,6 @@ class AccessCode:
         machine = _machine(address)
         count, until, last = self._wrong.pop(machine, (0, now, ""))
         if hmac.compare_digest(given.encode("utf-8", "replace"), self.code.encode()):
-            self.guesses = 0
             return True
         if now - until > REMEMBERED_S:
             count = 0
