@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from height_maps import boxes_on_table
 
-from grasping.lab.synthetic import labels, samples, scene, shapes
+from common.errors import RigError
+from grasping.lab.synthetic import labels, random_urdfs, samples, scene, shapes, surroundings
 
 CELL = samples.CELL_M
 N = 120
@@ -32,14 +33,17 @@ def test_the_same_seed_is_the_same_sample():
 
 
 def test_test_objects_are_not_trained_on():
-    families = shapes.TRAINING + shapes.HELD_OUT
+    families = shapes.TRAINING + shapes.HELD_OUT + shapes.UNSEEN
     assert len({family.__name__ for family in families}) == len(set(families)) == len(families)
-    assert samples.SPLITS["train"][1] == samples.SPLITS["validation"][1] == shapes.TRAINING
-    assert samples.SPLITS["test"][1] == shapes.HELD_OUT
-    assert len({number for number, _ in samples.SPLITS.values()}) == len(samples.SPLITS)
+    trained = {family for name, split in samples.SPLITS.items() if "train" in name for family in split.families}
+    assert trained == {*shapes.TRAINING, random_urdfs.seen_blob}
+    assert samples.SPLITS["train"].families == samples.SPLITS["validation"].families == shapes.TRAINING
+    assert samples.SPLITS["test"].families == shapes.HELD_OUT
+    assert samples.SPLITS["unseen"].families == shapes.UNSEEN
+    assert len({split.number for split in samples.SPLITS.values()}) == len(samples.SPLITS)
 
 
-@pytest.mark.parametrize("family", shapes.TRAINING + shapes.HELD_OUT)
+@pytest.mark.parametrize("family", shapes.TRAINING + shapes.HELD_OUT + shapes.UNSEEN)
 def test_every_family_compiles_and_fits_the_gripper(family):
     for seed in range(5):
         model = mujoco.MjModel.from_xml_string(scene.world_xml((family(np.random.default_rng(seed)),)))
@@ -171,3 +175,42 @@ def test_sensor_sees_nothing_too_near_and_rounds():
     assert np.isnan(seen[:50]).all()
     values = seen[60:][np.isfinite(seen[60:])]
     np.testing.assert_allclose(values * 1000.0, np.round(values * 1000.0), atol=1e-3)
+
+
+@pytest.mark.parametrize("kind", surroundings.KINDS)
+def test_objects_lie_where_their_surroundings_say(kind):
+    """The scene that a camera sees is the one that the gripper meets, and nothing moves in it."""
+    seen = samples.view(kind, 3)
+    assert bool(seen.scene.fixed) is (kind != surroundings.STACK)
+    model = mujoco.MjModel.from_xml_string(scene.world_xml(seen.scene.objects, 0.35, fixed=seen.scene.fixed))
+    assert model.ngeom == mujoco.MjModel.from_xml_string(seen.scene.xml).ngeom
+    data = mujoco.MjData(model)
+    data.qpos[:] = seen.scene.state
+    mujoco.mj_step(model, data, nstep=250)
+    moved = (data.qpos - seen.scene.state).reshape(-1, 7)[:, :3]
+    assert np.linalg.norm(moved, axis=1).max() < 0.004, "a second later"
+    lowest = seen.scene.state.reshape(-1, 7)[:, 2].min()
+    assert lowest > 0.0
+
+
+def test_a_blob_is_read_about_its_middle(tmp_path, monkeypatch):
+    (tmp_path / "007").mkdir()
+    text = (
+        "o convex_0\nv 0 0 0\nv 4 0 0\nv 0 4 0\nv 0 0 4\no convex_1\nv 0 0 0\nv -4 0 0\nv 0 -4 0\nv 0 0 -4\nf 1 2 3\n"
+    )
+    (tmp_path / "007" / "007.obj").write_text(text)
+    monkeypatch.setattr(random_urdfs, "folder", lambda: tmp_path)
+    random_urdfs.blob.cache_clear()
+    shape = random_urdfs.blob(7)
+    assert [len(part.vertices) for part in shape] == [4, 4]
+    assert shape[0].vertices[1] == pytest.approx((0.06, 0.0, 0.0))
+    model = mujoco.MjModel.from_xml_string(scene.world_xml((shape,)))
+    assert model.body("object0").mass[0] == pytest.approx(2.0 * scene.DENSITY * 0.06**3 / 6.0, rel=1e-3)
+    with pytest.raises(RigError, match="008.obj cannot be read"):
+        random_urdfs.blob(8)
+    random_urdfs.blob.cache_clear()
+
+
+def test_blobs_that_are_kept_are_not_trained_on():
+    assert not set(random_urdfs.TRAINED) & set(random_urdfs.KEPT)
+    assert len({*random_urdfs.TRAINED, *random_urdfs.KEPT}) == 1000

@@ -136,4 +136,4 @@ def _xml(scene: HeapScene, R: np.ndarray, start: np.ndarray, opening: float, gri
         palm_z=-finger_m - 0.01,
         fingers=fingers,
     )
-    return world_xml(scene.objects, friction, noslip=5, bodies=hand, rest=REST.format(hold=hold_n))
+    return world_xml(scene.objects, friction, 5, hand, REST.format(hold=hold_n), scene.fixed)

@@ -37,6 +37,7 @@ from common.ros.files import read_yaml
 from grasping.lab.dataset import labelled_images
 from grasping.lab.evaluation import sheets, tables, trials
 from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.synthetic import surroundings
 from grasping.lab.synthetic.samples import view
 from grasping.lab.synthetic.scene import points, world_xml
 from grasping.network import maps, weights
@@ -47,7 +48,7 @@ from grasping.pipeline.tool_pose import ToolPoseConfig, preferred
 
 COLUMNS = ("scene", "objects", "method", *trials.TrialOutcome._fields)
 RECTANGLE_COLUMNS = ("image", "method", "quality", "right")
-SPLITS = ("test", "validation")
+SPLITS = ("test", "validation", "unseen", "blobs", *surroundings.KINDS)
 ORACLE = "oracle"
 NETWORK_SMOOTHING = maps.Smoothing(quality=2.0)  # as the reference experiments; the node blurs for a moving camera
 
@@ -112,7 +113,7 @@ def export_scene(task: Task) -> dict:
         "split": task.split,
         "scene": task.number,
         "objects": len(of.view.scene.objects),
-        "mjcf": world_xml(of.view.scene.objects, friction),
+        "mjcf": world_xml(of.view.scene.objects, friction, fixed=of.view.scene.fixed),
         "qpos": of.view.scene.state.tolist(),
         "grasps": grasps,
     }
@@ -241,7 +242,7 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     add("--scenes", type=whole(1, 10**9), default=300, help="how many")
     add("--first", type=whole(0, 10**9), default=0, help="number of the first one, default 0")
     add("--weights", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network")
-    splits = "test: families that training never saw; validation: new scenes of its own, to choose by"
+    splits = "validation: new scenes of training's families, to choose by; the others hold objects that it never saw"
     add("--split", choices=SPLITS, default="test", help=splits)
     default = 1000.0 * trials.POSITION_ERROR_M, float(np.degrees(trials.ANGLE_ERROR_RAD))
     error_help = "of the arm, standard deviations across and about the approach, the same in a scene for all methods"

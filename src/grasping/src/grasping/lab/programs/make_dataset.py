@@ -145,7 +145,7 @@ def scene_grasps(split: str, number: int, settings: samples.LabelSettings) -> di
         "split": split,
         "scene": number,
         "objects": len(seen.scene.objects),
-        "mjcf": world_xml(seen.scene.objects, friction),
+        "mjcf": world_xml(seen.scene.objects, friction, fixed=seen.scene.fixed),
         "qpos": seen.scene.state.tolist(),
         "grasps": grasps,
     }

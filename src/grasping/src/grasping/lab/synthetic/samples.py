@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from common.poses import inverse, pose
-from grasping.lab.synthetic import labels, reflex_labels, scene, shapes
+from grasping.lab.synthetic import labels, random_urdfs, reflex_labels, scene, shapes, surroundings
 from grasping.network import depth_image
 from grasping.network.maps import PARALLEL, WIDTH_SCALE_PX
 
@@ -24,14 +24,37 @@ SCALE_ERROR = 0.005  # of the distances of one camera, standard deviation
 CELL_M = 0.0025
 CELLS = 168
 GRIPPER = labels.Gripper()
-SPLITS = {  # number and families of each split, with scenes of its own; person and kind ones are a simulated operator's
-    "train": (0, shapes.TRAINING),
-    "validation": (1, shapes.TRAINING),
-    "test": (2, shapes.HELD_OUT),
-    "person": (3, shapes.TRAINING),
-    "person_test": (4, shapes.HELD_OUT),
-    **{f"kind_{f.__name__}": (100 + i, (f,)) for i, f in enumerate((*shapes.TRAINING, *shapes.HELD_OUT))},
-}
+
+
+class Split(NamedTuple):
+    """Scenes of their own."""
+
+    number: int
+    families: tuple[scene.Family, ...]
+    surroundings: str = ""  # one of `surroundings.KINDS`; empty: the bare table
+
+
+def _all_splits() -> dict[str, Split]:
+    """Returns the splits by name; those of a person and of a kind are a simulated operator's."""
+    one_kind = [Split(100 + i, (family,)) for i, family in enumerate((*shapes.TRAINING, *shapes.HELD_OUT))]
+    trained, held_out = (*shapes.TRAINING, random_urdfs.seen_blob), (*shapes.HELD_OUT, *shapes.UNSEEN)
+    return {
+        "train": Split(0, shapes.TRAINING),
+        "validation": Split(1, shapes.TRAINING),
+        "test": Split(2, shapes.HELD_OUT),
+        "person": Split(3, shapes.TRAINING),
+        "person_test": Split(4, shapes.HELD_OUT),
+        "unseen": Split(5, shapes.UNSEEN),
+        "blobs": Split(6, (random_urdfs.kept_blob,)),
+        "train_blobs": Split(7, trained),
+        "validation_blobs": Split(8, trained),
+        **{f"kind_{of.families[0].__name__}": of for of in one_kind},
+        **{kind: Split(200 + i, held_out, kind) for i, kind in enumerate(surroundings.KINDS)},
+        **{f"train_{kind}": Split(210 + i, trained, kind) for i, kind in enumerate(surroundings.KINDS)},
+    }
+
+
+SPLITS = _all_splits()
 
 
 def observe(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -141,25 +164,39 @@ class Sample(NamedTuple):
 
 
 def view(split: str, seed: int, count: int | None = None) -> SceneView:
-    """Returns the scene `seed` of a split, always the same, with `count` objects or a random number of them."""
+    """Returns the scene `seed` of a split, always the same, with `count` objects or a random number of them; where the
+    split has surroundings, these say how many."""
     max_tilt_rad = 0.15
-    single_share = 0.4  # share of the scenes with one object; the others hold two to five
     clean_share = 0.1  # share of the images without the camera's faults
-    number, families = SPLITS[split]
-    rng = np.random.default_rng([number, seed])
-    if count is None:
-        count = 1 if rng.random() < single_share else int(rng.integers(2, 6))
-    settled = None
-    while settled is None:
-        settled = scene.settled_scene(rng, families, count)
+    rng, found = _settled(split, seed, count)
     camera = scene.random_camera(rng, FOCAL_PX, depth_image.CROP_SIDE, max_tilt_rad)
-    model = mujoco.MjModel.from_xml_string(settled.xml)
+    model = mujoco.MjModel.from_xml_string(found.xml)
     data = mujoco.MjData(model)
-    data.qpos[:] = settled.state
+    data.qpos[:] = found.state
     exact = scene.depth_image(model, data, camera)
     surface = scene.height_map(model, data, camera, CELL_M, CELLS)
     observed = exact.astype(np.float32) if rng.random() < clean_share else observe(exact, rng)
-    return SceneView(settled, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
+    return SceneView(found, camera, exact, observed, surface, scene.table_depth(camera, CELL_M, CELLS))
+
+
+def settled(split: str, seed: int, count: int | None = None) -> scene.HeapScene:
+    """Returns what lies in the scene of `view`."""
+    return _settled(split, seed, count)[1]
+
+
+def _settled(split: str, seed: int, count: int | None) -> tuple[np.random.Generator, scene.HeapScene]:
+    single_share = 0.4  # share of the scenes with one object; the others hold two to five
+    number, families, kind = SPLITS[split]
+    rng = np.random.default_rng([number, seed])
+    found = None
+    if kind:
+        while found is None:
+            found = surroundings.hard_scene(rng, kind, families)
+    if count is None:
+        count = 1 if rng.random() < single_share else int(rng.integers(2, 6))
+    while found is None:
+        found = scene.settled_scene(rng, families, count)
+    return rng, found
 
 
 def hand_grasps(

@@ -14,6 +14,7 @@ import numpy as np
 
 from grasping.lab.synthetic import shapes
 
+Family = Callable[[np.random.Generator], shapes.Shape]
 FAR_M = 100.0  # distance of the eye for a parallel view: 0.1 m of height shift a point by 0.1 % of its offset
 DOWN_TO_X = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
 DENSITY = 350.0  # of the objects [kg/m^3]
@@ -42,31 +43,41 @@ class HeapScene(NamedTuple):
     state: np.ndarray  # positions of all joints, as MuJoCo counts them
     objects: tuple[shapes.Shape, ...]  # the shapes in the order of the bodies `object0`, `object1`, ..
     families: tuple[str, ...]  # their names
+    fixed: shapes.Shape = ()  # what stands fast beside them, in the world
 
 
 def world_xml(
-    objects: Iterable[shapes.Shape], friction: float = 0.6, noslip: int = 0, bodies: str = "", rest: str = ""
+    objects: Iterable[shapes.Shape],
+    friction: float = 0.6,
+    noslip: int = 0,
+    bodies: str = "",
+    rest: str = "",
+    fixed: shapes.Shape = (),
 ) -> str:
-    """Returns the model of a table with `objects`, each with a free joint, and what else is given as XML."""
-    assets, xml = [], []
+    """Returns the model of a table with `objects`, each with a free joint, what stands fast, and what else is given as
+    XML."""
+    assets: list[str] = []
+    xml = [_geoms_xml(fixed, "fixed", assets)]
     for i, shape in enumerate(objects):
-        geoms = []
-        for j, geom in enumerate(shape):
-            attributes = f'type="{geom.kind}" size="{xml_text(geom.size)}"'
-            if geom.kind == "mesh":
-                assets.append(f'<mesh name="mesh{i}_{j}" vertex="{xml_text(np.ravel(geom.vertices))}"/>')
-                attributes = f'type="mesh" mesh="mesh{i}_{j}"'
-            place = f'pos="{xml_text(geom.position)}" quat="{xml_text(geom.quaternion)}"'
-            geoms.append(f'<geom {attributes} {place} density="{DENSITY}"/>')
-        xml.append(f'<body name="object{i}"><freejoint/>{"".join(geoms)}</body>')
+        xml.append(f'<body name="object{i}"><freejoint/>{_geoms_xml(shape, f"mesh{i}", assets)}</body>')
     return WORLD.format(
         assets="".join(assets), bodies="".join(xml) + bodies, friction=friction, noslip=noslip, rest=rest
     )
 
 
-def settled_scene(
-    rng: np.random.Generator, families: Sequence[Callable[[np.random.Generator], shapes.Shape]], count: int
-) -> HeapScene | None:
+def _geoms_xml(shape: shapes.Shape, name: str, assets: list[str]) -> str:
+    geoms = []
+    for j, geom in enumerate(shape):
+        attributes = f'type="{geom.kind}" size="{xml_text(geom.size)}"'
+        if geom.kind == "mesh":
+            assets.append(f'<mesh name="{name}_{j}" vertex="{xml_text(np.ravel(geom.vertices))}"/>')
+            attributes = f'type="mesh" mesh="{name}_{j}"'
+        place = f'pos="{xml_text(geom.position)}" quat="{xml_text(geom.quaternion)}"'
+        geoms.append(f'<geom {attributes} {place} density="{DENSITY}"/>')
+    return "".join(geoms)
+
+
+def settled_scene(rng: np.random.Generator, families: Sequence[Family], count: int) -> HeapScene | None:
     """Returns `count` objects that were dropped on the table, or None when they ran away or do not lie still."""
     settle_s = 2.0
     max_radius_m = 0.13  # scenes with an object beyond this distance from the camera's axis are thrown away

@@ -1,7 +1,8 @@
 """Random objects for the grasp networks: families of shapes put together from MuJoCo's primitives.
 
-`TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only. Every shape has
-a side that a parallel gripper of about 0.1 m can span. Lengths in metres, frame of the object.
+`TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only, and `UNSEEN` ones
+in the last evaluation, which nothing was chosen by. Every shape has a side that a parallel gripper of about 0.1 m can
+span. Lengths in metres, frame of the object.
 """
 
 from __future__ import annotations
@@ -111,8 +112,92 @@ def prism(rng: np.random.Generator) -> Shape:
     return (_hull([(*p, -half) for p in ground] + [(*(top * p), half) for p in ground]),)
 
 
+def banana(rng: np.random.Generator) -> Shape:
+    """A bent rod of six pieces that is thick in its middle and thin at its ends."""
+    radius, bend, thick = rng.uniform(0.06, 0.1), rng.uniform(1.1, 1.7), rng.uniform(0.013, 0.019)
+    angles = bend * np.linspace(-0.5, 0.5, 7)
+    joints = radius * np.stack([np.sin(angles), np.cos(angles) - np.cos(0.25 * bend)], axis=1)
+    pieces = []
+    for k, (a, b) in enumerate(zip(joints, joints[1:])):
+        size = thick * (1.0 - 0.45 * (abs(k - 2.5) / 2.5) ** 2), 0.5 * float(np.linalg.norm(b - a))
+        turn = -0.5 * (angles[k] + angles[k + 1])
+        # A capsule lies along its z axis: first along x, then turned about z.
+        lying = (np.sqrt(0.5) * np.array([np.cos(0.5 * turn), np.sin(0.5 * turn)])).tolist()
+        x, y = (0.5 * (a + b)).tolist()
+        pieces.append(Geom("capsule", size, (x, y, 0.0), (lying[0], -lying[1], lying[0], lying[1])))
+    return tuple(pieces)
+
+
+def wineglass(rng: np.random.Generator) -> Shape:
+    """A hollow bowl with a round bottom on a stem and a foot."""
+    r, h, stem = rng.uniform(0.026, 0.038), rng.uniform(0.018, 0.028), rng.uniform(0.02, 0.034)
+    foot, thin, belly = rng.uniform(0.8, 1.0) * r, rng.uniform(0.004, 0.006), 0.6 * r
+    parts = [Geom("cylinder", (foot, 0.003), (0.0, 0.0, 0.003 - 2.0 * stem))]
+    parts.append(Geom("cylinder", (thin, stem), (0.0, 0.0, -stem)))
+    parts.append(Geom("ellipsoid", (r, r, belly), (0.0, 0.0, 0.9 * belly)))
+    return _moved((*parts, *_moved(_wall(r, 0.003, h), (0.0, 0.0, 0.9 * belly + h))), (0.0, 0.0, 0.5 * stem - 0.01))
+
+
+def spanner(rng: np.random.Generator) -> Shape:
+    """A flat bar with an open jaw at one end and a ring at the other."""
+    half, w, h = rng.uniform(0.035, 0.05), rng.uniform(0.007, 0.011), rng.uniform(0.007, 0.011)
+    jaw, ring = rng.uniform(0.014, 0.019), rng.uniform(0.014, 0.02)
+    prongs = [Geom("box", (0.013, 0.0045, h), (half + jaw, side * (jaw - 0.0045), 0.0)) for side in (-1.0, 1.0)]
+    parts = Geom("box", (half, w, h)), Geom("box", (0.006, jaw, h), (half, 0.0, 0.0)), *prongs
+    return (*parts, *_moved(_wall(ring, 0.005, h, 8), (-half - ring, 0.0, 0.0)))
+
+
+def scissors(rng: np.random.Generator) -> Shape:
+    """Two blades across each other, each with a ring for a finger."""
+    opened, h, w = rng.uniform(0.15, 0.35), rng.uniform(0.007, 0.01), rng.uniform(0.006, 0.009)
+    blade, grip, ring = rng.uniform(0.035, 0.05), rng.uniform(0.02, 0.03), rng.uniform(0.014, 0.019)
+    parts: list[Geom] = []
+    for side in (-1.0, 1.0):
+        c, s = np.cos(side * opened), np.sin(side * opened)
+        turn = (np.cos(0.5 * side * opened), 0.0, 0.0, np.sin(0.5 * side * opened))
+        middle, half = 0.5 * (blade - grip), 0.5 * (blade + grip)
+        parts.append(Geom("box", (half, w, h), (c * middle, s * middle, 0.0), turn))
+        # The ring lies outwards of the shank's end, which is inside its wall.
+        out = grip + 0.8 * ring
+        centre = -c * out - side * s * 0.5 * ring, -s * out + side * c * -0.5 * ring, 0.0
+        parts += _moved(_wall(ring, 0.0045, h, 8), centre)
+    return tuple(parts)
+
+
+def star(rng: np.random.Generator) -> Shape:
+    """A flat star of four to six blunt arms."""
+    n, outer, half = int(rng.integers(4, 7)), rng.uniform(0.04, 0.06), rng.uniform(0.009, 0.022)
+    inner, blunt = rng.uniform(0.38, 0.48) * outer, rng.uniform(0.35, 0.6)
+    wide = inner * np.sin(np.pi / n)
+    root, tip = inner * np.cos(np.pi / n), blunt * wide
+    outline = [(0.0, 0.0), (root, -wide), (outer, -tip), (outer, tip), (root, wide)]
+    arms = []
+    for angle in 2.0 * np.pi * np.arange(n) / n:
+        c, s = np.cos(angle), np.sin(angle)
+        arms.append(_hull([(c * x - s * y, s * x + c * y, z) for x, y in outline for z in (-half, half)]))
+    return tuple(arms)
+
+
+def spray_bottle(rng: np.random.Generator) -> Shape:
+    """An oval body with shoulders, a thin neck, a head with its nozzle to one side, and a trigger."""
+    a, b, h = rng.uniform(0.026, 0.036), rng.uniform(0.018, 0.026), rng.uniform(0.025, 0.038)
+    neck, head = rng.uniform(0.008, 0.011), rng.uniform(0.022, 0.032)
+    angles = 2.0 * np.pi * np.arange(12) / 12.0
+    oval = [(a * np.cos(t), b * np.sin(t)) for t in angles]
+    body = [(x * k, y * k, z) for x, y in oval for k, z in ((1.0, -h), (1.0, 0.5 * h), (0.45, h))]
+    lean = (np.cos(0.15), 0.0, np.sin(0.15), 0.0)
+    parts = (
+        _hull(body),
+        Geom("cylinder", (neck, 0.012), (0.0, 0.0, h + 0.008)),
+        Geom("box", (head, 0.009, 0.009), (0.5 * head, 0.0, h + 0.026)),
+        Geom("box", (0.004, 0.005, 0.014), (0.9 * head, 0.0, h + 0.008), lean),
+    )
+    return _moved(parts, (0.0, 0.0, -0.015))
+
+
 TRAINING = (box, cylinder, capsule, ellipsoid, angle_bracket, tee, dumb_bell, ring, bottle, union)
 HELD_OUT = (mug, hammer, cross, prism)
+UNSEEN = (banana, wineglass, spanner, scissors, star, spray_bottle)
 
 
 def random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, float]:
@@ -121,9 +206,8 @@ def random_quaternion(rng: np.random.Generator) -> tuple[float, float, float, fl
     return tuple(q / np.linalg.norm(q))
 
 
-def _wall(radius: float, wall: float, half_height: float) -> Shape:
-    """Returns twelve boxes in a circle; `radius` reaches to the middle of the wall."""
-    pieces = 12
+def _wall(radius: float, wall: float, half_height: float, pieces: int = 12) -> Shape:
+    """Returns boxes in a circle; `radius` reaches to the middle of the wall."""
     side = radius * np.tan(np.pi / pieces) + 0.3 * wall
     angles = 2.0 * np.pi * np.arange(pieces) / pieces
     places = [(radius * np.cos(a), radius * np.sin(a), 0.0) for a in angles]
@@ -134,3 +218,15 @@ def _wall(radius: float, wall: float, half_height: float) -> Shape:
 def _hull(corners: list[tuple[float, float, float]]) -> Geom:
     """Returns the convex hull of points [m]."""
     return Geom("mesh", (), vertices=tuple((float(x), float(y), float(z)) for x, y, z in corners))
+
+
+def _moved(parts: Shape, by: tuple[float, float, float]) -> Shape:
+    """Returns the parts displaced by `by` [m]."""
+    (x, y, z), moved = by, []
+    for part in parts:
+        if part.kind == "mesh":
+            moved.append(_hull([(a + x, b + y, c + z) for a, b, c in part.vertices]))
+        else:
+            a, b, c = part.position
+            moved.append(part._replace(position=(a + x, b + y, c + z)))
+    return tuple(moved)

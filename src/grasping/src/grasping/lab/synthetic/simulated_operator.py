@@ -254,7 +254,7 @@ def situation(split: str, number: int) -> EpisodeScene:
     """Returns scene `number` of a split: one object of a kind, or where the split is of several kinds, one object where
     the number is even, else two or three.
     """
-    alone = number % 2 == 0 or len(samples.SPLITS[split][1]) == 1
+    alone = number % 2 == 0 or len(samples.SPLITS[split].families) == 1
     seen = samples.view(split, number, 1 if alone else 2 + number // 2 % 2)
     found = labels.grasps(seen.surface, seen.table, CELL_M, GRIPPER)
     friction = float(np.random.default_rng([98, number]).uniform(*trials.FRICTION))

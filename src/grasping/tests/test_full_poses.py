@@ -1,0 +1,85 @@
+"""Grasps in six degrees of freedom: opposed contacts, a free way, and the physics that judges them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grasping.lab.evaluation.lifting import lift
+from grasping.lab.synthetic import samples, scene, shapes
+from grasping.lab.synthetic.full_poses import MAX_TILT_RAD, PoseSampler
+from grasping.lab.synthetic.shapes import Geom
+
+GRIPPER = samples.GRIPPER
+BAR = (Geom("box", (0.06, 0.015, 0.02)),)
+LYING = np.array([0.0, 0.0, 0.02, 1.0, 0.0, 0.0, 0.0])
+
+
+def bar_scene(fixed: shapes.Shape = ()) -> scene.HeapScene:
+    return scene.HeapScene(scene.world_xml((BAR,), fixed=fixed), LYING, (BAR,), ("box",), fixed)
+
+
+def sampled(of: scene.HeapScene, tries: int, max_tilt: float = MAX_TILT_RAD, target: int = 0):
+    return list(PoseSampler(of, GRIPPER).free(np.random.default_rng(5), target, tries, max_tilt))
+
+
+def tips(candidate):
+    """Returns the middles of both pads' lower edges when the hand has come down."""
+    T = candidate.T_world_grasp
+    middle = T[:3, 3] + GRIPPER.reach * T[:3, 2]
+    return [middle + side * 0.5 * candidate.opening * T[:3, 0] for side in (-1.0, 1.0)]
+
+
+def test_a_bar_is_held_by_its_long_faces_only():
+    """Its ends are 12 cm apart, which the gripper does not span."""
+    found = sampled(bar_scene(), 600)
+    assert len(found) > 10
+    for candidate in found:
+        T = candidate.T_world_grasp
+        np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-9)
+        assert np.linalg.det(T[:3, :3]) > 0.0
+        assert candidate.tilt <= MAX_TILT_RAD + 1e-9
+        assert 0.03 <= candidate.opening <= GRIPPER.opening
+        assert candidate.steep <= np.arctan(GRIPPER.friction)
+        assert abs(T[1, 0]) > 0.7, "across the bar"
+        for tip in tips(candidate):
+            assert tip[2] > -1e-6, "above the table"
+            assert abs(tip[1]) > 0.014, "outside the bar"
+    assert max(candidate.tilt for candidate in found) > 0.5
+    assert min(candidate.tilt for candidate in found) < 0.2
+
+
+def test_the_same_numbers_are_the_same_grasps():
+    first, second = (sampled(bar_scene(), 60) for _ in range(2))
+    for a, b in zip(first, second):
+        np.testing.assert_array_equal(a.T_world_grasp, b.T_world_grasp)
+
+
+def test_from_above_means_from_above():
+    found = sampled(bar_scene(), 200, max_tilt=0.1)
+    assert found and max(candidate.tilt for candidate in found) <= 0.1
+
+
+def test_a_wall_leaves_no_room_for_the_finger_behind():
+    """A wall along one long face, one centimetre away: the finger is 8 mm thick and opens 5 mm wider than the bar."""
+    wall = Geom("box", (0.08, 0.004, 0.06), (0.0, 0.015 + 0.01 + 0.004, 0.06))
+    assert not sampled(bar_scene((wall,)), 300)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_hand_reaches_what_was_called_free(seed):
+    """Its way is judged at three places; the physics moves it all along."""
+    rng, settled = np.random.default_rng(seed), None
+    while settled is None:
+        settled = scene.settled_scene(rng, (shapes.box, shapes.bottle, shapes.tee), 3)
+    sampler = PoseSampler(settled, GRIPPER)
+    found = [one for target in range(3) for one in list(sampler.free(rng, target, 150, MAX_TILT_RAD))[:2]]
+    assert found
+    results = [lift(settled, one.T_world_grasp, one.opening, GRIPPER, 0.6) for one in found]
+    assert np.mean([result.reached for result in results]) > 0.8
+
+
+def test_a_tilted_grasp_lifts_the_bar():
+    tilted = [one for one in sampled(bar_scene(), 300) if one.tilt > 0.4][:3]
+    assert len(tilted) == 3
+    assert all(lift(bar_scene(), one.T_world_grasp, one.opening, GRIPPER, 0.6, 0, True).lifted for one in tilted)
