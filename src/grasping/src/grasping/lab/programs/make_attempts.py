@@ -1,0 +1,76 @@
+"""Makes the data of the network of lifts: shards of depth images with grasps in six degrees of freedom, each tried in
+the physics; resumable."""
+
+from __future__ import annotations
+
+import argparse
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import mujoco
+import numpy as np
+import torch
+
+from common.command_line import whole
+from common.errors import RigError
+from grasping.lab.programs.make_dataset import SHARD, ignore_warning, make_all
+from grasping.lab.synthetic import samples
+from grasping.lab.synthetic.attempts import attempts
+from grasping.network import weights
+from grasping.network.networks import MapNetwork, frozen
+
+
+class AttemptTask(NamedTuple):
+    """A shard to be made."""
+
+    path: Path
+    split: str
+    numbers: range
+    weights: Path
+    most: int
+
+
+@lru_cache(maxsize=1)
+def network(file: Path) -> MapNetwork:
+    return frozen(weights.load(file.read_bytes()).network)
+
+
+def make_shard(task: AttemptTask) -> None:
+    """Makes one shard unless it is there: the scenes' images, and all attempts with the number of their image."""
+    if task.path.exists():
+        return
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
+    made = [attempts(task.split, number, network(task.weights), task.most) for number in task.numbers]
+    part = task.path.with_suffix(".part.npz")
+    arrays = {name: np.concatenate([getattr(one, name) for one in made]) for name in ("T", "opening", "seen", "reason")}
+    image = np.repeat(np.arange(len(made)), [len(one.T) for one in made])
+    depth = np.stack([np.round(1e4 * one.depth).astype(np.uint16) for one in made])  # 0.1 mm
+    np.savez_compressed(part, depth=depth, image=image, **arrays)
+    part.replace(task.path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the shards go")
+    parser.add_argument("weights", type=Path, help="of GG-CNN, whose maps the network sees")
+    parser.add_argument("--split", choices=sorted(samples.SPLITS), default="train_blobs", help="which scenes")
+    parser.add_argument("--scenes", type=whole(1, 10**6), default=2000, help=f"how many, a multiple of {SHARD}")
+    parser.add_argument("--most", type=whole(8, 1000), default=24, help="attempts in a scene, default 24")
+    parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many shards at a time")
+    given = parser.parse_args()
+    if given.scenes % SHARD:
+        parser.error(f"--scenes is {given.scenes}, but must be a multiple of {SHARD}.")
+    try:
+        weights.load(given.weights.read_bytes())
+    except (OSError, RigError) as error:
+        parser.error(str(error))
+    tasks = [
+        AttemptTask(given.folder / f"{given.split}_{first:06d}.npz", given.split, range(first, first + SHARD),
+                    given.weights.absolute(), given.most)
+        for first in range(0, given.scenes, SHARD)
+    ]  # fmt: skip
+    make_all(parser, given.folder, make_shard, tasks, given.processes, "shard")

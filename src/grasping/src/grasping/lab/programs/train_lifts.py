@@ -1,0 +1,114 @@
+"""Trains the network of lifts on the shards of make_attempts.py; minutes on a processor. The temperature, which makes
+its output a probability, is found on the validation's scenes."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import nn
+from tqdm import tqdm
+
+from common.command_line import real, whole
+from grasping.lab.evaluation.trials import CROP, camera
+from grasping.network.depth_image import NetworkImage
+from grasping.poses import hand_view
+from grasping.poses.hypotheses import Hypotheses
+from grasping.poses.lift_network import LiftNetwork, saved
+from grasping.refinement.candidates import image_rays, level_frame
+
+
+class LiftData(NamedTuple):
+    """n attempts."""
+
+    features: np.ndarray  # shape (n, FEATURES), float32
+    lifted: np.ndarray  # shape (n,), float32, 0 or 1
+
+
+def read(paths: Sequence[Path]) -> LiftData:
+    """Returns the attempts of shards. Raises OSError, KeyError or ValueError."""
+    parts, lifted = [], []
+    for path in tqdm(paths, unit="shard", desc="features"):
+        with np.load(path, allow_pickle=False) as arrays:
+            for i, counted in enumerate(arrays["depth"]):
+                of = arrays["image"] == i
+                if not of.any():
+                    continue
+                depth = 1e-4 * counted.astype(np.float32)
+                image = NetworkImage(CROP, depth, depth, np.ones(depth.shape, bool), float(depth.mean()))
+                tried = Hypotheses(arrays["T"][of], arrays["opening"][of], arrays["seen"][of])
+                frame = level_frame(image, image_rays(image, camera()))
+                parts.append(hand_view.features(tried, image, camera(), frame))
+                lifted.append(arrays["reason"][of] == 0)
+    return LiftData(np.concatenate(parts), np.concatenate(lifted).astype(np.float32))
+
+
+def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: int) -> tuple[LiftNetwork, list[dict]]:
+    """Returns the network of the epoch that validates best, and each epoch's losses."""
+    batch, decay = 256, 1e-3
+    rng = np.random.default_rng(seed)
+    torch.manual_seed(seed)
+    network = LiftNetwork()
+    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
+    steps = epochs * -(-len(data.lifted) // batch)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
+    loss_of = nn.BCEWithLogitsLoss()
+    known, wanted = torch.from_numpy(validation.features), torch.from_numpy(validation.lifted)
+    best, rows = copy.deepcopy(network), []
+    for epoch in tqdm(range(epochs), unit="epoch"):
+        network.train()
+        losses = []
+        for chosen in np.array_split(rng.permutation(len(data.lifted)), -(-len(data.lifted) // batch)):
+            mirrored = hand_view.mirrored(data.features[chosen], bool(rng.integers(2)), bool(rng.integers(2)))
+            noisy = mirrored + rng.normal(0.0, 0.05, mirrored.shape)
+            optimiser.zero_grad()
+            loss = loss_of(network(torch.from_numpy(noisy.astype(np.float32))), torch.from_numpy(data.lifted[chosen]))
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            losses.append(float(loss))
+        network.eval()
+        with torch.no_grad():
+            found = float(loss_of(network(known), wanted))
+        if found < min((row["validation"] for row in rows), default=np.inf):
+            best = copy.deepcopy(network)
+        rows.append({"epoch": epoch + 1, "training": float(np.mean(losses)), "validation": found})
+    _calibrate(best, known, wanted)
+    return best.eval(), rows
+
+
+def _calibrate(network: LiftNetwork, known: torch.Tensor, wanted: torch.Tensor) -> None:
+    """Sets the temperature to that of the least loss."""
+    with torch.no_grad():
+        logits = network(known)
+        tried = torch.linspace(0.5, 3.0, 51)
+        losses = [float(nn.functional.binary_cross_entropy_with_logits(logits / t, wanted)) for t in tried]
+        network.temperature.copy_(tried[int(np.argmin(losses))])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path, help="folder of the shards; those named validation_* are for validation")
+    parser.add_argument("run", type=Path, help="folder for lifts.pt and curves.json")
+    parser.add_argument("--epochs", type=whole(1, 10_000), default=40, help="default 40")
+    parser.add_argument("--rate", type=real(0.0, 1.0, open_low=True), default=2e-3, help="of learning, default 0.002")
+    parser.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help="default 0")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    paths = sorted(given.data.glob("*.npz"))
+    kept = [path for path in paths if path.name.startswith("validation")]
+    used = [path for path in paths if path not in kept]
+    if not kept or not used:
+        parser.error(f"{given.data} needs shards to train on, and others named validation_*.")
+    network, rows = train(read(used), read(kept), given.epochs, given.rate, given.seed)
+    given.run.mkdir(parents=True, exist_ok=True)
+    torch.save(saved(network), given.run / "lifts.pt")
+    (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")
+    least = min(row["validation"] for row in rows)
+    print(f"validation loss {least:.4f}, temperature {float(network.temperature):.2f}")

@@ -1,0 +1,1 @@
+"""Grasps in six degrees of freedom: hypotheses from GGCNN's whole maps, and how likely each one lifts."""

@@ -1,0 +1,101 @@
+"""What a depth image shows around a grasp, as the network of `lift_network` takes it, in the hand's own frame.
+
+At points between, at and beside the fingers: how far each lies behind (above 0) or before the surface that is seen
+there. So a finger's place that is free is negative, and the thing between the fingers positive. Further out only the
+surface's height beside the grasp counts: how far the thing reaches, and on which side.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from grasping.network.depth_image import NetworkImage
+from grasping.poses.hypotheses import Hypotheses, pixels_of
+from grasping.refinement.candidates import LevelFrame
+
+BETWEEN = (-0.95, -0.65, -0.3, 0.0, 0.3, 0.65, 0.95)  # across, as fractions of half the opening
+BESIDE_M = (0.001, 0.005, 0.012)  # beyond a pad's face: of a finger 8 mm thick and its clearance
+ALONG_M = (-0.016, -0.008, 0.0, 0.008, 0.016)  # the breadth of a pad is 20 mm
+DOWN_M = (-0.055, -0.035, -0.022, -0.014, -0.007, -0.002, 0.004)  # from the tips
+NEAR_M = 0.015  # distance from the surface that counts as 1
+AROUND_M = (-0.105, -0.075, -0.045, -0.015, 0.015, 0.045, 0.075, 0.105)
+FAR_M = 0.05
+
+
+class HandShape(NamedTuple):
+    """What of a hand matters here [m]."""
+
+    reach: float = 0.025  # from a grasp's origin to the tips, along the approach
+
+
+FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + 10
+
+
+def features(
+    of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame, hand: HandShape = HandShape()
+) -> np.ndarray:
+    """Returns the network's input for each hypothesis, shape (n, FEATURES), float32, about -1 to 1."""
+    n, half = len(of.T), 0.5 * of.opening[:, None]
+    across = np.concatenate([-half - BESIDE_M[::-1], half * BETWEEN, half + BESIDE_M], axis=1)  # shape (n, 13)
+    y, z = np.array(ALONG_M), hand.reach + np.array(DOWN_M)
+    grid = np.empty((n, across.shape[1], len(y), len(z), 3), np.float32)
+    grid[..., 0], grid[..., 1], grid[..., 2] = across[:, :, None, None], y[:, None], z
+    R, origin = of.T[:, :3, :3].astype(np.float32), of.T[:, :3, 3].astype(np.float32)
+    local = _behind(grid.reshape(n, -1, 3), R, origin, image, camera) / NEAR_M
+    a = np.array(AROUND_M)
+    far = np.empty((n, len(a), len(a), 3), np.float32)
+    far[..., 0], far[..., 1], far[..., 2] = a[:, None], a, 0.0
+    # In the plane across the vertical, turned with the line through the fingers.
+    level = _level_of(R, frame)
+    wide = _behind(far.reshape(n, -1, 3), level, origin, image, camera) / FAR_M
+    down = frame.R[:, 2]
+    tips = origin + hand.reach * R[:, :, 2]
+    scalars = np.concatenate(
+        [
+            of.seen,
+            np.einsum("i,nij->nj", down, R),
+            (of.opening[:, None] - 0.05) / 0.05,
+            (frame.distance - tips @ down)[:, None] / FAR_M,
+            (frame.distance - origin @ down)[:, None] / FAR_M,
+            np.full((n, 1), image.mean - 0.7) / 0.2,
+        ],
+        axis=1,
+    )
+    return np.concatenate([np.clip(local, -1.0, 1.0), np.clip(wide, -1.0, 1.0), scalars], axis=1).astype(np.float32)
+
+
+def mirrored(values: np.ndarray, across: bool, along: bool) -> np.ndarray:
+    """Returns the features of the mirrored scene: `across`: fingers exchanged; `along`: front and back exchanged."""
+    n, wide = len(values), len(AROUND_M)
+    cut = FEATURES - 10 - wide**2
+    local = values[:, :cut].reshape(n, -1, len(ALONG_M), len(DOWN_M))
+    far, scalars = values[:, cut:-10].reshape(n, wide, wide), values[:, -10:].copy()
+    if across:
+        local, far = local[:, ::-1], far[:, ::-1]
+        scalars[:, 3] *= -1.0
+    if along:
+        local, far = local[:, :, ::-1], far[:, :, ::-1]
+        scalars[:, 4] *= -1.0
+    return np.concatenate([local.reshape(n, -1), far.reshape(n, -1), scalars], axis=1)
+
+
+def _level_of(R: np.ndarray, frame: LevelFrame) -> np.ndarray:
+    """Returns the hands' orientations, laid level: z down, x as far along the line through the fingers as it can."""
+    down = frame.R[:, 2].astype(np.float32)
+    x = R[:, :, 0] - (R[:, :, 0] @ down)[:, None] * down
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    z = np.broadcast_to(down, x.shape)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def _behind(
+    points: np.ndarray, R: np.ndarray, origin: np.ndarray, image: NetworkImage, camera: CameraModel
+) -> np.ndarray:
+    """Returns how far points of the hands' frames, shape (n, m, 3), lie behind the surface seen there, (n, m) [m]."""
+    there = np.matmul(points, R.transpose(0, 2, 1)) + origin[:, None]
+    rows, columns, _ = pixels_of(there, image, camera)
+    behind: np.ndarray = there[..., 2] - image.depth[rows, columns]
+    return behind

@@ -1,0 +1,181 @@
+"""Hypotheses of grasps in six degrees of freedom, from the whole of GGCNN's maps and the depth around.
+
+A hypothesis is a pose in the camera's frame, z the approach and x through both fingers, its origin on or near the seen
+surface, and an opening. Places are pixels of high quality, and pixels of objects where GGCNN sees nothing; at each one
+the hand turns and tilts by a fixed table. Lengths in metres, angles in radians.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from common.camera_model import CameraModel
+from grasping.network.depth_image import NetworkImage
+from grasping.network.maps import Maps
+from grasping.refinement.candidates import LevelFrame, image_rays
+
+PLACES = 96
+SPACING_PX = 4  # between two places, rows or columns
+BORDER_PX = 20  # rows and columns at the image's border without places
+OBJECT_M = 0.008  # what stands out of the table by more is an object
+MAX_TILT_RAD = np.pi / 4.0
+MIN_OPENING_M = 0.01
+
+
+class Turn(NamedTuple):
+    """How a hypothesis differs from GGCNN's grasp at its pixel."""
+
+    line: float = 0.0  # of the line through the fingers, anticlockwise in the image [rad]
+    pitch: float = 0.0  # of the hand about that line [rad]
+    roll: float = 0.0  # of that line out of the horizontal [rad]
+    wider: float = 0.0  # opening [m]
+    back: float = 0.0  # along the approach, away from the surface [m]
+
+
+QUARTER = 0.5 * np.pi
+TURNS = (
+    Turn(),
+    Turn(wider=0.012),
+    Turn(line=0.4, back=0.008),
+    Turn(line=QUARTER),
+    Turn(pitch=0.45),
+    Turn(pitch=-0.45),
+    Turn(roll=0.4, wider=0.008),
+    Turn(roll=-0.4, wider=0.008),
+)
+"""What is tried at each place."""
+
+
+class Hypotheses(NamedTuple):
+    """n grasps."""
+
+    T: np.ndarray  # T_camera_grasp, shape (n, 4, 4) [m]
+    opening: np.ndarray  # shape (n,) [m]
+    seen: np.ndarray  # what GGCNN says at the pixel: quality; how well its line agrees, -1 to 1; how much wider this is
+    """Shape (n, 3)."""
+
+    def part(self, chosen: np.ndarray) -> Hypotheses:
+        return Hypotheses(self.T[chosen], self.opening[chosen], self.seen[chosen])
+
+
+def hypotheses(
+    maps: Maps,
+    certainty: np.ndarray,
+    image: NetworkImage,
+    camera: CameraModel,
+    frame: LevelFrame,
+    most_open: float,
+    turns: tuple[Turn, ...] = TURNS,
+) -> Hypotheses:
+    """Returns the hypotheses of an image; `maps`: smoothed; `certainty`: length of GGCNN's (cos, sin), shape of the
+    maps; `most_open`: what the hand opens at most [m]."""
+    rows, columns = places(maps, image, camera, frame).T
+    rays = image_rays(image, camera)
+    points = image.depth[rows, columns, None] * rays[rows, columns]
+    scale = image.depth[rows, columns] * image.crop.side / len(image.depth) / camera.K[0, 0]
+    table = np.array(turns)
+    line = (maps.angle[rows, columns][:, None] + table[:, 0]).ravel()
+    pitch, roll, wider, back = (np.tile(table[:, i], len(rows)) for i in range(1, 5))
+    width = np.repeat(maps.width[rows, columns] * scale, len(turns))
+    R = np.einsum("ij,njk->nik", frame.R, level_rotation(azimuth(line, frame), pitch, roll))
+    T = np.tile(np.eye(4), (len(R), 1, 1))
+    T[:, :3, :3] = R
+    T[:, :3, 3] = np.repeat(points, len(turns), axis=0) - back[:, None] * R[:, :, 2]
+    opening = np.clip(width + wider, MIN_OPENING_M, most_open)
+    return Hypotheses(T, opening, said_of(T, opening, maps, certainty, image, camera, frame))
+
+
+def places(maps: Maps, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
+    """Returns the pixels (row, column) where grasps are tried, shape (n, 2): the best ones of GGCNN's quality first,
+    then those highest above the table."""
+    rays = image_rays(image, camera)
+    height = frame.distance - (image.depth[..., None] * rays) @ frame.R[:, 2]
+    inner = np.zeros(maps.quality.shape, bool)
+    inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    order_by = np.where(
+        inner & image.valid & (height > OBJECT_M), maps.quality + 1e-3 * np.clip(height, 0.0, 0.5), -1.0
+    )
+    free = np.ones(order_by.shape, bool)
+    found: list[tuple[int, int]] = []
+    for at in np.argsort(-order_by, axis=None, kind="stable"):
+        row, column = divmod(int(at), order_by.shape[1])
+        if order_by[row, column] < 0.0 or len(found) == PLACES:
+            break
+        if free[row, column]:
+            found.append((row, column))
+            free[
+                max(0, row - SPACING_PX + 1) : row + SPACING_PX, max(0, column - SPACING_PX + 1) : column + SPACING_PX
+            ] = False
+    return np.array(found, int).reshape(-1, 2)
+
+
+def azimuth(line: np.ndarray, frame: LevelFrame) -> np.ndarray:
+    """Returns the angle about the level frame's z axis of lines in the image, anticlockwise from its horizontal."""
+    along = np.stack([np.cos(line), -np.sin(line), np.zeros_like(line)], axis=-1) @ frame.R
+    return np.arctan2(along[:, 1], along[:, 0])
+
+
+def level_rotation(azimuth: np.ndarray, pitch: np.ndarray, roll: np.ndarray) -> np.ndarray:
+    """Returns orientations of hands in the level frame, shape (n, 3, 3): turned about the line through the fingers by
+    `pitch`, that line raised by `roll` and turned about the vertical by `azimuth`."""
+    ca, sa, cp, sp, cr, sr = (f(a) for a in (azimuth, pitch, roll) for f in (np.cos, np.sin))
+    x = np.stack([ca * cr, sa * cr, -sr], axis=-1)
+    y = np.stack([-sa * cp + ca * sr * sp, ca * cp + sa * sr * sp, cr * sp], axis=-1)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
+
+
+def said_of(
+    T: np.ndarray,
+    opening: np.ndarray,
+    maps: Maps,
+    certainty: np.ndarray,
+    image: NetworkImage,
+    camera: CameraModel,
+    frame: LevelFrame,
+) -> np.ndarray:
+    """Returns what GGCNN's maps say of grasps in the camera's frame, as `Hypotheses.seen`."""
+    rows, columns, scale = pixels_of(T[:, :3, 3], image, camera)
+    line = np.arctan2(-T[:, 1, 0], T[:, 0, 0])
+    agrees = certainty[rows, columns] * np.cos(2.0 * (line - maps.angle[rows, columns]))
+    wider = opening - maps.width[rows, columns] * scale
+    return np.stack([maps.quality[rows, columns], agrees, wider / 0.05], axis=-1).astype(np.float32)
+
+
+def pixels_of(
+    points: np.ndarray, image: NetworkImage, camera: CameraModel
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns rows and columns of the network's image where points in the camera's frame, shape (..., 3), are seen, the
+    nearest one for those outside, and the size of a pixel there [m]."""
+    side = len(image.depth)
+    scale = image.crop.side / side
+    z = np.maximum(points[..., 2], 1e-3)
+    u = camera.K[0, 0] * points[..., 0] / z + camera.K[0, 2]
+    v = camera.K[1, 1] * points[..., 1] / z + camera.K[1, 2]
+    column = np.clip(((u - image.crop.column + 0.5) / scale).astype(np.int32), 0, side - 1)
+    row = np.clip(((v - image.crop.row + 0.5) / scale).astype(np.int32), 0, side - 1)
+    return row, column, z * scale / camera.K[0, 0]
+
+
+def varied(of: Hypotheses, each: int, rng: np.random.Generator, most_open: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns poses and openings near those of hypotheses, `each` of them for each one, within the tilt that the hand
+    takes over; their order is that of the hypotheses."""
+    T = np.repeat(of.T, each, axis=0)
+    turn = np.zeros((len(T), 3))
+    turn[:] = rng.normal(0.0, (0.15, 0.15, 0.2), turn.shape)
+    T[:, :3, :3] = T[:, :3, :3] @ small_rotations(turn)
+    T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], rng.normal(0.0, (0.004, 0.006, 0.006), turn.shape))
+    opening = np.clip(np.repeat(of.opening, each) + rng.normal(0.0, 0.008, len(T)), MIN_OPENING_M, most_open)
+    return T, opening
+
+
+def small_rotations(turn: np.ndarray) -> np.ndarray:
+    """Returns the rotations of rotation vectors, shape (n, 3) to (n, 3, 3) [rad]."""
+    angle = np.linalg.norm(turn, axis=1, keepdims=True)
+    axis = turn / np.maximum(angle, 1e-12)
+    K = np.zeros((len(turn), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -axis[:, 2], axis[:, 1], -axis[:, 0]
+    K -= K.transpose(0, 2, 1)
+    s, c = np.sin(angle)[..., None], np.cos(angle)[..., None]
+    return np.eye(3) + s * K + (1.0 - c) * (K @ K)

@@ -1,0 +1,58 @@
+"""The network that says of each hypothesis how likely it lifts: two hidden layers over what `hand_view` sees."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from common.errors import RigError
+from grasping.poses.hand_view import FEATURES
+
+HIDDEN = (128, 64)
+SCHEMA = 1
+
+
+class LiftNetwork(nn.Module):
+    """Returns the logit of a lift of features, shape (n, FEATURES) to (n,)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        first, second = HIDDEN
+        self.layers = nn.Sequential(
+            nn.Linear(FEATURES, first), nn.ReLU(), nn.Linear(first, second), nn.ReLU(), nn.Linear(second, 1)
+        )
+        self.register_buffer("temperature", torch.ones(()))  # divides the logits: found on scenes of the validation
+
+    def forward(self, features: torch.Tensor) -> torch.Tensor:
+        logits: torch.Tensor = self.layers(features)[:, 0] / self.temperature
+        return logits
+
+
+def lift_logits(network: LiftNetwork, features: np.ndarray) -> np.ndarray:
+    """Returns the logits of lifts, shape (n,), of features, shape (n, FEATURES), float32."""
+    with torch.no_grad():
+        found: np.ndarray = network(torch.from_numpy(features)).numpy()
+    return found
+
+
+def saved(network: LiftNetwork) -> dict[str, Any]:
+    return {"schema": SCHEMA, "features": FEATURES, "state": network.state_dict()}
+
+
+def loaded(data: bytes) -> LiftNetwork:
+    """Returns the network of a file's content; raises RigError if it is none."""
+    try:
+        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+        if content["schema"] != SCHEMA or content["features"] != FEATURES:
+            raise RigError(f"It is of schema {content['schema']} with {content['features']} features.")
+        network = LiftNetwork()
+        network.load_state_dict(content["state"])
+    except RigError as error:
+        raise RigError(f"The weights are not of this network: {error}") from error
+    except Exception as error:  # torch raises whatever its unpickler meets
+        raise RigError(f"The file holds no weights of the network of lifts: {error}") from error
+    return network.eval()
