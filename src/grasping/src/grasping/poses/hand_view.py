@@ -7,8 +7,6 @@ surface's height beside the grasp counts: how far the thing reaches, and on whic
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from common.camera_model import CameraModel
@@ -23,24 +21,17 @@ DOWN_M = (-0.055, -0.035, -0.022, -0.014, -0.007, -0.002, 0.004)  # from the tip
 NEAR_M = 0.015  # distance from the surface that counts as 1
 AROUND_M = (-0.105, -0.075, -0.045, -0.015, 0.015, 0.045, 0.075, 0.105)
 FAR_M = 0.05
-
-
-class HandShape(NamedTuple):
-    """What of a hand matters here [m]."""
-
-    reach: float = 0.025  # from a grasp's origin to the tips, along the approach
+REACH_M = 0.025  # from a grasp's origin to the tips, along the approach
 
 
 FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + 10
 
 
-def features(
-    of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame, hand: HandShape = HandShape()
-) -> np.ndarray:
+def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: LevelFrame) -> np.ndarray:
     """Returns the network's input for each hypothesis, shape (n, FEATURES), float32, about -1 to 1."""
     n, half = len(of.T), 0.5 * of.opening[:, None]
     across = np.concatenate([-half - BESIDE_M[::-1], half * BETWEEN, half + BESIDE_M], axis=1)  # shape (n, 13)
-    y, z = np.array(ALONG_M), hand.reach + np.array(DOWN_M)
+    y, z = np.array(ALONG_M), REACH_M + np.array(DOWN_M)
     grid = np.empty((n, across.shape[1], len(y), len(z), 3), np.float32)
     grid[..., 0], grid[..., 1], grid[..., 2] = across[:, :, None, None], y[:, None], z
     R, origin = of.T[:, :3, :3].astype(np.float32), of.T[:, :3, 3].astype(np.float32)
@@ -52,7 +43,7 @@ def features(
     level = _level_of(R, frame)
     wide = _behind(far.reshape(n, -1, 3), level, origin, image, camera) / FAR_M
     down = frame.R[:, 2]
-    tips = origin + hand.reach * R[:, :, 2]
+    tips = origin + REACH_M * R[:, :, 2]
     scalars = np.concatenate(
         [
             of.seen,

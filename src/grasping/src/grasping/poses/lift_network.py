@@ -19,6 +19,8 @@ SCHEMA = 1
 class LiftNetwork(nn.Module):
     """Returns the logit of a lift of features, shape (n, FEATURES) to (n,)."""
 
+    temperature: torch.Tensor
+
     def __init__(self) -> None:
         super().__init__()
         first, second = HIDDEN

@@ -44,8 +44,8 @@ def lift(
 ) -> lift_trial.LiftResult:
     """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
     `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]; `target`: the
-    object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift; `through`: as of
-    `lift_trial.lift`.
+    object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift;
+    `through`: as of `lift_trial.lift`.
     """
     rise_m = 0.08  # an object that rose so much was lifted
     step_s = 0.002

@@ -134,14 +134,19 @@ def executed(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL
     """Returns a grasp as the arm takes it, None where there is none; friction and error depend on the scene alone."""
     rng = np.random.default_rng([99, of.number])
     friction = float(rng.uniform(*FRICTION))
-    error = rng.normal(0.0, conditions.position_error, 2), rng.normal(0.0, conditions.angle_error)
+    error = miss(rng, conditions)
     where = None if chosen is None else project_grasp(chosen, CROP, NETWORK_SIDE, of.view.observed, camera())
     if where is None:
         return None
-    miss = pose(rotation_about(2, error[1]), (*error[0], 0.0))
     T_world_grasp = pose(of.view.camera.R, of.view.camera.position) @ where.T_camera_grasp
     target = nearest_object(of.view.scene, T_world_grasp[:3, 3])
-    return Executed(T_world_grasp @ miss, where.width, friction, target)
+    return Executed(T_world_grasp @ error, where.width, friction, target)
+
+
+def miss(rng: np.random.Generator, conditions: Conditions) -> np.ndarray:
+    """Returns by how much the arm misses a grasp, in its frame, shape (4, 4) [m]."""
+    place, turn = rng.normal(0.0, conditions.position_error, 2), rng.normal(0.0, conditions.angle_error)
+    return pose(rotation_about(2, turn), (*place, 0.0))
 
 
 def judge(of: TrialScene, chosen: Peak | None, conditions: Conditions = USUAL) -> TrialOutcome:

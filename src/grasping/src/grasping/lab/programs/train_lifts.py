@@ -60,7 +60,8 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
     loss_of = nn.BCEWithLogitsLoss()
     known, wanted = torch.from_numpy(validation.features), torch.from_numpy(validation.lifted)
-    best, rows = copy.deepcopy(network), []
+    best = copy.deepcopy(network)
+    rows: list[dict] = []
     for epoch in tqdm(range(epochs), unit="epoch"):
         network.train()
         losses = []
@@ -72,7 +73,7 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
             loss.backward()
             optimiser.step()
             schedule.step()
-            losses.append(float(loss))
+            losses.append(loss.item())
         network.eval()
         with torch.no_grad():
             found = float(loss_of(network(known), wanted))

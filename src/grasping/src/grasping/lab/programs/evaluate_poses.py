@@ -1,0 +1,162 @@
+"""Compares grasps in six degrees of freedom with those of GG-CNN alone by lifting them, with the arm's error and a
+shake: what GG-CNN takes, and what each network of lifts takes, from above and tilted. Same scenes, friction and error
+for all."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import mujoco
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from common.command_line import whole
+from common.errors import RigError
+from common.lift_trial import NO_GRASP
+from common.poses import pose
+from grasping.lab.evaluation import sheets, tables, trials
+from grasping.lab.evaluation.lifting import lift, nearest_object
+from grasping.lab.programs.evaluate import SPLITS, object_count, open_results
+from grasping.lab.programs.make_attempts import network as ggcnn
+from grasping.lab.programs.make_dataset import ignore_warning
+from grasping.lab.synthetic.attempts import image_maps
+from grasping.lab.synthetic.samples import GRIPPER, view
+from grasping.lab.synthetic.samples import SPLITS as ALL_SPLITS
+from grasping.network import maps, weights
+from grasping.pipeline.projection import project_grasp
+from grasping.poses.chooser import choose, tilts
+from grasping.poses.hypotheses import MAX_TILT_RAD
+from grasping.poses.lift_network import LiftNetwork, loaded
+
+ALONE = "GG-CNN alone"
+WAYS = {"from above": 0.02, "tilted": MAX_TILT_RAD}
+"""Greatest tilt [rad] of what a network of lifts may take."""
+COLUMNS = ("scene", "objects", "method", "lifted", "reason", "quality", "tilt", "opening")
+
+
+class PoseTrialTask(NamedTuple):
+    """A scene to be tried."""
+
+    split: str
+    number: int
+    ggcnn: Path
+    lifts: Mapping[str, Path]
+
+
+class ChosenPose(NamedTuple):
+    """A grasp in the camera's frame."""
+
+    T_camera_grasp: np.ndarray
+    opening: float
+    quality: float
+    tilt: float
+
+
+@lru_cache(maxsize=8)
+def lift_network(file: Path) -> LiftNetwork:
+    return loaded(file.read_bytes())
+
+
+def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    mujoco.set_mju_user_warning(ignore_warning)
+    count = None if ALL_SPLITS[task.split].surroundings else object_count(task.number)
+    seen = view(task.split, task.number, count)
+    rng = np.random.default_rng([99, task.number])
+    friction = float(rng.uniform(*trials.FRICTION))
+    miss = trials.miss(rng, trials.USUAL)
+    T_world_camera = pose(seen.camera.R, seen.camera.position)
+    rows = []
+    for method, chosen in _chosen(task, image_maps(seen, ggcnn(task.ggcnn)), seen.observed).items():
+        row = {"scene": task.number, "objects": len(seen.scene.objects), "method": method}
+        if chosen is None:
+            rows.append({**row, "lifted": False, "reason": NO_GRASP, "quality": 0.0, "tilt": 0.0, "opening": 0.0})
+            continue
+        T = T_world_camera @ chosen.T_camera_grasp
+        target = nearest_object(seen.scene, T[:3, 3])
+        result = lift(seen.scene, T @ miss, chosen.opening, GRIPPER, friction, target, shake=True)
+        said = {"quality": chosen.quality, "tilt": chosen.tilt, "opening": chosen.opening}
+        rows.append({**row, "lifted": result.lifted, "reason": result.reason, **said})
+    return rows
+
+
+def _chosen(task: PoseTrialTask, of: Any, observed: np.ndarray) -> dict[str, ChosenPose | None]:
+    peak = maps.highest(of.maps)
+    where = project_grasp(peak, trials.CROP, len(of.image.depth), observed, of.camera)
+    found: dict[str, ChosenPose | None] = {ALONE: None}
+    if where is not None:
+        found[ALONE] = ChosenPose(where.T_camera_grasp, where.width, peak.quality, 0.0)
+    frame = of.frame()
+    for name, file in task.lifts.items():
+        for way, most in WAYS.items():
+            best = choose(lift_network(file), of, GRIPPER.opening, most)
+            found[f"{name}, {way}"] = None
+            if len(best.probability):
+                tilt = float(tilts(best.of, frame)[0])
+                first = best.of.T[0], float(best.of.opening[0]), float(best.probability[0])
+                found[f"{name}, {way}"] = ChosenPose(*first, tilt)
+    return found
+
+
+def report(folder: Path, rows: list[dict[str, Any]], methods: list[str]) -> str:
+    lines = []
+    for method in methods:
+        lines.append([method, *(tables.fraction(rows, method, "lifted", part) for part in tables.PARTS.values())])
+    compared = [
+        tables.markdown_table(("lifted %", *tables.PARTS), lines),
+        tables.differences(rows, methods, methods),
+        tables.failures(rows, methods),
+    ]
+    text = "\n".join(part for part in compared if part)
+    (folder / "table.md").write_text(text, encoding="utf-8")
+    of = {name: [row for row in rows if row["method"] == name] for name in methods if name != ALONE}
+    sheets.reliability_plot(
+        folder / "reliability.png",
+        {name: ([r["quality"] for r in own], [r["lifted"] for r in own]) for name, own in of.items()},
+    )
+    return text
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the results go")
+    parser.add_argument("ggcnn", type=Path, help="weights of GG-CNN")
+    parser.add_argument(
+        "--lifts", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network of lifts"
+    )
+    parser.add_argument("--split", choices=SPLITS, default="validation", help="which scenes")
+    parser.add_argument("--scenes", type=whole(1, 10**9), default=300, help="how many, default 300")
+    parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first one, default 0")
+    parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many scenes at a time")
+    given = parser.parse_args()
+    try:
+        weights.load(given.ggcnn.read_bytes())
+        files = {name: Path(file) for name, file in given.lifts}
+        for file in files.values():
+            loaded(file.read_bytes())
+    except (OSError, RigError) as error:
+        parser.error(str(error))
+    numbers = range(given.first, given.first + given.scenes)
+    tasks = [PoseTrialTask(given.split, number, given.ggcnn, files) for number in numbers]
+    methods = [ALONE, *(f"{name}, {way}" for name in files for way in WAYS)]
+    rows: list[dict[str, Any]] = []
+    try:
+        pool_of = multiprocessing.get_context("spawn").Pool
+        with open_results(given.folder, COLUMNS) as writer, pool_of(given.processes) as pool:
+            for new in tqdm(pool.imap(try_scene, tasks), total=len(tasks), unit="scene"):
+                writer.writerows(new)
+                rows += new
+    except RigError as error:
+        parser.error(str(error))
+    settings = {name: getattr(given, name) for name in ("split", "first", "scenes")}
+    (given.folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
+    print(report(given.folder, rows, methods), end="")

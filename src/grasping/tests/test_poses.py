@@ -1,0 +1,192 @@
+"""Hypotheses in six degrees of freedom, what the depth shows around each, and the network that judges them."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+import torch
+
+from common.camera_model import CameraModel, pinhole
+from common.errors import RigError
+from common.rotations import rotation_about
+from grasping.lab.programs.train_lifts import LiftData, train
+from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
+from grasping.network.maps import Maps
+from grasping.poses import hand_view, hypotheses
+from grasping.poses.chooser import ImageMaps, choose, tilts
+from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
+from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
+
+SIDE, TABLE_M, FOCAL = 300, 0.7, 570.0
+OPEN_M = 0.1
+DOWN = np.array([0.0, 0.0, 1.0])
+
+
+def camera() -> CameraModel:
+    centre = 0.5 * (CROP_SIDE - 1)
+    K = np.array([[FOCAL, 0.0, centre], [0.0, FOCAL, centre], [0.0, 0.0, 1.0]])
+    return pinhole("test", CROP_SIDE, CROP_SIDE, K)
+
+
+def bar_image(height: float = 0.04) -> ImageMaps:
+    """A bar along the image's columns, 30 mm wide and 100 mm long, on a table straight below; GGCNN sees it so."""
+    depth = np.full((SIDE, SIDE), TABLE_M)
+    scale = (TABLE_M - height) * CROP_SIDE / SIDE / FOCAL
+    away = (np.arange(SIDE) - 0.5 * (SIDE - 1)) * scale
+    bar = (np.abs(away)[:, None] < 0.05) & (np.abs(away) < 0.015)
+    depth[bar] -= height
+    image = NetworkImage(
+        Crop(0, 0, CROP_SIDE), depth - depth.mean(), depth, np.ones(depth.shape, bool), float(depth.mean())
+    )
+    quality = np.where(bar, 0.8 - np.abs(away)[:, None] - np.abs(away), 0.0)
+    width = np.full(depth.shape, 0.04 / scale)
+    return ImageMaps(image, camera(), Maps(quality, np.zeros(depth.shape), width), np.ones(depth.shape))
+
+
+def of_turns(of: ImageMaps, *turns: Turn) -> Hypotheses:
+    return hypotheses.hypotheses(of.maps, of.certainty, of.image, of.camera, of.frame(), OPEN_M, turns)
+
+
+def seen(of: ImageMaps, tried: Hypotheses) -> np.ndarray:
+    return hand_view.features(tried, of.image, of.camera, of.frame())
+
+
+def near_fingers(values: np.ndarray) -> np.ndarray:
+    """Returns the part of features at the fingers: across, along, down."""
+    cut = hand_view.FEATURES - 10 - len(hand_view.AROUND_M) ** 2
+    return values[:, :cut].reshape(len(values), -1, len(hand_view.ALONG_M), len(hand_view.DOWN_M))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_orientations_are_rotations_with_the_tilt_that_was_asked(seed):
+    azimuth, pitch, roll = np.random.default_rng(seed).uniform(-0.7, 0.7, (3, 20))
+    R = hypotheses.level_rotation(azimuth, pitch, roll)
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(R), 1.0)
+    np.testing.assert_allclose(R[:, 2, 2], np.cos(pitch) * np.cos(roll), atol=1e-12)
+    np.testing.assert_allclose(R[:, 2, 0], -np.sin(roll), atol=1e-12)
+
+
+def test_without_a_turn_a_hypothesis_is_ggcnns_grasp_from_straight_above():
+    of = bar_image()
+    found = of_turns(of, Turn())
+    assert 10 < len(found.T) <= PLACES
+    np.testing.assert_allclose(found.T[:, :3, :3], np.tile(np.eye(3), (len(found.T), 1, 1)), atol=1e-3)
+    np.testing.assert_allclose(found.opening, 0.04, atol=1e-3)
+    assert (np.diff(found.seen[:, 0]) <= 1e-6).all(), "the best quality first"
+    np.testing.assert_allclose(found.seen[:, 1:], [[1.0, 0.0]] * len(found.T), atol=1e-3)
+    np.testing.assert_allclose(found.T[0, :3, 3], (0.0, 0.0, 0.66), atol=0.002)
+
+
+def test_a_quarter_turn_goes_along_the_bar_and_ggcnn_disagrees():
+    of = bar_image()
+    found = of_turns(of, Turn(line=0.5 * np.pi))
+    assert np.abs(found.T[:, 1, 0]).min() > 0.999
+    np.testing.assert_allclose(found.seen[:, 1], -1.0, atol=1e-3)
+
+
+def test_where_ggcnn_sees_nothing_objects_are_still_tried():
+    of = bar_image()
+    blind = of._replace(maps=of.maps._replace(quality=np.zeros((SIDE, SIDE))))
+    found = of_turns(blind, Turn())
+    assert len(found.T) > 10
+    assert np.abs(found.T[:, 0, 3]).max() < 0.02, "on the bar"
+
+
+def test_fingers_beside_a_bar_are_free_and_the_bar_is_between_them():
+    of = bar_image()
+    best = of_turns(of, Turn()).part(np.array([0]))
+    around = near_fingers(seen(of, best))[0]
+    beside, middle = len(hand_view.BESIDE_M), around.shape[0] // 2
+    above_table = slice(0, 6)
+    assert (around[:beside, :, above_table] < 0.0).all() and (around[-beside:, :, above_table] < 0.0).all()
+    assert (around[middle, :, -4:] > 0.0).all(), "its inside is behind its top"
+    narrow = best._replace(opening=np.array([0.02]))
+    blocked = near_fingers(seen(of, narrow))[0]
+    assert blocked[beside - 1, 2, -3] > 0.0 and blocked[-beside, 2, -3] > 0.0, "fingers would come down on the bar"
+
+
+def test_a_hand_turned_by_half_a_turn_sees_both_sides_exchanged():
+    of = bar_image()
+    tried = of_turns(of, *TURNS)
+    half = np.eye(4)
+    half[:3, :3] = rotation_about(2, np.pi)
+    turned = tried._replace(T=tried.T @ half)
+    # Pixels are not symmetric about the image's middle: a few points fall on the other side of an edge.
+    expected, found = hand_view.mirrored(seen(of, tried), True, True), seen(of, turned)
+    assert (np.abs(expected - found) < 1e-4).mean() > 0.999
+
+
+def test_features_are_finite_and_about_one_even_outside_the_image():
+    of = bar_image()
+    tried = of_turns(of, *TURNS)
+    far = tried._replace(T=tried.T + np.array([[0, 0, 0, 0.5], [0, 0, 0, -0.5], [0, 0, 0, -0.6], [0, 0, 0, 0]]))
+    values = seen(of, far)
+    assert values.shape == (len(far.T), hand_view.FEATURES) and values.dtype == np.float32
+    assert np.isfinite(values).all()
+
+
+def test_poses_near_others_stay_near_and_are_rotations():
+    of = bar_image()
+    best = of_turns(of, Turn()).part(np.arange(4))
+    T, opening = hypotheses.varied(best, 5, np.random.default_rng(0), OPEN_M)
+    assert T.shape == (20, 4, 4)
+    np.testing.assert_allclose(
+        T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-9
+    )
+    assert np.linalg.norm(T[:, :3, 3] - np.repeat(best.T[:, :3, 3], 5, axis=0), axis=1).max() < 0.03
+    assert (opening <= OPEN_M).all() and (opening >= hypotheses.MIN_OPENING_M).all()
+
+
+def test_the_chosen_are_in_order_and_tilt_no_further_than_allowed():
+    of = bar_image()
+    torch.manual_seed(1)
+    network = LiftNetwork().eval()
+    for most in (0.02, 0.3, MAX_TILT_RAD):
+        found = choose(network, of, OPEN_M, most)
+        assert (np.diff(found.probability) <= 0.0).all()
+        assert tilts(found.of, of.frame()).max() <= most + 1e-5
+        assert ((found.probability > 0.0) & (found.probability < 1.0)).all()
+    again = choose(network, of, OPEN_M, MAX_TILT_RAD)
+    np.testing.assert_array_equal(again.probability, found.probability)
+
+
+def test_a_bare_table_offers_nothing():
+    found = choose(LiftNetwork().eval(), bar_image(height=0.0), OPEN_M)
+    assert len(found.probability) == 0
+
+
+def test_weights_come_back_and_other_files_are_refused():
+    network = LiftNetwork().eval()
+    network.temperature.fill_(1.7)
+    file = io.BytesIO()
+    torch.save(saved(network), file)
+    values = np.random.default_rng(0).standard_normal((5, hand_view.FEATURES)).astype(np.float32)
+    np.testing.assert_array_equal(lift_logits(loaded(file.getvalue()), values), lift_logits(network, values))
+    with pytest.raises(RigError, match="holds no weights of the network of lifts"):
+        loaded(b"nothing")
+    other = io.BytesIO()
+    torch.save({**saved(network), "features": 3}, other)
+    with pytest.raises(RigError, match="3 features"):
+        loaded(other.getvalue())
+
+
+def test_training_learns_and_its_probability_is_one():
+    """Lifts that depend on one feature: likely where it is high. The network says how likely."""
+    rng = np.random.default_rng(3)
+
+    def made(n: int) -> LiftData:
+        values = 0.1 * rng.standard_normal((n, hand_view.FEATURES)).astype(np.float32)
+        values[:, -4] *= 10.0
+        chance = np.where(values[:, -4] > 0.0, 0.9, 0.2)  # the opening, which no mirror changes
+        return LiftData(values, (rng.random(n) < chance).astype(np.float32))
+
+    network, rows = train(made(3000), made(1000), 10, 2e-3, 0)
+    assert rows[-1]["training"] < rows[0]["training"]
+    fresh = made(2000)
+    said = 1.0 / (1.0 + np.exp(-lift_logits(network, fresh.features)))
+    high = fresh.features[:, -4] > 0.0
+    assert said[high].mean() == pytest.approx(0.9, abs=0.08)
+    assert said[~high].mean() == pytest.approx(0.2, abs=0.08)
