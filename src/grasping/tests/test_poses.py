@@ -179,7 +179,7 @@ def test_training_learns_and_its_probability_is_one():
 
     def made(n: int) -> LiftData:
         values = 0.1 * rng.standard_normal((n, hand_view.FEATURES)).astype(np.float32)
-        values[:, -4] *= 10.0
+        values[:, -4] = rng.choice((-1.0, 1.0), n)
         chance = np.where(values[:, -4] > 0.0, 0.9, 0.2)  # the opening, which no mirror changes
         return LiftData(values, (rng.random(n) < chance).astype(np.float32))
 
