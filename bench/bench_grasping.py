@@ -34,7 +34,7 @@ def rows(quick: bool) -> list[Row]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     try:
-        table = _rows("GG-CNN2", SRC / "grasping" / "weights" / "ggcnn2.pt", images)
+        table = _rows("GG-CNN2", SRC / "grasping" / "weights" / "ggcnn2_wide.pt", images)
         if GGCNN_WEIGHTS.exists():
             table += _rows("GG-CNN", GGCNN_WEIGHTS, images)
         else:

@@ -258,8 +258,8 @@ def curves() -> None:
     """Training curves of the shipped GG-CNN2 weights."""
     from grasping.lab.programs.runs import plot
 
-    with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_curves.csv").open(newline="") as file:
-        plot(list(csv.DictReader(file)), PICTURES / "ggcnn2_curves.png")
+    with (ROOT / "src" / "grasping" / "weights" / "ggcnn2_reflex_curves.csv").open(newline="") as file:
+        plot(list(csv.DictReader(file)), PICTURES / "ggcnn2_reflex_curves.png")
 
 
 def filters() -> None:

@@ -33,7 +33,7 @@ from kuka_msgs.msg import MoveGoal
 from vision.marker_board.board import MarkerBoardConfig
 
 FRESH_S = 2.0  # proposals in an older image are refused
-NETWORK = Path(rospkg.RosPack().get_path("grasping"), "weights", "ggcnn2.pt")
+NETWORK = Path(rospkg.RosPack().get_path("grasping"), "weights", "ggcnn2_wide.pt")
 LISTS_S = 30.0  # a busy machine looks at an image now and then [s]
 
 
@@ -121,7 +121,7 @@ def useless_images(trial):
         _restart_network(trial, weights=str(weights), sha256="any")
         proposals.wait(some=False, reason="the network's maps are not finite")
         refused(trial, "the network's maps are not finite")
-        _restart_network(trial, weights="ggcnn2.pt", sha256="listed")
+        _restart_network(trial, weights="ggcnn2_wide.pt", sha256="listed")
         proposals.wait(some=True)
 
 

@@ -388,7 +388,7 @@ def refinement_of_kinds(file, view, **tilts):
         hand = known.hand._replace(tilt_x=np.array([tilt, 0.0, 0.0]))
         kinds[name] = Preference(known._replace(hand=hand), None)
     torch.save(content(kinds, Origin(view=view)), file)
-    return {"view": view, "refine": True, "refinement_weights": str(file), "network__weights": "ggcnn2.pt"}
+    return {"view": view, "refine": True, "refinement_weights": str(file), "network__weights": "ggcnn2_wide.pt"}
 
 
 @pytest.mark.parametrize("view", ["camera", "table"])

@@ -33,7 +33,7 @@ from grasping.network.depth_image import prepare
 from grasping.network.maps import PARALLEL, REFLEX
 from grasping.network.networks import NETWORKS
 
-SHIPPED = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
+SHIPPED = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
 
 
 def call(monkeypatch, program, *arguments):
@@ -188,7 +188,7 @@ def test_networks_are_tried_with_the_openings_of_a_hand_as_well(tmp_path, monkey
     wide = "preferred_opening: [0.07, 0.12]\noutside_quality: 0.01\n"
     others = (line for line in (package / "config" / "tool_pose.yaml").read_text().splitlines() if "pre" not in line)
     tool.write_text(wide + "\n".join(line for line in others if not line.startswith("outside_quality")))
-    network = ["--weights", "net", package / "weights" / "ggcnn2.pt", "--tool", tool]
+    network = ["--weights", "net", package / "weights" / "ggcnn2_wide.pt", "--tool", tool]
     call(monkeypatch, evaluate, "--export", exported, "--scenes", "2", "--split", "validation", *network)
     scenes = json.loads(exported.read_text())["scenes"]
     for scene in scenes:

@@ -28,7 +28,7 @@ from grasping.lab.training import refinement_examples
 from grasping.refinement import refinement_file
 from grasping.refinement.refinement_file import Origin, content
 
-WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2.pt"
+WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
 NUMBERS = (0, 1, 2, 3, 4)
 WHO = ("high", "middle", ANYBODIES[1])
 

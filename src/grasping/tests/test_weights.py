@@ -19,7 +19,6 @@ from grasping.network.maps import PARALLEL, REFLEX
 from grasping.refinement import refinement_file
 
 OWN = {
-    "ggcnn2.pt": ("ggcnn2", PARALLEL),
     "ggcnn2_reflex.pt": ("ggcnn2", REFLEX),
     "ggcnn2_wide.pt": ("ggcnn2", PARALLEL),
 }
