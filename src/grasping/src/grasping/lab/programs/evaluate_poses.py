@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
+import sys
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -159,4 +160,4 @@ def main() -> None:
         parser.error(str(error))
     settings = {name: getattr(given, name) for name in ("split", "first", "scenes")}
     (given.folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
-    print(report(given.folder, rows, methods), end="")
+    sys.stdout.write(report(given.folder, rows, methods))

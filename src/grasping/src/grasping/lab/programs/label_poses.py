@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -89,4 +90,4 @@ def main() -> None:
             found = list(tqdm(pool.imap(label, tasks), total=len(tasks), unit="scene"))
     except OSError as error:
         parser.error(f"{error.filename or given.folder} cannot be written: {error.strerror}.")
-    print(summary(found), end="")
+    sys.stdout.write(summary(found))

@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import copy
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -112,4 +113,4 @@ def main() -> None:
     torch.save(saved(network), given.run / "lifts.pt")
     (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")
     least = min(row["validation"] for row in rows)
-    print(f"validation loss {least:.4f}, temperature {float(network.temperature):.2f}")
+    sys.stdout.write(f"validation loss {least:.4f}, temperature {float(network.temperature):.2f}\n")
