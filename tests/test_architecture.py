@@ -423,6 +423,7 @@ GRASPING = ROOT / "src/grasping/src/grasping"
 LIVE_ROOMS = {
     "network": set(),
     "refinement": {"network"},
+    "poses": {"refinement", "network"},
     "pipeline": {"refinement", "network"},
     "execution": {"pipeline", "network"},
     "ros": {"execution", "pipeline", "refinement", "network"},

@@ -39,7 +39,8 @@ class VisitLimits:
 
     def __init__(self, total: int, per_address: int) -> None:
         self._total, self._per_address = total, per_address
-        self._second, self._of = 0, Counter[str]()
+        self._second = 0
+        self._of: Counter[str] = Counter()
 
     def admit(self, address: str, now: float) -> bool:
         """Counts a connection; returns False, and does not, if there were too many in this second [s]."""
