@@ -122,7 +122,6 @@ class Relay(SocketService):
             if not self._enter(run):
                 await connection.close(BUSY, "another rig is connected to this relay")
                 return
-            self._keep(connection)
             try:
                 await self._wait(connection)
             finally:
@@ -132,6 +131,7 @@ class Relay(SocketService):
         nonce = secrets.token_bytes(NONCE)
         await connection.send(greeting.challenge(nonce))
         run, proof = greeting.proof(self._key, await connection.recv(), nonce)
+        self._keep(connection)  # before the rig knows that it may go on
         await connection.send(proof)
         return run
 
