@@ -10,9 +10,11 @@ from leap_motion.service.access import (
     FIRST_WAIT_S,
     LONGEST_WAIT_S,
     MAX_ADDRESSES,
+    MAX_KEYS,
     REMEMBERED_S,
     AccessCode,
     ConnectionLimits,
+    Place,
     is_loopback,
     is_own_host,
 )
@@ -61,6 +63,23 @@ def test_a_kept_place_gives_way_to_none_and_is_given_while_others_are_there(step
         elif chosen:
             chosen.kept = True
         assert len(places) <= 3 and limits._places == places
+
+
+def test_a_new_connection_has_a_moment_but_for_those_of_a_machine_that_had_the_code():
+    limits, ended = ConnectionLimits(2, 2, newest_first=True, grace_s=1.0), []
+    for name in ("first", "second"):
+        assert limits.enter("10.0.0.1", lambda name=name: ended.append(name), now=5.0)
+    assert limits.enter("10.0.0.1", pytest.fail, now=5.9) is None
+    assert limits.enter("10.0.0.2", pytest.fail, now=5.9) is None
+    third = limits.enter("10.0.0.2", pytest.fail, now=6.0)
+    third.kept = True
+    limits.leave(third)
+    assert limits.enter("10.0.0.3", pytest.fail, now=6.0) and ended == ["first"]
+    assert limits.enter("10.0.0.4", pytest.fail, now=5.5) is None
+    assert limits.enter("10.0.0.2", pytest.fail, now=5.5) and ended == ["first", "second"]
+    for number in range(MAX_KEYS):
+        limits.leave(Place(f"10.1.0.{number}", pytest.fail, 0.0, kept=True))
+    assert limits.enter("10.0.0.2", pytest.fail, now=6.1) is None and len(limits._known) == MAX_KEYS
 
 
 def test_who_gave_way_and_leaves_then_takes_nobodys_place():

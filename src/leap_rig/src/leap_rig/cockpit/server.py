@@ -23,7 +23,7 @@ from websockets.typing import Subprotocol
 from common import clock
 from leap_motion.service.access import ConnectionLimits, Place
 from leap_motion.service.certificate import Certificate
-from leap_motion.service.socket_service import SEND_S, PageService, cutter, page_response
+from leap_motion.service.socket_service import PAGE_CONNECTIONS, SEND_S, PageService, cutter, page_response
 from leap_rig.cockpit.control import CockpitControl, CockpitPage, HeldSwitches
 from leap_rig.cockpit.messages import (
     BEAT,
@@ -95,8 +95,8 @@ class CockpitServer(PageService):
         self._state = "{}"
         self._news = self._loop.create_future()
         self._limits = {
-            path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS, newest_first=path == "/control")
-            for path in ("/state", "/control", self.scene_path)
+            "/control": ConnectionLimits(PAGE_CONNECTIONS, PAGES_OF_ADDRESS, newest_first=True),
+            **{path: ConnectionLimits(MAX_PAGES, PAGES_OF_ADDRESS) for path in ("/state", self.scene_path)},
         }
         self._open_pages = self._open_scenes = self._number = 0
         self.pictures = PictureStream(self._loop, dict, MAX_PAGES, PAGES_OF_ADDRESS, jpeg_quality, way, cameras)

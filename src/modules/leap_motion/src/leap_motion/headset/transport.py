@@ -24,7 +24,7 @@ MAX_MESSAGE_BYTES = 16384  # longest message of a page; two hands take 3000
 SECRET_S = 5.0  # a page that has not sent its code by then is gone,
 SILENCE_S = 0.3  # a page that was silent for so long is away,
 GONE_S = 10.0  # and after this time it is gone
-MAX_WAITING, WAITING_OF_ADDRESS = 8, 2  # pages that have not sent their code
+MAX_WAITING, WAITING_OF_ADDRESS = 32, 2  # pages that have not sent their code
 REFUSED, BUSY = 1008, 1013  # codes of closing
 
 

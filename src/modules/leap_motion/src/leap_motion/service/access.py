@@ -27,23 +27,29 @@ ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:]+\])(:\d+)?", re.ASCII)
 
 @dataclass(eq=False)
 class Place:
-    """One of the places for connections: of which machine, how its connection is ended, and whether it is kept."""
+    """One of the places for connections: of which machine, how its connection is ended, since when [s], and whether it
+    is kept."""
 
     machine: str
     end: Callable[[], None]
+    since: float
     kept: bool = False
 
 
 class ConnectionLimits:
     """How many connections there may be: `total`, and `per_address` of one machine, but for those that are kept. A kept
     one takes the place of the oldest other one if there is no room, and gives way to none. `newest_first`: any new one
-    takes the place of the oldest that is not kept, of its own machine if that has too many."""
+    takes the place of the oldest that is not kept, of its own machine if that has too many. But each has `grace_s`, in
+    which it gives way only to those from a machine that had a kept one: so a flood is refused, which costs little, and
+    among it somebody may still come in and send the code."""
 
-    def __init__(self, total: int, per_address: int, newest_first: bool = False) -> None:
+    def __init__(self, total: int, per_address: int, newest_first: bool = False, grace_s: float = 0.0) -> None:
         self._total, self._per_address, self._newest_first = total, per_address, newest_first
+        self._grace_s = grace_s
         self._places: list[Place] = []  # the oldest first
+        self._known: list[str] = []  # machines that had a kept place, the last one last
 
-    def enter(self, address: str, end: Callable[[], None], kept: bool = False) -> Place | None:
+    def enter(self, address: str, end: Callable[[], None], kept: bool = False, now: float = 0.0) -> Place | None:
         """Returns the place of a new connection, None if there is no room. `end` ends it if it has to give way."""
         machine = _machine(address)
         others = [place for place in self._places if not place.kept]
@@ -52,11 +58,13 @@ class ConnectionLimits:
         if not kept and len(of_machine) >= self._per_address:
             full, others = True, of_machine
         if full:
+            if machine not in self._known and not kept:
+                others = [place for place in others if now - place.since >= self._grace_s]
             if not others or not (kept or self._newest_first):
                 return None
             self.leave(others[0])
             others[0].end()
-        place = Place(machine, end, kept)
+        place = Place(machine, end, now, kept)
         self._places.append(place)
         return place
 
@@ -64,6 +72,9 @@ class ConnectionLimits:
         """Makes room again, once a connection has ended; also of one that gave way."""
         if place in self._places:
             self._places.remove(place)
+        if place.kept:
+            known = [machine for machine in self._known if machine != place.machine]
+            self._known = [*known[1 - MAX_KEYS :], place.machine]
 
 
 class AccessCode:

@@ -28,6 +28,7 @@ GONE_S = 10.0  # what could not be sent within this time after the end of a conv
 SEND_S = 2.0  # and within this one after the end of the service; a client that takes a message no sooner is gone
 PING_S = 10.0  # another machine that answers no ping is gone
 MAX_OF_ADDRESS = 12
+GRACE_S = 1.0  # in which a new connection to a page gives way to none, to send the code
 PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS = 64, 24  # to a page: four pages of a machine take 20 WebSockets
 
 
@@ -168,7 +169,7 @@ class PageService(SocketService):
         self.fingerprint = certificate.fingerprint() if certificate else ""
         tls = certificate.server() if certificate else None
         listener = listen(host, port)
-        self._open(listener, tls, ConnectionLimits(PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS, newest_first=True))
+        self._open(listener, tls, ConnectionLimits(PAGE_CONNECTIONS, PAGE_CONNECTIONS_OF_ADDRESS, True, GRACE_S))
         self._names = () if is_loopback(host) else (*own_names(), name)
         self._scheme = "https" if tls else "http"
         self.address = f"{self._scheme}://{_reachable(host)}:{listener.getsockname()[1]}/"
@@ -243,9 +244,10 @@ class BoundedListener:
     def accept(self) -> tuple[CountedSocket, Any]:
         """As of a socket that does not block."""
         max_refused = 100  # connections that are closed before others have their turn
+        now = asyncio.get_running_loop().time()
         for _ in range(max_refused):
             accepted, address = self._listener.accept()
-            place = self._limits.enter(address[0], functools.partial(cut, accepted))
+            place = self._limits.enter(address[0], functools.partial(cut, accepted), now=now)
             if place is not None:
                 # asyncio leaves it out for a listener of create_server
                 accepted.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, True)
