@@ -11,7 +11,6 @@ import numpy as np
 GRAVITY = 9.81  # [m/s^2]
 SHAKE_PERIOD_S = 0.3  # one period along each axis of the world, one after the other
 SHAKE_S = 3.0 * SHAKE_PERIOD_S
-PUSHED_M = 0.005  # an object that moves this far before the fingers close was hit
 
 LIFTED = "lifted"
 NO_GRASP = "no grasp"
@@ -81,9 +80,8 @@ class LiftResult(NamedTuple):
     reason: str  # `LIFTED`, or one of `FAILURES`
 
 
-def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bool, through: bool = True) -> LiftRecord:
-    """Returns what happens in a trial; `seconds`: of each of the `PHASES`; the last one is left out without a shake.
-    `through`: go on to the end where the hand met something on its way; else nothing rises then."""
+def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bool) -> LiftRecord:
+    """Returns what happens in a trial; `seconds`: of each of the `PHASES`; the last one is left out without a shake."""
     reached_m = 0.005  # a hand that stops this far from its goal met something
     before = hand.places()
     approach = lifted = 0.0
@@ -100,9 +98,6 @@ def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bo
         if name == "approach":
             reached = abs(hand.missing()) < reached_m
             pushed = np.linalg.norm(hand.places() - before, axis=1)
-            if not through and (not reached or pushed.max() > PUSHED_M):
-                none = np.zeros(len(before))
-                return LiftRecord(reached, pushed, none > 0.0, none, none, hand.valid())
         elif name == "close":
             held = hand.held()
         elif name == "hold":
@@ -113,6 +108,7 @@ def lift(hand: LiftingHand, seconds: Sequence[float], timestep: float, shake: bo
 
 def outcome(of: LiftRecord, target: int, rise: float) -> str:
     """Returns `LIFTED` if the object `target` is up by more than `rise` [m] at the end, else the failure's reason."""
+    pushed_m = 0.005  # an object that moves this far before the fingers close was hit
     if not (of.valid and np.isfinite([*of.risen, *of.kept]).all()):
         return DIVERGED
     if of.kept[target] > rise:
@@ -121,7 +117,7 @@ def outcome(of: LiftRecord, target: int, rise: float) -> str:
         return SHAKEN_OUT
     if of.risen.max() > rise:
         return OTHER_OBJECT
-    if not of.reached or of.pushed[target] > PUSHED_M:
+    if not of.reached or of.pushed[target] > pushed_m:
         return COLLISION
     return SLIPPED if of.held[target] else MISSED
 

@@ -22,6 +22,8 @@ NEAR_M = 0.015  # distance from the surface that counts as 1
 AROUND_M = (-0.105, -0.075, -0.045, -0.015, 0.015, 0.045, 0.075, 0.105)
 FAR_M = 0.05
 REACH_M = 0.025  # from a grasp's origin to the tips, along the approach
+GROUND_M = 0.006  # the tips stop so high above the table
+LARGEST = 3.0  # of any feature
 
 
 FEATURES = (len(BETWEEN) + 2 * len(BESIDE_M)) * len(ALONG_M) * len(DOWN_M) + len(AROUND_M) ** 2 + 10
@@ -34,7 +36,11 @@ def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: Le
     y, z = np.array(ALONG_M), REACH_M + np.array(DOWN_M)
     grid = np.empty((n, across.shape[1], len(y), len(z), 3), np.float32)
     grid[..., 0], grid[..., 1], grid[..., 2] = across[:, :, None, None], y[:, None], z
-    R, origin = of.T[:, :3, :3].astype(np.float32), of.T[:, :3, 3].astype(np.float32)
+    R, down = of.T[:, :3, :3].astype(np.float32), frame.R[:, 2].astype(np.float32)
+    tips = of.T[:, :3, 3].astype(np.float32) + REACH_M * R[:, :, 2]
+    low = np.clip(GROUND_M - (frame.distance - tips @ down), 0.0, 2.0 * REACH_M)
+    tips = tips - (low / np.maximum(R[:, :, 2] @ down, 0.3))[:, None] * R[:, :, 2]
+    origin = tips - REACH_M * R[:, :, 2]
     local = _behind(grid.reshape(n, -1, 3), R, origin, image, camera) / NEAR_M
     a = np.array(AROUND_M)
     far = np.empty((n, len(a), len(a), 3), np.float32)
@@ -42,8 +48,6 @@ def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: Le
     # In the plane across the vertical, turned with the line through the fingers.
     level = _level_of(R, frame)
     wide = _behind(far.reshape(n, -1, 3), level, origin, image, camera) / FAR_M
-    down = frame.R[:, 2]
-    tips = origin + REACH_M * R[:, :, 2]
     scalars = np.concatenate(
         [
             of.seen,
@@ -55,7 +59,9 @@ def features(of: Hypotheses, image: NetworkImage, camera: CameraModel, frame: Le
         ],
         axis=1,
     )
-    return np.concatenate([np.clip(local, -1.0, 1.0), np.clip(wide, -1.0, 1.0), scalars], axis=1).astype(np.float32)
+    return np.concatenate(
+        [np.clip(local, -1.0, 1.0), np.clip(wide, -1.0, 1.0), np.clip(scalars, -LARGEST, LARGEST)], axis=1
+    ).astype(np.float32)
 
 
 def mirrored(values: np.ndarray, across: bool, along: bool) -> np.ndarray:

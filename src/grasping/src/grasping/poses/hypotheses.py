@@ -20,7 +20,7 @@ PLACES = 96
 SPACING_PX = 4  # between two places, rows or columns
 BORDER_PX = 20  # rows and columns at the image's border without places
 OBJECT_M = 0.008  # what stands out of the table by more is an object
-MAX_TILT_RAD = np.pi / 4.0
+ABOVE_RAD, MAX_TILT_RAD = 0.02, np.pi / 4.0  # tilts of grasps from above, and the greatest one
 MIN_OPENING_M = 0.01
 
 

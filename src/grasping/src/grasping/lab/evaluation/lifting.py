@@ -40,12 +40,10 @@ def lift(
     friction: float,
     target: int | None = None,
     shake: bool = False,
-    through: bool = True,
 ) -> lift_trial.LiftResult:
     """Returns what happens when the gripper grasps there, its pads `opening` [m] apart, at most what it has.
     `T_world_grasp`: surface point between the fingers, z the approach, x through both, shape (4, 4) [m]; `target`: the
-    object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift;
-    `through`: as of `lift_trial.lift`.
+    object that the grasp is meant for, None: whichever rises most; `shake`: the hand is shaken after the lift.
     """
     rise_m = 0.08  # an object that rose so much was lifted
     step_s = 0.002
@@ -57,7 +55,7 @@ def lift(
     start = tip - START_M * approach
     model = mujoco.MjModel.from_xml_string(_xml(scene, R, start, opening, gripper, friction))
     model.opt.timestep = step_s
-    record = lift_trial.lift(ParallelHand(model, scene), TIMES_S, step_s, shake, through)
+    record = lift_trial.lift(ParallelHand(model, scene), TIMES_S, step_s, shake)
     return lift_trial.judged(record, target, rise_m)
 
 

@@ -24,22 +24,25 @@ from common.errors import RigError
 from common.lift_trial import NO_GRASP
 from common.poses import pose
 from grasping.lab.evaluation import sheets, tables, trials
-from grasping.lab.evaluation.lifting import lift, nearest_object
+from grasping.lab.evaluation.lifting import lift
 from grasping.lab.programs.evaluate import SPLITS, object_count, open_results
 from grasping.lab.programs.make_attempts import network as ggcnn
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic.attempts import image_maps
+from grasping.lab.synthetic.pose_labels import meant
 from grasping.lab.synthetic.samples import GRIPPER, view
 from grasping.lab.synthetic.samples import SPLITS as ALL_SPLITS
 from grasping.network import maps, weights
-from grasping.pipeline.projection import project_grasp
-from grasping.poses.chooser import choose, tilts
-from grasping.poses.hypotheses import MAX_TILT_RAD
+from grasping.pipeline.projection import along, project_grasp
+from grasping.poses.chooser import choose
+from grasping.poses.hypotheses import ABOVE_RAD, MAX_TILT_RAD
 from grasping.poses.lift_network import LiftNetwork, loaded
 
-ALONE = "GG-CNN alone"
-WAYS = {"from above": 0.02, "tilted": MAX_TILT_RAD}
+ALONE = "GG-CNN along the camera's axis"
+ABOVE = "GG-CNN, from above"
+WAYS = {"from above": ABOVE_RAD, "tilted": MAX_TILT_RAD}
 """Greatest tilt [rad] of what a network of lifts may take."""
+VALIDATION = tuple(name for name in ALL_SPLITS if name.startswith("validation_"))
 COLUMNS = ("scene", "objects", "method", "lifted", "reason", "quality", "tilt", "opening")
 
 
@@ -58,7 +61,6 @@ class ChosenPose(NamedTuple):
     T_camera_grasp: np.ndarray
     opening: float
     quality: float
-    tilt: float
 
 
 @lru_cache(maxsize=8)
@@ -70,8 +72,7 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    count = None if ALL_SPLITS[task.split].surroundings else object_count(task.number)
-    seen = view(task.split, task.number, count)
+    seen = view(task.split, task.number, object_count(task.number))
     rng = np.random.default_rng([99, task.number])
     friction = float(rng.uniform(*trials.FRICTION))
     miss = trials.miss(rng, trials.USUAL)
@@ -83,9 +84,10 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
             rows.append({**row, "lifted": False, "reason": NO_GRASP, "quality": 0.0, "tilt": 0.0, "opening": 0.0})
             continue
         T = T_world_camera @ chosen.T_camera_grasp
-        target = nearest_object(seen.scene, T[:3, 3])
+        target = meant(task.split, seen.scene, T)
         result = lift(seen.scene, T @ miss, chosen.opening, GRIPPER, friction, target, shake=True)
-        said = {"quality": chosen.quality, "tilt": chosen.tilt, "opening": chosen.opening}
+        tilt = float(np.arccos(np.clip(-T[2, 2], -1.0, 1.0)))
+        said = {"quality": chosen.quality, "tilt": tilt, "opening": chosen.opening}
         rows.append({**row, "lifted": result.lifted, "reason": result.reason, **said})
     return rows
 
@@ -93,18 +95,18 @@ def try_scene(task: PoseTrialTask) -> list[dict[str, Any]]:
 def _chosen(task: PoseTrialTask, of: Any, observed: np.ndarray) -> dict[str, ChosenPose | None]:
     peak = maps.highest(of.maps)
     where = project_grasp(peak, trials.CROP, len(of.image.depth), observed, of.camera)
-    found: dict[str, ChosenPose | None] = {ALONE: None}
-    if where is not None:
-        found[ALONE] = ChosenPose(where.T_camera_grasp, where.width, peak.quality, 0.0)
-    frame = of.frame()
+    above = None if where is None else along(where, of.frame().R[:, 2], of.camera)
+    found: dict[str, ChosenPose | None] = {
+        name: None if grasp is None else ChosenPose(grasp.T_camera_grasp, grasp.width, peak.quality)
+        for name, grasp in ((ALONE, where), (ABOVE, above))
+    }
     for name, file in task.lifts.items():
         for way, most in WAYS.items():
             best = choose(lift_network(file), of, GRIPPER.opening, most)
             found[f"{name}, {way}"] = None
             if len(best.probability):
-                tilt = float(tilts(best.of, frame)[0])
                 first = best.of.T[0], float(best.of.opening[0]), float(best.probability[0])
-                found[f"{name}, {way}"] = ChosenPose(*first, tilt)
+                found[f"{name}, {way}"] = ChosenPose(*first)
     return found
 
 
@@ -119,7 +121,7 @@ def report(folder: Path, rows: list[dict[str, Any]], methods: list[str]) -> str:
     ]
     text = "\n".join(part for part in compared if part)
     (folder / "table.md").write_text(text, encoding="utf-8")
-    of = {name: [row for row in rows if row["method"] == name] for name in methods if name != ALONE}
+    of = {name: [row for row in rows if row["method"] == name] for name in methods if name not in (ALONE, ABOVE)}
     sheets.reliability_plot(
         folder / "reliability.png",
         {name: ([r["quality"] for r in own], [r["lifted"] for r in own]) for name, own in of.items()},
@@ -134,7 +136,7 @@ def main() -> None:
     parser.add_argument(
         "--lifts", nargs=2, action="append", default=[], metavar=("NAME", "FILE"), help="a network of lifts"
     )
-    parser.add_argument("--split", choices=SPLITS, default="validation", help="which scenes")
+    parser.add_argument("--split", choices=(*SPLITS, *VALIDATION), default="validation", help="which scenes")
     parser.add_argument("--scenes", type=whole(1, 10**9), default=300, help="how many, default 300")
     parser.add_argument("--first", type=whole(0, 10**9), default=0, help="number of the first one, default 0")
     parser.add_argument("--processes", type=whole(1, 1024), default=1, help="how many scenes at a time")
@@ -142,13 +144,15 @@ def main() -> None:
     try:
         weights.load(given.ggcnn.read_bytes())
         files = {name: Path(file) for name, file in given.lifts}
+        if len(files) < len(given.lifts):
+            parser.error("Two networks of lifts have one name.")
         for file in files.values():
             loaded(file.read_bytes())
     except (OSError, RigError) as error:
         parser.error(str(error))
     numbers = range(given.first, given.first + given.scenes)
     tasks = [PoseTrialTask(given.split, number, given.ggcnn, files) for number in numbers]
-    methods = [ALONE, *(f"{name}, {way}" for name in files for way in WAYS)]
+    methods = [ALONE, ABOVE, *(f"{name}, {way}" for name in files for way in WAYS)]
     rows: list[dict[str, Any]] = []
     try:
         pool_of = multiprocessing.get_context("spawn").Pool
@@ -159,5 +163,7 @@ def main() -> None:
     except RigError as error:
         parser.error(str(error))
     settings = {name: getattr(given, name) for name in ("split", "first", "scenes")}
+    hashes = {file.name: weights.checked_sha256(file.read_bytes(), None) for file in (given.ggcnn, *files.values())}
+    settings["weights"] = hashes
     (given.folder / "settings.json").write_text(json.dumps(settings, indent=2) + "\n")
     sys.stdout.write(report(given.folder, rows, methods))

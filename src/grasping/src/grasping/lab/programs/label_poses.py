@@ -1,7 +1,7 @@
 """Labels grasps in six degrees of freedom by lifting them in the physics, with the arm's error and a shake, and says
-which fraction of the objects any of them lifts: what no method can exceed.
+on which fraction of the objects some of them lifts: of the sampled ones, chosen after the fact.
 
-A file a scene, SPLIT_NUMBER.npz; what is there stays, so that a run goes on where it stopped.
+A file a scene, SPLIT_OBJECTS_MOST_DRAWS_NUMBER.npz; what is there stays, so that a run goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import numpy as np
 from tqdm import tqdm
 
 from common.command_line import whole
+from common.errors import RigError
 from common.statistics import proportion
 from grasping.lab.evaluation.tables import markdown_table
 from grasping.lab.programs.make_dataset import ignore_warning
 from grasping.lab.synthetic import pose_labels, samples
-from grasping.lab.synthetic.full_poses import MAX_TILT_RAD
+from grasping.poses.hypotheses import MAX_TILT_RAD
 
-KINDS = {"from above": 0.14, "tilted up to 45 deg": MAX_TILT_RAD}
+KINDS = {"tilted up to 8 deg": 0.14, "tilted up to 45 deg": MAX_TILT_RAD}
 """Greatest tilt of the grasps of each kind [rad]."""
 
 
@@ -44,7 +45,8 @@ def label(task: PoseTask) -> dict[str, np.ndarray]:
     """Returns the reasons of each kind's grasps in a scene, shape (k, draws); makes its file if it is not there."""
     cv2.setNumThreads(1)
     mujoco.set_mju_user_warning(ignore_warning)
-    path = task.folder / f"{task.split}_{task.number:06d}.npz"
+    settings = f"{task.objects or 'any'}_{task.most}_{task.draws}"
+    path = task.folder / f"{task.split}_{settings}_{task.number:06d}.npz"
     if not path.exists():
         scene = samples.settled(task.split, task.number, task.objects)
         made = pose_labels.labelled_scene(task.split, task.number, scene, tuple(KINDS.values()), task.most, task.draws)
@@ -53,7 +55,8 @@ def label(task: PoseTask) -> dict[str, np.ndarray]:
         np.savez_compressed(part, target=made.target, friction=made.friction, **arrays)
         part.replace(path)
     with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[f"reason_{i}"] for i, name in enumerate(KINDS)}
+        little, any_tilt = (arrays[f"reason_{i}"] for i in range(len(KINDS)))
+    return dict(zip(KINDS, (little, np.concatenate([little, any_tilt]))))
 
 
 def summary(scenes: Iterable[dict[str, np.ndarray]]) -> str:
@@ -88,6 +91,8 @@ def main() -> None:
         given.folder.mkdir(parents=True, exist_ok=True)
         with multiprocessing.get_context("spawn").Pool(given.processes) as pool:
             found = list(tqdm(pool.imap(label, tasks), total=len(tasks), unit="scene"))
+    except RigError as error:
+        parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename or given.folder} cannot be written: {error.strerror}.")
     sys.stdout.write(summary(found))

@@ -49,7 +49,8 @@ def make_shard(task: AttemptTask) -> None:
     arrays = {name: np.concatenate([getattr(one, name) for one in made]) for name in ("T", "opening", "seen", "reason")}
     image = np.repeat(np.arange(len(made)), [len(one.T) for one in made])
     depth = np.stack([np.round(1e4 * one.depth).astype(np.uint16) for one in made])  # 0.1 mm
-    np.savez_compressed(part, depth=depth, image=image, **arrays)
+    valid = np.stack([one.valid for one in made])
+    np.savez_compressed(part, depth=depth, valid=valid, image=image, **arrays)
     part.replace(task.path)
 
 
@@ -69,8 +70,11 @@ def main() -> None:
     except (OSError, RigError) as error:
         parser.error(str(error))
     tasks = [
-        AttemptTask(given.folder / f"{given.split}_{first:06d}.npz", given.split, range(first, first + SHARD),
-                    given.weights.absolute(), given.most)
+        AttemptTask(given.folder / f"{given.split}_{given.most}_{first:06d}.npz", given.split,
+                    range(first, first + SHARD), given.weights.absolute(), given.most)
         for first in range(0, given.scenes, SHARD)
     ]  # fmt: skip
-    make_all(parser, given.folder, make_shard, tasks, given.processes, "shard")
+    try:
+        make_all(parser, given.folder, make_shard, tasks, given.processes, "shard")
+    except RigError as error:  # without the package of the objects
+        parser.error(str(error))

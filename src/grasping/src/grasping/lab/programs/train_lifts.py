@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -42,7 +43,7 @@ def read(paths: Sequence[Path]) -> LiftData:
                 if not of.any():
                     continue
                 depth = 1e-4 * counted.astype(np.float32)
-                image = NetworkImage(CROP, depth, depth, np.ones(depth.shape, bool), float(depth.mean()))
+                image = NetworkImage(CROP, depth, depth, arrays["valid"][i], float(depth.mean()))
                 tried = Hypotheses(arrays["T"][of], arrays["opening"][of], arrays["seen"][of])
                 frame = level_frame(image, image_rays(image, camera()))
                 parts.append(hand_view.features(tried, image, camera(), frame))
@@ -51,7 +52,8 @@ def read(paths: Sequence[Path]) -> LiftData:
 
 
 def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: int) -> tuple[LiftNetwork, list[dict]]:
-    """Returns the network of the epoch that validates best, and each epoch's losses."""
+    """Returns the network of the epoch that validates best on one half of the validation, with the temperature that
+    suits the other half, and each epoch's losses."""
     batch, decay = 256, 1e-3
     rng = np.random.default_rng(seed)
     torch.manual_seed(seed)
@@ -60,6 +62,7 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
     steps = epochs * -(-len(data.lifted) // batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
     loss_of = nn.BCEWithLogitsLoss()
+    half = len(validation.lifted) // 2
     known, wanted = torch.from_numpy(validation.features), torch.from_numpy(validation.lifted)
     best = copy.deepcopy(network)
     rows: list[dict] = []
@@ -77,15 +80,15 @@ def train(data: LiftData, validation: LiftData, epochs: int, rate: float, seed: 
             losses.append(loss.item())
         network.eval()
         with torch.no_grad():
-            found = float(loss_of(network(known), wanted))
+            found = float(loss_of(network(known[:half]), wanted[:half]))
         if found < min((row["validation"] for row in rows), default=np.inf):
             best = copy.deepcopy(network)
         rows.append({"epoch": epoch + 1, "training": float(np.mean(losses)), "validation": found})
-    _calibrate(best, known, wanted)
+    calibrate(best, known[half:], wanted[half:])
     return best.eval(), rows
 
 
-def _calibrate(network: LiftNetwork, known: torch.Tensor, wanted: torch.Tensor) -> None:
+def calibrate(network: LiftNetwork, known: torch.Tensor, wanted: torch.Tensor) -> None:
     """Sets the temperature to that of the least loss."""
     with torch.no_grad():
         logits = network(known)
@@ -96,20 +99,27 @@ def _calibrate(network: LiftNetwork, known: torch.Tensor, wanted: torch.Tensor) 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, help="folder of the shards; those named validation_* are for validation")
+    parser.add_argument("data", type=Path, help="folder of the shards train_*.npz and validation_*.npz")
     parser.add_argument("run", type=Path, help="folder for lifts.pt and curves.json")
     parser.add_argument("--epochs", type=whole(1, 10_000), default=40, help="default 40")
     parser.add_argument("--rate", type=real(0.0, 1.0, open_low=True), default=2e-3, help="of learning, default 0.002")
     parser.add_argument("--seed", type=whole(0, 2**32 - 1), default=0, help="default 0")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    paths = sorted(given.data.glob("*.npz"))
-    kept = [path for path in paths if path.name.startswith("validation")]
-    used = [path for path in paths if path not in kept]
+    used, kept = (
+        sorted(path for path in given.data.glob(f"{name}_*.npz") if ".part." not in path.name)
+        for name in ("train", "validation")
+    )
     if not kept or not used:
-        parser.error(f"{given.data} needs shards to train on, and others named validation_*.")
-    network, rows = train(read(used), read(kept), given.epochs, given.rate, given.seed)
-    given.run.mkdir(parents=True, exist_ok=True)
+        parser.error(f"{given.data} needs shards train_*.npz and validation_*.npz.")
+    try:
+        given.run.mkdir(parents=True, exist_ok=True)
+        data, validation = read(used), read(kept)
+    except OSError as error:
+        parser.error(f"{error.filename or given.data} cannot be used: {error.strerror}.")
+    except (KeyError, ValueError, EOFError, BadZipFile) as error:
+        parser.error(f"A file in {given.data} is no shard of make_attempts.py: {error}")
+    network, rows = train(data, validation, given.epochs, given.rate, given.seed)
     torch.save(saved(network), given.run / "lifts.pt")
     (given.run / "curves.json").write_text(json.dumps(rows, indent=1) + "\n")
     least = min(row["validation"] for row in rows)

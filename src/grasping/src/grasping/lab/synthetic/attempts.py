@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from common.poses import inverse, pose
-from common.rotations import rotation_about
 from grasping.lab.evaluation import trials
-from grasping.lab.evaluation.lifting import lift, nearest_object
+from grasping.lab.evaluation.lifting import lift
 from grasping.lab.synthetic.full_poses import PoseSampler
-from grasping.lab.synthetic.pose_labels import REASONS
+from grasping.lab.synthetic.pose_labels import REASONS, meant
 from grasping.lab.synthetic.samples import GRIPPER, SPLITS, SceneView, view
 from grasping.network import maps
 from grasping.network.depth_image import prepare
@@ -22,13 +21,13 @@ from grasping.poses.chooser import ImageMaps
 from grasping.poses.hypotheses import MAX_TILT_RAD, TURNS, Hypotheses, Turn, hypotheses, said_of, varied
 
 SMOOTHING = maps.Smoothing(quality=2.0)
-OBJECT_RADIUS_M = 0.06  # grasps further from all objects are not tried
 
 
 class Attempts(NamedTuple):
     """k attempts in one scene."""
 
     depth: np.ndarray  # the network's image, shape (300, 300), float32 [m]
+    valid: np.ndarray  # where the camera had a reading, shape (300, 300), bool
     T: np.ndarray  # T_camera_grasp, shape (k, 4, 4) [m]
     opening: np.ndarray  # shape (k,) [m]
     seen: np.ndarray  # as `Hypotheses.seen`, shape (k, 3)
@@ -54,17 +53,14 @@ def attempts(split: str, number: int, network: MapNetwork, most: int) -> Attempt
     T_world_camera = pose(seen.camera.R, seen.camera.position)
     reasons = []
     for T, opening in zip(tried.T, tried.opening):
-        miss = pose(
-            rotation_about(2, rng.normal(0.0, trials.ANGLE_ERROR_RAD)),
-            (*rng.normal(0.0, trials.POSITION_ERROR_M, 2), 0.0),
-        )
+        miss = trials.miss(rng, trials.USUAL)
         T_world_grasp = T_world_camera @ T
-        target = nearest_object(seen.scene, T_world_grasp[:3, 3])
+        target = meant(split, seen.scene, T_world_grasp)
         friction = float(rng.uniform(*trials.FRICTION))
         at = T_world_grasp @ miss, opening, GRIPPER, friction, target
-        result = lift(seen.scene, *at, shake=True, through=False)
+        result = lift(seen.scene, *at, shake=True)
         reasons.append(REASONS.index(result.reason))
-    return Attempts(of.image.depth, *tried, np.array(reasons, np.uint8))
+    return Attempts(of.image.depth, of.image.valid, *tried, np.array(reasons, np.uint8))
 
 
 def _chosen(rng: np.random.Generator, seen: SceneView, of: ImageMaps, most: int) -> Hypotheses:

@@ -18,7 +18,6 @@ from common.rotations import quaternion_from_rotation
 from grasping.lab.synthetic.labels import Gripper
 from grasping.lab.synthetic.scene import HeapScene, world_xml, xml_text
 
-MAX_TILT_RAD = np.pi / 4.0
 DEPTHS_M = (0.003, 0.010, 0.020)  # of the tips beyond the line through both contacts
 FINGER_M = 0.07
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -111,7 +110,8 @@ class PoseSampler:
                 part[:3], part[3:] = place, quaternion
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_collision(self._model, self._data)
-            if np.isin(self._data.contact.geom, self._hand_geoms).any():
+            # Palm and fingers meet one another, too.
+            if (np.isin(self._data.contact.geom, self._hand_geoms).sum(axis=1) == 1).any():
                 return True
         return False
 
@@ -121,7 +121,8 @@ class _Alone:
 
     def __init__(self, scene: HeapScene, number: int) -> None:
         self._model = mujoco.MjModel.from_xml_string(world_xml((scene.objects[number],)))
-        self._model.geom_pos[0] = 0.0, 0.0, -9.0  # no table
+        self._model.geom_group[0] = 1  # the table, which rays shall not meet
+        self._group = np.array([1, 0, 0, 0, 0, 0], np.uint8)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[:] = scene.state[7 * number : 7 * number + 7]
         mujoco.mj_kinematics(self._model, self._data)
@@ -150,7 +151,7 @@ class _Alone:
         depths = []
         for a, b in ((0.0, 0.0), (-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
             start = through - away_m * along + step_m * (a * u + b * v)
-            depths.append(mujoco.mj_ray(self._model, self._data, start, along, None, 1, -1, geom))
+            depths.append(mujoco.mj_ray(self._model, self._data, start, along, self._group, 1, -1, geom))
         if min(depths) < 0.0 or max(depths) - min(depths) > jump_m:
             return None
         slope_u, slope_v = (depths[2] - depths[1]) / (2.0 * step_m), (depths[4] - depths[3]) / (2.0 * step_m)

@@ -7,10 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from common.lift_trial import FAILURES, LIFTED
-from common.poses import pose
-from common.rotations import rotation_about
-from grasping.lab.evaluation.lifting import lift
-from grasping.lab.evaluation.trials import ANGLE_ERROR_RAD, FRICTION, POSITION_ERROR_M
+from grasping.lab.evaluation.lifting import lift, nearest_object
+from grasping.lab.evaluation.trials import FRICTION, USUAL, miss
 from grasping.lab.synthetic import surroundings
 from grasping.lab.synthetic.full_poses import FullPose, PoseSampler
 from grasping.lab.synthetic.samples import GRIPPER, SPLITS
@@ -28,11 +26,6 @@ class PoseLabels(NamedTuple):
     tilt: np.ndarray  # shape (k,) [rad]
     reason: np.ndarray  # number in `REASONS`, 0 for a lift, shape (k, draws)
 
-    @property
-    def lifted(self) -> np.ndarray:
-        """Shape (k, draws), bool."""
-        return self.reason == 0
-
 
 class LabelledScene(NamedTuple):
     """The object that is to be lifted, and its grasps by the greatest tilt that they were sampled with."""
@@ -49,6 +42,14 @@ def target_of(split: str, scene: HeapScene, rng: np.random.Generator) -> int:
     return int(rng.integers(len(scene.objects)))
 
 
+def meant(split: str, scene: HeapScene, T_world_grasp: np.ndarray) -> int:
+    """Returns the number of the object that a grasp of a method is meant for: the upper one of a stack, else the
+    nearest one."""
+    if SPLITS[split].surroundings == surroundings.STACK:
+        return len(scene.objects) - 1
+    return nearest_object(scene, T_world_grasp[:3, 3])
+
+
 def labelled_scene(
     split: str, number: int, scene: HeapScene, tilts: tuple[float, ...], most: int, draws: int
 ) -> LabelledScene:
@@ -57,10 +58,7 @@ def labelled_scene(
     tries = 2_500  # random lines through the object
     rng = np.random.default_rng([88, SPLITS[split].number, number])
     target, friction = target_of(split, scene, rng), float(rng.uniform(*FRICTION))
-    errors = [
-        pose(rotation_about(2, rng.normal(0.0, ANGLE_ERROR_RAD)), (*rng.normal(0.0, POSITION_ERROR_M, 2), 0.0))
-        for _ in range(draws)
-    ]
+    errors = [miss(rng, USUAL) for _ in range(draws)]
     sampler = PoseSampler(scene, GRIPPER)
     grasps = []
     for tilt in tilts:

@@ -1,6 +1,6 @@
 """The objects `random_urdfs` that the package pybullet carries: a thousand blobs of convex parts.
 
-Numbers below 700 may be trained on; those from 700 on are a set that training never sees.
+Numbers below 600 may be trained on, the next hundred chosen by; those from 700 on are in evaluations only.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from common.errors import RigError
 from grasping.lab.synthetic.shapes import Geom, Shape
 
-TRAINED, KEPT = range(700), range(700, 1000)
+TRAINED, CHOSEN_BY, KEPT = range(600), range(600, 700), range(700, 1000)
 THINNEST_M, SHORTEST_M = 0.015, 0.03  # of an object that is used: some are splinters
 SCALE = 0.015  # of the files' vertices, as the URDFs say [m]
 
@@ -22,6 +22,11 @@ SCALE = 0.015  # of the files' vertices, as the URDFs say [m]
 def seen_blob(rng: np.random.Generator) -> Shape:
     """Returns one of the objects that may be trained on."""
     return _any_of(rng, TRAINED)
+
+
+def other_blob(rng: np.random.Generator) -> Shape:
+    """Returns one of the objects by which a training's result is chosen."""
+    return _any_of(rng, CHOSEN_BY)
 
 
 def kept_blob(rng: np.random.Generator) -> Shape:

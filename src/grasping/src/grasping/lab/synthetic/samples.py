@@ -37,7 +37,8 @@ class Split(NamedTuple):
 def _all_splits() -> dict[str, Split]:
     """Returns the splits by name; those of a person and of a kind are a simulated operator's."""
     one_kind = [Split(100 + i, (family,)) for i, family in enumerate((*shapes.TRAINING, *shapes.HELD_OUT))]
-    trained, held_out = (*shapes.TRAINING, random_urdfs.seen_blob), (*shapes.HELD_OUT, *shapes.UNSEEN)
+    trained = *shapes.TRAINING, random_urdfs.seen_blob
+    chosen_by, held_out = (*shapes.TRAINING, random_urdfs.other_blob), (*shapes.HELD_OUT, *shapes.UNSEEN)
     return {
         "train": Split(0, shapes.TRAINING),
         "validation": Split(1, shapes.TRAINING),
@@ -47,10 +48,11 @@ def _all_splits() -> dict[str, Split]:
         "unseen": Split(5, shapes.UNSEEN),
         "blobs": Split(6, (random_urdfs.kept_blob,)),
         "train_blobs": Split(7, trained),
-        "validation_blobs": Split(8, trained),
+        "validation_blobs": Split(8, chosen_by),
         **{f"kind_{of.families[0].__name__}": of for of in one_kind},
         **{kind: Split(200 + i, held_out, kind) for i, kind in enumerate(surroundings.KINDS)},
         **{f"train_{kind}": Split(210 + i, trained, kind) for i, kind in enumerate(surroundings.KINDS)},
+        **{f"validation_{kind}": Split(220 + i, chosen_by, kind) for i, kind in enumerate(surroundings.KINDS)},
     }
 
 
@@ -192,7 +194,7 @@ def _settled(split: str, seed: int, count: int | None) -> tuple[np.random.Genera
     if kind:
         while found is None:
             found = surroundings.hard_scene(rng, kind, families)
-    if count is None:
+    if count is None and not kind:
         count = 1 if rng.random() < single_share else int(rng.integers(2, 6))
     while found is None:
         found = scene.settled_scene(rng, families, count)

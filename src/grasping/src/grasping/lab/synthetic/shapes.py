@@ -1,7 +1,7 @@
 """Random objects for the grasp networks: families of shapes put together from MuJoCo's primitives.
 
 `TRAINING` families are what a network is trained on; `HELD_OUT` ones it meets in its evaluation only, and `UNSEEN` ones
-in the last evaluation, which nothing was chosen by. Every shape has a side that a parallel gripper of about 0.1 m can
+in another one; the weights page has results of both. Every shape has a side that a parallel gripper of about 0.1 m can
 span. Lengths in metres, frame of the object.
 """
 
