@@ -11,11 +11,11 @@ import torch
 from common.camera_model import CameraModel, pinhole
 from common.errors import RigError
 from common.rotations import rotation_about
-from grasping.lab.programs.train_lifts import LiftData, train
+from grasping.lab.programs.train_lifts import LiftData, calibrate, train
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import Maps
 from grasping.poses import hand_view, hypotheses
-from grasping.poses.chooser import ImageMaps, choose, tilts
+from grasping.poses.chooser import ImageMaps, choose, tilts, upright
 from grasping.poses.hypotheses import MAX_TILT_RAD, PLACES, TURNS, Hypotheses, Turn
 from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
 
@@ -30,19 +30,26 @@ def camera() -> CameraModel:
     return pinhole("test", CROP_SIDE, CROP_SIDE, K)
 
 
-def bar_image(height: float = 0.04) -> ImageMaps:
-    """A bar along the image's columns, 30 mm wide and 100 mm long, on a table straight below; GGCNN sees it so."""
-    depth = np.full((SIDE, SIDE), TABLE_M)
+def bar_image(height: float = 0.04, turned: float = 0.0, tilt: float = 0.0, beside: bool = False) -> ImageMaps:
+    """A bar, 30 mm wide and 100 mm long, on a table straight below; GGCNN sees it so. `turned`: anticlockwise from the
+    image's columns; `tilt`: of the camera about its x axis; `beside`: a block stands on one side of one end."""
+    rows, columns = np.indices((SIDE, SIDE)) - 0.5 * (SIDE - 1)
+    rays = np.stack([columns, rows, np.full(rows.shape, FOCAL * SIDE / CROP_SIDE)], axis=-1) * CROP_SIDE / SIDE / FOCAL
+    down = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    depth = TABLE_M / (rays @ down)
+    top = (TABLE_M - height) / (rays @ down)
     scale = (TABLE_M - height) * CROP_SIDE / SIDE / FOCAL
-    away = (np.arange(SIDE) - 0.5 * (SIDE - 1)) * scale
-    bar = (np.abs(away)[:, None] < 0.05) & (np.abs(away) < 0.015)
-    depth[bar] -= height
+    c, s = np.cos(turned), np.sin(turned)
+    across, along = (c * columns - s * rows) * scale, (s * columns + c * rows) * scale
+    bar = (np.abs(along) < 0.05) & (np.abs(across) < 0.015)
+    block = (np.abs(along - 0.035) < 0.01) & (np.abs(across - 0.05) < 0.01) & beside
+    depth = np.where(bar | block, top, depth)
     image = NetworkImage(
         Crop(0, 0, CROP_SIDE), depth - depth.mean(), depth, np.ones(depth.shape, bool), float(depth.mean())
     )
-    quality = np.where(bar, 0.8 - np.abs(away)[:, None] - np.abs(away), 0.0)
-    width = np.full(depth.shape, 0.04 / scale)
-    return ImageMaps(image, camera(), Maps(quality, np.zeros(depth.shape), width), np.ones(depth.shape))
+    quality = np.where(bar, 0.8 - np.abs(along) - np.abs(across), 0.0)
+    width, angle = np.full(depth.shape, 0.04 / scale), np.full(depth.shape, turned)
+    return ImageMaps(image, camera(), Maps(quality, angle, width), np.ones(depth.shape))
 
 
 def of_turns(of: ImageMaps, *turns: Turn) -> Hypotheses:
@@ -117,15 +124,49 @@ def test_a_hand_turned_by_half_a_turn_sees_both_sides_exchanged():
     # Pixels are not symmetric about the image's middle: a few points fall on the other side of an edge.
     expected, found = hand_view.mirrored(seen(of, tried), True, True), seen(of, turned)
     assert (np.abs(expected - found) < 1e-4).mean() > 0.999
+    np.testing.assert_allclose(expected[:, -10:], found[:, -10:], atol=1e-5)
 
 
-def test_features_are_finite_and_about_one_even_outside_the_image():
+@pytest.mark.parametrize("across", (False, True))
+def test_in_the_mirror_a_hand_sees_what_its_mirror_image_sees(across):
+    """The image is mirrored left and right or up and down, and so are the places, tilts and lines of the hands."""
+    of = bar_image(turned=0.4, beside=True)
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0] if across else [1.0, -1.0, 1.0, 1.0])
+    own = np.diag([-1.0, 1.0, 1.0, 1.0]) if across else np.diag([1.0, -1.0, 1.0, 1.0])
+    tried = of_turns(of, *(turn._replace(line=-0.4 + turn.line) for turn in TURNS[:1] + TURNS[4:]))
+    depth = of.image.depth[:, ::-1] if across else of.image.depth[::-1]
+    mirror = of._replace(image=of.image._replace(depth=np.ascontiguousarray(depth)))
+    seen_there = seen(mirror, tried._replace(T=flip @ tried.T @ own))
+    expected = hand_view.mirrored(seen(of, tried), across, not across)
+    assert (np.abs(expected - seen_there) < 1e-4).mean() > 0.99
+    np.testing.assert_allclose(expected[:, -10:], seen_there[:, -10:], atol=1e-5)
+    other = hand_view.mirrored(seen(of, tried), not across, across)
+    assert (np.abs(other - seen_there) < 1e-4).mean() < 0.95, "the scene is not alike on both sides"
+
+
+def test_before_a_tilted_camera_a_bar_that_lies_askew_is_grasped_across_it():
+    of = bar_image(turned=0.4, tilt=0.1)
+    frame = of.frame()
+    np.testing.assert_allclose(frame.R[:, 2], (0.0, -np.sin(0.1), np.cos(0.1)), atol=2e-3)
+    found = of_turns(of, Turn(), Turn(roll=0.3))
+    straight = found.T[::2]
+    np.testing.assert_allclose(straight[:, :3, 2], np.tile(frame.R[:, 2], (len(straight), 1)), atol=1e-6)
+    line = np.arctan2(-straight[:, 1, 0], straight[:, 0, 0])
+    np.testing.assert_allclose(line, 0.4, atol=0.02)
+    np.testing.assert_allclose(found.seen[::2, 1], 1.0, atol=0.01), "GGCNN's line is the same"
+    np.testing.assert_allclose(found.T[1::2, :3, 0] @ frame.R[:, 2], -np.sin(0.3), atol=1e-6)
+    scalars = seen(of, found)[:, -10:]
+    np.testing.assert_allclose(scalars[::2, 3:6], [[0.0, 0.0, 1.0]] * len(straight), atol=1e-5)
+    np.testing.assert_allclose(scalars[1::2, 3:6], [[-np.sin(0.3), 0.0, np.cos(0.3)]] * len(straight), atol=1e-5)
+
+
+def test_features_are_finite_and_bounded_even_outside_the_image():
     of = bar_image()
     tried = of_turns(of, *TURNS)
     far = tried._replace(T=tried.T + np.array([[0, 0, 0, 0.5], [0, 0, 0, -0.5], [0, 0, 0, -0.6], [0, 0, 0, 0]]))
     values = seen(of, far)
     assert values.shape == (len(far.T), hand_view.FEATURES) and values.dtype == np.float32
-    assert np.isfinite(values).all()
+    assert np.isfinite(values).all() and np.abs(values).max() <= hand_view.LARGEST
 
 
 def test_poses_near_others_stay_near_and_are_rotations():
@@ -190,3 +231,34 @@ def test_training_learns_and_its_probability_is_one():
     high = fresh.features[:, -4] > 0.0
     assert said[high].mean() == pytest.approx(0.9, abs=0.08)
     assert said[~high].mean() == pytest.approx(0.2, abs=0.08)
+
+
+def test_overconfident_logits_are_calibrated():
+    torch.manual_seed(0)
+    network = LiftNetwork().eval()
+    features = torch.randn(4000, hand_view.FEATURES)
+    with torch.no_grad():
+        network.layers[-1].weight.mul_(40.0)
+        honest = torch.sigmoid(network(features) / 2.0)
+    calibrate(network, features, torch.bernoulli(honest))
+    assert float(network.temperature) == pytest.approx(2.0, abs=0.2)
+
+
+def test_grasps_are_turned_upright_no_further_than_needed():
+    of = bar_image(tilt=0.1)
+    tried, frame = of_turns(of, *TURNS), of.frame()
+    before, most = tilts(tried, frame), 0.3
+    turned = upright(tried.T, frame, most)
+    after = tilts(tried._replace(T=turned), frame)
+    np.testing.assert_allclose(after, np.minimum(before, most), atol=1e-6)
+    np.testing.assert_array_equal(turned[:, :3, 3], tried.T[:, :3, 3])
+    np.testing.assert_allclose(np.linalg.det(turned[:, :3, :3]), 1.0)
+
+
+def test_tips_that_would_be_in_the_table_are_looked_for_above_it():
+    """The physics stops them there, too."""
+    of = bar_image(height=0.012)
+    best = of_turns(of, Turn()).part(np.array([0]))
+    lower = best._replace(T=best.T + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.01], [0, 0, 0, 0]]))
+    np.testing.assert_allclose(near_fingers(seen(of, best)), near_fingers(seen(of, lower)), atol=1e-4)
+    assert (near_fingers(seen(of, best))[0, :3, :, :-1] < 0.0).all(), "beside the bar, above the table"

@@ -60,7 +60,7 @@ class PoseSampler:
         """Yields grasps of an object to which the hand comes without a touch, of `tries` random lines through it."""
         for _ in range(tries):
             for candidate in self._of_line(rng, target, max_tilt):
-                if not self._touches(candidate):
+                if not self.touches(candidate):
                     yield candidate
                     break
 
@@ -92,7 +92,7 @@ class PoseSampler:
                 poses.append(FullPose(pose(R, middle + (depth - gripper.reach) * approach), opening, steep))
         return poses
 
-    def _touches(self, candidate: FullPose) -> bool:
+    def touches(self, candidate: FullPose) -> bool:
         """Whether the open hand touches anything at the grasp or on its way there."""
         T, gripper = candidate.T_world_grasp, self._gripper
         approach = T[:3, 2]
