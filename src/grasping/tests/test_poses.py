@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ import torch
 from common.camera_model import CameraModel, pinhole
 from common.errors import RigError
 from common.rotations import rotation_about
+from grasping.lab.programs import evaluate_poses, make_attempts, train_lifts
 from grasping.lab.programs.train_lifts import LiftData, calibrate, train
+from grasping.lab.synthetic.pose_labels import REASONS
 from grasping.network.depth_image import CROP_SIDE, Crop, NetworkImage
 from grasping.network.maps import Maps
 from grasping.poses import hand_view, hypotheses
@@ -21,6 +24,7 @@ from grasping.poses.lift_network import LiftNetwork, lift_logits, loaded, saved
 
 SIDE, TABLE_M, FOCAL = 300, 0.7, 570.0
 OPEN_M = 0.1
+WEIGHTS = Path(__file__).parents[1] / "weights" / "ggcnn2_wide.pt"
 DOWN = np.array([0.0, 0.0, 1.0])
 
 
@@ -262,3 +266,42 @@ def test_tips_that_would_be_in_the_table_are_looked_for_above_it():
     lower = best._replace(T=best.T + np.array([[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0.01], [0, 0, 0, 0]]))
     np.testing.assert_allclose(near_fingers(seen(of, best)), near_fingers(seen(of, lower)), atol=1e-4)
     assert (near_fingers(seen(of, best))[0, :3, :, :-1] < 0.0).all(), "beside the bar, above the table"
+
+
+@pytest.fixture(scope="module")
+def shard(tmp_path_factory):
+    """One scene's attempts, as the program writes them."""
+    path = tmp_path_factory.mktemp("attempts") / "train_8_000000.npz"
+    make_attempts.make_shard(make_attempts.AttemptTask(path, "train", range(1, 2), WEIGHTS, 8))
+    return path
+
+
+def test_attempts_come_back_with_their_images(shard):
+    with np.load(shard) as arrays:
+        assert arrays["depth"].shape == (1, SIDE, SIDE) and arrays["valid"].shape == (1, SIDE, SIDE)
+        assert arrays["T"].shape == (8, 4, 4) and set(arrays["reason"]) <= set(range(len(REASONS)))
+        lifted = arrays["reason"] == 0
+    data = train_lifts.read([shard])
+    assert data.features.shape == (8, hand_view.FEATURES)
+    np.testing.assert_array_equal(data.lifted, lifted)
+
+
+def test_a_grasp_network_and_one_of_lifts_are_compared_on_the_same_scene(tmp_path):
+    file = tmp_path / "lifts.pt"
+    torch.manual_seed(0)
+    torch.save(saved(LiftNetwork()), file)
+    rows = evaluate_poses.try_scene(evaluate_poses.PoseTrialTask("validation", 2, WEIGHTS, {"mine": file}))
+    methods = [evaluate_poses.ALONE, evaluate_poses.ABOVE, "mine, from above", "mine, tilted"]
+    assert [row["method"] for row in rows] == methods
+    assert all(set(row) == set(evaluate_poses.COLUMNS) for row in rows)
+    assert rows[1]["tilt"] < 0.05 and rows[2]["tilt"] < 0.05, "of the table's plane, which is found in noise"
+    text = evaluate_poses.report(tmp_path, rows, methods)
+    assert all(f"| {method} |" in text for method in methods)
+    assert (tmp_path / "reliability.png").stat().st_size > 1000
+
+
+def test_a_folder_without_validation_is_refused(shard, capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["train_lifts.py", str(shard.parent), str(shard.parent / "run")])
+    with pytest.raises(SystemExit):
+        train_lifts.main()
+    assert "needs shards train_*.npz and validation_*.npz" in capsys.readouterr().err
