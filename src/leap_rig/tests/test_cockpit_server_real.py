@@ -333,6 +333,18 @@ def test_a_crowd_leaves_room_for_a_page_with_the_code_on_every_path(served):
         assert kept[3].recv(timeout=60.0) == b"x" and not gone(kept[2])
 
 
+def test_the_ticket_alone_keeps_nobody_off_the_stop(served):
+    with contextlib.ExitStack() as stack:
+        ticket = enter(served, stack.enter_context(served.socket("/control")))["ticket"]
+        served.server._limits["/control"]._total = 4
+        for machine, _ in zip(machines(), range(4)):
+            stack.enter_context(served.socket(f"/control?ticket={ticket}", machine))
+        control = stack.enter_context(served.socket(f"/control?ticket={ticket}"))
+        enter(served, control)
+        tell(control, do="stop")
+        assert "sent" in answer(control)["done"] and served.stops == [1]
+
+
 def test_who_has_the_code_stops_though_all_connections_are_taken_and_is_not_cut_off_then(served):
     with contextlib.ExitStack() as stack:
 

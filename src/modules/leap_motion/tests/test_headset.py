@@ -271,12 +271,15 @@ class TestAccess:
     def test_a_key_that_nobody_uses_ends_and_one_that_is_used_does_not(self):
         access = HeadsetAccess()
         left, used = (access.admit(access.code, HERE, 0.0) for _ in range(2))
+        ticket = access.ticket
         for now in (0.9 * KEY_S, 1.8 * KEY_S):
             access.use(used, now)
         assert access.admit(left, HERE, 1.8 * KEY_S) is None
         assert access.admit(used, HERE, 2.7 * KEY_S) == used
         access.use(left, 2.7 * KEY_S)
         assert access.admit(left, HERE, 2.7 * KEY_S + 400.0) is None
+        assert access.has_ticket(ticket)
+        assert access.admit(used, HERE, 3.8 * KEY_S) is None and not access.has_ticket(ticket)
 
     def test_of_too_many_keys_that_ends_which_was_not_used_for_longest(self):
         access = HeadsetAccess()

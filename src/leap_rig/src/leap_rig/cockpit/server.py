@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import gzip
 import json
 import secrets
@@ -168,16 +169,19 @@ class CockpitServer(PageService):
 
     async def _converse(self, connection: ServerConnection) -> None:
         path = self._path(connection)
-        kept = self.control.access.has_ticket(connection.request.path if connection.request else "")
-        if kept:
-            self._keep(connection)
+        whole = connection.request.path if connection.request else ""
+        # The ticket stands in addresses, so perhaps in the log of a proxy: where the stop comes from, only a key keeps.
+        kept = path != "/control" and self.control.access.has_ticket(whole)
+        keep = functools.partial(self._keep, connection) if kept else None
         if path == "/pictures":
-            await self.pictures.converse(connection, kept)
+            await self.pictures.converse(connection, keep)
             return
         place = self._limits[path].enter(connection.remote_address[0], cutter(connection), kept)
         if place is None:
             await connection.close(BUSY, "too many pages are open already")
             return
+        if keep is not None:
+            keep()
         try:
             with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
                 if path == "/control":

@@ -97,18 +97,20 @@ class PictureStream:
         """Takes a new image, in the loop."""
         self._newest[camera].take(picture)
 
-    async def converse(self, connection: ServerConnection, kept: bool = False) -> None:
-        """Serves a page to its end; `kept`: its place is."""
+    async def converse(self, connection: ServerConnection, keep: Callable[[], None] | None = None) -> None:
+        """Serves a page to its end. `keep`: its place is kept, and this keeps its connection."""
         asked = parse_qs(urlsplit(connection.request.path if connection.request else "").query)
         camera = asked.get("camera", [next(iter(self._newest))])[0]
         if camera not in self._newest:
             await connection.close(1008, "there is no such camera")
             return
         newest, limits = self._newest[camera], self._limits[camera]
-        place = limits.enter(connection.remote_address[0], cutter(connection), kept)
+        place = limits.enter(connection.remote_address[0], cutter(connection), keep is not None)
         if place is None:
             await connection.close(1013, "too many pages are open already")
             return
+        if keep is not None:
+            keep()
         newest.pages += 1
         with contextlib.suppress(ConnectionClosed, asyncio.TimeoutError):
             async with contextlib.AsyncExitStack() as stack:

@@ -116,7 +116,8 @@ class HeadsetAccess:
     good for one headset, which gets a key for when its connection is lost; the next one needs the next code. After
     MAX_GUESSES wrong codes there is a new one, too, but none within CODE_S of the last: somebody may be typing it.
 
-    `ticket`, for pages with a key, admits to nothing: a connection to an address that ends with it has a kept place."""
+    `ticket`, for pages with a key, admits to nothing: a connection to an address that ends with it has a kept place.
+    There is a new one after the end of the last key."""
 
     def __init__(self) -> None:
         self._keys: dict[str, float] = {}  # when each was used [s]
@@ -144,7 +145,9 @@ class HeadsetAccess:
         """Returns the key of a page that sent the code, which is void then, or its key; None for one that sent
         neither. A key, which nobody guesses, is good while its address waits."""
         text = secret if isinstance(secret, str) else ""
-        self._keys = {key: used for key, used in self._keys.items() if now - used < KEY_S}
+        had, self._keys = self._keys, {key: used for key, used in self._keys.items() if now - used < KEY_S}
+        if had and not self._keys:
+            self.ticket = secrets.token_urlsafe(16)
         for key in self._keys:
             if hmac.compare_digest(text.encode("utf-8", "replace"), key.encode()):
                 self._keys[key] = now

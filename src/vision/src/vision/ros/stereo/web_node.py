@@ -114,9 +114,7 @@ class StereoWeb(PageService):
             await self._hands.converse(connection, keep)
             return
         kept = self._hands is not None and self._hands.access.has_ticket(path)
-        if kept:
-            keep()
-        await self._pictures.converse(connection, kept)
+        await self._pictures.converse(connection, keep if kept else None)
 
 
 def main() -> None:
