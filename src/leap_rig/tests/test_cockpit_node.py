@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import socket
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +15,7 @@ from common import clock
 pytest.importorskip("rig_msgs.msg")
 import rospy
 from sensor_msgs.msg import Image
+from std_msgs.msg import String
 
 from kuka_control.model.switches import Switches
 from kuka_control.ros import emergency
@@ -23,6 +25,7 @@ from leap_rig.cockpit.messages import PageCommand
 from leap_rig.cockpit.ros import cockpit_node
 from leap_rig.cockpit.settings import CockpitConfig
 from rig_msgs.msg import KukaStatus, OperatorInput, OperatorView
+from rig_msgs.srv import ChooseArm
 
 pytestmark = pytest.mark.ros
 CONFIG = CockpitConfig("", "127.0.0.1", 0, "", "", "", "camera", "auto", False)
@@ -32,7 +35,7 @@ class Pages:
     """In the place of the server: what the pages are and hold, and what they get."""
 
     def __init__(self, page, scene, arms, obey, stop, tell_code, **_):
-        self.obey, self.stop = obey, stop
+        self.obey, self.stop, self.tell_code = obey, stop, tell_code
         self.watched = self.scene_watched = self.live = False
         self.fingerprint, self.address = "", "http://127.0.0.1:1/"
         self.cameras, self.states, self.images = set(), [], []
@@ -82,7 +85,13 @@ class Scene:
 
 
 @pytest.fixture
-def pages(virtual_graph, monkeypatch):
+def arms():
+    """The parameter of the node; a test may have another one."""
+    return ""
+
+
+@pytest.fixture
+def pages(virtual_graph, monkeypatch, arms):
     """The pages of a node that runs."""
     graph, made, scene = virtual_graph, [], Scene()
 
@@ -104,11 +113,13 @@ def pages(virtual_graph, monkeypatch):
     monkeypatch.setattr(cockpit_node, "CockpitServer", serve)
     for name in ("__init__", "unregister"):
         monkeypatch.setattr(rospy.Subscriber, name, slow(getattr(rospy.Subscriber, name)))
-    rospy.set_param("leap", {"engagement": "relative", "enabling": "device", "clutch": "none"})
+    for arm in arms.split() or [""]:
+        leap = {"engagement": "relative", "enabling": "device", "clutch": "none", "arm_choice": "service"}
+        rospy.set_param(f"{arm}/leap".strip("/"), leap)
 
     def main():
         rospy.init_node("cockpit")
-        cockpit_node.Cockpit(CONFIG).run()
+        cockpit_node.Cockpit(replace(CONFIG, arms=arms)).run()
 
     graph.start("cockpit", main)
     graph.wait_until(lambda: made, 10.0, "the server")
@@ -161,6 +172,21 @@ def stand(monkeypatch):
 def open_page(pages):
     pages.watched = pages.live = True
     pages.wait(lambda: pages.states and pages.shown["arms"][""]["present"], 10.0, "the controller on the page")
+
+
+def test_a_paused_terminal_stops_only_who_writes_on_it(pages, monkeypatch):
+    written = []
+
+    def write(sentence, **_):
+        clock.sleep(1.0)
+        written.append(sentence)
+
+    monkeypatch.setattr(cockpit_node, "print", write, raising=False)
+    began = clock.monotonic()
+    for sentence in ("first", "second"):
+        pages.tell_code(sentence)
+    assert clock.monotonic() == began and "first" not in written
+    pages.wait(lambda: written[-2:] == ["first", "second"], 5.0, "the sentences")
 
 
 def test_a_command_that_waited_too_long_in_the_node_is_not_obeyed(pages, controller, stand):
@@ -235,3 +261,46 @@ def test_while_the_master_hangs_pages_have_the_state_hold_and_stop(pages, contro
     assert not images.get_num_connections()
     virtual_graph.master_hangs = False
     pages.wait(images.get_num_connections, 10.0, "who looks at images")
+
+
+@pytest.mark.parametrize("arms", ["left right"])
+def test_a_page_chooses_the_arm_and_shows_the_choice_while_it_is_published(pages, virtual_graph):
+    def main():
+        rospy.init_node("arm_choice")
+        chosen = rospy.Publisher("leap_kuka/chosen_arm", String, queue_size=1, latch=True)
+        chosen.publish("left")
+
+        def choose(request):
+            chosen.publish(request.arm)
+            return True, f"The hand steers {request.arm}."
+
+        rospy.Service("leap_kuka/choose_arm", ChooseArm, choose)
+        rospy.spin()
+
+    def shows(chosen):
+        choice = {"names": ["left", "right", "both"], "chosen": chosen}
+        pages.wait(lambda: pages.states and pages.shown["choice"] == choice, 10.0, f"the choice {chosen!r}")
+
+    node = virtual_graph.start("arm_choice", main)
+    pages.watched = pages.live = True
+    shows("left")
+    pages.obey(PageCommand("choose", "", "right"))
+    shows("right")
+    pages.wait(lambda: "The hand steers right." in pages.said, 5.0, "the answer")
+    node.send_signal(signal.SIGINT)
+    shows("")
+
+
+def test_who_follows_the_pages_survives_faults(pages, controller, monkeypatch):
+    def names():
+        raise OSError("no such folder")
+
+    monkeypatch.setattr(cockpit_node, "known_names", names)
+    monkeypatch.setattr(cockpit_node, "master_answers", lambda: 1 / 0)
+    rospy.set_param("leap", "no mapping")
+    pages.watched = pages.live = True
+    clock.sleep(1.0)
+    monkeypatch.setattr(cockpit_node, "master_answers", lambda: True)
+    rows = rospy.Publisher("operator_view/rows", OperatorView, queue_size=1)
+    pages.wait(rows.get_num_connections, 5.0, "who looks at the rows")
+    assert pages.shown["arms"][""]["operators"] == [""]

@@ -134,6 +134,23 @@ def _ask(
     clock.Thread(target=ask, name=service, daemon=True).start()
 
 
+class Terminal:
+    """Shows sentences on the terminal alone: what is logged goes to /rosout, and so into recordings. In a thread of its
+    own: a paused terminal (Ctrl-S) stops who writes."""
+
+    def __init__(self) -> None:
+        self._sentences: clock.SimpleQueue[str] = clock.SimpleQueue()
+        clock.Thread(target=self._write, name="terminal", daemon=True).start()
+
+    def show(self, sentence: str) -> None:
+        self._sentences.put(sentence)
+
+    def _write(self) -> None:
+        while True:
+            sentence = self._sentences.get()
+            print(sentence, file=sys.stderr, flush=True)
+
+
 class ArmLink:
     """One arm: the link to its controller, and the operator's switches of the page."""
 
@@ -156,11 +173,13 @@ class ArmLink:
         """Listens while somebody watches; raises MasterLost."""
         self.link.watch_rows(watched)
         if watched:
-            leap = self._parameter("leap") or {}
+            leap = self._parameter("leap")
+            leap = leap if isinstance(leap, dict) else {}
             self._leap = {name: leap.get(name, NONE) for name in ("engagement", "enabling", "clutch")}
             self.chosen_by_service = leap.get("arm_choice") == SERVICE
             self._operator = str(self._parameter("leap_hand_node/operator") or "")
-            self._operators = ["", *known_names()]
+            with contextlib.suppress(OSError):  # the folder cannot be read
+                self._operators = ["", *known_names()]
         self._listen(watched and DEVICE in self._leap.values())
 
     def _parameter(self, name: str) -> Any:
@@ -219,20 +238,19 @@ class Cockpit:
         self._commands: clock.SimpleQueue[tuple[float, PageCommand]] = clock.SimpleQueue()  # and when it came
         self._recorder, self._tutor = ChildProgram(), ChildProgram()
         self._recording, self._tutorial, self._number = "", "", 0
-        self._chosen = ""  # the arm that the hand steers
+        self._chosen, self._chooses = "", False  # the arm that the hand steers, and whether a node chooses
         self._choices: clock.SimpleQueue[tuple[bool, str]] = clock.SimpleQueue()  # what became of requests for another
         self._answers: dict[str, dict[str, Any]] = {}  # the newest of each arm, and of none
         self._marks = rospy.Publisher(EPISODE_MARK, String, queue_size=10)
         self._listen = OnDemand(
-            lambda: [
-                rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5),
-                rospy.Subscriber(CHOSEN_ARM, String, self._take_choice, queue_size=5),
-            ]
+            lambda: [rospy.Subscriber("leap_rig/tutorial", DiagnosticStatus, self._take_tutorial, queue_size=5)]
         )
+        self._choice = OnDemand(lambda: [rospy.Subscriber(CHOSEN_ARM, String, self._take_choice, queue_size=5)])
         self._looks = {camera: OnDemand(functools.partial(self._images, camera)) for camera in config.cameras.split()}
         self._only_view, self._image_came = config.only_view, False
         self._next_state, self._asking, self._stopped = 0.0, clock.Lock(), -math.inf
         self._watched = False
+        terminal = Terminal()
         try:
             certificate = None
             if not is_loopback(config.host):
@@ -243,7 +261,7 @@ class Cockpit:
                 names,
                 lambda command: self._commands.put((clock.monotonic(), command)),
                 self._stop,
-                show,
+                terminal.show,
                 host=config.host,
                 port=config.port,
                 name=config.name,
@@ -258,7 +276,7 @@ class Cockpit:
             raise DeviceError(f"{fault.rstrip('.')}. Check the page, or choose another port.") from error
         # Beside what answers the pages: rospy waits for a master that hangs.
         repeat(self._follow, FOLLOW_S, "topics")
-        show(f"The cockpit is at {self._server.address}")
+        terminal.show(f"The cockpit is at {self._server.address}")
         if config.video != JPEG and not is_loopback(config.host) and webrtc.missing():
             rospy.logwarn("%s", webrtc.missing())
         if self._server.fingerprint:
@@ -294,7 +312,16 @@ class Cockpit:
             server.put_state(self._state(held))
 
     def _follow(self) -> None:
-        """Subscribes to what somebody looks at, while the master answers."""
+        """Subscribes to what somebody looks at, while the master answers. A defect must not end the thread."""
+        try:
+            self._subscribe()
+        except Exception as error:
+            if rospy.core.is_shutdown_requested():  # the topics are closed
+                return
+            rospy.logerr_throttle(10.0, f"The cockpit cannot follow what its pages look at: {error!r}")
+
+    def _subscribe(self) -> None:
+        self._chooses = any(subscriber.get_num_connections() for subscriber in self._choice.subscribers)
         server, watched = self._server, self._server.watched
         looks = [(look, server.pictures.watched(camera)) for camera, look in self._looks.items()]
         changes = [(look, wanted) for look, wanted in looks if wanted is not bool(look.subscribers)]
@@ -307,6 +334,7 @@ class Cockpit:
                 for arm in self._arms.values():
                     arm.watch(watched)
                 self._listen(watched)
+                self._choice(watched)
                 self._watched = watched
 
     def _state(self, held: Mapping[str, HeldSwitches]) -> dict[str, Any]:
@@ -324,7 +352,7 @@ class Cockpit:
                 self._say(program.line if failed else sentence, "warning" if failed else "normal")
         return {
             "arms": {name: arm.shown(updates[name], held[name]) for name, arm in self._arms.items()},
-            "choice": {"names": [*self._arms, BOTH], "chosen": self._chosen}
+            "choice": {"names": [*self._arms, BOTH], "chosen": self._chosen if self._chooses else ""}
             if len(self._arms) > 1 and all(arm.chosen_by_service for arm in self._arms.values())
             else None,
             "cameras": list(self._looks),
@@ -427,11 +455,6 @@ class Cockpit:
             image = np.ascontiguousarray(colour_from_image(message))
             self._server.put_picture(camera, Picture(image, came - age, came, {}))
             self._image_came = True
-
-
-def show(sentence: str) -> None:
-    """Writes on the terminal alone: what is logged goes to /rosout, and so into recordings."""
-    print(sentence, file=sys.stderr, flush=True)
 
 
 def main() -> None:
