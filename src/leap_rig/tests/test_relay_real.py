@@ -373,7 +373,7 @@ def named(port, path, names):
 
 def visiting(ends, port, name=""):
     """A browser's connection, which the proxy says is from `name`."""
-    browser = ends(socket.create_connection(("127.0.0.1", port), 30.0))
+    browser = ends(socket.create_connection(("127.0.0.1", port), 60.0))
     browser.sendall(f"GET / HTTP/1.1\r\nX-Forwarded-For: 10.9.9.9, {name}\r\n\r\n".encode())
     return browser
 
@@ -401,6 +401,19 @@ def test_one_browser_behind_a_proxy_takes_not_the_places_of_others(ends, monkeyp
         assert ended(visiting(ends, page, name))
     rest = [visiting(ends, page, "10.0.0.2"), visiting(ends, other, "10.0.0.1")]
     assert ended(visiting(ends, page, "10.0.0.1")) and all(map(waits, crowd + rest))
+
+
+def test_the_address_that_the_proxy_names_may_come_in_pieces(ends, monkeypatch):
+    monkeypatch.setattr(server, "NO_RIG_S", 90.0)
+    monkeypatch.setattr(server, "GREET_S", 60.0)
+    monkeypatch.setattr(server, "VISITORS_OF_ADDRESS", 1)
+    (page,) = ends(Running({"page": 0}, forwarded=True)).relay.pages.values()
+    first = visiting(ends, page, "10.0.0.1")
+    second = ends(socket.create_connection(("127.0.0.1", page), 60.0))
+    for piece in (b"GET / HTTP/1.1\r\n", b"X-Forwarded-For: 10.0.0.1\r", b"\n\r\n"):
+        second.sendall(piece)
+        time.sleep(0.2)
+    assert ended(second) and waits(first)
 
 
 def test_each_page_of_a_relay_has_its_own_places(ends, monkeypatch):

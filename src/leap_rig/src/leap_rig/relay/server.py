@@ -169,7 +169,7 @@ class Relay(SocketService):
         try:
             address = writer.get_extra_info("peername")[0]
             if self._forwarded:
-                begun = await within(GREET_S, reader.read(CHUNK))
+                begun = await within(GREET_S, reader.readuntil(b"\r\n\r\n"))
                 address = forwarded_for(begun) or address
             place = self._visitors[page].enter(address, writer.close)
             if place is None or not self._visits.admit(address, self._loop.time()):
@@ -180,7 +180,13 @@ class Relay(SocketService):
             if begun:
                 await within(TAKE_S, rig.connection.send(begun))
             await Passage(reader, writer, rig.connection).run()
-        except (ConnectionClosed, asyncio.TimeoutError, OSError):
+        except (
+            ConnectionClosed,
+            asyncio.TimeoutError,
+            asyncio.IncompleteReadError,
+            asyncio.LimitOverrunError,
+            OSError,
+        ):
             pass
         finally:
             if rig is not None:

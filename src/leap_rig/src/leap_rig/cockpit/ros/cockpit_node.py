@@ -134,7 +134,7 @@ def _ask(
     clock.Thread(target=ask, name=service, daemon=True).start()
 
 
-class Terminal:
+class SentenceWriter:
     """Shows sentences on the terminal alone: what is logged goes to /rosout, and so into recordings. In a thread of its
     own: a paused terminal (Ctrl-S) stops who writes."""
 
@@ -250,7 +250,7 @@ class Cockpit:
         self._only_view, self._image_came = config.only_view, False
         self._next_state, self._asking, self._stopped = 0.0, clock.Lock(), -math.inf
         self._watched = False
-        terminal = Terminal()
+        terminal = SentenceWriter()
         try:
             certificate = None
             if not is_loopback(config.host):
